@@ -1,0 +1,103 @@
+"""Kernel values as JSON and back, bit for bit: how the journal writes events, effects and states.
+
+A float is written as its repr, which reads back to the same bits; nan and inf, which JSON does not
+have, are written as strings.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from functools import lru_cache
+from math import isfinite
+from types import NoneType, UnionType
+from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+
+T = TypeVar("T")
+
+
+def to_json(value: Any) -> str:
+    """Return the JSON text of a dataclass of the kernel, or of any value in one."""
+    kind: Any = type(value)
+    return _writer(kind)(value)
+
+
+def from_json(kind: Callable[..., T], text: str) -> T:
+    """Return the `kind` that `to_json` wrote; raises ValueError where the text is not one."""
+    try:
+        value: T = _reader(kind)(json.loads(text))
+    except (KeyError, TypeError, OverflowError, RecursionError) as error:
+        raise ValueError(f"not a {kind}: {text[:80]}") from error
+    return value
+
+
+@lru_cache(maxsize=256)
+def _writer(kind: Any) -> Callable[[Any], str]:
+    """Return the function that writes a `kind`; half the time that `json.dumps` needs."""
+    if kind is float:
+        return _write_float
+    if kind is bool:
+        return lambda value: "true" if value else "false"
+    if kind is int:
+        return repr
+    if kind is str:
+        return json.dumps
+    if kind is NoneType:
+        return lambda value: "null"
+    if kind is tuple:
+        return lambda value: f"[{','.join(map(to_json, value))}]"
+    if issubclass(kind, Enum):
+        return {member: json.dumps(member.value) for member in kind}.__getitem__
+    return _fields_writer(kind)
+
+
+def _write_float(value: float) -> str:
+    return repr(value) if isfinite(value) else f'"{value!r}"'
+
+
+def _fields_writer(kind: Any) -> Callable[[Any], str]:
+    names = [field.name for field in fields(kind)]
+    template = "{" + ",".join(f'"{name}":%s' for name in names) + "}"
+
+    def write(value: Any) -> str:
+        return template % tuple([to_json(getattr(value, name)) for name in names])
+
+    return write
+
+
+@lru_cache(maxsize=256)
+def _reader(kind: Any) -> Callable[[Any], Any]:
+    """Return the function that makes a `kind` of what `json.loads` returned."""
+    if kind is float:
+        return float
+    if kind in (int, str, bool):
+        return _exactly(kind)
+    origin = get_origin(kind)
+    if origin is tuple:
+        return _tuple_reader(get_args(kind))
+    if origin in (Union, UnionType):
+        (some,) = (_reader(option) for option in get_args(kind) if option is not NoneType)
+        return lambda plain: None if plain is None else some(plain)
+    if isinstance(kind, type) and is_dataclass(kind):
+        readers = {name: _reader(hint) for name, hint in get_type_hints(kind).items()}
+        return lambda plain: kind(**{name: read(plain[name]) for name, read in readers.items()})
+    return lambda plain: kind(plain)
+
+
+def _exactly(kind: type) -> Callable[[Any], Any]:
+    def read(plain: Any) -> Any:
+        if type(plain) is not kind:
+            raise TypeError(f"{plain!r} is not a {kind.__name__}")
+        return plain
+
+    return read
+
+
+def _tuple_reader(items: tuple[Any, ...]) -> Callable[[Any], tuple[Any, ...]]:
+    if items[-1] is Ellipsis:
+        read = _reader(items[0])
+        return lambda plain: tuple(read(item) for item in plain)
+    readers = [_reader(item) for item in items]
+    return lambda plain: tuple(read(item) for read, item in zip(readers, plain, strict=True))

@@ -1,0 +1,42 @@
+"""Plane geometry in the conventions of REP-103: metres, radians, counter-clockwise positive."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import cos, hypot, pi, sin, tau
+
+
+def wrap_angle(angle_rad: float) -> float:
+    """Return the same direction in [-pi, pi)."""
+    return (angle_rad + pi) % tau - pi
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Where and which way: x, y [m], theta [rad]."""
+
+    x: float = 0.0
+    y: float = 0.0
+    theta: float = 0.0
+
+    def compose(self, local: Pose) -> Pose:
+        """Return `local`, given in this pose's frame, in the frame of this pose."""
+        c, s = cos(self.theta), sin(self.theta)
+        return Pose(
+            self.x + c * local.x - s * local.y,
+            self.y + s * local.x + c * local.y,
+            wrap_angle(self.theta + local.theta),
+        )
+
+    def express(self, other: Pose) -> Pose:
+        """Return `other`, given in the frame of this pose, as seen from this pose."""
+        c, s = cos(self.theta), sin(self.theta)
+        dx, dy = other.x - self.x, other.y - self.y
+        return Pose(c * dx + s * dy, c * dy - s * dx, wrap_angle(other.theta - self.theta))
+
+    def distance(self, other: Pose) -> float:
+        """Return the distance between the two positions [m]."""
+        return hypot(other.x - self.x, other.y - self.y)
+
+
+ORIGIN = Pose()

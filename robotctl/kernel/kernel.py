@@ -1,0 +1,451 @@
+"""The single owner of mode and command: `Kernel.step` is total and deterministic."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from math import isfinite
+from typing import assert_never
+
+from robotctl.kernel.drive import Drive, Progress
+from robotctl.kernel.geometry import wrap_angle
+from robotctl.kernel.limits import limit, within
+from robotctl.kernel.modes import REQUESTS, TRANSITIONS, Guard, Mode, Trigger
+from robotctl.kernel.params import KernelParams, OdometryParams
+from robotctl.kernel.patterns import (
+    MAX_SIZE_M,
+    MAX_SPEED_MPS,
+    MIN_SIZE_M,
+    MIN_SPEED_MPS,
+    Pattern,
+)
+from robotctl.kernel.safety import (
+    FAULT_TRIGGERS,
+    NS_PER_S,
+    RULE_OF,
+    Finding,
+    Health,
+    failed_start_condition,
+    raised,
+    uncleared,
+)
+from robotctl.kernel.tracking import track
+from robotctl.kernel.types import (
+    ZERO,
+    BatteryReceived,
+    Cause,
+    CommandPublishersSeen,
+    DriveEnded,
+    DriveRequested,
+    Effect,
+    Event,
+    FaultCleared,
+    FaultReported,
+    LatchEmergencyStop,
+    ModeChanged,
+    ModeRequested,
+    Odometry,
+    OdomReceived,
+    Phase,
+    PublishTwist,
+    ReleaseEmergencyStop,
+    Reply,
+    ResetRequested,
+    Tick,
+    Twist,
+)
+
+MAX_WAITING = 64
+"""How many requests may wait for a ramp to end; one more is refused."""
+
+MAX_LAPS = 100_000
+
+STOPPING_REFUSAL = "the robot is stopping: ask again when it is IDLE"
+
+_OPERATOR_CAUSES = {
+    Mode.ERROR: Cause.OPERATOR_ERROR,
+    Mode.EMERGENCY_STOP: Cause.OPERATOR_STOP,
+}
+
+VALID_MODES = ", ".join(f"{mode.value} {mode.name}" for mode in Mode)
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """All that the kernel remembers; with KernelParams it decides every later effect.
+
+    `cause` is why the mode is ERROR or EMERGENCY_STOP; `waiting` are the requests for IDLE that
+    are answered when the ramp has ended.
+    """
+
+    mode: Mode = Mode.IDLE
+    phase: Phase = Phase.STANDING
+    reason: str = "started"
+    cause: Cause | None = None
+    command: Twist = ZERO
+    tick_t_ns: int | None = None
+    health: Health = field(default_factory=Health)
+    drive: Drive | None = None
+    stop_reason: str = ""
+    waiting: tuple[int, ...] = ()
+
+
+def latched(reason: str) -> State:
+    """Return the state to start in when an earlier emergency stop was never released."""
+    return State(mode=Mode.EMERGENCY_STOP, reason=reason, cause=Cause.OPERATOR_STOP)
+
+
+class Kernel:
+    """Decides mode and command; `state` is replaced as a whole by each step."""
+
+    def __init__(self, params: KernelParams, state: State | None = None) -> None:
+        self.params = params
+        self.state = state or State()
+        self._effects: list[Effect] = []
+
+    def step(self, event: Event) -> tuple[Effect, ...]:
+        """Take one event and return what must be done, in order."""
+        self._effects = []
+        match event:
+            case Tick():
+                self._tick(event)
+            case OdomReceived():
+                self._odometry(event)
+            case BatteryReceived():
+                self._learn(event.t_ns, battery_level=event.level, battery_t_ns=event.t_ns)
+            case ModeRequested():
+                self._request(event)
+            case ResetRequested():
+                self._reset(event)
+            case DriveRequested():
+                self._request_drive(event)
+            case CommandPublishersSeen():
+                self._learn(event.t_ns, foreign_publishers=event.names)
+            case FaultReported():
+                others = self._reported_without(event.cause)
+                self._learn(event.t_ns, reported=(*others, (event.cause, event.detail)))
+            case FaultCleared():
+                self._learn(event.t_ns, reported=self._reported_without(event.cause))
+            case _:
+                assert_never(event)
+        state = self.state
+        assert state.mode is Mode.MOVING or state.command == ZERO, state
+        assert within(state.command, self.params.limits), state
+        return tuple(self._effects)
+
+    # Measurements
+
+    def _odometry(self, event: OdomReceived) -> None:
+        """Take a sample that can be true; while MOVING, drop any other and count on the next."""
+        state, odometry, health = self.state, event.odometry, self.state.health
+        fault = _odometry_fault(health, odometry, self.params.odometry)
+        drive, error_m, last = state.drive, health.path_error_m, health.odometry
+        if drive is not None and last is not None and not fault:
+            drive = drive.measured(odometry.pose, last.pose.distance(odometry.pose))
+            error_m = drive.score.error_m
+        dropped = fault and (state.mode is Mode.MOVING or not _is_finite(odometry))
+        health = Health(
+            odometry=last if dropped else odometry,
+            odometry_t_ns=health.odometry_t_ns if fault else event.t_ns,
+            odometry_stamp_ns=odometry.stamp_ns,
+            odometry_fault=fault,
+            battery_level=health.battery_level,
+            battery_t_ns=health.battery_t_ns,
+            foreign_publishers=health.foreign_publishers,
+            reported=health.reported,
+            path_error_m=error_m,
+            tick_gap_s=health.tick_gap_s,
+        )
+        self.state = State(
+            mode=state.mode,
+            phase=state.phase,
+            reason=state.reason,
+            cause=state.cause,
+            command=state.command,
+            tick_t_ns=state.tick_t_ns,
+            health=health,
+            drive=drive,
+            stop_reason=state.stop_reason,
+            waiting=state.waiting,
+        )
+        self._raise_fault(event.t_ns)
+
+    def _learn(self, t_ns: int, **changes: object) -> None:
+        self.state = replace(self.state, health=replace(self.state.health, **changes))  # type: ignore[arg-type]
+        self._raise_fault(t_ns)
+
+    def _reported_without(self, cause: Cause) -> tuple[tuple[Cause, str], ...]:
+        return tuple(entry for entry in self.state.health.reported if entry[0] is not cause)
+
+    # The tick
+
+    def _tick(self, event: Tick) -> None:
+        state, params, health = self.state, self.params, self.state.health
+        gap_s = 0.0 if state.tick_t_ns is None else (event.t_ns - state.tick_t_ns) / NS_PER_S
+        late_s = gap_s if abs(gap_s) > params.max_tick_gap_s else 0.0
+        if late_s != health.tick_gap_s:
+            health = replace(health, tick_gap_s=late_s)
+        finding = raised(state.mode, health, params, event.t_ns)
+        if state.mode is Mode.MOVING and finding is None:
+            self._move(event.t_ns, min(max(gap_s, 0.0), 2.0 / params.rate_hz), health)
+            return
+        self.state = replace(state, tick_t_ns=event.t_ns, health=health)
+        if finding is None:
+            self._effects.append(PublishTwist(ZERO))
+        else:
+            self._stop_for(finding)
+
+    def _move(self, t_ns: int, dt_s: float, health: Health) -> None:
+        state, params = self.state, self.params
+        drive, odometry = state.drive, health.odometry
+        phase, stop_reason, target = state.phase, state.stop_reason, ZERO
+        if phase is Phase.DRIVING and drive is not None and odometry is not None:
+            drive = drive.advance(dt_s, odometry.pose, params.limits)
+            if drive.finished:
+                phase = Phase.STOPPING
+                stop_reason = f"drive finished: {drive.laps} lap{'' if drive.laps == 1 else 's'}"
+            else:
+                target = track(drive.reference(), odometry.pose, params.tracking, params.limits)
+        command = limit(state.command, target, dt_s, params.limits)
+        self.state = State(
+            mode=state.mode,
+            phase=phase,
+            reason=state.reason,
+            cause=state.cause,
+            command=command,
+            tick_t_ns=t_ns,
+            health=health,
+            drive=drive,
+            stop_reason=stop_reason,
+            waiting=state.waiting,
+        )
+        if phase is Phase.STOPPING and command == ZERO:
+            self._stand(Trigger.STANDSTILL, stop_reason, None)
+        else:
+            self._effects.append(PublishTwist(command))
+
+    # Requests
+
+    def _request(self, event: ModeRequested) -> None:
+        try:
+            requested = Mode(event.requested)
+        except ValueError:
+            self._refuse(event.request_id, f"{event.requested} is not a mode: use {VALID_MODES}")
+            return
+        reason = f"requested by {event.source}"
+        self._decide(event.t_ns, event.request_id, REQUESTS[requested], reason)
+
+    def _reset(self, event: ResetRequested) -> None:
+        self._decide(event.t_ns, event.request_id, Trigger.RESET, f"reset by {event.source}")
+
+    def _decide(self, t_ns: int, request_id: int, trigger: Trigger, reason: str) -> None:
+        """Do what the table has for this request."""
+        mode = self.state.mode
+        transition = TRANSITIONS[mode, trigger]
+        match transition.guard:
+            case Guard.NEVER:
+                self._refuse(request_id, self._refusal(trigger))
+            case Guard.CAUSE_GONE:
+                self._release(t_ns, request_id, trigger, reason)
+            case Guard.RAMP_DOWN:
+                self._ramp_down(request_id, reason)
+            case Guard.START_CONDITIONS:
+                self._start(t_ns, request_id, self.params.pattern, 0, reason)
+            case Guard.NONE if transition.target is not mode:
+                self._stand(trigger, reason, _OPERATOR_CAUSES.get(transition.target))
+                self._accept(request_id, f"Mode changed to {transition.target.name}")
+            case Guard.NONE:
+                self._stay(request_id, trigger)
+
+    def _stay(self, request_id: int, trigger: Trigger) -> None:
+        state = self.state
+        if state.phase is Phase.STOPPING:
+            self._refuse(request_id, STOPPING_REFUSAL)
+            return
+        if state.mode is not Mode.MOVING:
+            self._effects.append(PublishTwist(ZERO))
+        if trigger is Trigger.RESET:
+            self._accept(request_id, f"Nothing to reset: mode is {state.mode.name}")
+        else:
+            self._accept(request_id, f"Mode is already {state.mode.name}")
+
+    def _request_drive(self, event: DriveRequested) -> None:
+        state = self.state
+        refusal = _pattern_refusal(event.pattern, event.laps)
+        if not refusal:
+            if TRANSITIONS[state.mode, Trigger.REQUEST_MOVING].guard is Guard.NEVER:
+                refusal = self._refusal(Trigger.REQUEST_MOVING)
+            elif state.phase is Phase.STOPPING:
+                refusal = STOPPING_REFUSAL
+            elif state.mode is Mode.MOVING and not event.replace:
+                refusal = (
+                    "the robot is MOVING: stop it first (robotctl set-mode idle), or use --replace"
+                )
+        if refusal:
+            self._refuse(event.request_id, refusal)
+            return
+        reason = f"requested by {event.source}"
+        self._start(event.t_ns, event.request_id, event.pattern, event.laps, reason)
+
+    def _start(self, t_ns: int, request_id: int, pattern: Pattern, laps: int, reason: str) -> None:
+        finding = failed_start_condition(self.state.health, self.params, t_ns)
+        odometry = self.state.health.odometry
+        if finding is not None or odometry is None:
+            self._refuse(request_id, finding.text if finding else "no odometry")
+            return
+        self._end_drive("replaced by another drive")
+        previous, command = self.state.mode, self.state.command
+        # A drive that replaces another begins at the speed that the robot has.
+        progress = Progress(speed=max(command.linear, 0.0))
+        self.state = replace(
+            self.state,
+            mode=Mode.MOVING,
+            phase=Phase.DRIVING,
+            reason=reason,
+            cause=None,
+            drive=Drive(request_id, pattern, laps, odometry.pose, progress),
+        )
+        if previous is not Mode.MOVING:
+            self._effects.append(ModeChanged(previous, Mode.MOVING, reason))
+            self._accept(request_id, "Mode changed to MOVING")
+        else:
+            self._accept(request_id, "Drive replaced: mode is MOVING")
+
+    def _ramp_down(self, request_id: int, reason: str) -> None:
+        state = self.state
+        if len(state.waiting) >= MAX_WAITING:
+            self._refuse(request_id, "too many requests wait for the stop already")
+            return
+        self.state = replace(
+            state,
+            phase=Phase.STOPPING,
+            stop_reason=state.stop_reason or reason,
+            waiting=(*state.waiting, request_id),
+        )
+
+    def _release(self, t_ns: int, request_id: int, trigger: Trigger, reason: str) -> None:
+        state = self.state
+        cause = state.cause
+        finding = None if cause is None else uncleared(cause, state.health, self.params, t_ns)
+        # Not released either is what a second fault would stop again in the same moment.
+        finding = finding or raised(Mode.IDLE, state.health, self.params, t_ns)
+        if finding is not None:
+            self._refuse(request_id, f"the cause of {state.mode.name} is not gone: {finding.text}")
+            return
+        released = state.mode
+        self._stand(trigger, reason, None)
+        if trigger is Trigger.RESET:
+            verb = "released" if released is Mode.EMERGENCY_STOP else "cleared"
+            self._accept(request_id, f"{released.name} {verb}: mode changed to IDLE")
+        else:
+            self._accept(request_id, "Mode changed to IDLE")
+
+    def _refusal(self, trigger: Trigger) -> str:
+        state = self.state
+        if state.mode is Mode.MOVING:
+            return "the robot is MOVING: stop it first (robotctl set-mode idle)"
+        cure = RULE_OF[state.cause].cure if state.cause else "release it: robotctl reset"
+        if "robotctl reset" not in cure:
+            cure = f"{cure}, then robotctl reset"
+        asked = trigger.value.removeprefix("request ")
+        return f"{asked} is refused in {state.mode.name} ({state.reason}): {cure}"
+
+    # What changes the mode
+
+    def _raise_fault(self, t_ns: int) -> None:
+        finding = raised(self.state.mode, self.state.health, self.params, t_ns)
+        if finding is not None:
+            self._stop_for(finding)
+
+    def _stop_for(self, finding: Finding) -> None:
+        rule = finding.rule
+        self._stand(FAULT_TRIGGERS[rule.action], finding.text, rule.cause)
+
+    def _stand(self, trigger: Trigger, reason: str, cause: Cause | None) -> None:
+        """Go where `trigger` leads, with the command exactly zero, and say so."""
+        previous = self.state.mode
+        target = TRANSITIONS[previous, trigger].target
+        self._effects.append(PublishTwist(ZERO))
+        if target is Mode.EMERGENCY_STOP:
+            self._effects.append(LatchEmergencyStop(reason))
+        elif previous is Mode.EMERGENCY_STOP:
+            self._effects.append(ReleaseEmergencyStop())
+        waiting = self.state.waiting
+        completed = self.state.drive is not None and self.state.drive.finished
+        self.state = replace(
+            self.state,
+            mode=target,
+            phase=Phase.STANDING,
+            reason=reason,
+            cause=cause,
+            command=ZERO,
+            stop_reason="",
+            waiting=(),
+        )
+        self._effects.append(ModeChanged(previous, target, reason))
+        self._end_drive(reason, completed and target is Mode.IDLE)
+        for request_id in waiting:
+            if target is Mode.IDLE:
+                self._accept(request_id, "Mode changed to IDLE")
+            else:
+                self._refuse(request_id, f"the mode became {target.name}: {reason}")
+
+    def _end_drive(self, reason: str, completed: bool = False) -> None:
+        state = self.state
+        if state.drive is None:
+            return
+        self._effects.append(
+            DriveEnded(state.drive.request_id, completed, reason, state.drive.report())
+        )
+        health = replace(state.health, path_error_m=0.0)
+        self.state = replace(state, drive=None, health=health, stop_reason="")
+
+    def _accept(self, request_id: int, message: str) -> None:
+        self._effects.append(Reply(request_id, True, message, self.state.mode))
+
+    def _refuse(self, request_id: int, message: str) -> None:
+        self._effects.append(Reply(request_id, False, message, self.state.mode))
+
+
+def _is_finite(odometry: Odometry) -> bool:
+    pose, velocity = odometry.pose, odometry.velocity
+    return (
+        isfinite(pose.x)
+        and isfinite(pose.y)
+        and isfinite(pose.theta)
+        and isfinite(velocity.linear)
+        and isfinite(velocity.angular)
+    )
+
+
+def _odometry_fault(health: Health, odometry: Odometry, params: OdometryParams) -> str:
+    """Return why this sample cannot be true, "" if it can.
+
+    Stamps are compared with the sample before, true or not: they come from a wall clock, which may
+    be set back once without harm.
+    """
+    last = health.odometry
+    if not _is_finite(odometry):
+        return "odometry is not finite"
+    if last is None:
+        return ""
+    if odometry.stamp_ns < health.odometry_stamp_ns:
+        return "odometry went back in time"
+    jump_m = last.pose.distance(odometry.pose)
+    if jump_m > params.max_jump_m:
+        return f"odometry jumped by {jump_m:.2f} m"
+    turned_rad = abs(wrap_angle(odometry.pose.theta - last.pose.theta))
+    if turned_rad > params.max_jump_rad:
+        return f"odometry jumped by {turned_rad:.2f} rad"
+    return ""
+
+
+def _pattern_refusal(pattern: Pattern, laps: int) -> str:
+    if not MIN_SIZE_M <= pattern.size_m <= MAX_SIZE_M:
+        return f"a size of {pattern.size_m:g} m: use {MIN_SIZE_M:g} to {MAX_SIZE_M:g} m"
+    if not MIN_SPEED_MPS <= pattern.speed_mps <= MAX_SPEED_MPS:
+        return (
+            f"a speed of {pattern.speed_mps:g} m/s: use {MIN_SPEED_MPS:g} to {MAX_SPEED_MPS:g} m/s"
+        )
+    if not 0 <= laps <= MAX_LAPS:
+        return f"{laps} laps: use 0 (until stopped) to {MAX_LAPS}"
+    return ""

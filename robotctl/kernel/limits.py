@@ -1,0 +1,42 @@
+"""What a command may be: finite, within its velocity limits, changing no faster than allowed."""
+
+from __future__ import annotations
+
+from math import isfinite
+
+from robotctl.kernel.params import VelocityLimits
+from robotctl.kernel.types import Twist
+
+
+def clamp(value: float, bound: float) -> float:
+    """Return `value` within [-bound, bound]; what is not finite becomes 0, never full speed."""
+    if not isfinite(value):
+        return 0.0
+    return min(max(value, -bound), bound)
+
+
+def _approach(current: float, target: float, max_step: float) -> float:
+    if abs(target - current) <= max_step:
+        return target
+    return current + max_step if target > current else current - max_step
+
+
+def limit(current: Twist, target: Twist, dt_s: float, limits: VelocityLimits) -> Twist:
+    """Return the command nearest to `target` that `dt_s` after `current` is allowed."""
+    return Twist(
+        _approach(
+            current.linear,
+            clamp(target.linear, limits.linear_mps),
+            limits.linear_accel_mps2 * dt_s,
+        ),
+        _approach(
+            current.angular,
+            clamp(target.angular, limits.angular_rps),
+            limits.angular_accel_rps2 * dt_s,
+        ),
+    )
+
+
+def within(command: Twist, limits: VelocityLimits) -> bool:
+    """Say whether the command is finite and not faster than allowed."""
+    return abs(command.linear) <= limits.linear_mps and abs(command.angular) <= limits.angular_rps

@@ -1,0 +1,245 @@
+"""Paths to drive: from arc length to reference pose and curvature.
+
+A path is one closed lap of segments in the frame of the pose where the drive begins. Length means
+metres along a line or a curve, and radians within a turn on the spot.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from functools import lru_cache
+from math import cos, hypot, pi, sin, tau
+from typing import Protocol
+
+from robotctl.kernel.geometry import ORIGIN, Pose
+from robotctl.kernel.ranges import bounded
+
+
+class PatternKind(Enum):
+    """The shapes that a robot drives by name."""
+
+    SQUARE = "square"
+    CIRCLE = "circle"
+    FIGURE_EIGHT = "figure-eight"
+
+
+MIN_SIZE_M, MAX_SIZE_M = 0.1, 100.0
+MIN_SPEED_MPS, MAX_SPEED_MPS = 0.01, 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Pattern:
+    """A shape, its size (side of the square, radius of the circles) [m] and its speed [m/s]."""
+
+    kind: PatternKind = PatternKind.SQUARE
+    size_m: float = bounded(1.0, MIN_SIZE_M, MAX_SIZE_M, "m")
+    speed_mps: float = bounded(0.5, MIN_SPEED_MPS, MAX_SPEED_MPS, "m/s")
+
+
+class Segment(Protocol):
+    """A piece of a path.
+
+    `turns` tells a turn on the spot, whose length is in rad; `stops` that the robot stands still
+    at its end; `top_curvature` is the largest curvature [1/m], or 1 for a turn.
+    """
+
+    @property
+    def length(self) -> float: ...
+    @property
+    def turns(self) -> bool: ...
+    @property
+    def stops(self) -> bool: ...
+    @property
+    def top_curvature(self) -> float: ...
+
+    def pose_at(self, length: float) -> Pose:
+        """Return the reference pose `length` along the segment, in the frame of the drive."""
+
+    def curvature_at(self, length: float) -> float:
+        """Return the signed change of heading per length; for a turn its sense, +1 or -1."""
+
+    def distance_to(self, point: Pose, guess: float) -> float:
+        """Return the distance to the nearest place, which is around length `guess` [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """Straight ahead; the robot stops at its end."""
+
+    start: Pose
+    length: float
+    turns: bool = False
+    stops: bool = True
+    top_curvature: float = 0.0
+
+    def pose_at(self, length: float) -> Pose:
+        """Return the pose `length` m from the start."""
+        theta = self.start.theta
+        return Pose(self.start.x + length * cos(theta), self.start.y + length * sin(theta), theta)
+
+    def curvature_at(self, length: float) -> float:
+        """Return 0."""
+        return 0.0
+
+    def distance_to(self, point: Pose, guess: float) -> float:
+        """Return the distance to the nearest place, also an end [m]."""
+        c, s = cos(self.start.theta), sin(self.start.theta)
+        dx, dy = point.x - self.start.x, point.y - self.start.y
+        along = min(max(c * dx + s * dy, 0.0), self.length)
+        return hypot(dx - along * c, dy - along * s)
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """A turn on the spot to the left; the robot stops at its end."""
+
+    start: Pose
+    length: float
+    turns: bool = True
+    stops: bool = True
+    top_curvature: float = 1.0
+
+    def pose_at(self, length: float) -> Pose:
+        """Return the pose after turning `length` rad."""
+        return Pose(self.start.x, self.start.y, self.start.theta + length)
+
+    def curvature_at(self, length: float) -> float:
+        """Return 1: to the left."""
+        return 1.0
+
+    def distance_to(self, point: Pose, guess: float) -> float:
+        """Return the distance to the corner [m]."""
+        return self.start.distance(point)
+
+
+@dataclass(frozen=True, slots=True)
+class Circle:
+    """A whole circle to the left, from the origin."""
+
+    radius: float
+    turns: bool = False
+    stops: bool = False
+
+    @property
+    def length(self) -> float:
+        """The circumference [m]."""
+        return tau * self.radius
+
+    @property
+    def top_curvature(self) -> float:
+        """The curvature everywhere [1/m]."""
+        return 1.0 / self.radius
+
+    def pose_at(self, length: float) -> Pose:
+        """Return the pose `length` m along the circle."""
+        theta = length / self.radius
+        return Pose(self.radius * sin(theta), self.radius * (1.0 - cos(theta)), theta)
+
+    def curvature_at(self, length: float) -> float:
+        """Return the curvature, the same everywhere."""
+        return 1.0 / self.radius
+
+    def distance_to(self, point: Pose, guess: float) -> float:
+        """Return the distance to the circle [m]."""
+        return abs(hypot(point.x, point.y - self.radius) - self.radius)
+
+
+EIGHT_SWING_RAD = 2.404825557695773
+"""First zero of the Bessel function J0: the swing at which a sine-generated curve closes."""
+
+_EIGHT_PIECES = 720
+
+
+@dataclass(frozen=True, slots=True)
+class FigureEight:
+    """A figure eight of `length` m from its crossing; `points` lie evenly along it.
+
+    Its heading is a cosine of the arc length: the sine-generated curve of Langbein and Leopold
+    (1966). So its curvature has no step, and is 0 at the crossing.
+    """
+
+    length: float
+    points: tuple[tuple[float, float], ...]
+    turns: bool = False
+    stops: bool = False
+
+    @property
+    def top_curvature(self) -> float:
+        """The curvature at the ends of the two lobes [1/m]."""
+        return EIGHT_SWING_RAD * tau / self.length
+
+    def pose_at(self, length: float) -> Pose:
+        """Return the pose `length` m along the eight."""
+        at = length / self.length * _EIGHT_PIECES
+        index = min(int(at), _EIGHT_PIECES - 1)
+        share = at - index
+        (x0, y0), (x1, y1) = self.points[index], self.points[index + 1]
+        return Pose(x0 + share * (x1 - x0), y0 + share * (y1 - y0), self._heading(length))
+
+    def curvature_at(self, length: float) -> float:
+        """Return the signed curvature [1/m]."""
+        return self.top_curvature * sin(tau * length / self.length)
+
+    def distance_to(self, point: Pose, guess: float) -> float:
+        """Return the distance to the nearest place around length `guess` [m]."""
+        near = self.pose_at(guess % self.length).express(point)
+        nearest = self.pose_at((guess + near.x) % self.length)
+        return abs(nearest.express(point).y)
+
+    def _heading(self, length: float) -> float:
+        return EIGHT_SWING_RAD * (1.0 - cos(tau * length / self.length))
+
+
+def _figure_eight(length: float) -> FigureEight:
+    step = length / _EIGHT_PIECES
+    x = y = 0.0
+    points = [(x, y)]
+    for piece in range(_EIGHT_PIECES):
+        heading = EIGHT_SWING_RAD * (1.0 - cos(tau * (piece + 0.5) / _EIGHT_PIECES))
+        x, y = x + step * cos(heading), y + step * sin(heading)
+        points.append((x, y))
+    return FigureEight(length, tuple(points))
+
+
+@dataclass(frozen=True, slots=True)
+class Path:
+    """One closed lap of segments; its last pose is its first."""
+
+    segments: tuple[Segment, ...]
+
+    def distance_to(self, point: Pose, index: int, length: float) -> float:
+        """Return how far `point` is from the path near `length` in segment `index` [m]."""
+        segment = self.segments[index]
+        if not segment.turns:
+            return segment.distance_to(point, length)
+        # The robot turns in a corner: it may stand on the way in, or on the way out.
+        before, after = self.segments[index - 1], self.segments[(index + 1) % len(self.segments)]
+        return min(before.distance_to(point, before.length), after.distance_to(point, 0.0))
+
+    def outline(self, pieces_per_curve: int = 180) -> tuple[Pose, ...]:
+        """Return the corners of the lap, and poses along its curves."""
+        poses = [self.segments[0].pose_at(0.0)]
+        for segment in self.segments:
+            pieces = 1 if segment.turns or not segment.top_curvature else pieces_per_curve
+            poses += [segment.pose_at(segment.length * (i + 1) / pieces) for i in range(pieces)]
+        return tuple(poses)
+
+
+@lru_cache(maxsize=16)
+def lap_of(kind: PatternKind, size_m: float) -> Path:
+    """Return one lap of the shape: the square stops, turns and goes; the others flow."""
+    match kind:
+        case PatternKind.SQUARE:
+            segments: list[Segment] = []
+            corner = ORIGIN
+            for _ in range(4):
+                side = Line(corner, size_m)
+                turn = Turn(side.pose_at(size_m), pi / 2.0)
+                corner = turn.pose_at(turn.length)
+                segments += [side, turn]
+            return Path(tuple(segments))
+        case PatternKind.CIRCLE:
+            return Path((Circle(size_m),))
+        case PatternKind.FIGURE_EIGHT:
+            return Path((_figure_eight(2.0 * tau * size_m),))

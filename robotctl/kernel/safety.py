@@ -1,0 +1,268 @@
+"""What may stop the robot: cause -> action -> clear condition, ordered by severity.
+
+A rule that is present refuses the start of motion; in one of its `raised_in` modes it raises its
+action, and further up takes precedence. It has cleared when `hindrance` finds nothing anymore.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TypeGuard
+
+from robotctl.kernel.modes import Mode, Trigger
+from robotctl.kernel.params import KernelParams
+from robotctl.kernel.types import Cause, Odometry
+
+NS_PER_S = 1_000_000_000
+
+FULLEST_LEVEL = 1.05
+"""Gauges overshoot; a level above this one is a gauge that counts in percent, or broken."""
+
+
+@dataclass(frozen=True, slots=True)
+class Health:
+    """What the kernel knows of everything that motion depends on; "" and () mean healthy.
+
+    `odometry` is the last sample that could be true and `odometry_t_ns` when it came;
+    `odometry_stamp_ns` and `odometry_fault` are of the last sample of all.
+    """
+
+    odometry: Odometry | None = None
+    odometry_t_ns: int = 0
+    odometry_stamp_ns: int = 0
+    odometry_fault: str = ""
+    battery_level: float | None = None
+    battery_t_ns: int = 0
+    foreign_publishers: tuple[str, ...] = ()
+    reported: tuple[tuple[Cause, str], ...] = ()
+    path_error_m: float = 0.0
+    tick_gap_s: float = 0.0
+
+
+def _age_s(then_ns: int, t_ns: int) -> float:
+    """Return how long ago that was; what lies in the future is as stale as the past."""
+    return abs(t_ns - then_ns) / NS_PER_S
+
+
+Check = Callable[[Health, KernelParams, int], str]
+"""(health, params, now in steady ns) -> what is wrong, "" if nothing."""
+
+
+def _healthy(health: Health, params: KernelParams, t_ns: int) -> str:
+    return ""
+
+
+def _reported(cause: Cause) -> Check:
+    def check(health: Health, params: KernelParams, t_ns: int) -> str:
+        for reported, detail in health.reported:
+            if reported is cause:
+                return detail or cause.value
+        return ""
+
+    return check
+
+
+def _battery_at_stop(health: Health, params: KernelParams, t_ns: int) -> str:
+    level, stop_level = health.battery_level, params.battery.stop_level
+    if not params.battery.topic or not _is_level(level) or level > stop_level:
+        return ""
+    return f"the battery is at {_shown(level)}, at or below {stop_level:.0%}"
+
+
+def _battery_before_clear(health: Health, params: KernelParams, t_ns: int) -> str:
+    level, clear_level = health.battery_level, params.battery.clear_level
+    if not params.battery.topic or (_is_level(level) and level >= clear_level):
+        return ""
+    return f"the battery is at {_shown(level)}, not yet at {clear_level:.0%}"
+
+
+def _is_level(level: float | None) -> TypeGuard[float]:
+    return level is not None and 0.0 <= level <= FULLEST_LEVEL
+
+
+def _shown(level: float | None) -> str:
+    return f"{level:.0%}" if _is_level(level) else "an unknown level"
+
+
+def _battery_unknown(health: Health, params: KernelParams, t_ns: int) -> str:
+    if not params.battery.topic:
+        return ""
+    if health.battery_level is None:
+        return f"no battery level was received on {params.battery.topic} yet"
+    if not _is_level(health.battery_level):
+        return f"the battery reports an unknown level ({health.battery_level:g}, not 0 to 1)"
+    age_s = _age_s(health.battery_t_ns, t_ns)
+    return f"no battery level for {age_s:.1f} s" if age_s > params.battery.timeout_s else ""
+
+
+def _odometry_wrong(health: Health, params: KernelParams, t_ns: int) -> str:
+    if not health.odometry_fault or not _odometry_lost(health, params, t_ns):
+        return ""
+    return health.odometry_fault
+
+
+def _odometry_lost(health: Health, params: KernelParams, t_ns: int) -> str:
+    if health.odometry is None:
+        return f"no odometry was received on {params.odometry.topic} yet"
+    age_s = _age_s(health.odometry_t_ns, t_ns)
+    if age_s <= params.odometry.timeout_s:
+        return ""
+    return f"no odometry on {params.odometry.topic} for {age_s:.2f} s"
+
+
+def _tracking_lost(health: Health, params: KernelParams, t_ns: int) -> str:
+    error_m, limit_m = health.path_error_m, params.tracking.max_error_m
+    if error_m <= limit_m:
+        return ""
+    return f"the robot is {error_m:.2f} m from where it should be, more than {limit_m:g} m"
+
+
+def _foreign_publisher(health: Health, params: KernelParams, t_ns: int) -> str:
+    names = ", ".join(health.foreign_publishers)
+    return f"{names} also publishes velocity commands" if names else ""
+
+
+def _tick_overrun(health: Health, params: KernelParams, t_ns: int) -> str:
+    gap_s = health.tick_gap_s
+    if gap_s < 0.0:
+        return f"the steady clock went back by {-gap_s:.2f} s"
+    return f"no control tick for {gap_s:.2f} s" if gap_s > 0.0 else ""
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """One cause: what it leads to and where, how it is recognised, and what the operator can do."""
+
+    cause: Cause
+    action: Mode
+    raised_in: frozenset[Mode]
+    present: Check
+    hindrance: Check
+    cure: str
+
+
+_MOVING = frozenset({Mode.MOVING})
+_ALWAYS = frozenset({Mode.IDLE, Mode.MOVING})
+_NEVER: frozenset[Mode] = frozenset()
+
+
+def _rule(cause: Cause, action: Mode, raised_in: frozenset[Mode], check: Check, cure: str) -> Rule:
+    return Rule(cause, action, raised_in, check, check, cure)
+
+
+RULES: tuple[Rule, ...] = (
+    _rule(Cause.OPERATOR_STOP, Mode.EMERGENCY_STOP, _NEVER, _healthy, "release it: robotctl reset"),
+    Rule(
+        Cause.BATTERY_LOW,
+        Mode.EMERGENCY_STOP,
+        _MOVING,
+        _battery_at_stop,
+        _battery_before_clear,
+        "charge the battery",
+    ),
+    *(
+        _rule(cause, Mode.ERROR, _ALWAYS, _reported(cause), cure)
+        for cause, cure in (
+            (Cause.TASK_DIED, "see robotctl logs, then restart: robotctl stop, robotctl start"),
+            (Cause.LOOP_STALLED, "see robotctl logs for what held the process up"),
+            (Cause.RECORDER_FAILED, "free disk space, then restart: robotctl stop, robotctl start"),
+        )
+    ),
+    _rule(
+        Cause.ODOMETRY_WRONG,
+        Mode.ERROR,
+        _MOVING,
+        _odometry_wrong,
+        "check the odometry source",
+    ),
+    _rule(
+        Cause.ODOMETRY_LOST,
+        Mode.ERROR,
+        _MOVING,
+        _odometry_lost,
+        "check that the robot publishes odometry (robotctl status lists the topics)",
+    ),
+    _rule(
+        Cause.TRACKING_LOST,
+        Mode.ERROR,
+        _MOVING,
+        _tracking_lost,
+        "check wheels and odometry, or lower the speed",
+    ),
+    _rule(
+        Cause.FOREIGN_PUBLISHER,
+        Mode.ERROR,
+        _MOVING,
+        _foreign_publisher,
+        "stop the other publisher",
+    ),
+    _rule(
+        Cause.TICK_OVERRUN,
+        Mode.ERROR,
+        _MOVING,
+        _tick_overrun,
+        "free the processor, or lower rate_hz",
+    ),
+    _rule(
+        Cause.BATTERY_UNKNOWN,
+        Mode.ERROR,
+        _MOVING,
+        _battery_unknown,
+        'check the battery topic, or set battery.topic to "" for a robot without one',
+    ),
+    _rule(Cause.OPERATOR_ERROR, Mode.ERROR, _NEVER, _healthy, "clear it: robotctl reset"),
+)
+"""Every cause, the most severe first."""
+
+RULE_OF: Mapping[Cause, Rule] = MappingProxyType({rule.cause: rule for rule in RULES})
+
+FAULT_TRIGGERS: Mapping[Mode, Trigger] = MappingProxyType(
+    {Mode.ERROR: Trigger.FAULT_ERROR, Mode.EMERGENCY_STOP: Trigger.FAULT_EMERGENCY_STOP}
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """A rule that applies now, and what it found."""
+
+    rule: Rule
+    detail: str
+
+    @property
+    def text(self) -> str:
+        """What is wrong and what to do, in one line."""
+        return f"{self.detail}: {self.rule.cure}"
+
+
+_RULES_IN: tuple[tuple[Rule, ...], ...] = tuple(
+    tuple(rule for rule in RULES if mode in rule.raised_in) for mode in Mode
+)
+
+
+def raised(mode: Mode, health: Health, params: KernelParams, t_ns: int) -> Finding | None:
+    """Return the most severe rule that must change `mode` now."""
+    return _first_present(_RULES_IN[mode], health, params, t_ns)
+
+
+def failed_start_condition(health: Health, params: KernelParams, t_ns: int) -> Finding | None:
+    """Return the most severe reason not to start moving."""
+    return _first_present(RULES, health, params, t_ns)
+
+
+def _first_present(
+    rules: tuple[Rule, ...], health: Health, params: KernelParams, t_ns: int
+) -> Finding | None:
+    for rule in rules:
+        detail = rule.present(health, params, t_ns)
+        if detail:
+            return Finding(rule, detail)
+    return None
+
+
+def uncleared(cause: Cause, health: Health, params: KernelParams, t_ns: int) -> Finding | None:
+    """Return why `cause` still holds the robot, if it does."""
+    rule = RULE_OF[cause]
+    detail = rule.hindrance(health, params, t_ns)
+    return Finding(rule, detail) if detail else None

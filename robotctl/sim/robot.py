@@ -1,0 +1,104 @@
+"""The motion model of the simulated robot: lag, limits, wheels that slip, odometry that errs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import cos, exp, isfinite, sin
+from random import Random
+
+from robotctl.kernel.geometry import ORIGIN, Pose, wrap_angle
+from robotctl.kernel.ranges import bounded
+from robotctl.kernel.types import ZERO, Twist
+
+
+@dataclass(frozen=True, slots=True)
+class SimParams:
+    """How the simulated robot differs from a perfect one.
+
+    Actuation errs between command and wheel, so odometry sees it; odometry errs between wheel and
+    report, so only the ground truth shows it. Noise is the standard deviation of the factor.
+    """
+
+    lag_s: float = bounded(0.08, 0.0, 2.0, "s")
+    linear_accel_mps2: float = bounded(2.0, 0.01, 50.0, "m/s^2")
+    angular_accel_rps2: float = bounded(8.0, 0.01, 100.0, "rad/s^2")
+    command_timeout_s: float = bounded(0.5, 0.05, 10.0, "s")
+    actuation_linear_factor: float = bounded(0.98, 0.1, 2.0)
+    actuation_angular_factor: float = bounded(1.02, 0.1, 2.0)
+    actuation_noise: float = bounded(0.02, 0.0, 1.0)
+    odometry_linear_factor: float = bounded(1.005, 0.1, 2.0)
+    odometry_angular_factor: float = bounded(0.995, 0.1, 2.0)
+    odometry_noise: float = bounded(0.005, 0.0, 1.0)
+    battery_start: float = bounded(1.0, 0.0, 1.0)
+    battery_life_s: float = bounded(7200.0, 1.0, 1e6, "s")
+    odometry_rate_hz: float = bounded(50.0, 1.0, 1000.0, "Hz")
+    seed: int = 1
+
+
+class Robot:
+    """A robot that follows `command` as well as its parameters allow.
+
+    `truth` is where it is, `odometry` where its wheels say it is; both begin at the origin.
+    """
+
+    def __init__(self, params: SimParams) -> None:
+        self._params = params
+        self._random = Random(params.seed)
+        self._command = ZERO
+        self._command_age_s = 0.0
+        self._wheels = ZERO
+        self.truth: Pose = ORIGIN
+        self.odometry: Pose = ORIGIN
+        self.measured: Twist = ZERO
+        self.battery = params.battery_start
+
+    def command(self, twist: Twist) -> None:
+        """Follow `twist` from now on, until the next one or the command timeout."""
+        finite = isfinite(twist.linear) and isfinite(twist.angular)
+        self._command = twist if finite else ZERO
+        self._command_age_s = 0.0
+
+    def advance(self, dt_s: float) -> None:
+        """Move on by `dt_s` seconds."""
+        params = self._params
+        self._command_age_s += dt_s
+        target = self._command if self._command_age_s <= params.command_timeout_s else ZERO
+        lag = 1.0 - exp(-dt_s / params.lag_s) if params.lag_s else 1.0
+        linear = _follow(self._wheels.linear, target.linear, lag, params.linear_accel_mps2 * dt_s)
+        angular = _follow(
+            self._wheels.angular, target.angular, lag, params.angular_accel_rps2 * dt_s
+        )
+        self._wheels = Twist(linear, angular)
+        moved = Twist(
+            linear * params.actuation_linear_factor * self._jitter(params.actuation_noise),
+            angular * params.actuation_angular_factor * self._jitter(params.actuation_noise),
+        )
+        self.measured = Twist(
+            moved.linear * params.odometry_linear_factor * self._jitter(params.odometry_noise),
+            moved.angular * params.odometry_angular_factor * self._jitter(params.odometry_noise),
+        )
+        self.truth = _integrate(self.truth, moved, dt_s)
+        self.odometry = _integrate(self.odometry, self.measured, dt_s)
+        self.battery = max(0.0, self.battery - dt_s / params.battery_life_s)
+
+    def _jitter(self, deviation: float) -> float:
+        return self._random.gauss(1.0, deviation)
+
+
+STANDSTILL = 1e-4
+"""Slower than this [m/s, rad/s] a wheel that should stand still does: friction."""
+
+
+def _follow(speed: float, target: float, lag: float, max_step: float) -> float:
+    step = (target - speed) * lag
+    following = speed + min(max(step, -max_step), max_step)
+    return 0.0 if target == 0.0 and abs(following) < STANDSTILL else following
+
+
+def _integrate(pose: Pose, velocity: Twist, dt_s: float) -> Pose:
+    middle = pose.theta + 0.5 * velocity.angular * dt_s
+    return Pose(
+        pose.x + velocity.linear * dt_s * cos(middle),
+        pose.y + velocity.linear * dt_s * sin(middle),
+        wrap_angle(pose.theta + velocity.angular * dt_s),
+    )

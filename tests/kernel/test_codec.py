@@ -1,0 +1,125 @@
+"""Kernel values survive JSON bit for bit; whatever is not one is a ValueError."""
+
+from __future__ import annotations
+
+import json
+import struct
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from typing import Any, get_args
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robotctl.kernel.codec import from_json, to_json
+from robotctl.kernel.kernel import Kernel, State
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.params import KernelParams
+from robotctl.kernel.snapshot import Snapshot
+from robotctl.kernel.types import (
+    BatteryReceived,
+    DriveEnded,
+    DriveReport,
+    Effect,
+    Event,
+    LatchEmergencyStop,
+    ModeChanged,
+    ModeRequested,
+    OdomReceived,
+    PublishTwist,
+    ReleaseEmergencyStop,
+    Reply,
+    Tick,
+)
+from robotctl.testing import strategies
+from robotctl.testing.kernels import moving
+
+EVENTS = strategies.event(strategies.INT64, strategies.INT64)
+FLOAT = strategies.ANY_FLOAT
+EFFECTS: dict[type, st.SearchStrategy[Any]] = {
+    PublishTwist: st.builds(PublishTwist, strategies.TWIST),
+    ModeChanged: st.builds(
+        ModeChanged, st.sampled_from(Mode), st.sampled_from(Mode), st.text(max_size=20)
+    ),
+    LatchEmergencyStop: st.builds(LatchEmergencyStop, st.text(max_size=20)),
+    ReleaseEmergencyStop: st.builds(ReleaseEmergencyStop),
+    Reply: st.builds(Reply, strategies.INT64, st.booleans(), st.text(), st.sampled_from(Mode)),
+    DriveEnded: st.builds(
+        DriveEnded,
+        strategies.INT64,
+        st.booleans(),
+        st.text(max_size=20),
+        st.builds(DriveReport, strategies.INT64, FLOAT, FLOAT, FLOAT, FLOAT),
+    ),
+}
+
+
+def bits(value: Any) -> Any:
+    """Return the value with its types, and every float as its bits; all NaN are one."""
+    if isinstance(value, Enum):
+        return value
+    if isinstance(value, float):
+        return "nan" if value != value else struct.pack("<d", value)
+    if isinstance(value, tuple):
+        return tuple(map(bits, value))
+    if is_dataclass(value):
+        return type(value), tuple(bits(getattr(value, field.name)) for field in fields(value))
+    return type(value), value
+
+
+def test_every_kind_of_effect_is_tried() -> None:
+    assert set(EFFECTS) == set(get_args(Effect))
+
+
+@given(st.one_of(EVENTS, *EFFECTS.values()))
+@settings(max_examples=500, deadline=None)
+def test_every_event_and_effect_survives_bit_for_bit(value: Any) -> None:
+    text = to_json(value)
+    assert text.isascii()
+    assert bits(from_json(type(value), text)) == bits(value)
+
+
+@given(st.lists(EVENTS, max_size=30))
+@settings(max_examples=100, deadline=None)
+def test_every_state_survives_bit_for_bit(events: list[Event]) -> None:
+    kernel = Kernel(KernelParams(), moving(ticks=5).state)
+    for event in events:
+        kernel.step(event)
+        again = from_json(State, to_json(kernel.state))
+        assert bits(again) == bits(kernel.state)
+    snapshot = Snapshot("test", kernel.params, kernel.state)
+    assert bits(from_json(Snapshot, to_json(snapshot))) == bits(snapshot)
+
+
+def test_the_json_is_strict() -> None:
+    def refuse(constant: str) -> None:
+        raise AssertionError(f"{constant} is not JSON")
+
+    text = to_json(BatteryReceived(1, float("nan")))
+    assert json.loads(text, parse_constant=refuse) == {"t_ns": 1, "level": "nan"}
+
+
+@pytest.mark.parametrize(
+    ("kind", "text"),
+    [
+        (Tick, ""),
+        (Tick, "null"),
+        (Tick, "[]"),
+        (Tick, "{}"),
+        (Tick, '{"t_ns": 1.5, "missed": 0}'),
+        (Tick, '{"t_ns": true, "missed": 0}'),
+        (Tick, '{"t_ns": "1", "missed": 0}'),
+        (BatteryReceived, '{"t_ns": 1, "level": "full"}'),
+        (BatteryReceived, '{"t_ns": 1, "level": null}'),
+        (BatteryReceived, '{"t_ns": 1, "level": 1' + "0" * 400 + "}"),
+        (OdomReceived, '{"t_ns": 1, "odometry": 3}'),
+        (ModeRequested, '{"t_ns": 1, "request_id": 1, "requested": 1, "source": 7}'),
+        (PublishTwist, "[" * 100_000),
+        (ModeChanged, '{"previous": 9, "mode": 0, "reason": ""}'),
+        (State, '{"mode": 0}'),
+    ],
+)
+def test_what_is_not_a_kernel_value_is_a_value_error(kind: type, text: str) -> None:
+    with pytest.raises(ValueError, match=r"."):
+        from_json(kind, text)

@@ -1,0 +1,224 @@
+"""Paths close and are followed: against odometry, with a simulated robot that errs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import cos, hypot, isclose, pi, sin
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robotctl.kernel.drive import Drive, Progress
+from robotctl.kernel.geometry import ORIGIN, Pose, wrap_angle
+from robotctl.kernel.params import KernelParams, VelocityLimits
+from robotctl.kernel.patterns import Pattern, PatternKind, lap_of
+from robotctl.kernel.tracking import Reference, track
+from robotctl.kernel.types import ZERO, DriveEnded
+from robotctl.sim.robot import SimParams
+from robotctl.testing.kernels import Driven, drive_simulated, moving, while_moving
+
+SIZES = {PatternKind.SQUARE: 1.0, PatternKind.CIRCLE: 0.5, PatternKind.FIGURE_EIGHT: 0.5}
+
+
+def drive(kind: PatternKind, laps: int = 1, rate_hz: float = 50.0, seed: int = 1) -> Driven:
+    pattern = Pattern(kind, SIZES[kind], 0.5)
+    return drive_simulated(pattern, laps=laps, rate_hz=rate_hz, sim=SimParams(seed=seed))
+
+
+@pytest.mark.parametrize("kind", PatternKind)
+@pytest.mark.parametrize("rate_hz", [50.0, 100.0])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_lap_closes_and_stays_near_its_path(kind: PatternKind, rate_hz: float, seed: int) -> None:
+    driven = drive(kind, 1, rate_hz, seed)
+    report = driven.ended.report
+    assert driven.ended.completed
+    assert report.laps == 1
+    assert report.closure_m <= 0.05
+    assert report.cross_track_rms_m <= 0.010
+    assert report.cross_track_max_m <= 0.030
+    assert isclose(report.distance_m, _lap_length_m(kind), rel_tol=0.08)
+
+
+def _lap_length_m(kind: PatternKind) -> float:
+    return sum(
+        segment.length for segment in lap_of(kind, SIZES[kind]).segments if not segment.turns
+    )
+
+
+def test_a_lap_of_a_1_m_square_takes_at_most_22_s() -> None:
+    assert drive(PatternKind.SQUARE).duration_s <= 22.0
+
+
+@pytest.mark.parametrize("kind", PatternKind)
+def test_errors_do_not_add_up_over_laps(kind: PatternKind) -> None:
+    report = drive(kind, laps=4).ended.report
+    assert report.laps == 4
+    assert report.closure_m <= 0.05
+    assert report.cross_track_max_m <= 0.030
+
+
+def test_the_robot_does_not_weave() -> None:
+    """On a circle to the left, once it has begun, it turns to the left alone, and steadily."""
+    commands = drive(PatternKind.CIRCLE).commands
+    turning = [twist.angular for twist in commands if twist.linear > 0.4]
+    assert len(turning) > 200
+    assert min(turning) > 0.6
+    assert max(turning) < 1.4
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 0.2])
+@pytest.mark.parametrize("kind", PatternKind)
+def test_a_slower_or_a_quicker_robot_closes_its_lap_as_well(
+    kind: PatternKind, lag_s: float
+) -> None:
+    pattern = Pattern(kind, SIZES[kind], 0.5)
+    driven = drive_simulated(pattern, sim=SimParams(lag_s=lag_s))
+    assert driven.ended.completed
+    assert driven.ended.report.closure_m <= 0.05
+    assert driven.ended.report.cross_track_max_m <= 0.06
+
+
+@pytest.mark.parametrize("kind", PatternKind)
+@pytest.mark.parametrize("size_m", [0.1, 1.0, 100.0])
+def test_every_path_ends_where_it_begins(kind: PatternKind, size_m: float) -> None:
+    path = lap_of(kind, size_m)
+    first, last = path.segments[0], path.segments[-1]
+    begin, end = first.pose_at(0.0), last.pose_at(last.length)
+    assert begin == ORIGIN
+    assert hypot(end.x, end.y) <= 1e-4 * size_m
+    assert isclose(wrap_angle(end.theta), 0.0, abs_tol=1e-9)
+
+
+@pytest.mark.parametrize("kind", PatternKind)
+def test_curvature_is_the_change_of_heading_and_heading_that_of_position(kind: PatternKind) -> None:
+    step = 1e-5
+    for segment in lap_of(kind, 1.0).segments:
+        for share in (0.1, 0.37, 0.5, 0.81):
+            length = share * segment.length
+            here, there = segment.pose_at(length), segment.pose_at(length + step)
+            turned = wrap_angle(there.theta - here.theta) / step
+            assert isclose(turned, segment.curvature_at(length), rel_tol=1e-3, abs_tol=1e-3)
+            assert abs(turned) <= segment.top_curvature * (1.0 + 1e-3)
+            if not segment.turns:
+                dx, dy = (there.x - here.x) / step, (there.y - here.y) / step
+                assert isclose(dx, cos(here.theta), abs_tol=2e-2)
+                assert isclose(dy, sin(here.theta), abs_tol=2e-2)
+
+
+@pytest.mark.parametrize("kind", PatternKind)
+@given(share=st.floats(0.02, 0.98), offset_m=st.floats(-0.03, 0.03), lag=st.floats(-0.03, 0.03))
+@settings(max_examples=60, deadline=None)
+def test_the_cross_track_error_is_the_distance_to_the_path(
+    kind: PatternKind, share: float, offset_m: float, lag: float
+) -> None:
+    path = lap_of(kind, 1.0)
+    segment = path.segments[0]
+    length = share * segment.length
+    beside = segment.pose_at(length).compose(Pose(0.0, offset_m, 0.0))
+    guess = min(max(length + lag, 0.0), segment.length)
+    assert isclose(path.distance_to(beside, 0, guess), abs(offset_m), abs_tol=1e-3)
+
+
+def test_past_a_corner_the_overshoot_counts() -> None:
+    path = lap_of(PatternKind.SQUARE, 1.0)
+    assert isclose(path.distance_to(Pose(1.04, 0.0, 0.0), 0, 1.0), 0.04)
+    assert isclose(path.distance_to(Pose(1.04, 0.0, 0.5), 1, 0.5), 0.04)
+
+
+@pytest.mark.parametrize(
+    ("pose", "faster", "left"),
+    [
+        (Pose(-0.1, 0.0, 0.0), True, None),
+        (Pose(0.1, 0.0, 0.0), False, None),
+        (Pose(0.0, -0.1, 0.0), None, True),
+        (Pose(0.0, 0.1, 0.0), None, False),
+        (Pose(0.0, 0.0, -0.2), None, True),
+        (Pose(0.0, 0.0, 0.2), None, False),
+    ],
+)
+def test_tracking_leads_back_to_the_reference(
+    pose: Pose, faster: bool | None, left: bool | None
+) -> None:
+    params = KernelParams()
+    twist = track(Reference(ORIGIN, 0.3, 0.0, 0.0), pose, params.tracking, params.limits)
+    if faster is not None:
+        assert (twist.linear > 0.3) is faster
+    if left is not None:
+        assert (twist.angular > 0.0) is left
+        assert twist.angular != 0.0
+
+
+@given(st.floats(-pi, pi), st.floats(-5.0, 5.0), st.floats(-5.0, 5.0))
+def test_composing_undoes_expressing(theta: float, x: float, y: float) -> None:
+    frame, pose = Pose(1.0, -2.0, theta), Pose(x, y, 0.5)
+    again = frame.compose(frame.express(pose))
+    assert isclose(again.x, x, abs_tol=1e-9)
+    assert isclose(again.y, y, abs_tol=1e-9)
+    assert isclose(again.theta, 0.5, abs_tol=1e-9)
+
+
+def test_a_drive_that_replaces_another_goes_on_at_the_same_speed() -> None:
+    bench = moving(ticks=0)
+    for _ in range(60):
+        state = bench.state
+        assert state.drive is not None
+        bench.odometry(state.drive.reference().pose)
+        bench.battery(1.0)
+        bench.tick()
+    speed = bench.state.command.linear
+    assert speed > 0.4
+    bench.drive(Pattern(PatternKind.CIRCLE, 1.0), replacing=True)
+    for _ in range(20):
+        assert bench.state.drive is not None
+        bench.odometry(bench.state.drive.reference().pose)
+        bench.tick()
+        assert bench.state.command.linear > 0.9 * speed
+
+
+def test_a_robot_that_catches_up_stays_on_the_curve() -> None:
+    params = KernelParams()
+    reference = Reference(ORIGIN, 0.3, 1.0, 0.0)
+    twist = track(reference, Pose(-0.02, 0.0, 0.0), params.tracking, params.limits)
+    assert twist.linear > 0.3
+    assert isclose(twist.angular, twist.linear)
+
+
+def test_a_step_longer_than_a_whole_lap_ends_the_drive() -> None:
+    limits = VelocityLimits(10.0, 20.0, 20.0, 60.0)
+    almost_round = Progress(length=0.628, speed=1.8)
+    drive = Drive(1, Pattern(PatternKind.CIRCLE, 0.1, 10.0), 2, ORIGIN, almost_round)
+    for _ in range(200):
+        drive = drive.advance(0.4, ORIGIN, limits)
+        if drive.finished:
+            break
+    assert drive.progress.laps == 2
+
+
+def test_a_drive_without_an_end_goes_on() -> None:
+    pattern = Pattern(PatternKind.CIRCLE, 0.1, 0.5)
+    with pytest.raises(AssertionError, match="did not end"):
+        drive_simulated(pattern, laps=0)
+
+
+def test_the_end_of_a_drive_is_told_with_its_report_while_the_command_is_zero() -> None:
+    bench = moving(ticks=5)
+    bench.request(0)
+    for _ in while_moving(bench):
+        bench.tick()
+    (ended,) = [effect for effect in bench.effects if isinstance(effect, DriveEnded)]
+    assert not ended.completed
+    assert ended.report.laps == 0
+    assert ended.report.closure_m != ended.report.closure_m
+    assert bench.commands[-1] == ZERO
+
+
+def test_the_reference_keeps_below_the_limits() -> None:
+    """What is left is needed to catch up; a pattern may ask for more than the limits allow."""
+    params = KernelParams()
+    limits = replace(params.limits, linear_mps=0.3)
+    bench = moving(replace(params, limits=limits), ticks=0)
+    bench.run(40)
+    drive = bench.state.drive
+    assert drive is not None
+    assert 0.2 < drive.reference().linear < 0.3

@@ -1,0 +1,285 @@
+"""What holds whatever comes in: finite, within limits, zero outside MOVING, one reply a request."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from math import isfinite
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+
+from robotctl.kernel.codec import from_json, to_json
+from robotctl.kernel.kernel import Kernel, State, latched
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.params import KernelParams, VelocityLimits
+from robotctl.kernel.patterns import Pattern
+from robotctl.kernel.snapshot import Snapshot
+from robotctl.kernel.types import (
+    ZERO,
+    DriveEnded,
+    DriveRequested,
+    Effect,
+    Event,
+    LatchEmergencyStop,
+    ModeChanged,
+    ModeRequested,
+    Phase,
+    PublishTwist,
+    ReleaseEmergencyStop,
+    Reply,
+    ResetRequested,
+    Tick,
+    Twist,
+)
+from robotctl.testing import strategies
+from robotctl.testing.kernels import TICK_NS, Bench, moving, ready
+
+REQUESTS = (ModeRequested, ResetRequested, DriveRequested)
+RELEASES = (0,)
+"""The one mode number that asks to leave EMERGENCY_STOP."""
+
+
+class Auditor:
+    """Looks at every step of one kernel, and raises AssertionError when a promise is broken."""
+
+    def __init__(self, state: State, params: KernelParams) -> None:
+        self.mode = state.mode
+        self.command = state.command
+        self.params = params
+        self.tick_t_ns = state.tick_t_ns
+        self.open = set(state.waiting)
+
+    def step(self, kernel: Kernel, event: Event) -> tuple[Effect, ...]:
+        """Take the step and audit it."""
+        effects = kernel.step(event)
+        if isinstance(event, REQUESTS):
+            self.open.add(event.request_id)
+        latched_now = False
+        for effect in effects:
+            if isinstance(effect, ModeChanged):
+                self._changed(effect, event)
+            elif isinstance(effect, PublishTwist):
+                self._published(effect.twist, event)
+            elif isinstance(effect, Reply):
+                assert effect.request_id in self.open, "answered twice, or never asked"
+                self.open.remove(effect.request_id)
+                assert effect.message
+                assert effect.mode is self.mode is kernel.state.mode, "said before it happened"
+            elif isinstance(effect, LatchEmergencyStop):
+                latched_now = True
+                assert ModeChanged in {type(other) for other in effects}
+        state = kernel.state
+        assert self.mode is state.mode, "the mode changed and nobody said so"
+        assert latched_now == self._entered_stop(effects)
+        assert self.open == set(state.waiting), "a request without an answer"
+        assert (state.drive is not None) == (state.mode is Mode.MOVING)
+        assert (state.phase is Phase.STANDING) == (state.mode is not Mode.MOVING)
+        assert (state.cause is not None) == (state.mode in (Mode.ERROR, Mode.EMERGENCY_STOP))
+        if isinstance(event, Tick):
+            assert sum(isinstance(effect, PublishTwist) for effect in effects) == 1
+            self.tick_t_ns = event.t_ns
+        return effects
+
+    @staticmethod
+    def _entered_stop(effects: Sequence[Effect]) -> bool:
+        return any(
+            isinstance(effect, ModeChanged) and effect.mode is Mode.EMERGENCY_STOP
+            for effect in effects
+        )
+
+    def _changed(self, change: ModeChanged, event: Event) -> None:
+        assert change.previous is self.mode is not change.mode
+        if self.mode is Mode.EMERGENCY_STOP:
+            assert change.mode is Mode.IDLE
+            assert isinstance(event, ResetRequested) or (
+                isinstance(event, ModeRequested) and event.requested in RELEASES
+            )
+        self.mode = change.mode
+
+    def _published(self, twist: Twist, event: Event) -> None:
+        limits = self.params.limits
+        assert isfinite(twist.linear)
+        assert isfinite(twist.angular)
+        assert abs(twist.linear) <= limits.linear_mps
+        assert abs(twist.angular) <= limits.angular_rps
+        if twist != ZERO:
+            assert self.mode is Mode.MOVING
+            assert isinstance(event, Tick)
+            assert self.tick_t_ns is not None
+            dt_s = max(event.t_ns - self.tick_t_ns, 0) / 1e9
+            slack = 1e-9
+            gained = abs(twist.linear - self.command.linear)
+            assert gained <= limits.linear_accel_mps2 * dt_s + slack
+            gained = abs(twist.angular - self.command.angular)
+            assert gained <= limits.angular_accel_rps2 * dt_s + slack
+        self.command = twist
+
+
+ids = iter(range(1, 10**12))
+REQUEST_ID = st.builds(lambda: next(ids))
+ANY_EVENTS = st.lists(strategies.event(strategies.INT64, REQUEST_ID), max_size=40)
+
+
+@given(ANY_EVENTS, st.sampled_from(("fresh", "latched", "ready", "moving")))
+@settings(max_examples=300, deadline=None)
+def test_every_promise_holds_for_any_events_at_any_times(events: list[Event], begin: str) -> None:
+    state = {
+        "fresh": State(),
+        "latched": latched("before"),
+        "ready": ready().state,
+        "moving": moving().state,
+    }[begin]
+    kernel = Kernel(KernelParams(), state)
+    auditor = Auditor(state, kernel.params)
+    for event in events:
+        auditor.step(kernel, event)
+
+
+@given(ANY_EVENTS)
+@settings(max_examples=100, deadline=None)
+def test_an_emergency_stop_is_possible_at_any_moment(events: list[Event]) -> None:
+    bench = moving()
+    for event in events:
+        bench.kernel.step(event)
+    effects = bench.kernel.step(ModeRequested(bench.t_ns, next(ids), 3, "test"))
+    assert effects[0] == PublishTwist(ZERO)
+    assert isinstance(effects[-1], Reply)
+    assert effects[-1].ok
+    assert bench.state.mode is Mode.EMERGENCY_STOP
+    for event in events:
+        if not isinstance(event, ResetRequested) and not (
+            isinstance(event, ModeRequested) and event.requested == 0
+        ):
+            bench.kernel.step(event)
+    assert bench.state.mode is Mode.EMERGENCY_STOP
+
+
+@given(
+    st.builds(
+        VelocityLimits,
+        st.floats(0.01, 10.0),
+        st.floats(0.01, 20.0),
+        st.floats(0.01, 20.0),
+        st.floats(0.01, 60.0),
+    ),
+    st.floats(5.0, 1000.0),
+    strategies.PATTERN,
+    st.integers(0, 2),
+    st.lists(st.integers(0, 400_000_000), min_size=20, max_size=60),
+)
+@settings(max_examples=150, deadline=None)
+def test_every_allowed_configuration_keeps_every_promise(
+    limits: VelocityLimits, rate_hz: float, pattern: Pattern, laps: int, gaps_ns: list[int]
+) -> None:
+    params = replace(KernelParams(), limits=limits, rate_hz=rate_hz, max_tick_gap_s=5.0)
+    bench = ready(params)
+    auditor = Auditor(bench.state, params)
+    begin = DriveRequested(bench.t_ns, next(ids), pattern, laps, False, "test")
+    auditor.step(bench.kernel, begin)
+    for gap_ns in gaps_ns:
+        drive = bench.state.drive
+        pose = drive.reference().pose if drive else None
+        if pose is not None:
+            bench.odometry(pose, 0)
+        bench.t_ns += gap_ns
+        auditor.step(bench.kernel, Tick(bench.t_ns))
+
+
+class AnyHistory(RuleBasedStateMachine):
+    """A robot in a world that is sane most of the time."""
+
+    @initialize(
+        laps=st.integers(0, 1),
+        begin=st.sampled_from((None, "latched")),
+    )
+    def begin(self, laps: int, begin: str | None) -> None:
+        self.bench = Bench(state=latched("before") if begin else State())
+        self.auditor = Auditor(self.bench.state, self.bench.kernel.params)
+        self.laps = laps
+        self.snapshot = self._snapshot()
+        self.since: list[tuple[Event, tuple[Effect, ...]]] = []
+
+    def _snapshot(self) -> str:
+        return to_json(Snapshot("test", self.bench.kernel.params, self.bench.state))
+
+    def _give(self, event: Event) -> tuple[Effect, ...]:
+        effects = self.auditor.step(self.bench.kernel, event)
+        self.since.append((event, effects))
+        return effects
+
+    @rule(ticks=st.integers(1, 40), follows=st.booleans())
+    def healthy_time_passes(self, ticks: int, follows: bool) -> None:
+        from robotctl.kernel.geometry import Pose
+        from robotctl.kernel.types import BatteryReceived, Odometry, OdomReceived
+
+        bench = self.bench
+        for _ in range(ticks):
+            drive, last = bench.state.drive, bench.state.health.odometry
+            pose = last.pose if last else Pose()
+            if drive is not None and follows:
+                pose = drive.reference().pose
+            self._give(OdomReceived(bench.t_ns, Odometry(pose, ZERO, bench.t_ns)))
+            self._give(BatteryReceived(bench.t_ns, 1.0))
+            bench.t_ns += TICK_NS
+            self._give(Tick(bench.t_ns))
+
+    @rule(number=strategies.MODE_NUMBER)
+    def a_mode_is_requested(self, number: int) -> None:
+        self._give(ModeRequested(self.bench.t_ns, next(ids), number, "test"))
+
+    @rule()
+    def moving_is_requested(self) -> None:
+        self._give(ModeRequested(self.bench.t_ns, next(ids), 1, "test"))
+
+    @rule(pattern=strategies.PATTERN, laps=st.integers(0, 2), replacing=st.booleans())
+    def a_drive_is_requested(self, pattern: Pattern, laps: int, replacing: bool) -> None:
+        event = DriveRequested(self.bench.t_ns, next(ids), pattern, laps, replacing, "test")
+        effects = self._give(event)
+        if any(isinstance(effect, DriveEnded) for effect in effects):
+            assert replacing
+
+    @rule()
+    def reset(self) -> None:
+        self._give(ResetRequested(self.bench.t_ns, next(ids), "test"))
+
+    @rule(data=st.data())
+    def anything_happens(self, data: st.DataObject) -> None:
+        now = st.just(self.bench.t_ns)
+        self._give(data.draw(strategies.event(now, REQUEST_ID)))
+
+    @precondition(lambda self: self.bench.state.mode is Mode.EMERGENCY_STOP)
+    @rule()
+    def a_stop_stays_latched_until_it_is_released(self) -> None:
+        before = self.bench.state.mode
+        self._give(Tick(self.bench.t_ns))
+        assert self.bench.state.mode is before
+
+    @rule()
+    def a_file_begins(self) -> None:
+        """The journal so far, fed to the kernel of its snapshot, gives the same effects."""
+        kernel = from_json(Snapshot, self.snapshot).kernel()
+        for event, effects in self.since:
+            again = kernel.step(from_json(type(event), to_json(event)))
+            assert list(map(to_json, again)) == list(map(to_json, effects))
+        assert to_json(kernel.state) == to_json(self.bench.state)
+        self.snapshot = self._snapshot()
+        self.since.clear()
+
+    @invariant()
+    def the_release_is_never_forgotten(self) -> None:
+        releases = [
+            effects
+            for _, effects in getattr(self, "since", [])
+            if any(isinstance(effect, ReleaseEmergencyStop) for effect in effects)
+        ]
+        for effects in releases:
+            assert any(
+                isinstance(effect, ModeChanged) and effect.previous is Mode.EMERGENCY_STOP
+                for effect in effects
+            )
+
+
+TestAnyHistory = AnyHistory.TestCase
+TestAnyHistory.settings = settings(max_examples=60, stateful_step_count=30, deadline=None)

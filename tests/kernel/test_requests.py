@@ -1,0 +1,235 @@
+"""Requests: one reply each, after what it confirms; a stop wins over a start."""
+
+from __future__ import annotations
+
+from math import inf, nan
+
+import pytest
+
+from robotctl.kernel.kernel import MAX_LAPS, MAX_WAITING, Kernel, latched
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.params import KernelParams
+from robotctl.kernel.patterns import Pattern, PatternKind
+from robotctl.kernel.types import (
+    ZERO,
+    Cause,
+    DriveEnded,
+    Effect,
+    LatchEmergencyStop,
+    ModeChanged,
+    Phase,
+    PublishTwist,
+    ReleaseEmergencyStop,
+    Reply,
+    ResetRequested,
+    Tick,
+)
+from robotctl.testing.kernels import Bench, in_mode, moving, ready, stopping, while_moving
+
+CIRCLE = Pattern(PatternKind.CIRCLE, 0.5, 0.3)
+
+
+def kinds(effects: tuple[Effect, ...]) -> list[type[Effect]]:
+    return [type(effect) for effect in effects]
+
+
+def reset(bench: Bench) -> tuple[Effect, ...]:
+    return bench.give(ResetRequested(bench.t_ns, bench.new_request_id(), "test"))
+
+
+@pytest.mark.parametrize("mode", [Mode.IDLE, Mode.MOVING, Mode.ERROR])
+def test_an_emergency_stop_is_zero_first_then_latched_then_answered(mode: Mode) -> None:
+    bench = in_mode(mode)
+    effects = bench.request(Mode.EMERGENCY_STOP)
+    assert effects[0] == PublishTwist(ZERO)
+    assert kinds(effects)[:3] == [PublishTwist, LatchEmergencyStop, ModeChanged]
+    assert kinds(effects)[-1] is Reply
+    assert bench.state.command == ZERO
+
+
+def test_an_emergency_stop_cuts_a_ramp_and_refuses_who_waits_for_it() -> None:
+    bench = stopping()
+    waiting = bench.state.waiting
+    bench.request(Mode.EMERGENCY_STOP)
+    refused = [reply for reply in bench.replies if reply.request_id in waiting]
+    assert [reply.ok for reply in refused] == [False]
+    assert "EMERGENCY_STOP" in refused[0].message
+    assert bench.replies[-1].ok
+
+
+def test_a_second_emergency_stop_says_zero_again_and_is_answered() -> None:
+    bench = in_mode(Mode.EMERGENCY_STOP)
+    effects = bench.request(Mode.EMERGENCY_STOP)
+    assert kinds(effects) == [PublishTwist, Reply]
+    assert bench.replies[-1].message == "Mode is already EMERGENCY_STOP"
+
+
+def test_a_reset_releases_the_latch_before_it_says_so() -> None:
+    bench = in_mode(Mode.EMERGENCY_STOP)
+    effects = reset(bench)
+    assert kinds(effects) == [PublishTwist, ReleaseEmergencyStop, ModeChanged, Reply]
+    assert bench.replies[-1].message == "EMERGENCY_STOP released: mode changed to IDLE"
+
+
+def test_a_reset_of_an_error_leaves_the_latch_alone() -> None:
+    bench = in_mode(Mode.ERROR)
+    assert kinds(reset(bench)) == [PublishTwist, ModeChanged, Reply]
+    assert bench.replies[-1].message == "ERROR cleared: mode changed to IDLE"
+
+
+def test_a_latched_stop_outlives_the_process() -> None:
+    bench = Bench(state=latched("stopped before the restart"))
+    bench.run(5)
+    assert bench.state.mode is Mode.EMERGENCY_STOP
+    bench.request(Mode.MOVING)
+    assert not bench.replies[-1].ok
+    assert "robotctl reset" in bench.replies[-1].message
+    reset(bench)
+    assert bench.state.mode is Mode.IDLE
+
+
+def test_a_request_for_idle_is_answered_when_the_command_is_exactly_zero() -> None:
+    bench = moving(ticks=15)
+    asked_at = len(bench.replies)
+    bench.request(Mode.IDLE)
+    bench.request(Mode.IDLE)
+    assert bench.state.mode is Mode.MOVING
+    assert bench.state.phase is Phase.STOPPING
+    ramp = 0
+    for _ in while_moving(bench):
+        assert len(bench.replies) == asked_at
+        effects = bench.tick()
+        ramp += 1
+    assert ramp > 1
+    assert kinds(effects) == [PublishTwist, ModeChanged, DriveEnded, Reply, Reply]
+    assert effects[0] == PublishTwist(ZERO)
+    assert [reply.ok for reply in bench.replies[asked_at:]] == [True, True]
+
+
+def test_nobody_moves_a_robot_that_is_stopping() -> None:
+    bench = stopping()
+    before = bench.state
+    bench.request(Mode.MOVING)
+    bench.drive(CIRCLE, replacing=True)
+    assert [reply.ok for reply in bench.replies[-2:]] == [False, False]
+    assert "stopping" in bench.replies[-1].message
+    assert bench.state == before
+
+
+def test_only_so_many_requests_wait_for_a_ramp() -> None:
+    bench = moving()
+    answered = len(bench.replies)
+    for _ in range(MAX_WAITING + 5):
+        bench.request(Mode.IDLE)
+    assert len(bench.replies) == answered + 5
+    bench.run(200)
+    assert bench.state.mode is Mode.IDLE
+    numbers = [reply.request_id for reply in bench.replies]
+    assert len(set(numbers)) == len(numbers) == answered + MAX_WAITING + 5
+
+
+def test_a_drive_is_replaced_only_on_request() -> None:
+    bench = moving()
+    before = bench.state
+    bench.drive(CIRCLE)
+    assert not bench.replies[-1].ok
+    assert "--replace" in bench.replies[-1].message
+    assert bench.state == before
+    effects = bench.drive(CIRCLE, replacing=True)
+    assert kinds(effects) == [DriveEnded, Reply]
+    assert bench.replies[-1].ok
+    assert bench.state.drive is not None
+    assert bench.state.drive.pattern == CIRCLE
+
+
+def test_a_drive_that_cannot_begin_does_not_end_the_one_it_would_replace() -> None:
+    bench = moving()
+    before = bench.state
+    bench.t_ns += 600_000_000  # odometry is lost, but no tick has found out yet
+    effects = bench.drive(CIRCLE, replacing=True)
+    assert kinds(effects) == [Reply]
+    assert not bench.replies[-1].ok
+    assert bench.state == before
+
+
+@pytest.mark.parametrize("mode", [Mode.ERROR, Mode.EMERGENCY_STOP])
+def test_no_drive_leads_out_of_a_stop(mode: Mode) -> None:
+    bench = in_mode(mode)
+    bench.drive(CIRCLE, replacing=True)
+    assert not bench.replies[-1].ok
+    assert "robotctl reset" in bench.replies[-1].message
+    assert bench.state.mode is mode
+
+
+@pytest.mark.parametrize(
+    ("pattern", "laps"),
+    [
+        (Pattern(size_m=nan), 1),
+        (Pattern(size_m=inf), 1),
+        (Pattern(size_m=-1.0), 1),
+        (Pattern(size_m=1000.0), 1),
+        (Pattern(speed_mps=nan), 1),
+        (Pattern(speed_mps=0.0), 1),
+        (Pattern(speed_mps=-0.5), 1),
+        (Pattern(speed_mps=inf), 1),
+        (Pattern(), -1),
+        (Pattern(), MAX_LAPS + 1),
+    ],
+)
+def test_a_drive_of_impossible_figures_is_refused(pattern: Pattern, laps: int) -> None:
+    bench = ready()
+    bench.drive(pattern, laps)
+    assert not bench.replies[-1].ok
+    assert "use " in bench.replies[-1].message
+    assert bench.state.mode is Mode.IDLE
+
+
+@pytest.mark.parametrize("number", [-1, 4, 7, 255, 2**63])
+def test_an_unknown_mode_is_refused_with_the_valid_ones(number: int) -> None:
+    bench = moving()
+    before = bench.state
+    bench.request(number)
+    assert bench.replies[-1].message.endswith("use 0 IDLE, 1 MOVING, 2 ERROR, 3 EMERGENCY_STOP")
+    assert bench.state == before
+
+
+def test_a_reset_is_refused_while_the_cause_or_another_one_would_stop_again() -> None:
+    from robotctl.kernel.types import FaultCleared, FaultReported
+
+    bench = in_mode(Mode.EMERGENCY_STOP)
+    bench.give(FaultReported(bench.t_ns, Cause.RECORDER_FAILED, "the disk is full"))
+    reset(bench)
+    assert not bench.replies[-1].ok
+    assert "the disk is full" in bench.replies[-1].message
+    assert bench.state.mode is Mode.EMERGENCY_STOP
+    bench.give(FaultCleared(bench.t_ns, Cause.RECORDER_FAILED))
+    reset(bench)
+    assert bench.state.mode is Mode.IDLE
+
+
+def test_a_finished_drive_says_so_and_leaves_the_robot_in_idle() -> None:
+    from robotctl.testing.kernels import drive_simulated
+
+    driven = drive_simulated(CIRCLE)
+    assert driven.ended.completed
+    assert driven.ended.report.laps == 1
+    assert driven.commands[-1] == ZERO
+
+
+def test_zeros_are_published_at_every_tick_while_not_moving() -> None:
+    for mode in (Mode.IDLE, Mode.ERROR, Mode.EMERGENCY_STOP):
+        bench = in_mode(mode)
+        for _ in range(3):
+            assert bench.tick() == (PublishTwist(ZERO),)
+
+
+def test_a_tick_gives_exactly_one_command() -> None:
+    bench = stopping()
+    for _ in while_moving(bench):
+        assert kinds(bench.tick()).count(PublishTwist) == 1
+
+
+def test_a_fresh_kernel_stands_still() -> None:
+    kernel = Kernel(KernelParams())
+    assert kernel.step(Tick(0)) == (PublishTwist(ZERO),)
+    assert kernel.state.mode is Mode.IDLE

@@ -1,0 +1,347 @@
+"""Every cause: when it stops the robot, when it only refuses the start, and when it has cleared."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from math import inf, nan
+
+import pytest
+
+from robotctl.kernel.geometry import Pose
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.params import BatteryParams, KernelParams
+from robotctl.kernel.safety import FULLEST_LEVEL, RULE_OF, RULES
+from robotctl.kernel.types import (
+    ZERO,
+    Cause,
+    CommandPublishersSeen,
+    FaultCleared,
+    FaultReported,
+    ModeChanged,
+    PublishTwist,
+    ResetRequested,
+    Tick,
+)
+from robotctl.testing.kernels import TICK_NS, Bench, in_mode, moving, ready, while_moving
+
+DAEMON_CAUSES = (Cause.TASK_DIED, Cause.LOOP_STALLED, Cause.RECORDER_FAILED)
+
+
+def reset(bench: Bench) -> bool:
+    bench.give(ResetRequested(bench.t_ns, bench.new_request_id(), "test"))
+    return bench.replies[-1].ok
+
+
+def start(bench: Bench) -> str:
+    """Ask for MOVING; return the refusal, "" where there is none."""
+    bench.request(Mode.MOVING)
+    return "" if bench.replies[-1].ok else bench.replies[-1].message
+
+
+def stopped_by(bench: Bench, cause: Cause, mode: Mode) -> bool:
+    state = bench.state
+    return state.mode is mode and state.cause is cause and state.command == ZERO
+
+
+def test_every_cause_has_one_rule_and_a_cure() -> None:
+    assert {rule.cause for rule in RULES} == set(Cause) == set(RULE_OF)
+    assert len(RULES) == len(Cause)
+    assert all(rule.cure for rule in RULES)
+
+
+def test_latching_causes_come_before_the_others() -> None:
+    actions = [rule.action for rule in RULES]
+    assert actions == sorted(actions, reverse=True)
+
+
+# Odometry
+
+
+def test_no_start_before_the_first_odometry() -> None:
+    bench = Bench()
+    bench.battery(1.0)
+    assert "no odometry was received on odom yet" in start(bench)
+
+
+def test_lost_odometry_means_zero_within_its_timeout_and_one_tick() -> None:
+    bench = moving(ticks=50)
+    lost_ns = bench.t_ns - TICK_NS
+    assert bench.state.command != ZERO
+    for _ in while_moving(bench):
+        bench.battery(1.0)
+        bench.tick()
+    assert stopped_by(bench, Cause.ODOMETRY_LOST, Mode.ERROR)
+    assert bench.t_ns - lost_ns <= 500_000_000 + TICK_NS
+
+
+LIES: dict[str, Callable[[Bench], None]] = {
+    "nan": lambda bench: _odometry(bench, Pose(nan, 0.0, 0.0)),
+    "inf": lambda bench: _odometry(bench, Pose(0.0, -inf, 0.0)),
+    "nan heading": lambda bench: _odometry(bench, Pose(0.0, 0.0, nan)),
+    "jump": lambda bench: _odometry(bench, Pose(3.0, 0.0, 0.0)),
+    "huge": lambda bench: _odometry(bench, Pose(-1e308, 1e308, 0.0)),
+    "turned around": lambda bench: _odometry(bench, Pose(0.0, 0.0, 3.0)),
+    "back in time": lambda bench: _odometry(bench, Pose(), -bench.t_ns),
+}
+
+
+def _odometry(bench: Bench, pose: Pose, stamp_ns: int | None = None) -> None:
+    bench.odometry(pose, stamp_ns)
+
+
+@pytest.mark.parametrize("lie", LIES)
+def test_odometry_that_cannot_be_true_means_zero_within_its_timeout_and_one_tick(lie: str) -> None:
+    bench = moving()
+    last_ns = bench.t_ns - TICK_NS
+    for _ in while_moving(bench):
+        LIES[lie](bench)
+        assert bench.state.health.odometry_fault
+        bench.battery(1.0)
+        bench.tick()
+    assert stopped_by(bench, Cause.ODOMETRY_WRONG, Mode.ERROR)
+    assert bench.t_ns - last_ns <= 500_000_000 + TICK_NS
+    assert "check the odometry source" in bench.state.reason
+
+
+@pytest.mark.parametrize("lie", LIES)
+def test_one_sample_that_cannot_be_true_is_dropped(lie: str) -> None:
+    bench = moving()
+    before = bench.state.health.odometry
+    LIES[lie](bench)
+    assert bench.state.mode is Mode.MOVING
+    assert bench.state.health.odometry == before
+    bench.run(20)
+    assert bench.state.mode is Mode.MOVING
+    assert not bench.state.health.odometry_fault
+
+
+@pytest.mark.parametrize("hours", [-1, 1])
+def test_a_jump_of_the_wall_clock_changes_nothing(hours: int) -> None:
+    shift_ns, steady, jumped = hours * 3_600_000_000_000, moving(), moving()
+    for number in range(40):
+        for bench in (steady, jumped):
+            stamp_ns = bench.t_ns + (shift_ns if bench is jumped and number >= 10 else 0)
+            bench.odometry(Pose(), stamp_ns)
+            bench.battery(1.0)
+            bench.tick()
+    assert jumped.state.mode is Mode.MOVING
+    assert jumped.commands == steady.commands
+
+
+@pytest.mark.parametrize("lie", LIES)
+def test_no_start_on_odometry_that_is_never_true(lie: str) -> None:
+    bench = ready()
+    for number in range(60):
+        # As if two robots reported, or a stamp ran backwards.
+        if number % 2 or lie not in ("jump", "huge", "turned around"):
+            LIES[lie](bench)
+        else:
+            bench.odometry(Pose())
+        bench.battery(1.0)
+        bench.tick()
+        if lie == "back in time":
+            bench.t_ns += 1
+    assert "odometry" in start(bench)
+
+
+def test_after_a_jump_the_robot_starts_from_where_it_is_now() -> None:
+    bench = moving()
+    elsewhere = Pose(5.0, 5.0, 2.0)
+    for _ in while_moving(bench):
+        bench.odometry(elsewhere)
+        bench.battery(1.0)
+        bench.tick()
+    for _ in range(2):
+        bench.odometry(elsewhere)
+    bench.battery(1.0)
+    bench.tick()
+    assert reset(bench)
+    assert not start(bench)
+    assert bench.state.drive is not None
+    assert bench.state.drive.origin == elsewhere
+
+
+def test_a_robot_that_does_not_follow_is_stopped() -> None:
+    bench = moving(ticks=0)
+    bench.run(150)  # at the same pose
+    assert stopped_by(bench, Cause.TRACKING_LOST, Mode.ERROR)
+    assert "from where it should be" in bench.state.reason
+
+
+# Battery
+
+
+def with_battery(level: float) -> Bench:
+    bench = ready()
+    bench.battery(level)
+    return bench
+
+
+@pytest.mark.parametrize(
+    ("level", "stops"), [(0.16, False), (0.15, True), (0.1, True), (0.0, True)]
+)
+def test_a_low_battery_latches_while_moving(level: float, stops: bool) -> None:
+    bench = moving()
+    bench.battery(level)
+    assert stopped_by(bench, Cause.BATTERY_LOW, Mode.EMERGENCY_STOP) is stops
+
+
+@pytest.mark.parametrize("level", [0.15, 0.1, nan, inf, -inf, -1.0, 87.0, FULLEST_LEVEL * 1.01])
+def test_a_low_or_unknown_battery_refuses_the_start_and_no_more(level: float) -> None:
+    bench = with_battery(level)
+    bench.tick()
+    assert bench.state.mode is Mode.IDLE
+    assert "battery" in start(bench)
+
+
+@pytest.mark.parametrize("level", [0.151, 0.5, 1.0, 1.004])
+def test_a_charged_battery_lets_the_robot_start(level: float) -> None:
+    assert not start(with_battery(level))
+
+
+@pytest.mark.parametrize("level", [nan, inf, -1.0, 87.0])
+def test_an_unknown_battery_stops_a_moving_robot(level: float) -> None:
+    bench = moving()
+    bench.battery(level)
+    assert stopped_by(bench, Cause.BATTERY_UNKNOWN, Mode.ERROR)
+
+
+def test_a_battery_that_falls_silent_stops_a_moving_robot() -> None:
+    bench = moving()
+    began_ns = bench.t_ns
+    for _ in while_moving(bench):
+        drive = bench.state.drive
+        assert drive is not None
+        bench.odometry(drive.reference().pose)
+        bench.tick()
+    assert stopped_by(bench, Cause.BATTERY_UNKNOWN, Mode.ERROR)
+    assert bench.t_ns - began_ns <= 5_000_000_000 + 2 * TICK_NS
+
+
+@pytest.mark.parametrize("level", [0.15, 0.199, nan, inf, -1.0])
+def test_a_low_battery_has_not_cleared_below_20_percent_or_unknown(level: float) -> None:
+    bench = moving()
+    bench.battery(0.1)
+    bench.battery(level)
+    assert not reset(bench)
+    assert "not yet at 20%" in bench.replies[-1].message
+
+
+def test_a_low_battery_has_cleared_at_20_percent() -> None:
+    bench = moving()
+    bench.battery(0.1)
+    bench.battery(0.2)
+    assert reset(bench)
+
+
+def test_a_robot_without_a_battery_is_not_asked_for_one() -> None:
+    params = replace(KernelParams(), battery=BatteryParams(topic=""))
+    bench = Bench(params)
+    bench.tick()
+    bench.odometry()
+    bench.battery(0.01)
+    assert not start(bench)
+
+
+# Time
+
+
+def test_a_late_tick_stops_a_moving_robot() -> None:
+    bench = moving()
+    bench.t_ns += 400_000_000
+    bench.odometry()
+    bench.tick()
+    assert stopped_by(bench, Cause.TICK_OVERRUN, Mode.ERROR)
+
+
+@pytest.mark.parametrize("jump_ns", [-(10**18), -1_000_000_000, 10**18])
+def test_steady_time_that_jumps_stops_a_moving_robot_and_no_more(jump_ns: int) -> None:
+    bench = moving()
+    effects = bench.give(Tick(bench.t_ns + jump_ns))
+    assert bench.state.mode is Mode.ERROR
+    assert effects[0] == PublishTwist(ZERO)
+
+
+def test_odometry_from_the_future_is_as_stale_as_from_the_past() -> None:
+    bench = ready()
+    bench.t_ns -= 10_000_000_000
+    bench.tick()
+    bench.tick()
+    assert "no odometry" in start(bench)
+
+
+@pytest.mark.parametrize("begin_ns", [0, 86_400_000_000_000, 2**53, 2**62])
+def test_a_drive_is_the_same_at_any_steady_time(begin_ns: int) -> None:
+    commands = []
+    for offset_ns in (0, begin_ns):
+        bench = Bench()
+        bench.t_ns += offset_ns
+        bench.run(3)
+        bench.request(Mode.MOVING)
+        bench.run(30)
+        commands.append(bench.commands)
+    assert commands[0] == commands[1]
+
+
+# The daemon
+
+
+@pytest.mark.parametrize("mode", [Mode.IDLE, Mode.MOVING])
+@pytest.mark.parametrize("cause", DAEMON_CAUSES)
+@pytest.mark.parametrize("detail", ["it broke", ""])
+def test_a_failing_daemon_stops_the_robot_in_the_same_step(
+    mode: Mode, cause: Cause, detail: str
+) -> None:
+    bench = in_mode(mode)
+    effects = bench.give(FaultReported(bench.t_ns, cause, detail))
+    assert stopped_by(bench, cause, Mode.ERROR)
+    assert effects[0] == PublishTwist(ZERO)
+    assert detail in bench.state.reason
+    assert not reset(bench)
+    bench.give(FaultCleared(bench.t_ns, cause))
+    assert reset(bench)
+
+
+@pytest.mark.parametrize("mode", [Mode.ERROR, Mode.EMERGENCY_STOP])
+@pytest.mark.parametrize("cause", DAEMON_CAUSES)
+def test_a_fault_changes_nothing_about_a_robot_that_is_stopped(mode: Mode, cause: Cause) -> None:
+    bench = in_mode(mode)
+    assert bench.give(FaultReported(bench.t_ns, cause, "it broke")) == ()
+    assert bench.state.mode is mode
+
+
+def test_the_gravest_of_two_faults_names_the_stop() -> None:
+    bench = moving()
+    bench.battery(0.1)
+    assert bench.state.cause is Cause.BATTERY_LOW
+    bench = moving()
+    bench.t_ns += 600_000_000
+    bench.give(FaultReported(bench.t_ns, Cause.LOOP_STALLED, "stalled"))
+    assert bench.state.cause is Cause.LOOP_STALLED
+
+
+def test_somebody_else_who_commands_is_named() -> None:
+    bench = moving()
+    bench.give(CommandPublishersSeen(bench.t_ns, ("/teleop",)))
+    assert stopped_by(bench, Cause.FOREIGN_PUBLISHER, Mode.ERROR)
+    assert "/teleop" in bench.state.reason
+    assert not reset(bench)
+    bench.give(CommandPublishersSeen(bench.t_ns, ()))
+    assert reset(bench)
+
+
+def test_an_idle_robot_only_refuses_to_start_beside_another_publisher() -> None:
+    bench = ready()
+    bench.give(CommandPublishersSeen(bench.t_ns, ("/teleop",)))
+    assert bench.state.mode is Mode.IDLE
+    assert "/teleop" in start(bench)
+
+
+def test_a_stop_is_said_once() -> None:
+    bench = moving()
+    bench.battery(0.1)
+    bench.battery(0.1)
+    bench.run(3)
+    changes = [effect for effect in bench.effects if isinstance(effect, ModeChanged)]
+    assert [change.mode for change in changes] == [Mode.MOVING, Mode.EMERGENCY_STOP]

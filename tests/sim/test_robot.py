@@ -1,0 +1,117 @@
+"""The simulated robot: it follows, it errs as configured, and it stops when nobody commands."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import inf, isclose, nan
+
+import pytest
+
+from robotctl.kernel.geometry import ORIGIN
+from robotctl.kernel.types import ZERO, Twist
+from robotctl.sim.robot import Robot, SimParams
+
+PERFECT = SimParams(
+    lag_s=0.0,
+    actuation_linear_factor=1.0,
+    actuation_angular_factor=1.0,
+    actuation_noise=0.0,
+    odometry_linear_factor=1.0,
+    odometry_angular_factor=1.0,
+    odometry_noise=0.0,
+)
+STEP_S = 0.02
+
+
+def run(robot: Robot, twist: Twist, seconds: float) -> None:
+    for _ in range(round(seconds / STEP_S)):
+        robot.command(twist)
+        robot.advance(STEP_S)
+
+
+def test_a_perfect_robot_does_what_it_is_told() -> None:
+    robot = Robot(replace(PERFECT, linear_accel_mps2=50.0))
+    run(robot, Twist(0.5, 0.0), 2.0)
+    assert isclose(robot.truth.x, 1.0, abs_tol=1e-9)
+    assert robot.truth == robot.odometry
+
+
+def test_it_keeps_to_its_acceleration_limits() -> None:
+    robot = Robot(replace(PERFECT, linear_accel_mps2=1.0, angular_accel_rps2=2.0))
+    last = ZERO
+    for _ in range(50):
+        robot.command(Twist(5.0, -5.0))
+        robot.advance(STEP_S)
+        assert abs(robot.measured.linear - last.linear) <= 1.0 * STEP_S + 1e-12
+        assert abs(robot.measured.angular - last.angular) <= 2.0 * STEP_S + 1e-12
+        last = robot.measured
+
+
+def test_it_lags_behind_a_command() -> None:
+    robot = Robot(replace(PERFECT, lag_s=0.2, linear_accel_mps2=50.0))
+    run(robot, Twist(1.0, 0.0), 0.2)
+    assert isclose(robot.measured.linear, 0.632, abs_tol=0.01)
+
+
+def test_it_stops_by_itself_when_commands_cease() -> None:
+    robot = Robot(SimParams())
+    run(robot, Twist(0.5, 1.0), 2.0)
+    for _ in range(round(SimParams().command_timeout_s / STEP_S)):
+        robot.advance(STEP_S)
+        assert robot.measured.linear > 0.1
+    for _ in range(100):
+        robot.advance(STEP_S)
+    assert robot.measured == ZERO
+
+
+@pytest.mark.parametrize("value", [nan, inf, -inf])
+def test_a_command_that_is_not_finite_stops_it(value: float) -> None:
+    robot = Robot(SimParams())
+    run(robot, Twist(0.5, 0.0), 1.0)
+    run(robot, Twist(value, 0.0), 2.0)
+    assert robot.measured == ZERO
+    run(robot, Twist(0.5, value), 1.0)
+    assert robot.measured == ZERO
+
+
+def test_odometry_sees_errors_of_actuation() -> None:
+    robot = Robot(replace(PERFECT, linear_accel_mps2=50.0, actuation_linear_factor=0.9))
+    run(robot, Twist(0.5, 0.0), 2.0)
+    assert isclose(robot.odometry.x, 0.9, abs_tol=1e-9)
+    assert isclose(robot.truth.x, 0.9, abs_tol=1e-9)
+
+
+def test_only_the_truth_shows_errors_of_odometry() -> None:
+    robot = Robot(replace(PERFECT, linear_accel_mps2=50.0, odometry_linear_factor=1.1))
+    run(robot, Twist(0.5, 0.0), 2.0)
+    assert isclose(robot.odometry.x, 1.1, abs_tol=1e-9)
+    assert isclose(robot.truth.x, 1.0, abs_tol=1e-9)
+
+
+def test_the_seed_decides_the_noise() -> None:
+    ends = []
+    for seed in (1, 1, 2):
+        robot = Robot(SimParams(seed=seed))
+        run(robot, Twist(0.5, 0.3), 5.0)
+        ends.append((robot.truth, robot.odometry))
+    assert ends[0] == ends[1] != ends[2]
+
+
+def test_the_battery_lasts_2_hours_from_full_whatever_it_drives() -> None:
+    robot = Robot(SimParams())
+    assert robot.battery == 1.0
+    elapsed_s = 0.0
+    while robot.battery > 0.0:
+        robot.command(Twist(0.5, 0.0))
+        robot.advance(0.5)
+        elapsed_s += 0.5
+    assert isclose(elapsed_s, 7200.0, abs_tol=1.0)
+    robot.advance(0.5)
+    assert robot.battery == 0.0
+
+
+def test_it_stands_where_it_began_until_it_is_told_to_move() -> None:
+    robot = Robot(SimParams())
+    for _ in range(100):
+        robot.advance(STEP_S)
+    assert robot.truth == robot.odometry == ORIGIN
