@@ -1,0 +1,494 @@
+"""One source per entity: how its data comes from rcl into the loop, and into its callback."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Coroutine
+from contextlib import suppress
+from types import CoroutineType
+from typing import Any, ClassVar
+
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
+from rclpy.client import Client
+from rclpy.event_handler import EventHandler
+from rclpy.executors import ShutdownException
+from rclpy.qos import HistoryPolicy, QoSProfile
+from rclpy.service import Service
+from rclpy.subscription import Subscription
+
+from robotctl.ros import rcl
+from robotctl.ros.futures import CallbacksNow, callbacks_at_once, fail_pending
+from robotctl.ros.pool import Pool
+from robotctl.ros.rcl import Signal
+from robotctl.ros.runtime import Runtime, log
+from robotctl.ros.timing import (
+    CALM_VERDICT_NS,
+    FASTEST_TOPIC_HZ,
+    FLOOD_REST_S,
+    FLOODED_VERDICT_NS,
+    LOOKS_PER_VERDICT,
+    SLOW_CALLBACK_NS,
+)
+
+RETRY_AFTER_FAILED_TAKE_S = 0.1
+
+
+class Source:
+    """An entity on its way into the loop: attached once, detached once, parked in between.
+
+    A callback group that is busy with an async callback parks the source; the end of that
+    callback resumes it.
+    """
+
+    path: ClassVar[str]
+    """How it comes here, for the debug log."""
+
+    def __init__(self, runtime: Runtime, entity: Any, handle: Any, where: str) -> None:
+        self.runtime = runtime
+        self.entity = entity
+        self.handle = handle
+        self.where = where
+        self.closed = False
+        self.group: Any = entity.callback_group
+        self._free = type(self.group) is ReentrantCallbackGroup
+        # Synchronous callbacks of one loop exclude each other anyway; a group of the user's own
+        # making is asked for each of them.
+        self._strict = type(self.group) not in (
+            ReentrantCallbackGroup,
+            MutuallyExclusiveCallbackGroup,
+        )
+
+    def attach(self) -> None:
+        """Begin to deliver.
+
+        Raises:
+            InvalidHandle: the entity was destroyed meanwhile.
+            OSError: no file descriptor is left.
+        """
+        raise NotImplementedError
+
+    def detach(self) -> None:
+        """Deliver nothing more and let go of the entity; a second time does nothing."""
+        raise NotImplementedError
+
+    def resume(self) -> None:
+        """The callback group became free: look for work again."""
+        raise NotImplementedError
+
+    def blocked(self) -> bool:
+        """Whether the callback group forbids a callback now; then the source is parked."""
+        if self._free:
+            return False
+        if self._strict:
+            if self.group.can_execute(self.entity):
+                return False
+        elif self.group._active_entity is None:
+            # What can_execute would find out with a lock and a weak reference, at every message.
+            return False
+        self.runtime.park(self.group, self)
+        return True
+
+    def call_back(self, callback: Callable[[], Any]) -> bool:
+        """Run one callback; False where the group forbids it after all, and parks the source."""
+        if self._strict and not self.group.beginning_execution(self.entity):
+            self.runtime.park(self.group, self)
+            return False
+        begun = time.monotonic_ns()
+        rest = None
+        try:
+            rest = callback()
+        except Exception as error:  # noqa: BLE001 - handed to the one handler
+            self.runtime.report(error, self.where)
+        finally:
+            if self._strict:
+                self._end_async()
+        self.runtime.slow.check(self.where, time.monotonic_ns() - begun)
+        if isinstance(rest, CoroutineType):
+            self.run_async(rest)
+        return True
+
+    def run_async(self, coroutine: Coroutine[Any, Any, Any]) -> None:
+        """Run the callback's coroutine as a task that occupies the callback group."""
+        self.group.beginning_execution(self.entity)
+        self.runtime.spawn(coroutine, self.where, self._end_async)
+
+    def _end_async(self) -> None:
+        self.group.ending_execution(self.entity)
+        self.runtime.release(self.group)
+
+
+class EventFdSource(Source):
+    """An entity for which rcl writes to an eventfd that asyncio watches."""
+
+    path = "eventfd"
+    signals: ClassVar[tuple[Signal, ...]]
+    drains_first: ClassVar[bool] = True
+    """Whether there may be data from before the attachment that nobody announces."""
+    pool: Pool | None = None
+    """Who looks after the eventfd; without a pool the loop does."""
+
+    _listening = False
+
+    def attach(self) -> None:
+        # Held from now on: rclpy destroys the entity only after `detach`.
+        self.handle.__enter__()
+        try:
+            self._fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        except OSError:
+            self.handle.__exit__(None, None, None)
+            raise
+        try:
+            for signal in self.signals:
+                rcl.watch(signal, self.handle.pointer, self._fd)
+            self.listen(self.pool)
+        except BaseException:
+            self.detach()
+            raise
+        if self.drains_first:
+            self.resume()
+
+    def detach(self) -> None:
+        if self.closed:
+            return
+        self.closed = True
+        self.runtime.drained(self)
+        for signal in self.signals:
+            try:
+                rcl.unwatch(signal, self.handle.pointer)
+            except (rcl.RclCallFailed, rcl.UnsupportedPlatform) as error:
+                log.debug("%s: %s", self.where, error)
+        self._stop_listening()
+        os.close(self._fd)
+        self.handle.__exit__(None, None, None)
+
+    def listen(self, pool: Pool | None) -> None:
+        """Let the pool look after the eventfd; without one the loop does, at every message."""
+        self._stop_listening()
+        if pool is None:
+            self.runtime.loop.add_reader(self._fd, self.look)
+        else:
+            pool.add(self._fd, self)
+        self.pool, self._listening = pool, True
+
+    def _stop_listening(self) -> None:
+        if not self._listening:
+            return
+        self._listening = False
+        if self.pool is not None:
+            self.pool.remove(self._fd)
+        elif not self.runtime.loop.is_closed():
+            self.runtime.loop.remove_reader(self._fd)
+
+    def resume(self) -> None:
+        if not self.closed:
+            os.eventfd_write(self._fd, 1)
+
+    def look(self) -> bool:
+        """Deliver what is there; whether something is left because the slice is over."""
+        os.eventfd_read(self._fd)
+        if self.runtime.stale:
+            self.runtime.sync()
+            if self.closed:
+                return False
+        if self.blocked():
+            return False
+        return self.drain()
+
+    def drain(self) -> bool:
+        """Deliver until nothing is left or the slice is over; then the others have a turn."""
+        runtime = self.runtime
+        last = time.monotonic_ns()
+        end = last + runtime.slice_ns
+        while True:
+            if self._strict and not self.group.beginning_execution(self.entity):
+                runtime.park(self.group, self)
+                return False
+            rest = None
+            try:
+                item = self.take()
+                if item is None:
+                    runtime.drained(self)
+                    return False
+                rest = self.deliver(item)
+            except TakeFailed as failure:
+                self.retry_later(failure.reason)
+                return False
+            except Exception as error:  # noqa: BLE001 - handed to the one handler
+                runtime.report(error, self.where)
+            finally:
+                if self._strict:
+                    self._end_async()
+            now = time.monotonic_ns()
+            if now - last > SLOW_CALLBACK_NS:
+                runtime.slow.check(self.where, now - last)
+            last = now
+            if rest is not None:
+                self.run_async(rest)
+            if runtime.stale:
+                runtime.sync()
+            if self.closed or (rest is not None and self.blocked()):
+                return False
+            if now > end:
+                return self.to_be_continued()
+
+    def retry_later(self, reason: Exception) -> None:
+        """rcl could not hand over a datum: report, and do not ask again at once."""
+        self.runtime.report(reason, self.where)
+        self.runtime.loop.call_later(RETRY_AFTER_FAILED_TAKE_S, self.resume)
+
+    def to_be_continued(self) -> bool:
+        """The slice is over: look again in the next turn of the loop."""
+        self.runtime.flooded(self)
+        os.eventfd_write(self._fd, 1)
+        return True
+
+    def take(self) -> Any:
+        """The next datum, or None.
+
+        Raises:
+            TakeFailed: rcl could not hand it over.
+        """
+        raise NotImplementedError
+
+    def deliver(self, item: Any) -> Coroutine[Any, Any, Any] | None:
+        """Run the callback; what it returns is the rest of an async one."""
+        raise NotImplementedError
+
+
+class TakeFailed(Exception):
+    """rcl could not hand over a datum; asking again at once would fail again."""
+
+    def __init__(self, reason: Exception) -> None:
+        super().__init__(str(reason))
+        self.reason = reason
+
+
+def _rest(result: Any) -> Coroutine[Any, Any, Any] | None:
+    return result if isinstance(result, CoroutineType) else None
+
+
+def affordable_rest_s(wanted_s: float, qos: QoSProfile) -> float:
+    """For how long messages may collect without overflowing the subscription's queue: 0 is never.
+
+    One of two lengths, so that sources share few pools.
+    """
+    if qos.history == HistoryPolicy.KEEP_ALL:
+        return wanted_s
+    holds_s = qos.depth / FASTEST_TOPIC_HZ
+    return next((rest_s for rest_s in (wanted_s, FLOOD_REST_S) if rest_s <= holds_s), 0.0)
+
+
+class SubscriptionSource(EventFdSource):
+    """A subscription, typed or raw, with a callback of one argument or two.
+
+    One that comes faster than 2 kHz, and has a queue of 50 or more, moves into a pool, and back
+    when it has calmed down: its messages then collect for a millisecond, which saves a quarter
+    of what each of them costs.
+    """
+
+    signals = (Signal.MESSAGE,)
+
+    def __init__(self, runtime: Runtime, subscription: Subscription, where: str) -> None:
+        super().__init__(runtime, subscription, subscription.handle, where)
+        self._take = self.handle.take_message
+        self._looks = 0
+        self._judged_ns = 0
+        self._rest_s = affordable_rest_s(FLOOD_REST_S, subscription.qos_profile)
+
+    def take(self) -> Any:
+        try:
+            return self._take(self.entity.msg_type, self.entity.raw)
+        except Exception as error:
+            raise TakeFailed(error) from error
+
+    def deliver(self, item: Any) -> Coroutine[Any, Any, Any] | None:
+        subscription = self.entity
+        if subscription._callback_type is Subscription.CallbackType.MessageOnly:
+            return _rest(subscription.callback(item[0]))
+        return _rest(subscription.callback(*item))
+
+    def drain(self) -> bool:
+        self._looks += 1
+        if self._looks >= LOOKS_PER_VERDICT:
+            self._judge_rate()
+        if self._strict:
+            return super().drain()
+        # The same as there, for speed without its calls.
+        runtime = self.runtime
+        subscription = self.entity
+        take, message_type, raw = self._take, subscription.msg_type, subscription.raw
+        callback = subscription.callback
+        with_info = subscription._callback_type is not Subscription.CallbackType.MessageOnly
+        clock = time.monotonic_ns
+        last = clock()
+        end = last + runtime.slice_ns
+        while True:
+            try:
+                item = take(message_type, raw)
+            except Exception as error:  # noqa: BLE001 - handed to the one handler
+                self.retry_later(error)
+                return False
+            if item is None:
+                runtime.drained(self)
+                return False
+            result = None
+            try:
+                result = callback(*item) if with_info else callback(item[0])
+            except Exception as error:  # noqa: BLE001 - handed to the one handler
+                runtime.report(error, self.where)
+            now = clock()
+            if now - last > SLOW_CALLBACK_NS:
+                runtime.slow.check(self.where, now - last)
+            last = now
+            if result is not None and isinstance(result, CoroutineType):
+                self.run_async(result)
+                if self.blocked():
+                    return False
+            if runtime.stale:
+                runtime.sync()
+                if self.closed:
+                    return False
+            if now > end:
+                return self.to_be_continued()
+
+    def _judge_rate(self) -> None:
+        now = time.monotonic_ns()
+        took_ns = now - self._judged_ns
+        self._looks, self._judged_ns = 0, now
+        if self.pool is None and self._rest_s > 0.0 and took_ns < FLOODED_VERDICT_NS:
+            with suppress(OSError):  # Without a descriptor for the pool it goes on as it is.
+                self.listen(self.runtime.pool(self._rest_s))
+        elif self.pool is not None and took_ns > CALM_VERDICT_NS:
+            self.listen(None)
+
+
+class RawTapSource(EventFdSource):
+    """A raw subscription with a `RawTap`: past rclpy, straight into the sink."""
+
+    path = "eventfd, serialized"
+    signals = (Signal.MESSAGE,)
+
+    def __init__(self, runtime: Runtime, subscription: Subscription, where: str) -> None:
+        super().__init__(runtime, subscription, subscription.handle, where)
+        self._taker = rcl.SerializedTaker(self.handle.pointer)
+        rest_s = affordable_rest_s(subscription.callback.latency_s, subscription.qos_profile)
+        if rest_s > 0.0:
+            self.pool = runtime.pool(rest_s)
+
+    def detach(self) -> None:
+        if not self.closed:
+            self._taker.close()
+        super().detach()
+
+    def drain(self) -> bool:
+        runtime = self.runtime
+        take = self._taker.take
+        sink = self.entity.callback.sink
+        clock = time.monotonic_ns
+        last = clock()
+        end = last + runtime.slice_ns
+        while True:
+            try:
+                item = take()
+            except rcl.RclCallFailed as error:
+                self.retry_later(error)
+                return False
+            if item is None:
+                runtime.drained(self)
+                return False
+            try:
+                sink(*item)
+            except Exception as error:  # noqa: BLE001 - handed to the one handler
+                runtime.report(error, self.where)
+            now = clock()
+            if now - last > SLOW_CALLBACK_NS:
+                runtime.slow.check(self.where, now - last)
+            last = now
+            if runtime.stale:
+                runtime.sync()
+                if self.closed:
+                    return False
+            if now > end:
+                return self.to_be_continued()
+
+
+class ServiceSource(EventFdSource):
+    """A service, with a synchronous or an async handler."""
+
+    signals = (Signal.REQUEST,)
+
+    def __init__(self, runtime: Runtime, service: Service, where: str) -> None:
+        super().__init__(runtime, service, service.handle, where)
+
+    def take(self) -> Any:
+        try:
+            request, header = self.handle.service_take_request(self.entity.srv_type.Request)
+        except Exception as error:
+            raise TakeFailed(error) from error
+        return None if header is None else (request, header)
+
+    def deliver(self, item: Any) -> Coroutine[Any, Any, Any] | None:
+        request, header = item
+        service = self.entity
+        response = service.callback(request, service.srv_type.Response())
+        if isinstance(response, CoroutineType):
+            return self._answer(response, header)
+        service.send_response(response, header)
+        return None
+
+    async def _answer(self, response: Coroutine[Any, Any, Any], header: Any) -> None:
+        self.entity.send_response(await response, header)
+
+
+class ClientSource(EventFdSource):
+    """A client: resolves the future of each request that was answered.
+
+    Whatever its callback group does: a response runs no callback of the group, and an async
+    callback that awaits one from a client of its own group would otherwise wait for ever.
+    """
+
+    signals = (Signal.RESPONSE,)
+
+    def __init__(self, runtime: Runtime, client: Client, where: str, executor: Any) -> None:
+        super().__init__(runtime, client, client.handle, where)
+        self._free, self._strict = True, False
+        self._executor = executor
+        self._now = CallbacksNow(runtime.report)
+
+    def take(self) -> Any:
+        try:
+            header, response = self.handle.take_response(self.entity.srv_type.Response)
+        except Exception as error:
+            raise TakeFailed(error) from error
+        return None if header is None else (header, response)
+
+    def deliver(self, item: Any) -> None:
+        header, response = item
+        try:
+            future = self.entity.get_pending_request(header.request_id.sequence_number)
+        except KeyError:
+            return  # Cancelled, or its deadline has passed.
+        with callbacks_at_once(future, self._now, self._executor):
+            future.set_result(response)
+
+    def fail_pending(self, reason: str) -> None:
+        """Nobody will answer any more: end every call that waits."""
+        error = ShutdownException(f"{self.where}: {reason}")
+        fail_pending(self.entity._pending_requests, error, self._now)
+
+
+class QosEventSource(EventFdSource):
+    """A QoS event: matched, incompatible QoS, message lost, deadline, liveliness."""
+
+    signals = (Signal.QOS_EVENT,)
+    # rcl announces what happened before the attachment, and taking twice would invent an event.
+    drains_first = False
+
+    def __init__(self, runtime: Runtime, handler: EventHandler, where: str) -> None:
+        super().__init__(runtime, handler, getattr(handler, "_EventHandler__event"), where)  # noqa: B009
+
+    def drain(self) -> bool:
+        # A status is always there to be taken, so: once per announcement.
+        self.call_back(lambda: self.entity.callback(self.handle.take_event()))
+        return False

@@ -1,0 +1,61 @@
+# mypy: disallow-untyped-calls=False
+"""One rclpy context with its executor, from `async with` to the end, signals left to the owner."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+from rclpy.context import Context
+from rclpy.node import Node
+
+from robotctl.ros.executor import AsyncioExecutor
+from robotctl.ros.runtime import ExceptionHandler
+
+
+class Session:
+    """Makes nodes whose callbacks run in the loop, until the session ends."""
+
+    def __init__(self, context: Context, executor: AsyncioExecutor, namespace: str) -> None:
+        self._context = context
+        self._executor = executor
+        self._namespace = namespace
+        self._nodes: list[Node] = []
+
+    def node(self, name: str) -> Node:
+        """Create a node in the robot's namespace; parameters come from the configuration only."""
+        node = Node(
+            name,
+            context=self._context,
+            namespace=self._namespace,
+            start_parameter_services=False,
+            enable_rosout=False,
+        )
+        self._nodes.append(node)
+        self._executor.add_node(node)
+        return node
+
+    def close(self) -> None:
+        """Destroy every node."""
+        for node in self._nodes:
+            self._executor.remove_node(node)
+            node.destroy_node()
+        self._nodes.clear()
+
+
+@asynccontextmanager
+async def ros_session(
+    *, domain_id: int, namespace: str, on_exception: ExceptionHandler | None = None
+) -> AsyncIterator[Session]:
+    """Open a context in ROS domain `domain_id` and close everything in order at the end."""
+    context = Context()
+    context.init(domain_id=domain_id)
+    try:
+        async with AsyncioExecutor(context, on_exception=on_exception) as executor:
+            session = Session(context, executor, namespace)
+            try:
+                yield session
+            finally:
+                session.close()
+    finally:
+        context.try_shutdown()

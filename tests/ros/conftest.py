@@ -1,0 +1,246 @@
+"""Real rclpy over loopback: every test module has a ROS domain that no other process uses."""
+
+from __future__ import annotations
+
+import asyncio
+import fcntl
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+import warnings
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+# Inherited by every process that a test starts.
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+
+with warnings.catch_warnings():
+    # Where the interface generators are installed, rclpy imports an old parser with them.
+    warnings.simplefilter("ignore")
+    import rosidl_generator_py  # noqa: F401
+
+HERE = Path(__file__).parent
+DEADLINE_S = 20.0
+
+
+@pytest.fixture(scope="module")
+def domain_id() -> Iterator[int]:
+    """A ROS domain of one's own, also against other test runs on this machine."""
+    folder = Path(tempfile.gettempdir()) / f"robotctl-test-domains-{os.getuid()}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    for number in range(1, 100):
+        with (folder / str(number)).open("w") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                continue
+            yield number
+            return
+    pytest.fail("no ROS domain is free")
+
+
+@pytest.fixture
+def new_context(domain_id: int) -> Iterator[Callable[[], Any]]:
+    """Make initialized rclpy contexts without signal handlers."""
+    from rclpy.context import Context
+
+    made: list[Context] = []
+
+    def make() -> Context:
+        made.append(Context())
+        made[-1].init(args=[], domain_id=domain_id)
+        return made[-1]
+
+    yield make
+    for context in made:
+        context.try_shutdown()
+        context.destroy()
+
+
+@pytest.fixture(scope="module")
+def context(domain_id: int) -> Iterator[Any]:
+    """The rclpy context of the module: for the middleware to discover one takes seconds."""
+    from rclpy.context import Context
+
+    made = Context()
+    made.init(args=[], domain_id=domain_id)
+    yield made
+    made.try_shutdown()
+    made.destroy()
+
+
+@pytest.fixture
+def node(context: Any) -> Iterator[Any]:
+    """A plain node, in no executor yet."""
+    from rclpy.node import Node
+
+    made = Node("tested", context=context)
+    yield made
+    made.destroy_node()
+
+
+@pytest.fixture
+async def executor(context: Any, node: Any) -> AsyncIterator[Any]:
+    """An open executor that has the node; an exception in a callback fails the test."""
+    from robotctl.ros import AsyncioExecutor
+
+    raised: list[tuple[Exception, str]] = []
+    async with AsyncioExecutor(
+        context, on_exception=lambda error, where: raised.append((error, where))
+    ) as made:
+        made.add_node(node)
+        yield made
+    assert raised == []
+
+
+@pytest.fixture
+def until() -> Callable[[Callable[[], object]], Awaitable[None]]:
+    """Wait in the loop for a condition, with a deadline far beyond what it should take."""
+
+    async def wait(condition: Callable[[], object]) -> None:
+        async with asyncio.timeout(DEADLINE_S):
+            while not condition():  # noqa: ASYNC110 - whatever the condition is
+                await asyncio.sleep(0.005)
+
+    return wait
+
+
+@pytest.fixture
+def turns_while_waiting() -> Callable[[], Awaitable[int]]:
+    """Count how often the loop looks for events in 0.3 s; one that spins does it by thousands."""
+
+    async def count() -> int:
+        selector: Any = asyncio.get_running_loop()._selector  # type: ignore[attr-defined]
+        select = selector.select
+        turns = 0
+
+        def counted(timeout: float | None = None) -> object:
+            nonlocal turns
+            turns += 1
+            return select(timeout)
+
+        selector.select = counted
+        try:
+            await asyncio.sleep(0.3)
+        finally:
+            del selector.select
+        return turns
+
+    return count
+
+
+class Peer:
+    """A second process with plain rclpy (executor_peer.py), told what to do line by line."""
+
+    def __init__(self, domain_id: int) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, str(HERE / "executor_peer.py")],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "ROS_DOMAIN_ID": str(domain_id)},
+        )
+        assert self._process.stdout is not None
+        if self._process.stdout.readline() != "ready\n":
+            self.close()
+            pytest.fail("the peer process did not start; its words are above")
+
+    async def __call__(self, do: str, **parameters: Any) -> Any:
+        """Have one thing done and return what came of it."""
+        return await asyncio.to_thread(self._ask, {"do": do, **parameters})
+
+    def _ask(self, request: dict[str, Any]) -> Any:
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write(json.dumps(request) + "\n")
+        self._process.stdin.flush()
+        line = self._process.stdout.readline()
+        assert line, f"the peer died of {request}"
+        answer = json.loads(line)
+        assert "error" not in answer, answer["error"]
+        return answer["result"]
+
+    def close(self) -> None:
+        """End the process by its own shutdown, which leaves no shared memory behind."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.close()
+        try:
+            self._process.wait(DEADLINE_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._process.stdout.close()
+
+
+@pytest.fixture(scope="module")
+def peer(domain_id: int) -> Iterator[Peer]:
+    """The second process of a test module."""
+    made = Peer(domain_id)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def feed(
+    peer: Peer, until: Callable[[Callable[[], object]], Awaitable[None]]
+) -> Callable[[Any, list[int]], Awaitable[None]]:
+    """Have the peer publish to a subscription, once the two know each other.
+
+    What is published before the subscription knows the publisher comes 3 s late at best, with
+    the next heartbeat of the middleware.
+    """
+
+    async def publish(subscription: Any, values: list[int]) -> None:
+        topic = subscription.topic_name
+        await peer("open", topic=topic)
+        await until(subscription.get_publisher_count)
+        await peer("publish", topic=topic, values=values)
+
+    return publish
+
+
+@pytest.fixture(scope="session")
+def borrowed_action() -> ModuleType:
+    """The module borrowed_action.py, which brings an action type."""
+    spec = importlib.util.spec_from_file_location("borrowed_action", HERE / "borrowed_action.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def topic() -> str:
+    """A topic that no other test uses."""
+    return f"/test_{time.monotonic_ns()}"
+
+
+@pytest.fixture
+def run_python(domain_id: int) -> Callable[[str], subprocess.CompletedProcess[str]]:
+    """Run a script in a process of its own, in the module's domain."""
+
+    def run(
+        script: str, *args: object, timeout_s: float = 60.0
+    ) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-X", "faulthandler", "-c", script, *map(str, args)],
+            check=False,
+            capture_output=True,
+            text=True,
+            timeout=timeout_s,
+            cwd=HERE.parents[1],
+            env={**os.environ, "ROS_DOMAIN_ID": str(domain_id)},
+        )
+
+    return run

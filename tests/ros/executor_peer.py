@@ -1,0 +1,254 @@
+"""The other side of the executor's tests: plain rclpy, spun as rclpy spins, in its own process.
+
+Reads one JSON object a line from stdin, does what its "do" says, answers one line on stdout.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import threading
+import time
+from typing import Any
+
+import rclpy
+from action_msgs.msg import GoalStatus
+from borrowed_action import Count
+from rcl_interfaces.srv import GetParameters, SetParameters
+from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.duration import Duration
+from rclpy.executors import MultiThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import UInt64
+from std_srvs.srv import SetBool
+
+DEADLINE_S = 20.0
+
+
+class Peer:
+    def __init__(self) -> None:
+        self.node = Node("peer")
+        self.group = ReentrantCallbackGroup()
+        self.seen: dict[str, list[Any]] = {}
+        self.kept: dict[str, Any] = {}
+        self.clock = self.node.create_publisher(Clock, "/clock", 10)
+
+    # Topics.
+
+    def publish(self, topic: str, values: list[int]) -> int:
+        """Publish to at least one subscriber, and wait until all have acknowledged."""
+        publisher = self._publisher(topic)
+        _wait(publisher.get_subscription_count)
+        for value in values:
+            publisher.publish(UInt64(data=value))
+        publisher.wait_for_all_acked(Duration(seconds=DEADLINE_S))
+        return len(values)
+
+    def open(self, topic: str) -> None:
+        """Have a publisher."""
+        self._publisher(topic)
+
+    def flood(self, topic: str, hz: float, seconds: float) -> int:
+        """Publish a counter at a rate, and say how many."""
+        publisher = self._publisher(topic)
+        _wait(publisher.get_subscription_count)
+        sent = 0
+        begun = time.monotonic()
+        while (now := time.monotonic() - begun) < seconds:
+            while sent < now * hz:
+                publisher.publish(UInt64(data=sent))
+                sent += 1
+            time.sleep(0.0005)
+        publisher.wait_for_all_acked(Duration(seconds=DEADLINE_S))
+        return sent
+
+    def flood_in_background(self, topic: str, hz: float) -> None:
+        """Publish a counter at a rate until `calm`."""
+        publisher = self._publisher(topic)
+        stop = self.kept[f"stop {topic}"] = threading.Event()
+
+        def run() -> None:
+            sent = 0
+            begun = time.monotonic()
+            while not stop.is_set():
+                while sent < (time.monotonic() - begun) * hz and not stop.is_set():
+                    publisher.publish(UInt64(data=sent))
+                    sent += 1
+                time.sleep(0.0005)
+
+        thread = self.kept[f"thread {topic}"] = threading.Thread(target=run)
+        thread.start()
+
+    def calm(self, topic: str) -> None:
+        """End a background flood."""
+        self.kept.pop(f"stop {topic}").set()
+        self.kept.pop(f"thread {topic}").join()
+        self.node.destroy_publisher(self.kept.pop(f"publisher {topic}"))
+
+    def listen(self, topic: str) -> None:
+        """Keep what comes on a topic."""
+        seen = self.seen.setdefault(topic, [])
+        self.kept[f"subscription {topic}"] = self.node.create_subscription(
+            UInt64, topic, lambda message: seen.append(message.data), 100
+        )
+
+    def heard(self, topic: str, count: int) -> list[int]:
+        """What came, once that many came."""
+        _wait(lambda: len(self.seen[topic]) >= count)
+        return self.seen[topic]
+
+    def offer(self, topic: str, reliable: bool = True, deadline_s: float | None = None) -> None:
+        """Create a publisher with a QoS of one's choice."""
+        qos = QoSProfile(depth=10)
+        qos.reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
+        qos.durability = DurabilityPolicy.VOLATILE
+        if deadline_s is not None:
+            qos.deadline = Duration(nanoseconds=round(deadline_s * 1e9))
+        self.kept[f"publisher {topic}"] = self.node.create_publisher(UInt64, topic, qos)
+
+    def withdraw(self, topic: str) -> None:
+        """Destroy the publisher of `offer` or `publish`."""
+        self.node.destroy_publisher(self.kept.pop(f"publisher {topic}"))
+
+    def tell_time(self, nanoseconds: int) -> None:
+        """Publish /clock."""
+        message = Clock()
+        message.clock.sec, message.clock.nanosec = divmod(nanoseconds, 10**9)
+        self.clock.publish(message)
+
+    def _publisher(self, topic: str) -> Any:
+        key = f"publisher {topic}"
+        if key not in self.kept:
+            self.kept[key] = self.node.create_publisher(UInt64, topic, 10_000)
+        return self.kept[key]
+
+    # Services.
+
+    def serve(self, service: str, delay_s: float = 0.0) -> None:
+        """Serve SetBool: success is the request's data."""
+
+        def answer(request: Any, response: Any) -> Any:
+            time.sleep(delay_s)
+            response.success, response.message = request.data, "from the peer"
+            return response
+
+        self.kept[f"service {service}"] = self.node.create_service(
+            SetBool, service, answer, callback_group=self.group
+        )
+
+    def call(self, service: str, data: bool, times: int = 1) -> list[Any]:
+        """Call SetBool so many times, one after the other."""
+        client = self.node.create_client(SetBool, service, callback_group=self.group)
+        assert client.wait_for_service(DEADLINE_S)
+        replies = [client.call(SetBool.Request(data=data), DEADLINE_S) for _ in range(times)]
+        self.node.destroy_client(client)
+        return [[reply.success, reply.message] if reply else None for reply in replies]
+
+    def get_parameter(self, node: str, name: str) -> Any:
+        """Read an integer parameter of another node."""
+        client = self.node.create_client(GetParameters, f"{node}/get_parameters")
+        assert client.wait_for_service(DEADLINE_S)
+        reply = client.call(GetParameters.Request(names=[name]), DEADLINE_S)
+        self.node.destroy_client(client)
+        return reply.values[0].integer_value
+
+    def set_parameter(self, node: str, name: str, value: Any) -> bool:
+        """Set a parameter of another node."""
+        client = self.node.create_client(SetParameters, f"{node}/set_parameters")
+        assert client.wait_for_service(DEADLINE_S)
+        message = Parameter(name, value=value).to_parameter_msg()
+        reply = client.call(SetParameters.Request(parameters=[message]), DEADLINE_S)
+        self.node.destroy_client(client)
+        return reply.results[0].successful
+
+    # Actions.
+
+    def serve_action(self, action: str, step_s: float = 0.01) -> None:
+        """Serve Count; goals above 1000 are refused."""
+
+        def accept(goal: Any) -> GoalResponse:
+            return GoalResponse.REJECT if goal.value > 1000 else GoalResponse.ACCEPT
+
+        def execute(handle: Any) -> Any:
+            total = 0
+            for number in range(handle.request.value):
+                if handle.is_cancel_requested:
+                    handle.canceled()
+                    return Count.Result(total)
+                handle.publish_feedback(Count.Feedback(number))
+                total += number
+                time.sleep(step_s)
+            handle.succeed()
+            return Count.Result(total)
+
+        self.kept[f"action {action}"] = ActionServer(
+            self.node,
+            Count,
+            action,
+            execute,
+            callback_group=self.group,
+            goal_callback=accept,
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+        )
+
+    def run_goal(self, action: str, value: int, cancel_after: int | None = None) -> dict[str, Any]:
+        """Send a goal to the other side, perhaps cancel it after some feedback, and report."""
+        client = ActionClient(self.node, Count, action, callback_group=self.group)
+        assert client.wait_for_server(DEADLINE_S)
+        feedback: list[int] = []
+        sent = client.send_goal_async(
+            Count.Goal(value), feedback_callback=lambda m: feedback.append(m.feedback.value)
+        )
+        _wait(sent.done)
+        handle = sent.result()
+        report: dict[str, Any] = {"accepted": handle.accepted, "feedback": feedback}
+        if handle.accepted:
+            if cancel_after is not None:
+                _wait(lambda: len(feedback) > cancel_after)
+                cancelled = handle.cancel_goal_async()
+                _wait(cancelled.done)
+                report["cancelling"] = len(cancelled.result().goals_canceling)
+            result = handle.get_result_async()
+            _wait(result.done)
+            report["succeeded"] = result.result().status == GoalStatus.STATUS_SUCCEEDED
+            report["canceled"] = result.result().status == GoalStatus.STATUS_CANCELED
+            report["result"] = result.result().result.value
+        client.destroy()
+        return report
+
+
+def _wait(condition: Any) -> None:
+    end = time.monotonic() + DEADLINE_S
+    while not condition():
+        if time.monotonic() > end:
+            raise TimeoutError("what the peer waited for did not happen")
+        time.sleep(0.002)
+
+
+def main() -> None:
+    rclpy.init(args=[])
+    peer = Peer()
+    executor = MultiThreadedExecutor(4)
+    executor.add_node(peer.node)
+    spinner = threading.Thread(target=executor.spin)
+    spinner.start()
+    print("ready", flush=True)
+    for line in sys.stdin:
+        request = json.loads(line)
+        try:
+            answer = {"result": getattr(peer, request.pop("do"))(**request)}
+        except Exception as error:  # noqa: BLE001 - the test shows it
+            answer = {"error": repr(error)}
+        print(json.dumps(answer), flush=True)
+    executor.shutdown()
+    spinner.join()
+    peer.node.destroy_node()
+    rclpy.shutdown()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,115 @@
+# mypy: disallow-untyped-calls=False
+"""What is read from bytes and written as bytes is what rclpy makes of them."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+from geometry_msgs.msg import Twist as TwistMessage
+from hypothesis import given
+from hypothesis import strategies as st
+from nav_msgs.msg import Odometry as OdometryMessage
+from rclpy.serialization import deserialize_message, serialize_message
+
+from robotctl.kernel.geometry import Pose
+from robotctl.kernel.types import Odometry, Twist
+from robotctl.ros.cdr import OdometryEncoder, decode_odometry, decode_twist, encode_twist
+from robotctl.ros.convert import to_odometry, to_twist
+
+finite = st.floats(allow_nan=False, allow_infinity=False, min_value=-1e6, max_value=1e6)
+anything = st.floats(width=64)
+frames = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=40)
+stamps = st.integers(0, (2**31 - 1) * 10**9)
+
+
+def bits(*values: float) -> bytes:
+    """Values to be compared: NaN equals itself, and 0.0 is not -0.0."""
+    return struct.pack(f"{len(values)}d", *values)
+
+
+def odometry_bits(odometry: Odometry) -> tuple[bytes, int]:
+    pose, velocity = odometry.pose, odometry.velocity
+    numbers = bits(pose.x, pose.y, pose.theta, velocity.linear, velocity.angular)
+    return numbers, odometry.stamp_ns
+
+
+@given(
+    frames,
+    frames,
+    stamps,
+    st.lists(anything, min_size=8, max_size=8),
+    st.lists(finite, min_size=4, max_size=4),
+)
+def test_odometry_of_any_frames_reads_as_rclpy_reads_it(
+    frame_id: str, child_frame_id: str, stamp_ns: int, numbers: list[float], q: list[float]
+) -> None:
+    message = OdometryMessage()
+    message.header.frame_id, message.child_frame_id = frame_id, child_frame_id
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
+    position, orientation = message.pose.pose.position, message.pose.pose.orientation
+    position.x, position.y, position.z = numbers[:3]
+    orientation.x, orientation.y, orientation.z, orientation.w = q
+    twist = message.twist.twist
+    twist.linear.x, twist.linear.y, twist.linear.z, twist.angular.x, twist.angular.z = numbers[3:]
+    message.pose.covariance[35] = 7.0
+    serialized = serialize_message(message)
+
+    rclpys = to_odometry(deserialize_message(serialized, OdometryMessage))
+
+    assert odometry_bits(decode_odometry(serialized)) == odometry_bits(rclpys)
+
+
+@given(st.lists(anything, min_size=6, max_size=6))
+def test_a_twist_reads_as_rclpy_reads_it(numbers: list[float]) -> None:
+    message = TwistMessage()
+    linear, angular = message.linear, message.angular
+    linear.x, linear.y, linear.z, angular.x, angular.y, angular.z = numbers
+    serialized = serialize_message(message)
+
+    read, rclpys = decode_twist(serialized), to_twist(deserialize_message(serialized, TwistMessage))
+
+    assert bits(read.linear, read.angular) == bits(rclpys.linear, rclpys.angular)
+
+
+@given(anything, anything)
+def test_a_twist_is_written_as_rclpy_writes_it(linear: float, angular: float) -> None:
+    message = TwistMessage()
+    message.linear.x, message.angular.z = linear, angular
+
+    assert encode_twist(Twist(linear, angular)) == serialize_message(message)
+
+
+@given(frames, frames, st.lists(st.tuples(finite, finite, st.floats(-3.14, 3.14), finite, stamps)))
+def test_odometry_written_one_after_the_other_reads_back(
+    frame_id: str, child_frame_id: str, samples: list[tuple[float, float, float, float, int]]
+) -> None:
+    encoder = OdometryEncoder(frame_id, child_frame_id)
+    for x, y, theta, speed, stamp_ns in samples:
+        message = deserialize_message(
+            encoder.encode(Pose(x, y, theta), Twist(speed, -speed), stamp_ns), OdometryMessage
+        )
+        read = to_odometry(message)
+
+        assert (read.pose.x, read.pose.y, read.stamp_ns) == (x, y, stamp_ns)
+        assert read.pose.theta == pytest.approx(theta, abs=1e-9)
+        assert read.velocity == Twist(speed, -speed)
+        assert (message.header.frame_id, message.child_frame_id) == (frame_id, child_frame_id)
+        assert not any([*message.pose.covariance, *message.twist.covariance])
+        assert (message.pose.pose.position.z, message.twist.twist.linear.y) == (0.0, 0.0)
+
+
+def test_a_big_endian_message_is_left_to_rclpy() -> None:
+    big_endian = b"\x00\x00\x00\x00" + struct.pack(">6d", 0.25, 0.0, 0.0, 0.0, 0.0, -0.5)
+
+    assert decode_twist(big_endian) == Twist(0.25, -0.5)
+
+
+@pytest.mark.parametrize("size", [2, 10, 20, 40, 200, 400])
+def test_a_message_cut_short_is_an_error(size: int) -> None:
+    whole = OdometryEncoder("odom", "base_link").encode(Pose(0.0, 0.0, 0.0), Twist(), 0)
+
+    with pytest.raises(struct.error):
+        decode_odometry(whole[:size])
+    with pytest.raises(struct.error):
+        decode_twist(encode_twist(Twist())[: min(size, 50)])

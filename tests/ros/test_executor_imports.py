@@ -1,0 +1,60 @@
+"""The executor can be taken out of robotctl, and costs nothing where only its name is imported."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from subprocess import CompletedProcess
+
+import pytest
+
+import robotctl.ros
+
+RunPython = Callable[..., CompletedProcess[str]]
+
+# All that AsyncioExecutor and Ticker consist of.
+PARTS = {
+    "actions",
+    "entities",
+    "executor",
+    "futures",
+    "pool",
+    "proof",
+    "raw",
+    "rcl",
+    "realtime",
+    "runtime",
+    "ticker",
+    "timerfd",
+    "timers",
+    "timing",
+    "waitset",
+}
+
+IMPORTED = """
+import sys
+{statement}
+print(*sorted(name for name in sys.modules if name.split(".")[0] in ("robotctl", "rclpy")))
+"""
+
+
+def imported_by(run_python: RunPython, statement: str) -> set[str]:
+    ended = run_python(IMPORTED.format(statement=statement))
+    assert ended.returncode == 0, ended.stderr
+    return set(ended.stdout.split())
+
+
+def test_the_executor_needs_nothing_of_robotctl_but_its_own_parts(run_python: RunPython) -> None:
+    names = imported_by(run_python, "from robotctl.ros import AsyncioExecutor, RawTap, Ticker")
+    own = {name for name in names if name.startswith("robotctl")}
+    assert own == {"robotctl", "robotctl.ros", *(f"robotctl.ros.{part}" for part in PARTS)}
+
+
+def test_the_package_and_the_ticker_are_imported_without_rclpy(run_python: RunPython) -> None:
+    assert imported_by(run_python, "import robotctl.ros") == {"robotctl", "robotctl.ros"}
+    names = imported_by(run_python, "from robotctl.ros import Ticker")
+    assert "rclpy" not in names
+
+
+def test_an_unknown_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="has no attribute 'NoSuchExecutor'"):
+        _ = robotctl.ros.NoSuchExecutor

@@ -1,0 +1,199 @@
+"""Each role on real rclpy: it converts and forwards, and decides nothing."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import threading
+from collections.abc import AsyncIterator, Awaitable, Callable
+from typing import Any
+
+import pytest
+
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.types import Odometry, Reply, Twist
+from robotctl.ros import qos
+from robotctl.ros.battery_subscriber import BatterySubscriber
+from robotctl.ros.mode_service import ModeService, Shown
+from robotctl.ros.odom_subscriber import OdomSubscriber
+from robotctl.ros.session import Session, ros_session
+from robotctl.ros.velocity_publisher import VelocityPublisher
+
+Until = Callable[[Callable[[], object]], Awaitable[None]]
+
+
+@pytest.fixture
+async def session(domain_id: int) -> AsyncIterator[Session]:
+    """A session of the daemon's kind, in a namespace of its own."""
+    async with ros_session(domain_id=domain_id, namespace="/r2") as made:
+        yield made
+
+
+@pytest.fixture
+async def heard(executor: Any, node: Any) -> list[tuple[float, float]]:
+    """The commands that another node receives."""
+    from geometry_msgs.msg import Twist as TwistMessage
+
+    commands: list[tuple[float, float]] = []
+    node.create_subscription(
+        TwistMessage,
+        "/r2/cmd_vel",
+        lambda message: commands.append((message.linear.x, message.angular.z)),
+        100,
+    )
+    return commands
+
+
+# The velocity command
+
+
+async def test_a_command_is_sent_as_it_is(
+    session: Session, heard: list[tuple[float, float]], until: Until
+) -> None:
+    velocity = VelocityPublisher(session, "cmd_vel")
+    await until(velocity._publisher.get_subscription_count)
+    velocity.publish(Twist(0.25, -1.5))
+    await until(lambda: heard)
+    assert (heard, velocity.published, velocity.topic) == ([(0.25, -1.5)], 1, "/r2/cmd_vel")
+
+
+async def test_a_closed_gate_lets_zeros_through_only(
+    session: Session, heard: list[tuple[float, float]], until: Until
+) -> None:
+    velocity = VelocityPublisher(session, "cmd_vel")
+    await until(velocity._publisher.get_subscription_count)
+    velocity.close_gate()
+    velocity.publish(Twist(0.25, -1.5))
+    thread = threading.Thread(target=velocity.publish_zero)
+    thread.start()
+    await asyncio.to_thread(thread.join)
+    velocity.open_gate()
+    velocity.publish(Twist(0.5, 0.0))
+    await until(lambda: len(heard) == 3)
+    assert heard == [(0.0, 0.0), (0.0, 0.0), (0.5, 0.0)]
+    assert velocity.published == 3
+
+
+async def test_a_zero_does_not_wait_for_a_publication_that_hangs(session: Session) -> None:
+    velocity = VelocityPublisher(session, "cmd_vel")
+    with velocity._lock, pytest.raises(TimeoutError, match="hangs"):
+        velocity.publish_zero()
+
+
+async def test_only_others_count_as_foreign_publishers(
+    session: Session, node: Any, until: Until
+) -> None:
+    from geometry_msgs.msg import Twist as TwistMessage
+
+    velocity = VelocityPublisher(session, "cmd_vel")
+    await until(lambda: velocity.count_publishers() == 1)
+    assert velocity.other_publishers() == ()
+    node.create_publisher(TwistMessage, "/r2/cmd_vel", 10)
+    await until(lambda: velocity.other_publishers() == ("/tested",))
+
+
+async def test_a_second_node_of_our_name_is_foreign(
+    session: Session, new_context: Callable[[], Any], until: Until
+) -> None:
+    from geometry_msgs.msg import Twist as TwistMessage
+    from rclpy.node import Node
+
+    velocity = VelocityPublisher(session, "cmd_vel")
+    impostor = Node("velocity_publisher", namespace="/r2", context=new_context())
+    impostor.create_publisher(TwistMessage, "cmd_vel", 10)
+    await until(lambda: velocity.other_publishers() == ("/r2/velocity_publisher",))
+    impostor.destroy_node()
+
+
+# Odometry and battery
+
+
+@pytest.mark.parametrize("offered", [qos.SENSOR, qos.COMMAND, qos.LATCHED])
+async def test_odometry_of_any_quality_of_service_is_taken(
+    session: Session, node: Any, until: Until, offered: Any
+) -> None:
+    from nav_msgs.msg import Odometry as OdometryMessage
+
+    measured: list[Odometry] = []
+    subscriber = OdomSubscriber(session, "odom", measured.append)
+    publisher = node.create_publisher(OdometryMessage, "/r2/odom", offered)
+    await until(lambda: publisher.get_subscription_count() and subscriber.count_publishers())
+    message = OdometryMessage()
+    message.pose.pose.position.x = 1.5
+    message.pose.pose.orientation.z = math.sin(0.25)
+    message.pose.pose.orientation.w = math.cos(0.25)
+    message.twist.twist.linear.x = 0.3
+    message.header.stamp.sec, message.header.stamp.nanosec = 2, 3
+    publisher.publish(message)
+    await until(lambda: measured)
+    (odometry,) = measured
+    assert odometry.pose.theta == pytest.approx(0.5)
+    assert (odometry.pose.x, odometry.velocity.linear) == (1.5, 0.3)
+    assert odometry.stamp_ns == 2_000_000_003
+
+
+@pytest.mark.parametrize(("percentage", "level"), [(0.5, 0.5), (80.0, math.nan), (-1.0, math.nan)])
+async def test_a_battery_level_outside_0_to_1_is_unknown(
+    session: Session, node: Any, until: Until, percentage: float, level: float
+) -> None:
+    from sensor_msgs.msg import BatteryState
+
+    levels: list[float] = []
+    subscription = BatterySubscriber(session, "battery_state", levels.append)._subscription
+    publisher = node.create_publisher(BatteryState, "/r2/battery_state", qos.SENSOR)
+    await until(lambda: publisher.get_subscription_count() and subscription.get_publisher_count())
+    publisher.publish(BatteryState(percentage=percentage))
+    await until(lambda: levels)
+    assert levels == pytest.approx([level], nan_ok=True)
+
+
+# The mode
+
+
+async def test_the_status_is_shown_to_whoever_comes_late(
+    session: Session, executor: Any, node: Any, until: Until
+) -> None:
+    from robot_controller.msg import RobotStatus
+
+    async def never(requested: int, source: str) -> Reply:
+        raise NotImplementedError
+
+    service = ModeService(session, "r2", never)
+    service.publish(Shown(Mode.ERROR, math.nan, False))
+    service.publish(Shown(Mode.MOVING, 0.75, True))
+    shown: list[Any] = []
+    node.create_subscription(RobotStatus, service.status_topic, shown.append, qos.LATCHED)
+    await until(lambda: shown)
+    (status,) = shown
+    assert (status.robot_name, status.mode, status.battery_level) == ("r2", 1, 0.75)
+    assert status.is_connected is True
+    assert math.isnan(status.cpu_temperature) or -50.0 < status.cpu_temperature < 150.0
+
+
+async def test_a_call_is_answered_with_what_was_decided(
+    session: Session, executor: Any, node: Any
+) -> None:
+    from robot_controller.srv import SetMode
+
+    asked: list[tuple[int, str]] = []
+
+    async def refuse(requested: int, source: str) -> Reply:
+        asked.append((requested, source))
+        await asyncio.sleep(0)
+        return Reply(1, False, "because", Mode.EMERGENCY_STOP)
+
+    ModeService(session, "r2", refuse)
+    client = node.create_client(SetMode, "/r2/set_mode")
+    await executor.wait_for_service(client, timeout_s=20.0)
+    answer = await executor.call(client, SetMode.Request(requested_mode=200), timeout_s=20.0)
+    assert (answer.success, answer.message, answer.current_mode) == (False, "because", 3)
+    assert asked == [(200, "the ROS service /r2/set_mode")]
+
+
+async def test_the_roles_are_the_nodes_that_are_promised(session: Session, node: Any) -> None:
+    VelocityPublisher(session, "cmd_vel")
+    OdomSubscriber(session, "odom", print)
+    service = ModeService(session, "r2", lambda requested, source: asyncio.Future())
+    assert service.status_topic == "/r2/robot_status"
+    names = {owner.get_fully_qualified_name() for owner in session._nodes}
+    assert names == {"/r2/velocity_publisher", "/r2/odom_subscriber", "/r2/mode_service"}

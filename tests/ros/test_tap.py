@@ -1,0 +1,235 @@
+"""The tap takes every topic, from whomever, and what it cannot take it names."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import suppress
+from typing import Any
+
+import pytest
+import yaml
+
+from robotctl.ros import qos, tap
+from robotctl.ros.session import Session, ros_session
+from robotctl.ros.tap import Tap, TappedTopic
+from robotctl.ros.type_definition import definition_of, type_hash_of
+
+Until = Callable[[Callable[[], object]], Awaitable[None]]
+
+
+class Taken:
+    """What the tap handed over, by topic."""
+
+    def __init__(self) -> None:
+        self.topics: dict[str, TappedTopic] = {}
+        self.messages: dict[str, list[tuple[Any, ...]]] = {}
+
+    def open(self, topic: TappedTopic) -> Callable[..., None]:
+        self.topics[topic.name] = topic
+        taken = self.messages.setdefault(topic.name, [])
+        return lambda *message: taken.append(message)
+
+    def values(self, topic: str) -> list[int]:
+        """The numbers of std_msgs/UInt64 messages."""
+        return [int.from_bytes(message[0][4:12], "little") for message in self.messages[topic]]
+
+
+@pytest.fixture
+async def session(domain_id: int) -> AsyncIterator[Session]:
+    """A session of the daemon's kind."""
+    async with ros_session(domain_id=domain_id, namespace="") as made:
+        yield made
+
+
+@pytest.fixture
+async def taken(session: Session) -> AsyncIterator[Taken]:
+    """What a running tap takes."""
+    made = Taken()
+    made.tap = Tap(session, made.open, skip=frozenset({"/skipped"}))  # type: ignore[attr-defined]
+    running = asyncio.create_task(made.tap.run())  # type: ignore[attr-defined]
+    yield made
+    running.cancel()
+    with suppress(asyncio.CancelledError):
+        await running
+
+
+def publisher(node: Any, topic: str, profile: Any = 10, kind: Any = None) -> Any:
+    from std_msgs.msg import UInt64
+
+    return node.create_publisher(kind or UInt64, topic, profile)
+
+
+def number(value: int) -> Any:
+    from std_msgs.msg import UInt64
+
+    return UInt64(data=value)
+
+
+async def test_a_foreign_topic_is_taken_with_all_that_describes_it(
+    taken: Taken, node: Any, topic: str, until: Until
+) -> None:
+    published = publisher(node, topic)
+    await until(published.get_subscription_count)
+    for value in (7, 8):
+        published.publish(number(value))
+    await until(lambda: len(taken.messages[topic]) == 2)
+    assert taken.values(topic) == [7, 8]
+    described = taken.topics[topic]
+    assert described.type_name == "std_msgs/msg/UInt64"
+    assert "uint64 data" in described.definition
+    (info,) = node.get_publishers_info_by_topic(topic)
+    assert described.type_hash == str(info.topic_type_hash)
+    assert yaml.safe_load(described.offered_qos)[0]["reliability"] == "reliable"
+    received = [
+        (at_ns >= sent_ns > 0, count) for _, at_ns, sent_ns, count, _ in taken.messages[topic]
+    ]
+    assert received == [(True, 1), (True, 2)]
+
+
+async def test_our_own_topic_is_taken_from_its_first_message(
+    session: Session, topic: str, until: Until
+) -> None:
+    taken = Taken()
+    Tap(session, taken.open).subscribe_own(topic, "std_msgs/msg/UInt64", qos.COMMAND)
+    publisher(session.node("ours"), topic).publish(number(1))
+    await until(lambda: taken.messages[topic])
+    assert [message[3] for message in taken.messages[topic]] == [1]
+
+
+async def test_a_publisher_that_offers_less_is_taken_as_well(
+    taken: Taken, node: Any, topic: str, until: Until
+) -> None:
+    reliable = publisher(node, topic)
+    await until(reliable.get_subscription_count)
+    weaker = publisher(node, topic, qos.SENSOR)
+    await until(lambda: weaker.get_subscription_count() and reliable.get_subscription_count())
+    weaker.publish(number(5))
+    reliable.publish(number(6))
+    await until(lambda: {5, 6} <= set(taken.values(topic)))
+
+
+async def test_a_latched_message_from_before_is_taken(
+    taken: Taken, node: Any, topic: str, until: Until
+) -> None:
+    publisher(node, topic, qos.LATCHED).publish(number(9))
+    await until(lambda: topic in taken.messages and taken.messages[topic])
+    assert taken.values(topic) == [9]
+
+
+async def test_what_nobody_publishes_and_what_is_skipped_are_not_opened(
+    taken: Taken, node: Any, topic: str, until: Until
+) -> None:
+    from std_msgs.msg import UInt64
+
+    node.create_subscription(UInt64, f"{topic}_listened", print, 10)
+    publisher(node, "/skipped")
+    publisher(node, topic)
+    await until(lambda: topic in taken.topics)
+    assert "/skipped" not in taken.topics
+    assert f"{topic}_listened" not in taken.topics
+
+
+async def test_a_type_that_is_not_installed_is_named_and_the_others_go_on(
+    taken: Taken, node: Any, topic: str, until: Until, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from std_msgs.msg import String
+
+    load = tap._load
+
+    def missing(type_name: str) -> Any:
+        if type_name == "std_msgs/msg/String":
+            raise ImportError(type_name)
+        return load(type_name)
+
+    monkeypatch.setattr(tap, "_load", missing)
+    publisher(node, f"{topic}_foreign", kind=String)
+    problems = taken.tap.problems  # type: ignore[attr-defined]
+    await until(lambda: problems)
+    publisher(node, topic)
+    await until(lambda: topic in taken.topics)
+    assert problems == {
+        f"{topic}_foreign": f"{topic}_foreign is not recorded: "
+        "it has type std_msgs/msg/String, which is not installed"
+    }
+
+
+async def test_a_subscription_that_fails_is_named_and_the_others_go_on(
+    taken: Taken, node: Any, topic: str, until: Until, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    create = Tap._create
+
+    def failing(self: Tap, message_type: Any, name: str, wanted: Any) -> Any:
+        if name.endswith("_bad"):
+            raise RuntimeError("injected")
+        return create(self, message_type, name, wanted)
+
+    monkeypatch.setattr(Tap, "_create", failing)
+    publisher(node, f"{topic}_bad")
+    problems = taken.tap.problems  # type: ignore[attr-defined]
+    await until(lambda: problems)
+    publisher(node, topic)
+    await until(lambda: topic in taken.topics)
+    assert "cannot be subscribed to (RuntimeError: injected)" in problems[f"{topic}_bad"]
+
+
+async def test_a_second_type_of_a_topic_is_named_until_it_is_gone(
+    taken: Taken, node: Any, new_context: Callable[[], Any], topic: str, until: Until
+) -> None:
+    from rclpy.node import Node
+    from std_msgs.msg import String
+
+    publisher(node, topic)
+    await until(lambda: topic in taken.topics)
+    other = Node("other", context=new_context())
+    second = publisher(other, topic, kind=String)
+    problems = taken.tap.problems  # type: ignore[attr-defined]
+    await until(lambda: problems)
+    assert problems == {
+        topic: f"{topic} is recorded as std_msgs/msg/UInt64, not as std_msgs/msg/String"
+    }
+    other.destroy_publisher(second)
+    await until(lambda: not problems)
+    other.destroy_node()
+
+
+# What describes a topic
+
+
+def test_a_definition_holds_its_dependencies_once_in_rosbag2s_form() -> None:
+    text = definition_of("nav_msgs/msg/Odometry")
+    sections = text.split("=" * 80 + "\nMSG: ")
+    names = [section.splitlines()[0] for section in sections[1:]]
+    assert names == [
+        "std_msgs/Header",
+        "builtin_interfaces/Time",
+        "geometry_msgs/PoseWithCovariance",
+        "geometry_msgs/Pose",
+        "geometry_msgs/Point",
+        "geometry_msgs/Quaternion",
+        "geometry_msgs/TwistWithCovariance",
+        "geometry_msgs/Twist",
+        "geometry_msgs/Vector3",
+    ]
+    assert sections[0].rstrip().endswith("geometry_msgs/TwistWithCovariance twist")
+
+
+@pytest.mark.parametrize("name", ["nope/msg/Nope", "std_msgs/msg/Nope", "std_srvs/srv/Empty", "x"])
+def test_what_has_no_definition_has_none(name: str) -> None:
+    assert (definition_of(name), type_hash_of(name)) == ("", "")
+
+
+def test_the_qos_is_written_as_rosbag2_writes_it() -> None:
+    (profile,) = yaml.safe_load(qos.to_yaml([qos.LATCHED]))
+    forever = {"sec": 9_223_372_036, "nsec": 854_775_807}
+    assert profile == {
+        "history": "keep_last",
+        "depth": 1,
+        "reliability": "reliable",
+        "durability": "transient_local",
+        "deadline": forever,
+        "lifespan": forever,
+        "liveliness": "automatic",
+        "liveliness_lease_duration": forever,
+        "avoid_ros_namespace_conventions": False,
+    }

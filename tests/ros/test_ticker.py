@@ -1,0 +1,135 @@
+"""The ticker keeps its schedule, counts what it missed, and leaves nothing behind."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import time
+from collections.abc import Awaitable, Callable
+from itertools import pairwise
+
+import pytest
+
+from robotctl.ros import Ticker
+
+DEADLINE_S = 20.0
+
+
+def open_files() -> int:
+    return len(os.listdir("/proc/self/fd"))
+
+
+async def test_every_tick_is_due_at_a_multiple_of_the_period_after_the_first() -> None:
+    async with asyncio.timeout(DEADLINE_S), Ticker(200.0) as ticker:
+        ticks = [await anext(ticker) for _ in range(20)]
+    for before, after in pairwise(ticks):
+        assert after.due_ns - before.due_ns == (after.missed + 1) * 5_000_000
+        assert after.t_ns >= after.due_ns
+    assert ticks[0].t_ns <= time.monotonic_ns()
+
+
+async def test_ticks_missed_while_the_loop_was_busy_are_counted_and_not_repeated() -> None:
+    async with asyncio.timeout(DEADLINE_S), Ticker(200.0) as ticker:
+        before = await anext(ticker)
+        time.sleep(0.0525)  # noqa: ASYNC251 - the loop is to be busy
+        late = await anext(ticker)
+        after = await anext(ticker)
+    assert late.missed >= 9
+    assert late.due_ns - before.due_ns == (late.missed + 1) * 5_000_000
+    assert after.due_ns > late.t_ns - 5_000_000
+
+
+async def test_a_consumer_that_is_always_late_leaves_the_loop_its_turns() -> None:
+    turns = 0
+
+    async def other() -> None:
+        nonlocal turns
+        while True:
+            turns += 1
+            await asyncio.sleep(0)
+
+    async with asyncio.timeout(DEADLINE_S), Ticker(1000.0) as ticker:
+        task = asyncio.create_task(other())
+        for _ in range(20):
+            await anext(ticker)
+            time.sleep(0.003)  # noqa: ASYNC251 - the consumer is to be late
+        task.cancel()
+    assert turns >= 20
+
+
+async def test_a_ticker_that_nobody_awaits_does_not_turn_the_loop(
+    turns_while_waiting: Callable[[], Awaitable[int]],
+) -> None:
+    async with asyncio.timeout(DEADLINE_S), Ticker(100.0) as ticker:
+        await anext(ticker)
+        # 30 expiries, the sleep itself, and room for a few strays.
+        assert await turns_while_waiting() < 100
+        assert (await anext(ticker)).missed >= 20
+
+
+async def test_leaving_the_loop_lets_the_descriptor_go() -> None:
+    before = open_files()
+    async with asyncio.timeout(DEADLINE_S):
+        async for _ in Ticker(500.0):
+            assert open_files() == before + 1
+            break
+    assert open_files() == before
+
+
+async def test_close_ends_a_waiting_iteration() -> None:
+    before = open_files()
+    ticker = Ticker(0.01)
+    ticks = []
+
+    async def consume() -> None:
+        ticks.extend([tick async for tick in ticker])
+
+    task = asyncio.create_task(consume())
+    await asyncio.sleep(0)
+    assert open_files() == before + 1
+    ticker.close()
+    ticker.close()
+    async with asyncio.timeout(DEADLINE_S):
+        await task
+    assert ticks == []
+    assert open_files() == before
+    with pytest.raises(StopAsyncIteration):
+        await anext(ticker)
+
+
+async def test_a_cancelled_wait_leaves_the_ticker_usable() -> None:
+    async with asyncio.timeout(DEADLINE_S), Ticker(50.0) as ticker:
+        task = asyncio.ensure_future(anext(ticker))
+        await asyncio.sleep(0)
+        task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+        assert (await anext(ticker)).missed == 0
+
+
+async def test_a_second_task_at_the_same_ticker_is_refused() -> None:
+    async with Ticker(1.0) as ticker:
+        first = asyncio.ensure_future(anext(ticker))
+        await asyncio.sleep(0)
+        with pytest.raises(RuntimeError, match="another task waits"):
+            await anext(ticker)
+        first.cancel()
+
+
+async def test_a_second_loop_is_refused() -> None:
+    async with Ticker(1.0) as ticker:
+
+        def elsewhere() -> None:
+            async def use() -> None:
+                await anext(ticker)
+
+            with pytest.raises(RuntimeError, match="another event loop"):
+                asyncio.run(use())
+
+        await asyncio.to_thread(elsewhere)
+
+
+@pytest.mark.parametrize("hz", [0.0, -1.0, float("nan"), float("inf"), 10_001.0])
+def test_a_rate_that_cannot_be_kept_is_refused(hz: float) -> None:
+    with pytest.raises(ValueError, match="Hz"):
+        Ticker(hz)
