@@ -1,0 +1,145 @@
+"""The files of one recording folder, in rosbag2's layout. Synchronous: the writer thread's part."""
+
+from __future__ import annotations
+
+import errno
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from robotctl.recording.account import TopicAccount
+from robotctl.recording.buffer import Taken, pack
+from robotctl.recording.options import RecorderOptions
+from robotctl.recording.recording_file import RecordingFile
+from robotctl.recording.rosbag2 import BagFile, write_metadata
+
+
+class BagWriter:
+    """Writes chunks of messages into the folder's current file, and begins the next one in time.
+
+    Not thread-safe. `accounts` may grow; a topic's position in it is its channel id. Every
+    method may raise OSError; after that only `abandon` may be called.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        options: RecorderOptions,
+        metadata: Mapping[str, str],
+        accounts: Sequence[TopicAccount],
+        on_split: Callable[[Path], None] = lambda path: None,
+    ) -> None:
+        """Create the first file in `folder`, which exists; `on_split` gets each later one."""
+        self._folder = folder
+        self._options = options
+        self._metadata = dict(metadata)
+        self._accounts = accounts
+        self._on_split = on_split
+        self._finished: list[BagFile] = []
+        self._finished_bytes = 0
+        self.warning = ""
+        """What the operator should know before it becomes an error."""
+
+        self.check_space()
+        self._files_begun = 0
+        self._begun = time.monotonic()
+        self._file = self._new_file()
+        self._write_metadata()
+
+    @property
+    def path(self) -> Path:
+        """The current file."""
+        return self._file.path
+
+    @property
+    def size(self) -> int:
+        """Bytes on disk, of all files."""
+        return self._finished_bytes + self._file.size
+
+    def write(self, taken: Taken) -> None:
+        """Write `taken` as a chunk, and count its messages as written."""
+        if self._is_full():
+            self.split()
+        self._file.write(taken)
+        for channel, index in taken.indexes.items():
+            self._accounts[channel].written += len(index) // 2
+
+    def write_topics(self) -> None:
+        """Write the topics that were added, also if they have no message yet."""
+        self._file.write_topics()
+
+    def sync(self) -> None:
+        """Force what was written to the disk."""
+        self._file.sync()
+
+    def split(self) -> None:
+        """Finish the current file and go on in the next one, which repeats latched messages."""
+        successor = self._new_file()
+        now_ns = self._file.describe().end_ns
+        try:
+            self._file.finish()
+        except OSError:
+            successor.abandon()
+            successor.path.unlink()
+            raise
+        self._finished.append(self._file.describe())
+        self._finished_bytes += self._file.size
+        self._file = successor
+        self._begun = time.monotonic()
+        self._repeat_latched(now_ns)
+        self._write_metadata()
+        with suppress(Exception):  # a listener that is gone must not stop the recording
+            self._on_split(successor.path)
+
+    def check_space(self) -> None:
+        """Warn when the disk gets full; raises OSError before it is."""
+        free = self._options.free_space(self._folder)
+        stop, warn = self._options.stop_free_bytes, self._options.warn_free_bytes
+        if free < stop:
+            raise OSError(errno.ENOSPC, f"only {_mb(free)} left on the disk, {_mb(stop)} stay free")
+        self.warning = ""
+        if free < warn:
+            self.warning = f"{_mb(free)} left on the disk; recording stops at {_mb(stop)}"
+
+    def close(self) -> None:
+        """Finish the file and the folder."""
+        self._file.finish()
+        self._write_metadata()
+
+    def abandon(self) -> None:
+        """After an OSError: leave the file as the last good write had left it."""
+        self._file.abandon()
+        with suppress(OSError):  # on a full disk: the one written before stays
+            self._write_metadata()
+
+    def _is_full(self) -> bool:
+        if not self._file.holds_messages:
+            return False
+        age_s = time.monotonic() - self._begun
+        return self._file.size >= self._options.split_bytes or age_s >= self._options.split_s
+
+    def _new_file(self) -> RecordingFile:
+        path = self._folder / f"{self._folder.name}_{self._files_begun}.mcap"
+        self._files_begun += 1
+        return RecordingFile(path, self._options, self._metadata, self._accounts)
+
+    def _repeat_latched(self, log_ns: int) -> None:
+        """Write the last latched message of each publisher again, as if received at `log_ns`."""
+        messages = [
+            (channel, message.data, log_ns, message.publish_ns, message.sequence)
+            for channel, account in enumerate(self._accounts)
+            for message in account.latched_messages()
+        ]
+        if messages:
+            self._file.write(pack(messages))
+
+    def _write_metadata(self) -> None:
+        topics = [account.topic for account in list(self._accounts)]
+        # Retention may have removed the oldest files meanwhile.
+        finished = [file for file in self._finished if (self._folder / file.name).exists()]
+        write_metadata(self._folder, topics, [*finished, self._file.describe()])
+
+
+def _mb(size: int) -> str:
+    return f"{size / 1e6:.0f} MB"

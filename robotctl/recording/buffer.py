@@ -1,0 +1,135 @@
+"""Where messages wait, packed as MCAP records, between the loop and the writer thread.
+
+No lock: one thread packs, one other takes. The packer writes a message behind `end`, then its
+index entry, and moves `end` last; what lies below `end` never changes until the buffer is
+recycled. So the other thread may take everything below `end` at any moment. (Each of these steps
+is one bytecode or one C call under the interpreter lock.)
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from mcap.opcode import Opcode
+
+from robotctl.recording.mcap_file import MESSAGE_FIELDS_BYTES, MESSAGE_HEAD
+from robotctl.recording.storage import Buffer
+
+PlainMessage = tuple[int, bytes, int, int, int]
+"""Channel, data, log time [ns], publish time [ns], sequence."""
+
+
+@dataclass(frozen=True, slots=True)
+class Taken:
+    """Messages taken from a buffer.
+
+    `parts`, one behind the other, are the records of an uncompressed chunk; `indexes` gives for
+    each channel in it an array('Q') of log time [ns] and offset in the chunk, alternating; start
+    and end are the lowest and highest log time [ns].
+    """
+
+    parts: Sequence[Buffer]
+    indexes: dict[int, array[int]]
+    start_ns: int
+    end_ns: int
+
+
+class PackBuffer:
+    """Room for many messages; packed by `Recorder.write`, which knows these attributes.
+
+    `limit` is where packing must end: the packer moves on to another buffer when a message
+    would pass it. The taker sets it to 0 to ask for that. `unordered` are the channels whose log
+    times may step back in it: all others need not be searched for their lowest and highest.
+    """
+
+    __slots__ = ("_taken", "data", "end", "indexes", "limit", "unordered")
+
+    def __init__(self, capacity: int) -> None:
+        """Make room for `capacity` bytes of records."""
+        self.data = bytearray(capacity)
+        self.end = 0
+        self.limit = capacity
+        self.indexes: list[array[int]] = []
+        self.unordered: set[int] = set()
+        self._taken = 0
+
+    @property
+    def size(self) -> int:
+        """Bytes of memory it holds."""
+        return len(self.data)
+
+    def make_indexes(self, channels: int) -> None:
+        """See that there is an index for each of so many channels. For the packer."""
+        while len(self.indexes) < channels:
+            self.indexes.append(array("Q"))
+
+    def take(self) -> Taken | None:
+        """What was packed since the last take, or None. Valid until `recycle`. For the taker."""
+        base, end = self._taken, self.end
+        if base == end:
+            return None
+        self._taken = end
+        taken: dict[int, array[int]] = {}
+        starts, ends = [], []
+        for channel, index in enumerate(self.indexes):
+            count = len(index) & ~1
+            while count and index[count - 1] >= end:
+                count -= 2
+            if not count:
+                continue
+            entries = index[:count]
+            del index[:count]
+            if base:
+                for position in range(1, count, 2):
+                    entries[position] -= base
+            taken[channel] = entries
+            ordered = channel not in self.unordered
+            starts.append(entries[0] if ordered else min(entries[::2]))
+            ends.append(entries[-2] if ordered else max(entries[::2]))
+        return Taken([memoryview(self.data)[base:end]], taken, min(starts), max(ends))
+
+    def recycle(self) -> None:
+        """Make it empty again. Only after a take that nothing was packed behind."""
+        self._taken = 0
+        self.end = 0
+        self.limit = len(self.data)
+        self.unordered.clear()
+
+
+class LargeMessage:
+    """One message too large for a PackBuffer, kept by reference instead of copied."""
+
+    __slots__ = ("_message",)
+
+    def __init__(self, message: PlainMessage) -> None:
+        """Keep a message whose numbers are within the fields of the format."""
+        self._message = message
+
+    @property
+    def size(self) -> int:
+        """Bytes of memory it holds."""
+        return len(self._message[1])
+
+    def take(self) -> Taken:
+        """The message as a chunk of its own."""
+        return pack([self._message])
+
+
+def pack(messages: Iterable[PlainMessage]) -> Taken:
+    """These messages, at least one, as one chunk, without a buffer; their data is not copied."""
+    parts: list[Buffer] = []
+    indexes: dict[int, array[int]] = {}
+    times: list[int] = []
+    offset = 0
+    for channel, data, log_ns, publish_ns, sequence in messages:
+        length = MESSAGE_FIELDS_BYTES + len(data)
+        parts.append(
+            MESSAGE_HEAD.pack(Opcode.MESSAGE, length, channel, sequence, log_ns, publish_ns)
+        )
+        parts.append(data)
+        indexes.setdefault(channel, array("Q")).extend((log_ns, offset))
+        times.append(log_ns)
+        offset += MESSAGE_HEAD.size + len(data)
+    return Taken(parts, indexes, min(times), max(times))

@@ -1,0 +1,81 @@
+"""The recordings below a folder that are ours, so that nobody else's are touched."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from robotctl.recording.file_index import read_header
+from robotctl.recording.identity import OWN_LIBRARY
+from robotctl.recording.mcap_input import Damaged, InputFile
+from robotctl.recording.storage import is_being_written
+
+KEEP_FILE = "keep"
+"""A recording with a file of this name in its folder is never removed."""
+
+
+@dataclass(frozen=True, slots=True)
+class CatalogFile:
+    """A file of a recording; `modified_s` in seconds since the epoch."""
+
+    path: Path
+    size: int
+    modified_s: float
+    live: bool
+    """A living process is writing it."""
+
+
+@dataclass(frozen=True, slots=True)
+class CatalogFolder:
+    """A recording of ours: `files` in their order, at least one."""
+
+    path: Path
+    files: tuple[CatalogFile, ...]
+    kept: bool
+
+    @property
+    def live(self) -> bool:
+        """A living process is recording into it."""
+        return any(file.live for file in self.files)
+
+    @property
+    def size(self) -> int:
+        """Bytes of its files."""
+        return sum(file.size for file in self.files)
+
+
+def own_recordings(recordings: Path) -> Iterator[CatalogFolder]:
+    """The recordings directly below `recordings`, in the order of their names.
+
+    Symbolic links are not followed. What cannot be read is passed over. Raises OSError if
+    `recordings` itself cannot be listed.
+    """
+    for folder in sorted(recordings.iterdir()):
+        if folder.is_symlink() or not folder.is_dir():
+            continue
+        with suppress(OSError):
+            files = tuple(_files(folder))
+            if files:
+                yield CatalogFolder(folder, files, (folder / KEEP_FILE).exists())
+
+
+def _files(folder: Path) -> Iterator[CatalogFile]:
+    name = re.compile(re.escape(folder.name) + r"_(\d+)\.mcap")
+    numbered = [(name.fullmatch(path.name), path) for path in folder.iterdir()]
+    ours = sorted((int(match[1]), path) for match, path in numbered if match)
+    for _, path in ours:
+        if not path.is_symlink() and path.is_file() and _is_own(path):
+            stat = path.stat()
+            yield CatalogFile(path, stat.st_size, stat.st_mtime, is_being_written(path))
+
+
+def _is_own(path: Path) -> bool:
+    try:
+        with InputFile(path) as file:
+            header, _ = read_header(file)
+    except Damaged:
+        return False
+    return header.library.startswith(OWN_LIBRARY)

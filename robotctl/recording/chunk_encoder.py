@@ -1,0 +1,52 @@
+"""Turning packed messages into what a chunk record holds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from isal.isal_zlib import crc32
+from zstandard import ZstdCompressionParameters, ZstdCompressor
+
+from robotctl.recording.buffer import Taken
+from robotctl.recording.mcap_file import Chunk
+from robotctl.recording.options import Compression
+from robotctl.recording.storage import Buffer
+
+_CACHED = {"window_log": 18, "hash_log": 13}
+"""Tables that fit into the nearest caches: on odometry a third faster, and no larger."""
+
+
+class ChunkEncoder:
+    """Compresses and sums up. Not thread-safe; the work itself releases the interpreter lock."""
+
+    def __init__(self, compression: Compression, level: int) -> None:
+        """`level` is zstd's own; it means nothing without compression."""
+        self._compression = compression
+        parameters = ZstdCompressionParameters.from_level(level, **_CACHED if level == 1 else {})
+        self._compressor = ZstdCompressor(compression_params=parameters)
+
+    def encode(self, taken: Taken) -> Chunk:
+        """The chunk of these messages, of which there is at least one."""
+        crc = 0
+        for part in taken.parts:
+            crc = crc32(part, crc)
+        return Chunk(
+            parts=self._stored(taken.parts),
+            compression=self._compression.value,
+            uncompressed_size=sum(map(len, taken.parts)),
+            uncompressed_crc=crc,
+            start_ns=taken.start_ns,
+            end_ns=taken.end_ns,
+            indexes=taken.indexes,
+        )
+
+    def _stored(self, parts: Sequence[Buffer]) -> Sequence[Buffer]:
+        if self._compression is Compression.NONE:
+            return parts
+        if len(parts) > 2:
+            parts = [b"".join(parts)]
+        if len(parts) == 1:
+            return [self._compressor.compress(parts[0])]
+        # The head and the data of one large message: not copied into one piece.
+        stream = self._compressor.compressobj(size=sum(map(len, parts)))
+        return [*(stream.compress(part) for part in parts), stream.flush()]

@@ -1,0 +1,158 @@
+"""The writer thread: takes packed messages from the queue and has them written."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from enum import Enum
+from queue import Empty, SimpleQueue
+
+from robotctl.recording.account import TopicAccount
+from robotctl.recording.bag_writer import BagWriter
+from robotctl.recording.buffer import LargeMessage, PackBuffer, Taken
+from robotctl.recording.options import RecorderOptions
+
+SPARE_BUFFERS = 2
+"""Empty buffers kept for the loop: one to change to, one for a burst; the rest is given back."""
+
+_SETTLE_S = 1.0
+"""How long `stop` waits for a message that is being packed; packing takes a microsecond."""
+
+
+class Request(Enum):
+    """What the loop may ask for through the queue, besides writing."""
+
+    SPLIT = "go on in a new file"
+    STOP = "finish"
+
+
+class Drain:
+    """Owns the thread and, through it, the files.
+
+    The loop puts full buffers into `queue`; after `flush_s` the thread takes what lies in the
+    active one by itself. The first error ends the file and is kept; from then on what is queued
+    is counted as discarded.
+    """
+
+    def __init__(
+        self,
+        writer: BagWriter,
+        options: RecorderOptions,
+        accounts: Sequence[TopicAccount],
+        active: Callable[[], PackBuffer],
+        on_failure: Callable[[str], None],
+    ) -> None:
+        """Start the thread; `active` gives the buffer that the loop is packing."""
+        self.queue: SimpleQueue[PackBuffer | LargeMessage | Request] = SimpleQueue()
+        self.spare: deque[PackBuffer] = deque()
+        self.released = 0
+        """Bytes of buffers and messages that were queued and are free again."""
+
+        self.failure = ""
+        self._writer = writer
+        self._options = options
+        self._accounts = accounts
+        self._active = active
+        self._on_failure = on_failure
+        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Write everything queued, finish the file, end the thread."""
+        self.queue.put(Request.STOP)
+        self._thread.join()
+
+    def _run(self) -> None:
+        options = self._options
+        next_flush = time.monotonic() + options.flush_s
+        next_sync = time.monotonic() + options.sync_s
+        while True:
+            wait = max(min(next_flush, next_sync) - time.monotonic(), 0.0)
+            try:
+                item = self.queue.get(timeout=wait)
+            except Empty:
+                pass
+            else:
+                if item is Request.STOP:
+                    break
+                self._handle(item)
+            now = time.monotonic()
+            if now >= next_flush:
+                self._flush_active()
+                next_flush = now + options.flush_s
+            if now >= next_sync:
+                self._attempt(self._writer.sync)
+                self._attempt(self._writer.check_space)
+                next_sync = time.monotonic() + options.sync_s
+        self._finish()
+
+    def _finish(self) -> None:
+        deadline = time.monotonic() + _SETTLE_S
+        while True:
+            while not self.queue.empty():
+                self._handle(self.queue.get())
+            self._flush_active()
+            if all(account.settled for account in self._accounts) or time.monotonic() > deadline:
+                break
+            time.sleep(0.001)
+        self._attempt(self._writer.close)
+
+    def _flush_active(self) -> None:
+        buffer = self._active()
+        if not self.queue.empty():
+            return  # what was packed before goes first
+        buffer.limit = 0
+        taken = buffer.take()
+        if taken is None:
+            self._attempt(self._writer.write_topics)
+        else:
+            self._write(taken)
+
+    def _handle(self, item: PackBuffer | LargeMessage | Request) -> None:
+        if isinstance(item, Request):
+            if item is Request.SPLIT:
+                self._flush_active()
+                self._attempt(self._writer.split)
+            return
+        taken = item.take()
+        if taken is not None:
+            self._write(taken)
+            del taken
+        self.released += item.size
+        if isinstance(item, PackBuffer) and len(self.spare) < SPARE_BUFFERS:
+            item.recycle()
+            self.spare.append(item)
+
+    def _write(self, taken: Taken) -> None:
+        if not self._attempt(lambda: self._writer.write(taken)):
+            for channel, index in taken.indexes.items():
+                self._accounts[channel].discarded += len(index) // 2
+
+    def _attempt(self, work: Callable[[], None]) -> bool:
+        """Do `work` unless the file has failed; the first error is latched and told."""
+        if self.failure:
+            return False
+        try:
+            work()
+        except Exception as error:  # noqa: BLE001  # the robot must learn of it, whatever it is
+            self._fail(error)
+            return False
+        return True
+
+    def _fail(self, error: Exception) -> None:
+        text = f"recording stopped: {_reason(error)} ({self._writer.path})"
+        try:
+            self._writer.abandon()
+        except Exception as second:  # noqa: BLE001  # the disk may be gone altogether
+            text += f"; the end of the file could not be repaired: {_reason(second)}"
+        self.failure = text
+        self._active().limit = 0
+        with suppress(Exception):  # a listener that is gone must not stop the counting
+            self._on_failure(text)
+
+
+def _reason(error: Exception) -> str:
+    return (error.strerror if isinstance(error, OSError) else None) or repr(error)

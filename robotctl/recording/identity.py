@@ -1,0 +1,19 @@
+"""What marks a file as ours, and the names of the metadata records in it."""
+
+from __future__ import annotations
+
+import robotctl
+
+PROFILE = "ros2"
+OWN_LIBRARY = "robotctl "
+"""What the library in the header of a file of ours begins with."""
+
+LIBRARY = OWN_LIBRARY + robotctl.__version__
+INFO_RECORD = "robotctl"
+"""What the daemon says about the recording."""
+
+LEDGER_RECORD = "robotctl.ledger"
+"""The loss ledger, one JSON object per topic; the last thing written: then the file is finished."""
+
+RECOVERY_RECORD = "robotctl.recovery"
+"""In a file made by `recover`: from which file, and what is lost."""

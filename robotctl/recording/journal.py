@@ -1,0 +1,65 @@
+"""The journal: every event, effect and snapshot of the kernel, as robot_controller/JournalEntry."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from enum import IntEnum
+
+from robotctl.errors import UnreadableFile
+
+TOPIC = "robotctl/journal"
+TYPE_NAME = "robot_controller/msg/JournalEntry"
+
+
+class Kind(IntEnum):
+    """What an entry holds; the numbers are those of JournalEntry.msg."""
+
+    EVENT = 0
+    EFFECT = 1
+    SNAPSHOT = 2
+
+
+@dataclass(frozen=True, slots=True)
+class JournalEntry:
+    """One entry: `seq` counts from 0 without a gap, `t_ns` is steady, `data` is JSON."""
+
+    seq: int
+    t_ns: int
+    kind: Kind
+    name: str
+    data: str
+
+
+_HEAD = struct.Struct("<4sQqBxxxI")
+"""Encapsulation (CDR, little endian), then seq, t_ns, kind, padding, length of name."""
+
+_ENCAPSULATION = b"\x00\x01\x00\x00"
+_LENGTH = struct.Struct("<I")
+
+
+def encode(entry: JournalEntry) -> bytes:
+    """Return the entry as ROS serializes it (CDR, OMG DDSI-RTPS 10.2)."""
+    name, data = entry.name.encode() + b"\0", entry.data.encode() + b"\0"
+    padding = b"\0" * (-len(name) % 4)
+    head = _HEAD.pack(_ENCAPSULATION, entry.seq, entry.t_ns, entry.kind, len(name))
+    return b"".join((head, name, padding, _LENGTH.pack(len(data)), data))
+
+
+def decode(serialized: bytes) -> JournalEntry:
+    """Return the entry that `encode` wrote; raises UnreadableFile where it is not one."""
+    try:
+        encapsulation, seq, t_ns, kind, name_size = _HEAD.unpack_from(serialized)
+        if encapsulation[:2] != _ENCAPSULATION[:2]:
+            raise ValueError("not little-endian CDR")
+        start = _HEAD.size
+        name = serialized[start : start + name_size - 1].decode()
+        start += name_size + -name_size % 4
+        (data_size,) = _LENGTH.unpack_from(serialized, start)
+        start += _LENGTH.size
+        if len(serialized) < start + data_size:
+            raise ValueError("cut short")
+        data = serialized[start : start + data_size - 1].decode()
+        return JournalEntry(seq, t_ns, Kind(kind), name, data)
+    except (struct.error, ValueError) as error:
+        raise UnreadableFile(f"a journal entry is damaged: {error}") from None

@@ -1,0 +1,293 @@
+"""The flight recorder: messages in from the event loop, an always-valid MCAP file out.
+
+`Recorder.write` packs into memory and never waits; one thread compresses and writes. What does
+not fit into the bounded queue is dropped and counted: for each topic
+received = written + queued + dropped, always, and queued is 0 after `close`.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from shutil import rmtree
+from types import MappingProxyType
+from typing import Final
+
+from mcap.opcode import Opcode
+
+from robotctl.errors import Refused
+from robotctl.recording.account import (
+    MAX_PACKERS,
+    MAX_SEQUENCE,
+    MAX_TIME_NS,
+    Packer,
+    Topic,
+    TopicAccount,
+    TopicStats,
+)
+from robotctl.recording.bag_writer import BagWriter
+from robotctl.recording.buffer import LargeMessage, PackBuffer
+from robotctl.recording.drain import Drain, Request
+from robotctl.recording.mcap_file import MESSAGE_FIELDS_BYTES, MESSAGE_HEAD
+from robotctl.recording.options import Compression, RecorderOptions
+
+__all__ = [
+    "Compression",
+    "Recorder",
+    "RecorderOptions",
+    "RecorderState",
+    "RecorderStats",
+    "Topic",
+    "TopicStats",
+]
+
+MAX_TOPICS: Final = 1 << 16
+"""A channel id of MCAP has 16 bits."""
+
+_PREFIX = struct.Struct("<BQH")
+"""What is the same in all messages of a channel and a size: opcode, record length, channel id."""
+
+_NO_METADATA: Final[Mapping[str, str]] = MappingProxyType({})
+
+
+class RecorderState(StrEnum):
+    """What the recorder does with a message: keeps it, or counts it as dropped."""
+
+    RECORDING = "recording"
+    FAILED = "failed"
+    CLOSED = "closed"
+
+
+@dataclass(frozen=True, slots=True)
+class RecorderStats:
+    """The recorder at one instant.
+
+    `file` is the current file, `bytes` what all files have on disk; the counts are the sums over
+    `topics`. `failure` and `warning` are sentences, empty where all is well.
+    """
+
+    state: RecorderState
+    file: Path
+    bytes: int
+    received: int
+    written: int
+    queued: int
+    dropped: int
+    lost: int
+    unseen: int
+    failure: str
+    warning: str
+    topics: tuple[TopicStats, ...]
+
+
+class Recorder:
+    """Records into one folder, in rosbag2's layout.
+
+    `add_topic` and `write` belong to one thread, the event loop's; `stats` and `close` may be
+    called from any.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        options: RecorderOptions | None = None,
+        *,
+        metadata: Mapping[str, str] = _NO_METADATA,
+        on_failure: Callable[[str], None],
+        on_split: Callable[[Path], None] = lambda path: None,
+    ) -> None:
+        """Create `folder` with its first file in it, and start the writer thread.
+
+        `metadata` is kept in each file; `on_failure` is called at most once, from the writer
+        thread, with a sentence for the operator; `on_split`, from the same thread, with each
+        later file once it is begun. Raises Refused where nothing can be written.
+        """
+        options = options or RecorderOptions()
+        self._accounts: list[TopicAccount] = []
+        self._channels: dict[Topic, int] = {}
+        self._closed = False
+        self._chunk_bytes = options.chunk_bytes
+        self._queue_bytes = options.queue_bytes
+        self._buffer = PackBuffer(options.chunk_bytes)
+        self._acquired = self._buffer.size
+        self._writer = _open_folder(folder, options, metadata, self._accounts, on_split)
+        self._drain = Drain(self._writer, options, self._accounts, lambda: self._buffer, on_failure)
+
+    def add_topic(self, topic: Topic) -> int:
+        """Return the topic's channel, a new one if it is new. Raises Refused at MAX_TOPICS."""
+        known = self._channels.get(topic)
+        if known is not None:
+            return known
+        channel = len(self._accounts)
+        if channel >= MAX_TOPICS:
+            raise Refused(f"a recording holds at most {MAX_TOPICS} topics: exclude some")
+        self._buffer.make_indexes(channel + 1)
+        self._accounts.append(TopicAccount(topic))
+        self._channels[topic] = channel
+        return channel
+
+    def write(
+        self, channel: int, data: bytes, log_ns: int, publish_ns: int, sequence: int, gid: bytes
+    ) -> None:
+        """Keep a message, or count it as dropped. Never waits.
+
+        Times in nanoseconds since the epoch; `sequence` counts the messages of the publisher
+        `gid`, 0 where it does not count.
+        """
+        account = self._accounts[channel]
+        account.received += 1
+        size = len(data)
+        account.size += size
+        expected = account.expected
+        if expected.get(gid) == sequence:
+            expected[gid] = sequence + 1
+        else:
+            account.ledger.note(gid, sequence)
+        if account.latched is not None:
+            account.keep_latched(gid, data, publish_ns, sequence)
+        buffer = self._buffer
+        if log_ns < account.newest_ns:
+            buffer.unordered.add(channel)
+        account.newest_ns = log_ns
+        start = buffer.end
+        try:
+            pack, prefix, length = account.packers[size]
+            end = start + length
+            if end <= buffer.limit:
+                pack(buffer.data, start, prefix, sequence, log_ns, publish_ns, data)
+                index = buffer.indexes[channel]
+                index.append(log_ns)
+                index.append(start)
+                buffer.end = end
+                return
+        except (KeyError, struct.error):
+            pass  # a size met for the first time, or a number outside its field
+        self._write_carefully(channel, data, log_ns, publish_ns, sequence)
+
+    def split(self) -> None:
+        """Go on in a new file, without a gap. Returns at once; `on_split` is told."""
+        self._drain.queue.put(Request.SPLIT)
+
+    def stats(self) -> RecorderStats:
+        """The counts at this instant."""
+        topics = tuple(account.stats() for account in list(self._accounts))
+        return RecorderStats(
+            state=self._state(),
+            file=self._writer.path,
+            bytes=self._writer.size,
+            received=sum(topic.received for topic in topics),
+            written=sum(topic.written for topic in topics),
+            queued=sum(topic.queued for topic in topics),
+            dropped=sum(topic.dropped for topic in topics),
+            lost=sum(topic.lost for topic in topics),
+            unseen=sum(topic.unseen for topic in topics),
+            failure=self._drain.failure,
+            warning=self._writer.warning,
+            topics=topics,
+        )
+
+    def close(self) -> RecorderStats:
+        """Write what is queued, finish file and folder. Blocks; a second call changes nothing.
+
+        What `write` is given from now on counts as dropped.
+        """
+        self._closed = True
+        self._drain.stop()
+        return self.stats()
+
+    def _state(self) -> RecorderState:
+        if self._drain.failure:
+            return RecorderState.FAILED
+        return RecorderState.CLOSED if self._closed else RecorderState.RECORDING
+
+    def _write_carefully(
+        self, channel: int, data: bytes, log_ns: int, publish_ns: int, sequence: int
+    ) -> None:
+        """Pack what `write` could not: change buffers, clamp numbers, or count a drop."""
+        account = self._accounts[channel]
+        if self._closed or self._drain.failure:
+            account.refused += 1
+            return
+        sequence &= MAX_SEQUENCE
+        log_ns = min(max(log_ns, 0), MAX_TIME_NS)
+        publish_ns = min(max(publish_ns, 0), MAX_TIME_NS)
+        length = MESSAGE_HEAD.size + len(data)
+        if length > self._chunk_bytes // 2:
+            self._queue_large(account, LargeMessage((channel, data, log_ns, publish_ns, sequence)))
+            return
+        buffer = self._buffer_with_room(length)
+        if buffer is None:
+            account.refused += 1
+            return
+        start = buffer.end
+        pack, prefix, _ = account.packers.get(len(data)) or _new_packer(account, channel, len(data))
+        pack(buffer.data, start, prefix, sequence, log_ns, publish_ns, data)
+        index = buffer.indexes[channel]
+        index.append(log_ns)
+        index.append(start)
+        buffer.end = start + length
+
+    def _buffer_with_room(self, length: int) -> PackBuffer | None:
+        """The active buffer, or a new active one, with room for `length` bytes."""
+        buffer = self._buffer
+        if buffer.end + length <= buffer.limit:
+            return buffer
+        if self._has_memory(self._chunk_bytes):
+            self._change_buffer()
+            return self._buffer
+        return buffer if buffer.end + length <= buffer.size else None
+
+    def _queue_large(self, account: TopicAccount, message: LargeMessage) -> None:
+        if not self._has_memory(message.size + self._chunk_bytes):
+            account.refused += 1
+            return
+        if self._buffer.end:
+            self._change_buffer()  # what came before it stays before it
+        self._acquired += message.size
+        self._drain.queue.put(message)
+
+    def _has_memory(self, size: int) -> bool:
+        return self._acquired - self._drain.released + size <= self._queue_bytes
+
+    def _change_buffer(self) -> None:
+        """Hand the active buffer to the writer thread and go on in an empty one."""
+        spare = self._drain.spare
+        buffer = spare.popleft() if spare else PackBuffer(self._chunk_bytes)
+        buffer.make_indexes(len(self._accounts))
+        self._acquired += buffer.size
+        self._drain.queue.put(self._buffer)
+        self._buffer = buffer
+
+
+def _new_packer(account: TopicAccount, channel: int, size: int) -> Packer:
+    """What packs messages of `size` bytes of this channel: record head and data in one call."""
+    prefix = _PREFIX.pack(Opcode.MESSAGE, MESSAGE_FIELDS_BYTES + size, channel)
+    layout = struct.Struct(f"<{_PREFIX.size}sIQQ{size}s")
+    packer = layout.pack_into, prefix, layout.size
+    if len(account.packers) < MAX_PACKERS:
+        account.packers[size] = packer
+    return packer
+
+
+def _open_folder(
+    folder: Path,
+    options: RecorderOptions,
+    metadata: Mapping[str, str],
+    accounts: list[TopicAccount],
+    on_split: Callable[[Path], None],
+) -> BagWriter:
+    created = False
+    try:
+        folder.mkdir(parents=True)
+        created = True
+        return BagWriter(folder, options, metadata, accounts, on_split)
+    except OSError as error:
+        if created:
+            rmtree(folder, ignore_errors=True)
+        raise Refused(
+            f"cannot record into {folder}: {error.strerror or error}; "
+            "make room there or choose another folder (--recordings)"
+        ) from error

@@ -1,0 +1,156 @@
+"""One file of a recording: messages, their topics, and what explains them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from mcap.records import Channel, Schema
+
+from robotctl.recording.account import TopicAccount
+from robotctl.recording.buffer import Taken
+from robotctl.recording.chunk_encoder import ChunkEncoder
+from robotctl.recording.identity import INFO_RECORD, LEDGER_RECORD, LIBRARY, PROFILE
+from robotctl.recording.mcap_file import McapFile
+from robotctl.recording.options import RecorderOptions
+from robotctl.recording.rosbag2 import METADATA_RECORD, BagFile, serialized_metadata
+
+
+class RecordingFile:
+    """Not thread-safe. `accounts` may grow; a topic's position in it is its channel id.
+
+    Every method may raise OSError; after that only `abandon` may be called.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        options: RecorderOptions,
+        metadata: Mapping[str, str],
+        accounts: Sequence[TopicAccount],
+    ) -> None:
+        """Create the file; it is valid and on the disk when this returns."""
+        self.path = path
+        self._accounts = accounts
+        self._encoder = ChunkEncoder(options.compression, options.compression_level)
+        self._announced = 0
+        self._schemas: dict[tuple[str, str], int] = {}
+        self._synced = False
+        self._mcap = McapFile(options.open_file(path), profile=PROFILE, library=LIBRARY)
+        try:
+            self._mcap.add_metadata(INFO_RECORD, metadata)
+            self._add_bag_metadata()
+            self._mcap.commit()
+            self._mcap.sync()
+        except OSError:
+            self._mcap.close()
+            raise
+
+    @property
+    def size(self) -> int:
+        """Bytes on disk."""
+        return self._mcap.size
+
+    @property
+    def holds_messages(self) -> bool:
+        """Whether there is any message in it."""
+        return bool(self._mcap.counts)
+
+    @property
+    def trailer_bytes(self) -> int:
+        """Bytes of summaries and footers written so far."""
+        return self._mcap.trailer_bytes
+
+    def write(self, taken: Taken) -> None:
+        """Write `taken` as a chunk."""
+        self._announce_topics()
+        self._mcap.commit(self._encoder.encode(taken))
+        self._synced = False
+
+    def write_topics(self) -> None:
+        """Write the topics that were added, also if they have no message yet."""
+        if self._announce_topics():
+            self._mcap.commit()
+            self._synced = False
+
+    def sync(self) -> None:
+        """Force what was written to the disk."""
+        if not self._synced:
+            self._mcap.sync()
+            self._synced = True
+
+    def finish(self) -> None:
+        """Write the final metadata, and close the file."""
+        self._announce_topics()
+        self._add_bag_metadata()
+        self._mcap.add_metadata(LEDGER_RECORD, self._ledger())
+        self._mcap.commit()
+        self._mcap.sync()
+        self._mcap.close()
+
+    def abandon(self) -> None:
+        """After an OSError: leave the file as the last good write had left it."""
+        try:
+            self._mcap.cut_back()
+        finally:
+            self._mcap.close()
+
+    def describe(self) -> BagFile:
+        """What `metadata.yaml` says about the file."""
+        mcap = self._mcap
+        return BagFile(self.path.name, mcap.start_ns, mcap.end_ns, dict(mcap.counts))
+
+    def _announce_topics(self) -> bool:
+        """Add schema and channel of each topic that is new to the file; False if none is."""
+        known = len(self._accounts)
+        if self._announced == known:
+            return False
+        for channel in range(self._announced, known):
+            topic = self._accounts[channel].topic
+            key = topic.type_name, topic.definition
+            if key not in self._schemas:
+                self._schemas[key] = len(self._schemas) + 1
+                self._mcap.add_schema(
+                    Schema(
+                        id=self._schemas[key],
+                        name=topic.type_name,
+                        encoding="ros2msg" if topic.definition else "",
+                        data=topic.definition.encode(),
+                    )
+                )
+            self._mcap.add_channel(
+                Channel(
+                    id=channel,
+                    topic=topic.name,
+                    message_encoding=topic.encoding,
+                    schema_id=self._schemas[key],
+                    metadata={
+                        "topic_type_hash": topic.type_hash,
+                        "offered_qos_profiles": topic.offered_qos,
+                    },
+                )
+            )
+        self._announced = known
+        return True
+
+    def _add_bag_metadata(self) -> None:
+        topics = [account.topic for account in self._accounts[: self._announced]]
+        text = serialized_metadata(topics, [self.describe()])
+        self._mcap.add_metadata(METADATA_RECORD, {"serialized_metadata": text})
+
+    def _ledger(self) -> dict[str, str]:
+        ledger = {}
+        for account in self._accounts[: self._announced]:
+            stats = account.stats()
+            ledger[stats.name] = json.dumps(
+                {
+                    "received": stats.received,
+                    "written": stats.written,
+                    "dropped": stats.dropped,
+                    "lost": stats.lost,
+                    "unseen": stats.unseen,
+                    "bytes": stats.bytes,
+                }
+            )
+        return ledger

@@ -1,0 +1,57 @@
+"""Finding the next whole chunk in a file whose chain of records is broken."""
+
+from __future__ import annotations
+
+import re
+import struct
+
+from robotctl.recording.mcap_input import (
+    RECORD_HEAD,
+    Damaged,
+    InputFile,
+    read_chunk,
+    read_chunk_ref,
+    walk_records,
+)
+
+_WINDOW_BYTES = 4 << 20
+_HEAD = re.compile(
+    rb"\x06(?=.{8}.{28}(?:\x00{4}|\x03\x00{3}lz4|\x04\x00{3}zstd))",
+    re.DOTALL,
+)
+"""The opcode of a chunk, before lengths, times, sizes and a known compression."""
+
+_NAME_OFFSET = RECORD_HEAD.size + 28
+_HEAD_BYTES = _NAME_OFFSET + 4 + 4 + 8
+"""At most, from the opcode to the data."""
+
+
+def find_chunk(file: InputFile, offset: int) -> int | None:
+    """The offset of the first chunk at or behind `offset` that is whole; None if there is none."""
+    while offset < file.size:
+        window = file.read(offset, min(_WINDOW_BYTES + _HEAD_BYTES, file.size - offset))
+        for match in _HEAD.finditer(window):
+            if _lengths_agree(window, match.start()) and _is_whole(file, offset + match.start()):
+                return offset + match.start()
+        offset += _WINDOW_BYTES
+    return None
+
+
+def _lengths_agree(window: bytes, start: int) -> bool:
+    """Whether the record is exactly as long as the data in it says."""
+    try:
+        _, length = RECORD_HEAD.unpack_from(window, start)
+        (name,) = struct.unpack_from("<I", window, start + _NAME_OFFSET)
+        (data,) = struct.unpack_from("<Q", window, start + _NAME_OFFSET + 4 + name)
+    except struct.error:
+        return False
+    return bool(length == _NAME_OFFSET - RECORD_HEAD.size + 4 + name + 8 + data)
+
+
+def _is_whole(file: InputFile, offset: int) -> bool:
+    try:
+        _, length = RECORD_HEAD.unpack(file.read(offset, RECORD_HEAD.size))
+        ref = read_chunk_ref(file, offset, RECORD_HEAD.size + length)
+        return any(True for _ in walk_records(read_chunk(file, ref)))
+    except Damaged:
+        return False

@@ -1,0 +1,190 @@
+"""The index of a file without a valid summary: read from the start as far as it makes sense."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from mcap.opcode import Opcode
+from mcap.records import Channel, Metadata, Schema, Statistics
+
+from robotctl.recording.file_index import (
+    FileIndex,
+    Place,
+    PlaceKind,
+    read_content,
+    read_header,
+    read_record_head,
+)
+from robotctl.recording.identity import OWN_LIBRARY
+from robotctl.recording.mcap_file import MAGIC
+from robotctl.recording.mcap_input import (
+    MESSAGE_FIELDS,
+    RECORD_HEAD,
+    Damaged,
+    InputFile,
+    parse,
+    walk_records,
+)
+from robotctl.recording.resync import find_chunk
+
+_LOOSE_RUN_BYTES = 1 << 20
+"""Messages outside chunks are gathered into places of about this size."""
+
+_FIRST_PRIVATE_OPCODE = 0x80
+_OPCODES = frozenset(Opcode) | frozenset(range(_FIRST_PRIVATE_OPCODE, 256))
+
+
+def index_by_scanning(
+    file: InputFile, on_progress: Callable[[int], None] = lambda offset: None
+) -> FileIndex:
+    """Index what can be read. `on_progress` is told the offset [bytes] that was reached.
+
+    Raises Damaged if not even the header can be read.
+    """
+    header, offset = read_header(file)
+    index = FileIndex(profile=header.profile, library=header.library, scanned=True)
+    scan = _Scan(file, index)
+    while True:
+        try:
+            while scan.step(offset):
+                offset = scan.next_offset
+                on_progress(offset)
+            break
+        except Damaged as damage:
+            if scan.data_ended:
+                index.miss("its end is damaged: what was written last may be lost")
+                break
+            found = find_chunk(file, offset + 1)
+            end = file.size if found is None else found
+            index.miss(f"bytes {offset} to {end} are lost: {damage}")
+            if found is None:
+                break
+            offset = found
+    scan.finish()
+    return index
+
+
+class _Scan:
+    def __init__(self, file: InputFile, index: FileIndex) -> None:
+        self._file = file
+        self._index = index
+        self._loose_start = 0
+        self._loose_end = 0
+        self._empty = True
+        self._counted = 0
+        self.next_offset = 0
+        self.data_ended = False
+        self.own = index.library.startswith(OWN_LIBRARY)
+
+    def step(self, offset: int) -> bool:
+        """Take in the record at `offset`; False at the end. Raises Damaged."""
+        file, index = self._file, self._index
+        if offset == file.size and not self.data_ended:
+            index.miss("it was never finished: what its writer still held is lost")
+            return False
+        opcode, length = read_record_head(file, offset)
+        if opcode not in _OPCODES:
+            raise Damaged("they make no sense")
+        self.next_offset = end = offset + RECORD_HEAD.size + length
+        if opcode == Opcode.CHUNK:
+            self.data_ended = False
+            self._chunk(offset, end)
+        elif end > file.size:
+            raise Damaged("the file ends in the middle of a record")
+        elif opcode == Opcode.FOOTER:
+            if not self.data_ended or end + len(MAGIC) < file.size:
+                raise Damaged("they make no sense")
+            return False
+        elif opcode == Opcode.MESSAGE:
+            if self.own:  # we write chunks only
+                raise Damaged("they make no sense")
+            self._loose(offset, end)
+        elif opcode == Opcode.METADATA:
+            record = parse(Metadata, read_content(file, offset, length))
+            index.metadata[record.name] = record.metadata
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            self._define(opcode, read_content(file, offset, length))
+        elif opcode == Opcode.ATTACHMENT:
+            index.attachments += 1
+        elif opcode == Opcode.DATA_END:
+            self.data_ended = True
+        elif opcode == Opcode.STATISTICS:
+            statistics = parse(Statistics, read_content(file, offset, length))
+            self._counted = statistics.message_count
+        return True
+
+    def finish(self) -> None:
+        """Take in what is left; see that every message has a channel, and that all are there."""
+        self._end_loose_run()
+        for channel in self._index.counts.keys() - self._index.channels.keys():
+            count = self._index.counts.pop(channel)
+            self._index.miss(f"{count} messages are lost: their channel is described nowhere")
+        if not self._index.missing and self._counted > self._index.message_count:
+            self._index.miss(f"its summary counts {self._counted} messages")
+
+    def _chunk(self, offset: int, end: int) -> None:
+        if end <= self._file.size:
+            try:
+                self._add(PlaceKind.CHUNK, offset, end)
+            except Damaged as damage:
+                self._index.miss(f"bytes {offset} to {end} are lost: {damage}")
+            return
+        # A writer that only appends leaves the beginning of its chunk. Ours overwrites its own
+        # trailer: what follows the tear may be a piece of that.
+        if not self.own:
+            self._add(PlaceKind.TORN_CHUNK, offset, end)
+        raise Damaged("the file ends in the middle of a chunk")
+
+    def _loose(self, offset: int, end: int) -> None:
+        if offset != self._loose_end or end - self._loose_start > _LOOSE_RUN_BYTES:
+            self._end_loose_run()
+            self._loose_start = offset
+        self._loose_end = end
+
+    def _end_loose_run(self) -> None:
+        if self._loose_end > self._loose_start:
+            self._add(PlaceKind.LOOSE, self._loose_start, self._loose_end)
+        self._loose_start = self._loose_end = 0
+
+    def _add(self, kind: PlaceKind, offset: int, end: int) -> None:
+        """Count the messages at a place. Raises Damaged if it cannot be read."""
+        place = Place(kind, offset, end - offset, 0, 0, None)
+        data = place.read(self._file)
+        counts: dict[int, int] = {}
+        times: list[int] = []
+        definitions: list[tuple[int, bytes]] = []
+        try:
+            for opcode, start, stop in walk_records(data):
+                if opcode == Opcode.MESSAGE:
+                    channel, _, log_ns, _ = MESSAGE_FIELDS.unpack_from(data, start)
+                    counts[channel] = counts.get(channel, 0) + 1
+                    times.append(log_ns)
+                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                    definitions.append((opcode, data[start:stop]))
+        except Damaged:
+            if kind is not PlaceKind.TORN_CHUNK:
+                raise
+        for opcode, content in definitions:
+            self._define(opcode, content)
+        if times:
+            self._take_in(place, counts, min(times), max(times))
+
+    def _take_in(self, place: Place, counts: dict[int, int], start_ns: int, end_ns: int) -> None:
+        index = self._index
+        index.start_ns = start_ns if self._empty else min(index.start_ns, start_ns)
+        index.end_ns = max(index.end_ns, end_ns)
+        self._empty = False
+        for channel, count in counts.items():
+            index.counts[channel] = index.counts.get(channel, 0) + count
+        index.places.append(
+            replace(place, start_ns=start_ns, end_ns=end_ns, channels=frozenset(counts))
+        )
+
+    def _define(self, opcode: int, content: bytes) -> None:
+        if opcode == Opcode.SCHEMA:
+            schema = parse(Schema, content)
+            self._index.schemas[schema.id] = schema
+        else:
+            channel = parse(Channel, content)
+            self._index.channels[channel.id] = channel

@@ -1,0 +1,139 @@
+"""The index of a file from its own summary: milliseconds, whatever its size."""
+
+from __future__ import annotations
+
+from isal.isal_zlib import crc32
+from mcap.opcode import Opcode
+from mcap.records import (
+    Channel,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+)
+
+from robotctl.recording.file_index import (
+    FileIndex,
+    Place,
+    PlaceKind,
+    read_content,
+    read_header,
+    read_record_head,
+)
+from robotctl.recording.mcap_file import MAGIC, WrittenFile
+from robotctl.recording.mcap_input import RECORD_HEAD, Damaged, InputFile, parse, walk_records
+
+MAX_SUMMARY_BYTES = 256 << 20
+"""Some 600,000 chunks; what claims more is taken for damage, and scanned."""
+
+_FOOTER_BYTES = RECORD_HEAD.size + 20
+_CRC_BYTES = 4
+_DATA_END_BYTES = RECORD_HEAD.size + 4
+
+
+def index_from_summary(file: InputFile) -> FileIndex:
+    """The index that the file's summary gives. Raises Damaged if it is missing or not valid."""
+    header, _ = read_header(file)
+    data, data_end = _read_summary(file)
+    index = FileIndex(profile=header.profile, library=header.library)
+    statistics: Statistics | None = None
+    metadata: list[MetadataIndex] = []
+    for opcode, start, end in walk_records(data):
+        content = data[start:end]
+        if opcode == Opcode.SCHEMA:
+            schema = parse(Schema, content)
+            index.schemas[schema.id] = schema
+        elif opcode == Opcode.CHANNEL:
+            channel = parse(Channel, content)
+            index.channels[channel.id] = channel
+        elif opcode == Opcode.CHUNK_INDEX:
+            index.places.append(_place(parse(ChunkIndex, content), data_end))
+        elif opcode == Opcode.METADATA_INDEX:
+            metadata.append(parse(MetadataIndex, content))
+        elif opcode == Opcode.STATISTICS:
+            statistics = parse(Statistics, content)
+    if statistics is None or statistics.chunk_count != len(index.places):
+        raise Damaged("its summary is incomplete")
+    if statistics.message_count != sum(statistics.channel_message_counts.values()):
+        raise Damaged("its summary does not count its messages")
+    if statistics.message_count and not index.places:
+        raise Damaged("its summary does not say where its messages are")
+    if not index.channels.keys() >= statistics.channel_message_counts.keys():
+        raise Damaged("its summary does not name all its channels")
+    index.counts = dict(statistics.channel_message_counts)
+    index.attachments = statistics.attachment_count
+    index.start_ns = statistics.message_start_time
+    index.end_ns = statistics.message_end_time
+    for entry in metadata:
+        _read_metadata(file, index, entry)
+    return index
+
+
+def read_written_file(file: InputFile) -> WrittenFile:
+    """What it takes to go on writing the file. Raises Damaged if its summary is not valid."""
+    data, start = _read_summary(file)
+    groups: dict[Opcode, bytes] = {}
+    statistics = None
+    for code, begin, end in walk_records(data):
+        opcode = Opcode(code)
+        record = data[begin - RECORD_HEAD.size : end]
+        groups[opcode] = groups.get(opcode, b"") + record
+        if opcode is Opcode.STATISTICS:
+            statistics = parse(Statistics, data[begin:end])
+    data_end = start - _DATA_END_BYTES
+    opcode_before, _ = read_record_head(file, data_end)
+    if statistics is None or statistics.attachment_count or opcode_before != Opcode.DATA_END:
+        raise Damaged("its end is not as ours are")
+    crc = parse(DataEnd, read_content(file, data_end, _DATA_END_BYTES - RECORD_HEAD.size))
+    return WrittenFile(data_end, crc.data_section_crc, groups, statistics)
+
+
+def _read_summary(file: InputFile) -> tuple[bytes, int]:
+    """The checked summary records, and the offset where they begin."""
+    file.refresh()  # at the last moment: the file may be growing
+    tail = _FOOTER_BYTES + len(MAGIC)
+    footer_offset = file.size - tail
+    data = file.read(footer_offset, tail)
+    opcode, _ = RECORD_HEAD.unpack_from(data)
+    if opcode != Opcode.FOOTER or not data.endswith(MAGIC):
+        raise Damaged("it has no footer")
+    footer = parse(Footer, data[RECORD_HEAD.size : _FOOTER_BYTES])
+    start = footer.summary_start
+    if start == 0:
+        raise Damaged("it has no summary")
+    if start > footer_offset or footer_offset - start > MAX_SUMMARY_BYTES:
+        raise Damaged("its footer is corrupt")
+    summary = file.read(start, footer_offset - start)
+    covered = data[: _FOOTER_BYTES - _CRC_BYTES]
+    if footer.summary_crc and footer.summary_crc != crc32(covered, crc32(summary)):
+        raise Damaged("its summary is corrupt")
+    return summary, start
+
+
+def _place(entry: ChunkIndex, data_end: int) -> Place:
+    if entry.chunk_start_offset + entry.chunk_length > data_end:
+        raise Damaged("its summary points beyond its data")
+    channels = frozenset(entry.message_index_offsets) or None
+    return Place(
+        PlaceKind.CHUNK,
+        entry.chunk_start_offset,
+        entry.chunk_length,
+        entry.message_start_time,
+        entry.message_end_time,
+        channels,
+    )
+
+
+def _read_metadata(file: InputFile, index: FileIndex, entry: MetadataIndex) -> None:
+    try:
+        opcode, length = read_record_head(file, entry.offset)
+        if opcode != Opcode.METADATA:
+            raise Damaged("there is no metadata record")
+        record = parse(Metadata, read_content(file, entry.offset, length))
+    except Damaged as damage:
+        index.miss(f"metadata {entry.name[:80]!r} cannot be read: {damage}")
+    else:
+        index.metadata[record.name] = record.metadata

@@ -1,0 +1,85 @@
+"""The ledger counts what a publisher sent and nobody received, and nothing else."""
+
+from __future__ import annotations
+
+import random
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robotctl.recording.ledger import MAX_PUBLISHERS, SequenceLedger
+
+
+def feed(ledger: SequenceLedger, gid: bytes, *sequences: int) -> None:
+    """As the recorder does: what is expected is advanced, all else is noted."""
+    for sequence in sequences:
+        if ledger.expected.get(gid) == sequence:
+            ledger.expected[gid] = sequence + 1
+        else:
+            ledger.note(gid, sequence)
+
+
+def test_a_gap_counts_its_messages() -> None:
+    ledger = SequenceLedger()
+    feed(ledger, b"a", 1, 2, 5, 6, 10)
+    assert (ledger.lost, ledger.unseen) == (2 + 3, 0)
+
+
+def test_what_was_sent_before_the_first_message_received_is_not_called_lost() -> None:
+    ledger = SequenceLedger()
+    feed(ledger, b"a", 101, 102)
+    assert (ledger.lost, ledger.unseen) == (0, 100)
+
+
+def test_each_publisher_counts_for_itself() -> None:
+    ledger = SequenceLedger()
+    feed(ledger, b"a", 1, 2)
+    feed(ledger, b"b", 1, 2, 3)
+    feed(ledger, b"a", 3, 4)
+    feed(ledger, b"b", 5)
+    assert ledger.lost == 1
+
+
+def test_a_publisher_that_restarts_loses_nothing_by_it() -> None:
+    ledger = SequenceLedger()
+    feed(ledger, b"a", *range(1, 500), *range(1, 300), 301)
+    assert ledger.lost == 1
+
+
+def test_a_message_that_comes_late_is_not_lost() -> None:
+    ledger = SequenceLedger()
+    feed(ledger, b"a", 1, 2, 5, 3, 6, 4, 7)
+    assert ledger.lost == 0
+
+
+def test_a_publisher_that_does_not_count_loses_nothing() -> None:
+    ledger = SequenceLedger()
+    feed(ledger, b"a", 0, 0, 0)
+    assert (ledger.lost, ledger.unseen, ledger.expected) == (0, 0, {})
+
+
+def test_latched_messages_that_are_delivered_again_lose_nothing() -> None:
+    ledger = SequenceLedger()
+    feed(ledger, b"a", 1, 2, 3, 3, 4)
+    feed(ledger, b"a", 2, 3, 4, 5)
+    assert ledger.lost == 0
+
+
+def test_publishers_that_keep_restarting_need_bounded_memory() -> None:
+    ledger = SequenceLedger()
+    for number in range(3 * MAX_PUBLISHERS):
+        feed(ledger, number.to_bytes(4, "big"), 1, 3)
+    assert len(ledger.expected) == len(ledger._missing) == MAX_PUBLISHERS
+    assert ledger.lost == 3 * MAX_PUBLISHERS
+
+
+@given(st.integers(1, 300), st.floats(0, 0.9), st.randoms(use_true_random=False))
+def test_lost_is_exactly_what_lies_between_the_received_ones(
+    count: int, loss: float, dice: random.Random
+) -> None:
+    received = [number for number in range(1, count + 1) if dice.random() >= loss]
+    ledger = SequenceLedger()
+    feed(ledger, b"a", *received)
+    if received:
+        assert ledger.unseen == received[0] - 1
+        assert ledger.lost == received[-1] - received[0] + 1 - len(received)

@@ -1,0 +1,471 @@
+"""What goes into the recorder comes out of the file, and every message is accounted for."""
+
+from __future__ import annotations
+
+import json
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from rosbags.rosbag2 import Reader as RosbagsReader
+
+from robotctl.errors import Refused
+from robotctl.recording import recorder as recorder_module
+from robotctl.recording.recorder import (
+    Compression,
+    Recorder,
+    RecorderOptions,
+    RecorderState,
+    RecorderStats,
+    Topic,
+)
+from robotctl.testing.recordings import (
+    GID,
+    ODOMETRY,
+    QOS,
+    START_NS,
+    TWIST,
+    Stored,
+    numbered,
+    read_strictly,
+    write_numbered,
+)
+
+OpenRecorder = Callable[..., Recorder]
+MIB = 1 << 20
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return tmp_path / "recordings" / "robot_20260101_120000"
+
+
+@pytest.fixture
+def open_recorder(folder: Path) -> Iterator[OpenRecorder]:
+    """Opens a recorder that is closed at the end, and whose failure fails the test."""
+    recorders: list[Recorder] = []
+    failures: list[str] = []
+
+    def open_it(**options: object) -> Recorder:
+        recorder = Recorder(folder, RecorderOptions(**options), on_failure=failures.append)  # type: ignore[arg-type]
+        recorders.append(recorder)
+        return recorder
+
+    yield open_it
+    for recorder in recorders:
+        recorder.close()
+    assert not failures
+
+
+def wait_until(condition: Callable[[], bool], deadline_s: float = 20.0) -> None:
+    end = time.monotonic() + deadline_s
+    while not condition():
+        assert time.monotonic() < end, "the condition did not become true"
+        time.sleep(0.005)
+
+
+def assert_accounted(stats: RecorderStats) -> None:
+    for topic in stats.topics:
+        assert topic.received == topic.written + topic.queued + topic.dropped
+        assert min(topic.received, topic.written, topic.queued, topic.dropped) >= 0
+    assert stats.received == stats.written + stats.queued + stats.dropped
+
+
+@pytest.mark.parametrize("compression", list(Compression))
+def test_messages_come_back_as_they_went_in(
+    open_recorder: OpenRecorder, compression: Compression
+) -> None:
+    recorder = open_recorder(compression=compression, chunk_bytes=8192)
+    twist, odometry = recorder.add_topic(TWIST), recorder.add_topic(ODOMETRY)
+    expected = []
+    for number in range(2000):
+        channel, topic = [(twist, TWIST), (odometry, ODOMETRY)][number % 2]
+        data = numbered(number, 40 + number % 50)
+        stamp = START_NS + number
+        recorder.write(channel, data, stamp, stamp - 7, number + 1, GID + topic.name.encode())
+        expected.append(Stored(topic.name, data, stamp, stamp - 7, number + 1))
+    stats = recorder.close()
+    assert read_strictly(stats.file) == expected
+    assert_accounted(stats)
+    assert (stats.written, stats.queued, stats.dropped) == (2000, 0, 0)
+    assert stats.bytes == stats.file.stat().st_size
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(
+    messages=st.lists(
+        st.tuples(
+            st.integers(0, 3),
+            st.binary(max_size=3000),
+            st.integers(-(2**63), 2**65),
+            st.integers(-(2**63), 2**65),
+            st.integers(0, 2**40),
+        ),
+        max_size=60,
+    ),
+    compression=st.sampled_from(Compression),
+    chunk_bytes=st.integers(64, 4096),
+)
+def test_any_message_is_kept_with_its_numbers_clamped_to_their_fields(
+    tmp_path_factory: pytest.TempPathFactory,
+    messages: list[tuple[int, bytes, int, int, int]],
+    compression: Compression,
+    chunk_bytes: int,
+) -> None:
+    folder = tmp_path_factory.mktemp("property") / "run"
+    options = RecorderOptions(compression=compression, chunk_bytes=chunk_bytes)
+    recorder = Recorder(folder, options, on_failure=pytest.fail)
+    for number in range(4):
+        recorder.add_topic(Topic(f"/topic{number}", "std_msgs/msg/String"))
+    expected = []
+    for channel, data, log_ns, publish_ns, sequence in messages:
+        recorder.write(channel, data, log_ns, publish_ns, sequence, GID)
+        expected.append(
+            Stored(
+                f"/topic{channel}",
+                data,
+                min(max(log_ns, 0), 2**64 - 1),
+                min(max(publish_ns, 0), 2**64 - 1),
+                sequence % 2**32,
+            )
+        )
+    stats = recorder.close()
+    assert read_strictly(stats.file) == expected
+    assert stats.received == stats.written == len(messages)
+    with stats.file.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    times = [message.log_ns for message in expected] or [0]
+    found = summary.statistics.message_start_time, summary.statistics.message_end_time
+    assert found == (min(times), max(times))
+
+
+def test_the_file_is_whole_while_it_grows(open_recorder: OpenRecorder) -> None:
+    recorder = open_recorder(flush_s=0.01)
+    channel = recorder.add_topic(TWIST)
+    for batch in range(10):
+        write_numbered(recorder, channel, range(batch * 100 + 1, batch * 100 + 101))
+        wait_until(lambda: recorder.stats().queued == 0)
+        assert len(read_strictly(recorder.stats().file)) == (batch + 1) * 100
+
+
+def test_a_last_message_reaches_the_file_though_no_other_follows(
+    open_recorder: OpenRecorder,
+) -> None:
+    recorder = open_recorder()
+    channel = recorder.add_topic(TWIST)
+    write_numbered(recorder, channel, range(1, 2))
+    wait_until(lambda: recorder.stats().written == 1)
+    assert len(read_strictly(recorder.stats().file)) == 1
+
+
+def test_a_topic_without_messages_is_in_the_growing_file(open_recorder: OpenRecorder) -> None:
+    recorder = open_recorder(flush_s=0.01)
+    file = recorder.stats().file
+
+    def topics() -> set[str]:
+        with file.open("rb") as stream:
+            summary = make_reader(stream).get_summary()
+        assert summary is not None
+        return {channel.topic for channel in summary.channels.values()}
+
+    assert topics() == set()
+    recorder.add_topic(TWIST)
+    size = file.stat().st_size
+    wait_until(lambda: file.stat().st_size != size)
+    assert topics() == {"/cmd_vel"}
+
+
+def test_the_same_topic_again_is_the_same_channel(open_recorder: OpenRecorder) -> None:
+    recorder = open_recorder()
+    assert recorder.add_topic(TWIST) == recorder.add_topic(Topic(**_fields(TWIST)))
+    assert recorder.add_topic(ODOMETRY) != recorder.add_topic(TWIST)
+
+
+def _fields(topic: Topic) -> dict[str, str]:
+    return {name: getattr(topic, name) for name in topic.__dataclass_fields__}
+
+
+def test_more_topics_than_the_format_numbers_are_refused(
+    open_recorder: OpenRecorder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recorder_module, "MAX_TOPICS", 1)
+    recorder = open_recorder()
+    recorder.add_topic(TWIST)
+    with pytest.raises(Refused, match="at most 1 topics"):
+        recorder.add_topic(ODOMETRY)
+
+
+def test_rosbags_opens_the_folder(open_recorder: OpenRecorder, folder: Path) -> None:
+    recorder = open_recorder()
+    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 101))
+    write_numbered(recorder, recorder.add_topic(ODOMETRY), range(1, 51))
+    recorder.close()
+    with RosbagsReader(folder) as bag:
+        assert bag.message_count == 150
+        assert {c.topic: (c.msgtype, c.msgcount, c.digest) for c in bag.connections} == {
+            "/cmd_vel": ("geometry_msgs/msg/Twist", 100, "RIHS01_ab"),
+            "/odom": ("nav_msgs/msg/Odometry", 50, "RIHS01_cd"),
+        }
+        assert bag.connections[0].ext.offered_qos_profiles[0].depth == 10  # type: ignore[union-attr]
+        assert [data for _, _, data in bag.messages(bag.connections[:1])] == [
+            numbered(number) for number in range(1, 101)
+        ]
+
+
+def test_the_folder_is_a_bag_of_version_9_from_its_first_moment(
+    open_recorder: OpenRecorder, folder: Path
+) -> None:
+    recorder = open_recorder()
+    text = (folder / "metadata.yaml").read_text()
+    bag = yaml.safe_load(text)["rosbag2_bagfile_information"]
+    assert bag["version"] == 9
+    assert bag["relative_file_paths"] == [f"{folder.name}_0.mcap"]
+    assert bag["starting_time"]["nanoseconds_since_epoch"] == 2**63 - 1  # as rosbag2 writes none
+    with RosbagsReader(folder) as opened:
+        assert opened.message_count == 0
+    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 11))
+    recorder.close()
+    bag = yaml.safe_load((folder / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert bag["message_count"] == 10
+    assert bag["duration"]["nanoseconds"] == 9_000_000
+    topic = bag["topics_with_message_count"][0]["topic_metadata"]
+    assert topic["offered_qos_profiles"] == yaml.safe_load(QOS)
+
+
+def test_the_file_describes_itself(folder: Path) -> None:
+    recorder = Recorder(folder, metadata={"robot": "robot", "mode": "IDLE"}, on_failure=pytest.fail)
+    channel = recorder.add_topic(TWIST)
+    write_numbered(recorder, channel, range(5, 15))
+    write_numbered(recorder, channel, range(18, 20))
+    stats = recorder.close()
+    with stats.file.open("rb") as stream:
+        reader = make_reader(stream)
+        assert reader.get_header().profile == "ros2"
+        records = list(reader.iter_metadata())
+        summary = reader.get_summary()
+    assert summary is not None
+    assert [record.name for record in records] == [
+        "robotctl",
+        "rosbag2",
+        "rosbag2",
+        "robotctl.ledger",
+    ]
+    assert records[0].metadata == {"robot": "robot", "mode": "IDLE"}
+    at_start, at_close = (
+        yaml.safe_load(record.metadata["serialized_metadata"]) for record in records[1:3]
+    )
+    assert (at_start["message_count"], at_close["message_count"]) == (0, 12)
+    assert json.loads(records[3].metadata["/cmd_vel"]) == {
+        "received": 12,
+        "written": 12,
+        "dropped": 0,
+        "lost": 3,
+        "unseen": 4,
+        "bytes": 12 * 52,
+    }
+    (channel_record,) = summary.channels.values()
+    assert channel_record.metadata == {"topic_type_hash": "RIHS01_ab", "offered_qos_profiles": QOS}
+    assert channel_record.message_encoding == "cdr"
+    (schema,) = summary.schemas.values()
+    assert (schema.name, schema.encoding) == ("geometry_msgs/msg/Twist", "ros2msg")
+
+
+def test_a_type_without_definition_is_recorded_all_the_same(open_recorder: OpenRecorder) -> None:
+    recorder = open_recorder()
+    channel = recorder.add_topic(Topic("/mystery", "nobody_msgs/msg/Unknown"))
+    write_numbered(recorder, channel, range(1, 4))
+    stats = recorder.close()
+    assert len(read_strictly(stats.file)) == 3
+    with stats.file.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    assert [(s.name, s.encoding, s.data) for s in summary.schemas.values()] == [
+        ("nobody_msgs/msg/Unknown", "", b"")
+    ]
+
+
+def test_a_malformed_qos_text_does_not_spoil_the_bag(
+    open_recorder: OpenRecorder, folder: Path
+) -> None:
+    recorder = open_recorder()
+    for number, qos in enumerate(["{", "nonsense", "- 7", "[]"]):
+        recorder.add_topic(Topic(f"/t{number}", "std_msgs/msg/String", offered_qos=qos))
+    recorder.close()
+    bag = yaml.safe_load((folder / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    profiles = [
+        topic["topic_metadata"]["offered_qos_profiles"]
+        for topic in bag["topics_with_message_count"]
+    ]
+    assert profiles == [[], [], [], []]
+
+
+def test_strange_names_do_not_spoil_the_bag(open_recorder: OpenRecorder, folder: Path) -> None:
+    recorder = open_recorder()
+    names = ['/quo"te', "/new\nline", "/\x1b[31mred", "/back\\slash", "/übung", "/: - {}", "/🤖"]
+    for name in names:
+        recorder.add_topic(Topic(name, "std_msgs/msg/String"))
+    recorder.close()
+    bag = yaml.safe_load((folder / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    found = [topic["topic_metadata"]["name"] for topic in bag["topics_with_message_count"]]
+    assert found == names
+
+
+def test_messages_larger_than_a_chunk_keep_their_place(open_recorder: OpenRecorder) -> None:
+    recorder = open_recorder(chunk_bytes=4096)
+    channel = recorder.add_topic(TWIST)
+    for number, size in enumerate([10, 100_000, 20, 4096 - 31, 4096 - 30, MIB, 30], start=1):
+        recorder.write(channel, numbered(number, size), START_NS + number, START_NS, number, GID)
+    stats = recorder.close()
+    messages = read_strictly(stats.file)
+    assert [len(message.data) for message in messages] == [
+        10,
+        100_000,
+        20,
+        4096 - 31,
+        4096 - 30,
+        MIB,
+        30,
+    ]
+    assert [message.sequence for message in messages] == list(range(1, 8))
+
+
+def test_a_message_larger_than_the_queue_is_dropped_and_counted(
+    open_recorder: OpenRecorder,
+) -> None:
+    recorder = open_recorder(queue_bytes=8 * MIB)
+    channel = recorder.add_topic(TWIST)
+    write_numbered(recorder, channel, range(1, 2))
+    write_numbered(recorder, channel, range(2, 3), size=200 * MIB)
+    write_numbered(recorder, channel, range(3, 4))
+    stats = recorder.close()
+    assert [message.sequence for message in read_strictly(stats.file)] == [1, 3]
+    assert (stats.received, stats.written, stats.dropped, stats.lost) == (3, 2, 1, 0)
+
+
+def test_a_clock_that_steps_back_is_recorded_as_it_is(open_recorder: OpenRecorder) -> None:
+    recorder = open_recorder()
+    channel = recorder.add_topic(TWIST)
+    times = [START_NS + 5, START_NS + 6, START_NS - 3_600_000_000_000, START_NS + 1]
+    for number, stamp in enumerate(times, start=1):
+        recorder.write(channel, numbered(number), stamp, stamp, number, GID)
+    stats = recorder.close()
+    assert [message.log_ns for message in read_strictly(stats.file)] == times
+    with stats.file.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    (chunk,) = summary.chunk_indexes
+    assert (chunk.message_start_time, chunk.message_end_time) == (times[2], times[1])
+
+
+def test_after_close_nothing_is_written_and_all_is_counted(open_recorder: OpenRecorder) -> None:
+    recorder = open_recorder()
+    channel = recorder.add_topic(TWIST)
+    write_numbered(recorder, channel, range(1, 11))
+    first = recorder.close()
+    write_numbered(recorder, channel, range(11, 14))
+    second = recorder.close()
+    assert first.state is RecorderState.CLOSED
+    assert (second.received, second.written, second.queued, second.dropped) == (13, 10, 0, 3)
+    assert len(read_strictly(second.file)) == 10
+
+
+def test_closing_while_the_loop_still_writes_loses_no_message_uncounted(
+    open_recorder: OpenRecorder,
+) -> None:
+    recorder = open_recorder(chunk_bytes=2048, flush_s=0.0005)
+    channel = recorder.add_topic(TWIST)
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)  # the threads meet between any two bytecodes
+    try:
+        closer = threading.Timer(0.3, recorder.close)
+        closer.start()
+        number = 0
+        while closer.is_alive():
+            number += 1
+            write_numbered(recorder, channel, range(number, number + 1))
+            if number % 1000 == 0:
+                assert_accounted(recorder.stats())
+    finally:
+        sys.setswitchinterval(interval)
+    stats = recorder.close()
+    assert stats.received == number
+    assert stats.queued == 0
+    assert_accounted(stats)
+    messages = read_strictly(stats.file)
+    assert len(messages) == stats.written > 1000
+    assert [(m.sequence, m.data) for m in messages] == [
+        (number, numbered(number)) for number in range(1, len(messages) + 1)
+    ]
+
+
+def test_many_sizes_need_no_memory_each(open_recorder: OpenRecorder) -> None:
+    recorder = open_recorder()
+    channel = recorder.add_topic(TWIST)
+    sizes = [*range(3000), *range(3000)]
+    for number, size in enumerate(sizes, start=1):
+        recorder.write(channel, bytes(size), START_NS + number, START_NS, number, GID)
+    assert len(recorder._accounts[channel].packers) <= 128
+    assert [len(message.data) for message in read_strictly(recorder.close().file)] == sizes
+
+
+@pytest.mark.parametrize("obstacle", ["a file in its place", "the same folder", "no permission"])
+def test_a_folder_that_cannot_be_written_is_refused_in_one_sentence(
+    folder: Path, obstacle: str
+) -> None:
+    if obstacle == "a file in its place":
+        folder.parent.write_text("not a folder")
+    elif obstacle == "the same folder":
+        folder.mkdir(parents=True)
+    else:
+        folder = Path("/proc/recordings/run")
+    with pytest.raises(Refused, match=r"^cannot record into .*; .*") as caught:
+        Recorder(folder, on_failure=pytest.fail)
+    assert "\n" not in str(caught.value)
+
+
+class Slow:
+    """A number that takes its time when it is packed."""
+
+    def __init__(self) -> None:
+        self.reached = threading.Event()
+        self.go_on = threading.Event()
+
+    def __index__(self) -> int:
+        self.reached.set()
+        assert self.go_on.wait(20)
+        return START_NS
+
+
+def test_a_message_that_is_being_packed_while_closing_is_counted(
+    open_recorder: OpenRecorder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("robotctl.recording.drain._SETTLE_S", 60.0)
+    recorder = open_recorder(flush_s=60.0)
+    channel = recorder.add_topic(TWIST)
+    write_numbered(recorder, channel, range(1, 3))
+    slow = Slow()
+    writing = threading.Thread(
+        target=recorder.write, args=(channel, numbered(3), START_NS, slow, 3, GID)
+    )
+    closing = threading.Thread(target=recorder.close)
+    writing.start()
+    assert slow.reached.wait(20)
+    closing.start()
+    wait_until(lambda: recorder.stats().state is RecorderState.CLOSED)
+    closing.join(0.1)
+    assert closing.is_alive()  # it waits for the message
+    slow.go_on.set()
+    writing.join()
+    closing.join()
+    stats = recorder.close()
+    assert (stats.received, stats.written, stats.queued, stats.dropped) == (3, 3, 0, 0)
+    assert len(read_strictly(stats.file)) == 3

@@ -1,0 +1,333 @@
+"""What the recorder promises when the disk or the process fails."""
+
+from __future__ import annotations
+
+import errno
+import os
+import random
+import signal
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from multiprocessing import get_context
+from multiprocessing.context import ForkServerContext
+from pathlib import Path
+
+import pytest
+
+from robotctl.errors import Refused
+from robotctl.recording.account import TopicAccount
+from robotctl.recording.bag_writer import BagWriter
+from robotctl.recording.buffer import PackBuffer
+from robotctl.recording.mcap_file import MESSAGE_HEAD
+from robotctl.recording.reader import read_info, read_messages
+from robotctl.recording.recorder import (
+    Compression,
+    Recorder,
+    RecorderOptions,
+    RecorderState,
+    RecorderStats,
+)
+from robotctl.testing.mcap_faults import FailingFile, GatedFile, VolatileFile
+from robotctl.testing.recordings import (
+    TWIST,
+    number_of,
+    numbered,
+    read_strictly,
+    record_in_real_time,
+    record_up_to_file_size,
+    write_numbered,
+)
+
+KIB = 1 << 10
+
+
+@pytest.fixture(scope="module")
+def fork() -> ForkServerContext:
+    """Forks from a clean process that has the recorder imported: no threads are copied."""
+    context = get_context("forkserver")
+    context.set_forkserver_preload(["robotctl.testing.recordings"])
+    return context
+
+
+def wait_until(condition: Callable[[], bool], deadline_s: float = 20.0) -> None:
+    end = time.monotonic() + deadline_s
+    while not condition():
+        assert time.monotonic() < end, "the condition did not become true"
+        time.sleep(0.005)
+
+
+def assert_accounted(stats: RecorderStats, received: int) -> None:
+    assert stats.received == received
+    assert stats.received == stats.written + stats.queued + stats.dropped
+    assert min(stats.written, stats.queued, stats.dropped) >= 0
+
+
+def assert_first_numbers(file: Path, count: int) -> None:
+    """Message 1 to `count` are in the file, byte for byte, and nothing else."""
+    messages = read_strictly(file)
+    assert [(m.sequence, m.data) for m in messages] == [
+        (number, numbered(number)) for number in range(1, count + 1)
+    ]
+
+
+def kill_at_random_instants(
+    fork: ForkServerContext, folder: Path, kills: int, dice: random.Random
+) -> int:
+    """Record in processes that are killed, four at once; returns how many files are whole.
+
+    Each must be readable: its messages are the first ones, byte for byte, and not many are lost.
+    """
+    whole = 0
+    for batch in range(0, kills, 4):
+        children = []
+        for kill in range(batch, batch + 4):
+            ours, theirs = fork.Pipe()
+            compression = dice.choice(list(Compression)).value
+            period_s = dice.choice([0.0002, 0.001, 0.02])
+            arguments = (folder / f"run{kill}", compression, period_s, theirs)
+            child = fork.Process(target=record_in_real_time, args=arguments, daemon=True)
+            child.start()
+            children.append((child, ours))
+        for child, ours in children:
+            assert ours.poll(30)
+            file = ours.recv()
+            time.sleep(dice.uniform(0.0, 0.3))
+            assert child.pid is not None
+            os.kill(child.pid, signal.SIGKILL)
+            killed_ns = time.time_ns()
+            child.join()
+            messages = list(read_messages(file, on_missing=lambda sentence: None))
+            assert [(number_of(m.data), m.data) for m in messages] == [
+                (number, numbered(number)) for number in range(1, len(messages) + 1)
+            ]
+            if messages:
+                # Ten times the target of 0.3 s: other programs run here, too.
+                assert killed_ns - messages[-1].log_ns < 3_000_000_000
+            with suppress(Exception):  # whatever the package raises: the kill fell into a write
+                read_strictly(file)
+                whole += 1
+    return whole
+
+
+def test_a_recording_opens_after_sigkill_at_any_instant(
+    fork: ForkServerContext, tmp_path: Path
+) -> None:
+    assert kill_at_random_instants(fork, tmp_path, 40, random.Random(1)) >= 38
+
+
+@pytest.mark.slow
+def test_a_recording_opens_after_each_of_200_kills(fork: ForkServerContext, tmp_path: Path) -> None:
+    assert kill_at_random_instants(fork, tmp_path, 200, random.Random(2)) >= 198
+
+
+def test_a_file_that_may_not_grow_ends_in_one_failure_and_a_whole_file(
+    fork: ForkServerContext, tmp_path: Path
+) -> None:
+    ours, theirs = fork.Pipe()
+    child = fork.Process(
+        target=record_up_to_file_size, args=(tmp_path / "run", 100_000, theirs), daemon=True
+    )
+    child.start()
+    assert ours.poll(30)
+    failures, number, stats = ours.recv()
+    child.join()
+    assert len(failures) == 1
+    assert "File too large" in failures[0]
+    assert stats.state is RecorderState.FAILED
+    assert_accounted(stats, number)
+    assert stats.queued == 0
+    assert stats.written > 500
+    assert stats.file.stat().st_size <= 100_000
+    assert_first_numbers(stats.file, stats.written)
+
+
+@pytest.mark.parametrize("compression", list(Compression))
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EIO])
+def test_an_error_at_any_write_keeps_what_was_written_before(
+    tmp_path: Path, code: int, compression: Compression
+) -> None:
+    for fail_at in range(2, 16):
+        failures: list[str] = []
+        options = RecorderOptions(
+            compression=compression,
+            chunk_bytes=4 * KIB,
+            open_file=lambda path, fail_at=fail_at: FailingFile(path, fail_at, code=code),
+        )
+        recorder = Recorder(tmp_path / f"run{fail_at}", options, on_failure=failures.append)
+        channel = recorder.add_topic(TWIST)
+        write_numbered(recorder, channel, range(1, 2001))
+        wait_until(lambda recorder=recorder: recorder.stats().failure != "")
+        write_numbered(recorder, channel, range(2001, 2101))
+        stats = recorder.close()
+        assert len(failures) == 1
+        assert os.strerror(code) in stats.failure
+        assert stats.failure == failures[0]
+        assert str(stats.file) in stats.failure
+        assert_accounted(stats, 2100)
+        assert stats.queued == 0
+        assert stats.dropped >= 100
+        assert_first_numbers(stats.file, stats.written)
+        assert read_info(tmp_path / f"run{fail_at}").message_count == stats.written
+
+
+def test_an_error_while_closing_keeps_every_message(tmp_path: Path) -> None:
+    failures: list[str] = []
+    files: list[FailingFile] = []
+
+    class FailsAtClose(FailingFile):
+        def __init__(self, path: Path) -> None:
+            super().__init__(path, fail_at=10**9)
+            files.append(self)
+
+    recorder = Recorder(
+        tmp_path / "run", RecorderOptions(open_file=FailsAtClose), on_failure=failures.append
+    )
+    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 101))
+    wait_until(lambda: recorder.stats().written == 100)
+    files[0].fail_now()
+    stats = recorder.close()
+    assert len(failures) == 1
+    assert_accounted(stats, 100)
+    assert_first_numbers(stats.file, 100)
+
+
+def test_a_disk_that_is_full_at_the_start_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
+    options = RecorderOptions(open_file=lambda path: FailingFile(path, 1))
+    with pytest.raises(Refused, match="No space left on device"):
+        Recorder(tmp_path / "run", options, on_failure=pytest.fail)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_that_cannot_be_repaired_says_so(tmp_path: Path) -> None:
+    class Gone(FailingFile):
+        def truncate(self, size: int) -> None:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    failures: list[str] = []
+    options = RecorderOptions(open_file=lambda path: Gone(path, 2))
+    recorder = Recorder(tmp_path / "run", options, on_failure=failures.append)
+    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 101))
+    stats = recorder.close()
+    assert "could not be repaired" in failures[0]
+    assert_accounted(stats, 100)
+    assert (stats.written, stats.dropped) == (0, 100)
+
+
+def test_a_listener_that_raises_does_not_stop_the_counting(tmp_path: Path) -> None:
+    def raise_it(text: str) -> None:
+        raise RuntimeError(text)
+
+    options = RecorderOptions(chunk_bytes=KIB, open_file=lambda path: FailingFile(path, 3))
+    recorder = Recorder(tmp_path / "run", options, on_failure=raise_it)
+    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 1001))
+    stats = recorder.close()
+    assert stats.state is RecorderState.FAILED
+    assert_accounted(stats, 1000)
+    assert stats.queued == 0
+
+
+@pytest.mark.parametrize("size", [52, 3 * KIB, 40 * KIB])
+def test_a_slow_disk_fills_the_queue_and_then_counts_drops(tmp_path: Path, size: int) -> None:
+    gate = threading.Event()
+    gate.set()
+    options = RecorderOptions(
+        chunk_bytes=16 * KIB,
+        queue_bytes=256 * KIB,
+        open_file=lambda path: GatedFile(path, gate.wait),
+    )
+    recorder = Recorder(tmp_path / "run", options, on_failure=pytest.fail)
+    channel = recorder.add_topic(TWIST)
+    gate.clear()
+    number = 0
+    while recorder.stats().dropped < 100:
+        number += 1
+        write_numbered(recorder, channel, range(number, number + 1), size)
+        assert number < 20_000, "the queue has no bound"
+    stuck = recorder.stats()
+    assert_accounted(stuck, number)
+    assert stuck.queued * size <= 256 * KIB
+    gate.set()
+    wait_until(lambda: recorder.stats().queued == 0)
+    write_numbered(recorder, channel, range(number + 1, number + 4), size)
+    stats = recorder.close()
+    assert_accounted(stats, number + 3)
+    assert stats.dropped == stuck.dropped
+    messages = read_strictly(stats.file)
+    assert len(messages) == stats.written
+    assert [m.sequence for m in messages[-3:]] == list(range(number + 1, number + 4))
+
+
+def test_the_memory_of_a_burst_is_given_back(tmp_path: Path) -> None:
+    gate = threading.Event()
+    gate.set()
+    options = RecorderOptions(
+        chunk_bytes=16 * KIB,
+        queue_bytes=1024 * KIB,
+        open_file=lambda path: GatedFile(path, gate.wait),
+    )
+    recorder = Recorder(tmp_path / "run", options, on_failure=pytest.fail)
+    channel = recorder.add_topic(TWIST)
+    for burst in range(3):
+        gate.clear()
+        write_numbered(recorder, channel, range(burst * 6000 + 1, burst * 6000 + 6001))
+        gate.set()
+        wait_until(lambda: recorder.stats().queued == 0)
+        assert len(recorder._drain.spare) <= 2
+    stats = recorder.close()
+    assert (stats.written, stats.dropped) == (18_000, 0)
+
+
+def pack(buffer: PackBuffer, numbers: range) -> None:
+    """Pack numbered messages as the recorder does."""
+    for number in numbers:
+        data = numbered(number)
+        head = MESSAGE_HEAD.pack(5, 22 + len(data), 0, number, number, number)
+        record = head + data
+        buffer.data[buffer.end : buffer.end + len(record)] = record
+        buffer.indexes[0].append(number)
+        buffer.indexes[0].append(buffer.end)
+        buffer.end += len(record)
+
+
+@pytest.mark.parametrize("compression", list(Compression))
+def test_after_a_power_cut_all_that_was_synced_is_readable(
+    tmp_path: Path, compression: Compression
+) -> None:
+    dice = random.Random(3)
+    disks: list[VolatileFile] = []
+
+    def open_file(path: Path) -> VolatileFile:
+        disks.append(VolatileFile(path))
+        return disks[-1]
+
+    options = RecorderOptions(compression=compression, open_file=open_file)
+    accounts = [TopicAccount(TWIST)]
+    folder = tmp_path / "run"
+    folder.mkdir()
+    writer = BagWriter(folder, options, {}, accounts)
+    buffer = PackBuffer(1 << 20)
+    buffer.make_indexes(1)
+    crashed = tmp_path / "crashed.mcap"
+    number = synced = 0
+    for _ in range(100):
+        count = dice.choice([1, 5, 30])
+        pack(buffer, range(number + 1, number + count + 1))
+        number += count
+        taken = buffer.take()
+        assert taken is not None
+        writer.write(taken)
+        if dice.random() < 0.25:
+            writer.sync()
+            synced = number
+        for _ in range(10):
+            crashed.write_bytes(disks[0].after_power_cut(dice))
+            missing: list[str] = []
+            found = [m.data for m in read_messages(crashed, on_missing=missing.append)]
+            assert found[:synced] == [numbered(n) for n in range(1, synced + 1)]
+            later = [number_of(data) for data in found[synced:]]
+            assert later == sorted(set(later) & set(range(synced + 1, number + 1)))
+            gap = later and later[-1] - synced != len(later)
+            assert missing or not gap
+    writer.close()

@@ -1,0 +1,122 @@
+"""Retention removes the oldest recordings of ours, and nothing that it must not."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from mcap.writer import Writer
+from rosbags.rosbag2 import Reader as RosbagsReader
+
+from robotctl.recording.reader import read_info
+from robotctl.recording.recorder import Recorder, RecorderOptions
+from robotctl.recording.retention import DAY_S, RetentionPolicy, enforce
+from robotctl.testing.recordings import TWIST, read_strictly, write_numbered
+
+NOW_S = 2_000_000_000.0
+
+
+def recorded(folder: Path, age_s: float, splits: int = 0) -> int:
+    """Record some messages `age_s` ago; returns the bytes of the recording's files."""
+    begun: list[Path] = []
+    recorder = Recorder(folder, on_failure=pytest.fail, on_split=begun.append)
+    channel = recorder.add_topic(TWIST)
+    write_numbered(recorder, channel, range(1, 11))
+    for split in range(splits):
+        recorder.split()
+        wait_until(lambda split=split: len(begun) > split)
+        write_numbered(recorder, channel, range(11, 21))
+    recorder.close()
+    files = sorted(folder.glob("*.mcap"))
+    for number, path in enumerate(files):
+        os.utime(path, (NOW_S - age_s + number, NOW_S - age_s + number))
+    return sum(path.stat().st_size for path in files)
+
+
+def wait_until(condition: Callable[[], bool], deadline_s: float = 20.0) -> None:
+    end = time.monotonic() + deadline_s
+    while not condition():
+        assert time.monotonic() < end, "the condition did not become true"
+        time.sleep(0.005)
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_the_oldest_go_until_the_rest_fits(tmp_path: Path) -> None:
+    sizes = [recorded(tmp_path / f"run{n}", age_s=100.0 - n) for n in range(5)]
+    removed = enforce(tmp_path, RetentionPolicy(max_bytes=sum(sizes[2:])), NOW_S)
+    assert [each.path.name for each in removed] == ["run0_0.mcap", "run1_0.mcap"]
+    assert [each.size for each in removed] == sizes[:2]
+    assert names(tmp_path) == ["run2", "run3", "run4"]
+    assert enforce(tmp_path, RetentionPolicy(max_bytes=sum(sizes[2:])), NOW_S) == []
+
+
+def test_what_is_too_old_goes(tmp_path: Path) -> None:
+    recorded(tmp_path / "old", age_s=31 * DAY_S)
+    recorded(tmp_path / "new", age_s=29 * DAY_S)
+    enforce(tmp_path, RetentionPolicy(), NOW_S)
+    assert names(tmp_path) == ["new"]
+
+
+def test_without_limits_everything_stays(tmp_path: Path) -> None:
+    recorded(tmp_path / "old", age_s=1000 * DAY_S)
+    assert enforce(tmp_path, RetentionPolicy(max_bytes=None, max_age_s=None), NOW_S) == []
+
+
+def test_part_of_a_recording_may_go_and_the_rest_is_a_bag(tmp_path: Path) -> None:
+    recorded(tmp_path / "run", age_s=100.0, splits=3)
+    last = (tmp_path / "run" / "run_3.mcap").stat().st_size
+    enforce(tmp_path, RetentionPolicy(max_bytes=last), NOW_S)
+    assert names(tmp_path / "run") == ["metadata.yaml", "run_3.mcap"]
+    with RosbagsReader(tmp_path / "run") as bag:
+        assert bag.message_count == 10
+    assert read_info(tmp_path / "run").missing == ()
+
+
+def test_a_recording_marked_keep_stays(tmp_path: Path) -> None:
+    recorded(tmp_path / "run", age_s=1000 * DAY_S)
+    (tmp_path / "run" / "keep").touch()
+    assert enforce(tmp_path, RetentionPolicy(max_bytes=0), NOW_S) == []
+
+
+def test_the_file_being_written_stays_and_its_bag_forgets_the_removed(tmp_path: Path) -> None:
+    begun: list[Path] = []
+    recorder = Recorder(
+        tmp_path / "run", RecorderOptions(), on_failure=pytest.fail, on_split=begun.append
+    )
+    channel = recorder.add_topic(TWIST)
+    write_numbered(recorder, channel, range(1, 11))
+    recorder.split()
+    wait_until(lambda: bool(begun))
+    write_numbered(recorder, channel, range(11, 21))
+    removed = enforce(tmp_path, RetentionPolicy(max_bytes=0), NOW_S)
+    assert [each.path.name for each in removed] == ["run_0.mcap"]
+    stats = recorder.close()
+    assert [m.sequence for m in read_strictly(stats.file)] == list(range(11, 21))
+    with RosbagsReader(tmp_path / "run") as bag:
+        assert bag.message_count == 10
+
+
+def test_what_robotctl_has_not_recorded_stays(tmp_path: Path) -> None:
+    (tmp_path / "theirs").mkdir()
+    with (tmp_path / "theirs" / "theirs_0.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(library="somebody")
+        writer.finish()
+    (tmp_path / "notes").mkdir()
+    (tmp_path / "notes" / "notes_0.mcap").write_text("not even MCAP")
+    (tmp_path / "file.mcap").write_bytes(b"")
+    recorded(tmp_path / "away" / "linked", age_s=1000 * DAY_S)
+    (tmp_path / "linked").symlink_to(tmp_path / "away" / "linked")
+    recorded(tmp_path / "run", age_s=1000 * DAY_S)
+    (tmp_path / "run" / "path.png").write_text("a picture")
+    enforce(tmp_path, RetentionPolicy(max_bytes=0), NOW_S)
+    assert names(tmp_path) == ["away", "file.mcap", "linked", "notes", "run", "theirs"]
+    assert names(tmp_path / "away" / "linked") == ["linked_0.mcap", "metadata.yaml"]
+    assert names(tmp_path / "run") == ["path.png"]
+    assert names(tmp_path / "theirs") == ["theirs_0.mcap"]

@@ -1,0 +1,246 @@
+"""A recording goes on in another file without a gap, and each file stands alone."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import yaml
+from mcap.reader import make_reader
+from rosbags.rosbag2 import Reader as RosbagsReader
+
+from robotctl.errors import Refused
+from robotctl.recording.reader import read_info, read_messages
+from robotctl.recording.recorder import (
+    Compression,
+    Recorder,
+    RecorderOptions,
+    RecorderState,
+    Topic,
+)
+from robotctl.recording.storage import DiskFile, is_being_written
+from robotctl.testing.mcap_faults import FailingFile
+from robotctl.testing.recordings import (
+    GID,
+    ODOMETRY,
+    QOS,
+    START_NS,
+    TWIST,
+    number_of,
+    read_strictly,
+    write_numbered,
+)
+
+LATCHED = Topic(
+    "/robot_status",
+    "robot_controller/msg/RobotStatus",
+    "uint8 mode\n",
+    "RIHS01_ef",
+    QOS.replace("volatile", "transient_local"),
+)
+
+
+def wait_until(condition: Callable[[], bool], deadline_s: float = 20.0) -> None:
+    end = time.monotonic() + deadline_s
+    while not condition():
+        assert time.monotonic() < end, "the condition did not become true"
+        time.sleep(0.005)
+
+
+def files_of(folder: Path) -> list[Path]:
+    return sorted(folder.glob("*.mcap"), key=lambda path: int(path.stem.rpartition("_")[2]))
+
+
+def test_fifty_splits_by_size_lose_nothing(tmp_path: Path) -> None:
+    options = RecorderOptions(
+        compression=Compression.NONE, chunk_bytes=2048, split_bytes=20_000, flush_s=0.002
+    )
+    begun: list[Path] = []
+    recorder = Recorder(tmp_path / "run", options, on_failure=pytest.fail, on_split=begun.append)
+    channel = recorder.add_topic(TWIST)
+    number = 0
+    while len(begun) < 50:
+        write_numbered(recorder, channel, range(number + 1, number + 501))
+        number += 500
+        wait_until(lambda: recorder.stats().queued == 0)
+        assert number < 50_000
+    stats = recorder.close()
+    files = files_of(tmp_path / "run")
+    assert [path.name for path in files] == [f"run_{n}.mcap" for n in range(len(files))]
+    assert begun == files[1:]
+    found = [m.sequence for path in files for m in read_strictly(path)]
+    assert found == list(range(1, number + 1))
+    assert (stats.written, stats.dropped, stats.queued) == (number, 0, 0)
+    assert stats.bytes == sum(path.stat().st_size for path in files)
+    assert stats.file == files[-1]
+
+
+def test_a_bag_of_many_files_opens_as_one(tmp_path: Path) -> None:
+    options = RecorderOptions(chunk_bytes=2048, split_bytes=10_000)
+    recorder = Recorder(tmp_path / "run", options, on_failure=pytest.fail)
+    twist, odometry = recorder.add_topic(TWIST), recorder.add_topic(ODOMETRY)
+    for number in range(1, 2001):
+        write_numbered(recorder, [twist, odometry][number % 2], range(number, number + 1))
+    recorder.close()
+    assert len(files_of(tmp_path / "run")) > 3
+    with RosbagsReader(tmp_path / "run") as bag:
+        assert bag.message_count == 2000
+        assert sum(1 for _ in bag.messages()) == 2000
+    info = read_info(tmp_path / "run")
+    assert (info.message_count, info.missing) == (2000, ())
+    assert [number_of(m.data) for m in read_messages(tmp_path / "run")] == list(range(1, 2001))
+    listed = yaml.safe_load((tmp_path / "run" / "metadata.yaml").read_text())
+    files = listed["rosbag2_bagfile_information"]["files"]
+    assert sum(file["message_count"] for file in files) == 2000
+
+
+def test_a_file_is_split_by_its_age(tmp_path: Path) -> None:
+    options = RecorderOptions(flush_s=0.01, split_s=0.05)
+    begun: list[Path] = []
+    recorder = Recorder(tmp_path / "run", options, on_failure=pytest.fail, on_split=begun.append)
+    channel = recorder.add_topic(TWIST)
+    number = 0
+    while len(begun) < 2:
+        number += 1
+        write_numbered(recorder, channel, range(number, number + 1))
+        time.sleep(0.001)
+        assert number < 20_000
+    recorder.close()
+    found = [m.sequence for path in files_of(tmp_path / "run") for m in read_strictly(path)]
+    assert found == list(range(1, number + 1))
+
+
+def test_a_split_on_demand_puts_what_came_before_it_into_the_old_file(tmp_path: Path) -> None:
+    begun: list[Path] = []
+    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail, on_split=begun.append)
+    channel = recorder.add_topic(TWIST)
+    write_numbered(recorder, channel, range(1, 11))
+    recorder.split()
+    wait_until(lambda: bool(begun))
+    write_numbered(recorder, channel, range(11, 16))
+    recorder.close()
+    first, second = files_of(tmp_path / "run")
+    assert [m.sequence for m in read_strictly(first)] == list(range(1, 11))
+    assert [m.sequence for m in read_strictly(second)] == list(range(11, 16))
+
+
+def test_each_file_stands_alone(tmp_path: Path) -> None:
+    begun: list[Path] = []
+    recorder = Recorder(
+        tmp_path / "run",
+        metadata={"robot": "robot"},
+        on_failure=pytest.fail,
+        on_split=begun.append,
+    )
+    twist, latched = recorder.add_topic(TWIST), recorder.add_topic(LATCHED)
+    recorder.write(latched, b"old", START_NS, START_NS - 9, 1, b"a")
+    recorder.write(latched, b"map", START_NS + 1, START_NS - 8, 2**32 + 7, b"a")
+    recorder.write(latched, b"tf", START_NS + 2, -5, 3, b"b")
+    write_numbered(recorder, twist, range(1, 11))
+    recorder.split()
+    wait_until(lambda: bool(begun))
+    write_numbered(recorder, twist, range(11, 16))
+    stats = recorder.close()
+    second = files_of(tmp_path / "run")[1]
+    messages = read_strictly(second)
+    repeated = [m for m in messages if m.topic == "/robot_status"]
+    end_of_first = START_NS + 10 * 1_000_000
+    assert [(m.data, m.log_ns, m.publish_ns, m.sequence) for m in repeated] == [
+        (b"map", end_of_first, START_NS - 8, 7),
+        (b"tf", end_of_first, 0, 3),
+    ]
+    assert messages[:2] == repeated
+    with second.open("rb") as stream:
+        reader = make_reader(stream)
+        names = [record.name for record in reader.iter_metadata()]
+        summary = reader.get_summary()
+    assert names == ["robotctl", "rosbag2", "rosbag2", "robotctl.ledger"]
+    assert summary is not None
+    assert {c.topic for c in summary.channels.values()} == {"/cmd_vel", "/robot_status"}
+    assert (stats.received, stats.written) == (18, 18)  # what is repeated is not received
+    with RosbagsReader(tmp_path / "run") as bag:
+        assert bag.message_count == 20
+
+
+def test_a_split_that_finds_the_disk_full_keeps_what_was_written(tmp_path: Path) -> None:
+    failures: list[str] = []
+    opened: list[Path] = []
+
+    def open_file(path: Path) -> DiskFile:
+        opened.append(path)
+        return FailingFile(path, 1) if len(opened) == 3 else DiskFile(path)
+
+    options = RecorderOptions(chunk_bytes=1024, split_bytes=5000, open_file=open_file)
+    recorder = Recorder(tmp_path / "run", options, on_failure=failures.append)
+    channel = recorder.add_topic(TWIST)
+    write_numbered(recorder, channel, range(1, 2001))
+    wait_until(lambda: bool(failures))
+    stats = recorder.close()
+    assert stats.state is RecorderState.FAILED
+    assert stats.received == stats.written + stats.dropped == 2000
+    first, second = files_of(tmp_path / "run")[:2]
+    found = [m.sequence for path in (first, second) for m in read_strictly(path)]
+    assert found == list(range(1, stats.written + 1))
+    assert read_info(tmp_path / "run").message_count == stats.written
+
+
+def test_a_listener_of_splits_that_raises_does_not_stop_the_recording(tmp_path: Path) -> None:
+    def raise_it(path: Path) -> None:
+        raise RuntimeError(path)
+
+    options = RecorderOptions(chunk_bytes=1024, split_bytes=5000)
+    recorder = Recorder(tmp_path / "run", options, on_failure=pytest.fail, on_split=raise_it)
+    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 1001))
+    stats = recorder.close()
+    assert (stats.state, stats.written) == (RecorderState.CLOSED, 1000)
+
+
+def test_a_disk_that_gets_full_is_told_before_and_stops_the_recording_in_time(
+    tmp_path: Path,
+) -> None:
+    free = [10_000_000_000]
+    failures: list[str] = []
+    options = RecorderOptions(flush_s=0.005, sync_s=0.005, free_space=lambda folder: free[0])
+    recorder = Recorder(tmp_path / "run", options, on_failure=failures.append)
+    channel = recorder.add_topic(TWIST)
+    write_numbered(recorder, channel, range(1, 11))
+    assert recorder.stats().warning == ""
+    free[0] = 1_000_000_000
+    wait_until(lambda: recorder.stats().warning != "")
+    assert recorder.stats().warning == "1000 MB left on the disk; recording stops at 500 MB"
+    assert recorder.stats().state is RecorderState.RECORDING
+    free[0] = 400_000_000
+    wait_until(lambda: bool(failures))
+    assert "only 400 MB left on the disk, 500 MB stay free" in failures[0]
+    stats = recorder.close()
+    assert len(read_strictly(stats.file)) == stats.written == 10
+
+
+def test_a_start_on_an_almost_full_disk_is_refused(tmp_path: Path) -> None:
+    options = RecorderOptions(free_space=lambda folder: 1000)
+    with pytest.raises(Refused, match="only 0 MB left on the disk"):
+        Recorder(tmp_path / "run", options, on_failure=pytest.fail)
+    assert not (tmp_path / "run").exists()
+
+
+def test_only_the_current_file_is_marked_as_being_written(tmp_path: Path) -> None:
+    begun: list[Path] = []
+    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail, on_split=begun.append)
+    recorder.split()
+    wait_until(lambda: bool(begun))
+    assert [is_being_written(path) for path in files_of(tmp_path / "run")] == [False, True]
+    recorder.close()
+    assert not is_being_written(begun[0])
+
+
+def test_a_large_latched_message_is_not_kept_in_memory(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
+    channel = recorder.add_topic(replace(LATCHED))
+    recorder.write(channel, bytes(33 << 20), START_NS, START_NS, 1, GID)
+    for publisher in range(100):
+        recorder.write(channel, b"x", START_NS, START_NS, 1, publisher.to_bytes(2, "big"))
+    assert len(recorder._accounts[channel].latched_messages()) == 64
+    assert recorder.close().written == 101
