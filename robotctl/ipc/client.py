@@ -1,0 +1,233 @@
+"""The blocking client of the control socket, with the standard library alone."""
+
+from __future__ import annotations
+
+import socket
+import struct
+import time
+from types import TracebackType
+from typing import Any, Self
+
+from robotctl.errors import (
+    NoDaemon,
+    Refused,
+    RobotctlError,
+    UsageError,
+    error_for_exit_code,
+)
+from robotctl.ipc.peer import peer_of
+from robotctl.ipc.protocol import (
+    MAX_RESPONSE_BYTES,
+    PROTOCOL_VERSION,
+    Code,
+    Failure,
+    Lines,
+    ProtocolError,
+    Request,
+    Result,
+    encode_request,
+    is_emergency_stop,
+    parse_response,
+)
+from robotctl.paths import DEFAULT_ROBOT, socket_path
+
+CALL_DEADLINE_S = 12.0
+"""Above the server's own deadline of a call, so that its answer says what was slow."""
+
+LIVENESS_S = 5.0
+"""How often a call without a deadline makes sure that the daemon still answers."""
+
+_RECEIVE_BYTES = 65536
+_TIMEVAL = struct.Struct("ll")
+_HELLO_ID = 0
+
+
+def call(
+    robot: str,
+    method: str,
+    params: dict[str, Any] | None = None,
+    *,
+    deadline_s: float | None = CALL_DEADLINE_S,
+) -> dict[str, Any]:
+    """One call on a connection of its own; see Client.call."""
+    with Client(robot) as client:
+        return client.call(method, params, deadline_s=deadline_s)
+
+
+class Client:
+    """A connection to the daemon of `robot`; not usable any more once a call has raised NoDaemon.
+
+    Raises, when entered:
+        NoDaemon: The socket is absent, or nobody listens on it.
+        Refused: The socket is another user's.
+    """
+
+    def __init__(self, robot: str) -> None:
+        self._robot = robot
+        self._path = socket_path(robot)
+        self._sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._lines = Lines(MAX_RESPONSE_BYTES)
+        self._greeted = False
+        self._last_id = _HELLO_ID
+
+    def __enter__(self) -> Self:
+        # SO_SNDTIMEO, and not settimeout: a non-blocking connect fails at once on a full backlog.
+        try:
+            self._set_timeout(socket.SO_SNDTIMEO, CALL_DEADLINE_S)
+            self._sock.connect(str(self._path))
+        except (FileNotFoundError, ConnectionRefusedError):
+            self._sock.close()
+            raise no_daemon(self._robot) from None
+        except BlockingIOError:
+            self._sock.close()
+            raise self._silent(CALL_DEADLINE_S) from None
+        except PermissionError:
+            self._sock.close()
+            raise Refused(f"{self._path} belongs to another user") from None
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self._sock.close()
+
+    @property
+    def daemon_pid(self) -> int:
+        """The process that listens; 0 where it lives in another pid namespace."""
+        return peer_of(self._sock).pid
+
+    def call(
+        self,
+        method: str,
+        params: dict[str, Any] | None = None,
+        *,
+        deadline_s: float | None = CALL_DEADLINE_S,
+    ) -> dict[str, Any]:
+        """Carry out `method` in the daemon and return its result.
+
+        Without a deadline this waits for as long as the daemon answers others.
+
+        Raises:
+            NoDaemon: It did not answer in time, or closed the connection.
+            RobotctlError: The daemon's own error, of the class that its exit code names.
+        """
+        self._last_id += 1
+        request = Request(self._last_id, method, params or {})
+        lines = encode_request(self._last_id, method, request.params)
+        hello = not self._greeted
+        if hello:  # in one write with the request: half the round trips
+            params_of_hello = {"protocol": PROTOCOL_VERSION}
+            lines = encode_request(_HELLO_ID, "hello", params_of_hello) + lines
+        until = None if deadline_s is None else time.monotonic() + deadline_s
+        refusal: Refused | None = None
+        try:
+            self._write(lines)
+            if hello:
+                refusal = self._greet(until)
+                if refusal and not is_emergency_stop(request):  # which is taken all the same
+                    raise refusal
+            return self._result(self._last_id, until)
+        except TimeoutError:
+            raise self._silent(deadline_s or LIVENESS_S) from None
+        except ConnectionError:
+            raise refusal or self._closed() from None
+        except ProtocolError as error:
+            raise RobotctlError(f"the daemon of robot {self._robot!r} answered: {error}") from error
+
+    def _greet(self, until: float | None) -> Refused | None:
+        """Read the reply to hello; returns why the daemon will not listen, if it says so."""
+        try:
+            version = self._result(_HELLO_ID, until).get("protocol")
+        except Refused as refusal:
+            return refusal
+        if version != PROTOCOL_VERSION:
+            return Refused(
+                f"the daemon speaks protocol {version!r}, this client {PROTOCOL_VERSION}: "
+                f"stop it with kill {self.daemon_pid} and start again"
+            )
+        self._greeted = True
+        return None
+
+    def _result(self, request_id: int, until: float | None) -> dict[str, Any]:
+        reply = parse_response(self._read_line(until))
+        if isinstance(reply, Failure) and reply.id in (request_id, None):
+            raise _error(reply)
+        if reply.id != request_id or not isinstance(reply, Result):
+            raise ProtocolError(Code.INVALID_REQUEST, f"an answer to request {reply.id!r}")
+        if not isinstance(reply.result, dict):
+            raise ProtocolError(Code.INVALID_REQUEST, "a result that is not an object")
+        return reply.result
+
+    def _write(self, lines: bytes) -> None:
+        try:
+            self._sock.sendall(lines)
+        except BlockingIOError:
+            raise TimeoutError from None
+        except BrokenPipeError:
+            pass  # it closed on us, and its reason waits to be read
+
+    def _read_line(self, until: float | None) -> bytes:
+        """The next line; raises TimeoutError, ConnectionError or ProtocolError."""
+        while (line := self._lines.next_line()) is None:
+            remaining = LIVENESS_S if until is None else until - time.monotonic()
+            if remaining <= 0:
+                raise TimeoutError
+            self._set_timeout(socket.SO_RCVTIMEO, remaining)
+            try:
+                data = self._sock.recv(_RECEIVE_BYTES)
+            except BlockingIOError:
+                if until is None:
+                    self._check_alive()
+                continue
+            if not data:
+                raise ConnectionResetError
+            self._lines.receive(data)
+        return line
+
+    def _check_alive(self) -> None:
+        """Raise NoDaemon unless the daemon greets a second connection."""
+        with Client(self._robot) as other:
+            other._write(encode_request(_HELLO_ID, "hello", {"protocol": PROTOCOL_VERSION}))
+            other._greet(time.monotonic() + LIVENESS_S)
+
+    def _set_timeout(self, option: int, seconds: float) -> None:
+        microseconds = max(1, int(seconds * 1e6))  # 0 would mean for ever
+        value = _TIMEVAL.pack(*divmod(microseconds, 1_000_000))
+        self._sock.setsockopt(socket.SOL_SOCKET, option, value)
+
+    def _silent(self, seconds: float) -> NoDaemon:
+        return NoDaemon(
+            f"the daemon of robot {self._robot!r} did not answer within {seconds:g} s "
+            f"(see: {command_for(self._robot, 'logs')})"
+        )
+
+    def _closed(self) -> NoDaemon:
+        return NoDaemon(
+            f"the daemon of robot {self._robot!r} closed the connection before it answered "
+            f"(see: {command_for(self._robot, 'logs')})"
+        )
+
+
+def no_daemon(robot: str) -> NoDaemon:
+    """The error of every command that needs a daemon where there is none."""
+    return NoDaemon(
+        f"no daemon for robot {robot!r} (start one with: {command_for(robot, 'start')})"
+    )
+
+
+def command_for(robot: str, command: str) -> str:
+    """A command as its user would type it for this robot."""
+    return f"robotctl {command}" + ("" if robot == DEFAULT_ROBOT else f" --robot {robot}")
+
+
+def _error(failure: Failure) -> RobotctlError:
+    data = failure.data
+    exit_code = data.get("exit_code") if isinstance(data, dict) else None
+    if isinstance(exit_code, int):
+        return error_for_exit_code(exit_code, failure.message)
+    if failure.code == Code.INVALID_PARAMS:
+        return UsageError(failure.message)
+    return RobotctlError(failure.message)

@@ -1,0 +1,50 @@
+"""What each method takes, with its limits: decoded strictly, once, at the edge of the daemon."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from msgspec import Meta, Struct
+
+Source = Annotated[str, Meta(max_length=200)]
+"""Who asked, for the journal and the log."""
+
+
+class NoParams(Struct, frozen=True, forbid_unknown_fields=True):
+    """For `status`, `path` and `stop`."""
+
+
+class HelloParams(Struct, frozen=True, forbid_unknown_fields=True):
+    """The version that the client speaks."""
+
+    protocol: int
+
+
+class SetModeParams(Struct, frozen=True, forbid_unknown_fields=True):
+    """`mode` is the uint8 of SetMode.srv: a number without a meaning is the kernel's to refuse."""
+
+    mode: Annotated[int, Meta(ge=0, le=255)]
+    source: Source
+
+
+class ResetParams(Struct, frozen=True, forbid_unknown_fields=True):
+    """Releases ERROR and EMERGENCY_STOP to IDLE."""
+
+    source: Source
+
+
+class DriveParams(Struct, frozen=True, forbid_unknown_fields=True):
+    """A pattern and its size; what is left out comes from the daemon's configuration.
+
+    The limits are those of a plausible robot; the configured speed limit may be lower.
+    """
+
+    pattern: Literal["square", "circle", "figure-eight"]
+    source: Source
+    side_m: Annotated[float, Meta(ge=0.1, le=100.0)] | None = None
+    radius_m: Annotated[float, Meta(ge=0.1, le=100.0)] | None = None
+    laps: Annotated[int, Meta(ge=0, le=1_000_000)] | None = None
+    """0 drives until stopped."""
+    speed_mps: Annotated[float, Meta(ge=0.01, le=10.0)] | None = None
+    replace: bool = False
+    wait: bool = False

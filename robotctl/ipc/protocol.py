@@ -1,0 +1,252 @@
+"""JSON-RPC 2.0, one object a line, without I/O and with the standard library alone.
+
+    bytes -> Lines.receive -> Lines.next_line -> parse_request / parse_response
+    request / result / error -> encode_* -> bytes with their newline
+
+Parsing is strict: what is not exactly one well-formed message ends in ProtocolError and in no
+other exception. Batches and notifications do not exist here: every request gets one reply.
+
+The messages are NamedTuples because `dataclasses` imports `inspect`, 10 ms of every command.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from enum import IntEnum
+from typing import Any, NamedTuple, NoReturn
+
+from robotctl.errors import RobotctlError
+
+PROTOCOL_VERSION = 1
+
+MAX_REQUEST_BYTES = 64 * 1024
+"""A request is a method and a few numbers: 100 times the longest one that a client sends."""
+
+MAX_RESPONSE_BYTES = 8 * 1024 * 1024
+"""`path` answers with every driven point: at 50 Hz and 40 bytes a point, an hour."""
+
+MAX_DEPTH = 16
+"""The deepest message, `path`, has 4 levels; the decoder recurses, so depth is stack."""
+
+MAX_ID_LENGTH = 64
+MAX_ID = 2**53
+"""Up to here every JSON implementation keeps an integer exact."""
+
+EMERGENCY_STOP_MODE = 3
+
+
+class Code(IntEnum):
+    """The error codes: those of JSON-RPC 2.0, then robotctl's own."""
+
+    PARSE_ERROR = -32700
+    INVALID_REQUEST = -32600
+    METHOD_NOT_FOUND = -32601
+    INVALID_PARAMS = -32602
+    INTERNAL_ERROR = -32603
+    ROBOTCTL_ERROR = -32000
+    BUSY = -32001
+    TIMEOUT = -32002
+    FORBIDDEN = -32003
+    PROTOCOL_MISMATCH = -32004
+    STOPPING = -32005
+
+
+class ProtocolError(RobotctlError):
+    """The peer sent something that is not a message; `request_id` is None where none was read."""
+
+    def __init__(self, code: Code, text: str, request_id: int | str | None = None) -> None:
+        super().__init__(text)
+        self.code = code
+        self.request_id = request_id
+
+
+class Request(NamedTuple):
+    """A call: the peer owes exactly one reply that carries `id`."""
+
+    id: int | str
+    method: str
+    params: dict[str, Any]
+
+
+class Result(NamedTuple):
+    """The reply to a request that succeeded."""
+
+    id: int | str
+    result: Any
+
+
+class Failure(NamedTuple):
+    """The reply to a request that failed; `id` is None where the request had none to name."""
+
+    id: int | str | None
+    code: int
+    message: str
+    data: Any
+
+
+class Lines:
+    """Cuts a byte stream into lines of at most `limit` bytes, however the bytes arrive."""
+
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
+        self._buffer = bytearray()
+        self._searched = 0
+
+    def receive(self, data: bytes) -> None:
+        """Take the bytes of one read."""
+        self._buffer += data
+
+    def next_line(self) -> bytes | None:
+        """The next whole line without its newline, or None until more bytes arrive.
+
+        Raises:
+            ProtocolError: The line is over the limit; the stream cannot be followed any further.
+        """
+        end = self._buffer.find(b"\n", self._searched)
+        if (len(self._buffer) if end < 0 else end) > self._limit:
+            raise ProtocolError(Code.INVALID_REQUEST, f"a line is longer than {self._limit} bytes")
+        if end < 0:
+            self._searched = len(self._buffer)
+            return None
+        line = bytes(self._buffer[:end])
+        del self._buffer[: end + 1]
+        self._searched = 0
+        return line
+
+
+def encode_request(request_id: int, method: str, params: dict[str, Any]) -> bytes:
+    """One request line; raises ValueError when `params` holds NaN or infinity."""
+    return _encode({"jsonrpc": "2.0", "id": request_id, "method": method, "params": params})
+
+
+def encode_error(
+    request_id: int | str | None, code: int, message: str, exit_code: int = 1
+) -> bytes:
+    """One error line; `exit_code` is what the client's process ends with."""
+    error = {"code": code, "message": message, "data": {"exit_code": exit_code}}
+    return _encode({"jsonrpc": "2.0", "id": request_id, "error": error})
+
+
+def parse_request(line: bytes) -> Request:
+    """Read one request; raises ProtocolError, and nothing else, for every other line."""
+    message = _parse_object(line)
+    request_id = _id(message)
+    if request_id is None:
+        raise ProtocolError(
+            Code.INVALID_REQUEST, f"id must be an integer, or text of at most {MAX_ID_LENGTH}"
+        )
+    if unknown := message.keys() - {"jsonrpc", "id", "method", "params"}:
+        _invalid(f"unknown member {min(unknown)[:40]!r}", request_id)
+    method = message.get("method")
+    if not isinstance(method, str):
+        _invalid("method must be text", request_id)
+    params = message.get("params", {})
+    if not isinstance(params, dict):
+        _invalid("params must be an object", request_id)
+    return Request(request_id, method, params)
+
+
+def parse_response(line: bytes) -> Result | Failure:
+    """Read one reply; raises ProtocolError, and nothing else, for every other line."""
+    message = _parse_object(line)
+    request_id = _id(message)
+    if ("result" in message) == ("error" in message):
+        _invalid("a reply holds either a result or an error", request_id)
+    if "result" in message:
+        if request_id is None:
+            _invalid("a result names the request that it answers", request_id)
+        return Result(request_id, message["result"])
+    error = message["error"]
+    if not isinstance(error, dict):
+        _invalid("error must be an object", request_id)
+    code, text = error.get("code"), error.get("message")
+    if type(code) is not int or not isinstance(text, str):
+        _invalid("an error holds an integer code and a message", request_id)
+    return Failure(request_id, code, text, error.get("data"))
+
+
+def is_emergency_stop(request: Request) -> bool:
+    """Whether this is the one request that is taken over the cap and before hello, too."""
+    mode = request.params.get("mode")
+    return request.method == "set_mode" and type(mode) is int and mode == EMERGENCY_STOP_MODE
+
+
+def _encode(message: dict[str, Any]) -> bytes:
+    return json.dumps(message, allow_nan=False, separators=(",", ":")).encode() + b"\n"
+
+
+def _invalid(text: str, request_id: int | str | None) -> NoReturn:
+    raise ProtocolError(Code.INVALID_REQUEST, text, request_id)
+
+
+def _id(message: dict[str, Any]) -> int | str | None:
+    """The message's id where it is one, else None."""
+    value = message.get("id")
+    if isinstance(value, str) and len(value) <= MAX_ID_LENGTH:
+        return value
+    if type(value) is int and abs(value) <= MAX_ID:
+        return value
+    return None
+
+
+def _parse_object(line: bytes) -> dict[str, Any]:
+    """Decode one JSON-RPC object, refusing what JSON allows and a control protocol must not."""
+    _check_depth(line)
+    try:
+        message = _DECODER.decode(line.decode())
+        if b"\\u" in line:
+            _refuse_lone_surrogates(message)
+    except ValueError as error:  # UnicodeError and JSONDecodeError are ValueErrors
+        raise ProtocolError(Code.PARSE_ERROR, f"not a JSON object on one line: {error}") from None
+    if not isinstance(message, dict):
+        raise ProtocolError(Code.INVALID_REQUEST, "not an object (batches are not taken)")
+    if message.get("jsonrpc") != "2.0":
+        _invalid('jsonrpc must be "2.0"', _id(message))
+    return message
+
+
+_STRING_OR_BRACKET = re.compile(rb'"(?:[^"\\]|\\.)*+"?|[\[{]|[\]}]', re.DOTALL)
+
+
+def _check_depth(line: bytes) -> None:
+    """Refuse deep nesting before the decoder recurses into it."""
+    if line.count(b"[") + line.count(b"{") <= MAX_DEPTH:
+        return
+    depth = 0
+    for token in _STRING_OR_BRACKET.finditer(line):
+        first = line[token.start()]
+        if first in b"[{":
+            depth += 1
+            if depth > MAX_DEPTH:
+                raise ProtocolError(Code.PARSE_ERROR, f"nested deeper than {MAX_DEPTH} levels")
+        elif first in b"]}":
+            depth -= 1
+
+
+def _refuse_lone_surrogates(message: object) -> None:
+    """Half a surrogate pair is no character: it could be neither logged nor recorded."""
+    json.dumps(message, ensure_ascii=False).encode()
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    members = dict(pairs)
+    if len(members) != len(pairs):
+        raise ValueError("a member appears twice")
+    return members
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if value in (float("inf"), float("-inf")):
+        raise ValueError(f"{text[:40]} is out of range")
+    return value
+
+
+def _no_constant(text: str) -> NoReturn:
+    raise ValueError(f"{text} is not a number")
+
+
+_DECODER = json.JSONDecoder(
+    object_pairs_hook=_unique, parse_float=_finite, parse_constant=_no_constant
+)

@@ -1,0 +1,55 @@
+"""The steady clock, and waiting for a moment of it more exactly than `time.sleep` does."""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import os
+import time
+from typing import Final, Protocol
+
+SPIN_NS: Final = 120_000
+"""The end of a wait is spent looking at the clock: the scheduler wakes us up to this late."""
+
+_TIMER_ABSTIME: Final = 1
+
+
+class Clock(Protocol):
+    """Steady time in nanoseconds."""
+
+    def now_ns(self) -> int:
+        """The time."""
+
+    def sleep_until(self, moment_ns: int) -> None:
+        """Return at `moment_ns`, or at once if it has passed."""
+
+
+class _Timespec(ctypes.Structure):
+    _fields_ = (("seconds", ctypes.c_long), ("nanoseconds", ctypes.c_long))
+
+
+class SteadyClock:
+    """CLOCK_MONOTONIC; for one thread."""
+
+    def __init__(self) -> None:
+        libc = ctypes.CDLL(None, use_errno=False)  # releases the GIL while it sleeps
+        self._sleep = libc.clock_nanosleep
+        self._sleep.argtypes = [ctypes.c_int, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p]
+        self._until = _Timespec()
+        self._pointer = ctypes.addressof(self._until)
+
+    def now_ns(self) -> int:
+        """The time."""
+        return time.monotonic_ns()
+
+    def sleep_until(self, moment_ns: int) -> None:
+        """Return at `moment_ns`, within a few microseconds. Raises OSError."""
+        until = self._until
+        until.seconds, until.nanoseconds = divmod(max(moment_ns - SPIN_NS, 0), 1_000_000_000)
+        failure = errno.EINTR
+        while failure == errno.EINTR:
+            failure = self._sleep(time.CLOCK_MONOTONIC, _TIMER_ABSTIME, self._pointer, None)
+        if failure:
+            raise OSError(failure, os.strerror(failure))
+        while time.monotonic_ns() < moment_ns:
+            pass

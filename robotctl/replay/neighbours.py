@@ -1,0 +1,58 @@
+"""The daemons of this user, as far as a replay could get in their way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from robotctl.errors import NoDaemon, RobotctlError, UsageError
+from robotctl.ipc.client import Client
+from robotctl.paths import runtime_folder
+
+ANSWER_DEADLINE_S = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Daemon:
+    """A daemon that listens; `domain_id` and `mode` are None where it did not tell them."""
+
+    robot: str
+    domain_id: int | None
+    mode: str | None
+
+    @property
+    def may_be_moving(self) -> bool:
+        """Whether it drives, or may do so for all that is known."""
+        return self.mode in (None, "MOVING")
+
+
+def running_daemons() -> list[Daemon]:
+    """Every daemon that listens on a control socket of this user, by name."""
+    found = []
+    for path in sorted(runtime_folder().glob("*.sock")):
+        daemon = ask(path.stem)
+        if daemon is not None:
+            found.append(daemon)
+    return found
+
+
+def daemons_in(domain_id: int) -> list[Daemon]:
+    """Those that are in a ROS domain; one that does not say where it is may be there."""
+    return [daemon for daemon in running_daemons() if daemon.domain_id in (None, domain_id)]
+
+
+def ask(robot: str) -> Daemon | None:
+    """The robot's daemon, or None where nobody listens."""
+    try:
+        with Client(robot) as client:
+            try:
+                status = client.call("status", deadline_s=ANSWER_DEADLINE_S)
+            except RobotctlError:  # it is there, but slow, busy or of another version
+                return Daemon(robot, None, None)
+    except (NoDaemon, UsageError):
+        return None
+    domain_id, mode = status.get("domain_id"), status.get("mode")
+    return Daemon(
+        robot,
+        domain_id if isinstance(domain_id, int) else None,
+        mode if isinstance(mode, str) else None,
+    )

@@ -1,0 +1,159 @@
+"""A control server in this loop, with a robot behind it that only remembers its mode."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+from collections.abc import AsyncIterator, Callable
+from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robotctl.errors import Refused
+from robotctl.ipc.params import DriveParams, NoParams, ResetParams, SetModeParams
+from robotctl.ipc.protocol import encode_request
+from robotctl.ipc.server import ControlServer, Identity, Limits, Method
+from robotctl.paths import socket_path
+
+DEADLINE_S = 10.0
+
+
+class FakeRobot:
+    """Answers as the daemon does; `never` is what its endless calls wait for."""
+
+    def __init__(self) -> None:
+        self.mode = 0
+        self.mode_requests = 0
+        self.calls_under_way = 0
+        self.called = asyncio.Event()
+        self.left = asyncio.Event()
+        self.never = asyncio.Event()
+
+    async def status(self, _: NoParams) -> dict[str, object]:
+        return {"mode": self.mode, "battery": float("nan")}
+
+    async def set_mode(self, params: SetModeParams) -> dict[str, object]:
+        self.mode_requests += 1
+        if params.mode == 1 and self.mode == 3:
+            raise Refused("EMERGENCY_STOP is latched: release it with robotctl reset")
+        self.mode = params.mode
+        return {"message": f"Mode changed to {params.mode}", "mode": str(params.mode)}
+
+    async def reset(self, _: ResetParams) -> dict[str, object]:
+        self.mode = 0
+        return {"message": "Mode changed to IDLE", "mode": "IDLE"}
+
+    async def drive(self, params: DriveParams) -> dict[str, object]:
+        return {"message": f"driving {params.pattern}", "mode": "MOVING"}
+
+    async def wait(self, _: NoParams) -> dict[str, object]:
+        self.calls_under_way += 1
+        self.called.set()
+        try:
+            await self.never.wait()
+        finally:
+            self.calls_under_way -= 1
+            self.left.set()
+        return {}
+
+    async def break_down(self, _: NoParams) -> dict[str, object]:
+        raise ZeroDivisionError("a bug")
+
+    async def lose_a_future(self, _: NoParams) -> dict[str, object]:
+        raise asyncio.CancelledError
+
+    async def flood(self, _: NoParams) -> dict[str, object]:
+        return {"text": "x" * 4_000_000}
+
+    def methods(self) -> dict[str, Method[Any]]:
+        return {
+            "status": Method(NoParams, self.status),
+            "set_mode": Method(SetModeParams, self.set_mode),
+            "reset": Method(ResetParams, self.reset),
+            "drive": Method(DriveParams, self.drive),
+            "wait": Method(NoParams, self.wait, deadline_s=None),
+            "slow": Method(NoParams, self.wait, deadline_s=0.05),
+            "break_down": Method(NoParams, self.break_down),
+            "lose_a_future": Method(NoParams, self.lose_a_future),
+            "flood": Method(NoParams, self.flood),
+        }
+
+
+class Peer:
+    """A raw client: sends any bytes, reads replies, each within a deadline."""
+
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.reader = reader
+        self.writer = writer
+
+    async def send(self, *messages: bytes) -> None:
+        self.writer.write(b"".join(messages))
+        await self.writer.drain()
+
+    async def reply(self) -> dict[str, Any]:
+        async with asyncio.timeout(DEADLINE_S):
+            line = await self.reader.readline()
+        assert line.endswith(b"\n"), f"the server closed after {line!r}"
+        reply: dict[str, Any] = json.loads(line)
+        return reply
+
+    async def call(self, method: str, **params: object) -> dict[str, Any]:
+        await self.send(encode_request(7, method, params))
+        return await self.reply()
+
+    async def is_closed(self) -> bool:
+        async with asyncio.timeout(DEADLINE_S):
+            return await self.reader.read(1) == b""
+
+
+type_serve = Callable[..., AbstractAsyncContextManager[ControlServer]]
+
+
+@pytest.fixture
+def path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    return socket_path("robot")
+
+
+@pytest.fixture
+async def robot() -> FakeRobot:
+    return FakeRobot()
+
+
+@pytest.fixture
+def serve(path: Path, robot: FakeRobot) -> type_serve:
+    """A server that serves until the block ends."""
+
+    @asynccontextmanager
+    async def serving(limits: Limits | None = None) -> AsyncIterator[ControlServer]:
+        identity = Identity("robot", "0.1.0", os.getpid())
+        with ControlServer(path, robot.methods(), identity, limits=limits or Limits()) as server:
+            task = asyncio.create_task(server.serve())
+            try:
+                yield server
+            finally:
+                task.cancel()
+                with suppress(asyncio.CancelledError):
+                    await task
+
+    return serving
+
+
+@pytest.fixture
+async def connect(path: Path) -> AsyncIterator[Callable[..., Any]]:
+    """Raw clients, closed at the end; greeted unless told otherwise."""
+    peers: list[Peer] = []
+
+    async def connected(*, greet: bool = True) -> Peer:
+        peer = Peer(*await asyncio.open_unix_connection(str(path), limit=16_000_000))
+        peers.append(peer)
+        if greet:
+            assert "result" in await peer.call("hello", protocol=1)
+        return peer
+
+    yield connected
+    for peer in peers:
+        peer.writer.close()

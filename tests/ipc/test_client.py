@@ -1,0 +1,301 @@
+"""What a command may rely on: an answer, or one error that says what to do, in bounded time."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robotctl.errors import NoDaemon, Refused, RobotctlError, UsageError
+from robotctl.ipc import client as client_module
+from robotctl.ipc.client import Client, call
+from robotctl.ipc.server import Limits
+
+NO_DAEMON = "no daemon for robot 'robot' (start one with: robotctl start)"
+HELLO_REPLY = {"jsonrpc": "2.0", "id": 0, "result": {"protocol": 1}}
+
+type_script = Callable[[socket.socket], None]
+
+
+@contextmanager
+def daemon(path: Path, script: type_script, connections: int = 1) -> Iterator[None]:
+    """Something that listens at `path` and treats each of its clients as the script says."""
+    path.parent.mkdir(exist_ok=True)
+
+    def serve() -> None:
+        for _ in range(connections):
+            sock, _address = listener.accept()
+            with sock:
+                script(sock)
+
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(path))
+        listener.listen()
+        thread = threading.Thread(target=serve)
+        thread.start()
+        try:
+            yield
+        finally:
+            thread.join()
+
+
+def answers(*replies: object) -> type_script:
+    """Takes what comes, sends these replies, and closes once the client has left."""
+
+    def script(sock: socket.socket) -> None:
+        sock.recv(65536)
+        for reply in replies:
+            sock.sendall(
+                (reply if isinstance(reply, bytes) else json.dumps(reply).encode()) + b"\n"
+            )
+        sock.recv(65536)
+
+    return script
+
+
+# Nobody there
+
+
+@pytest.mark.parametrize(
+    ("robot", "text"),
+    [
+        ("robot", NO_DAEMON),
+        ("r2", "no daemon for robot 'r2' (start one with: robotctl start --robot r2)"),
+    ],
+)
+def test_an_absent_socket_says_how_to_start(path: Path, robot: str, text: str) -> None:
+    with pytest.raises(NoDaemon) as caught:
+        call(robot, "status")
+    assert str(caught.value) == text
+
+
+def test_a_dead_daemons_socket_says_the_same(path: Path) -> None:
+    path.parent.mkdir()
+    with socket.socket(socket.AF_UNIX) as dead:
+        dead.bind(str(path))
+    with pytest.raises(NoDaemon) as caught:
+        call("robot", "status")
+    assert str(caught.value) == NO_DAEMON
+
+
+def test_a_name_that_cannot_be_a_socket_is_a_usage_error(path: Path) -> None:
+    with pytest.raises(UsageError, match="robot name"):
+        call("../robot", "status")
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root can become somebody else")
+def test_another_users_socket_is_named(path: Path) -> None:
+    path.parent.mkdir(mode=0o700)
+    program = (
+        "import os; from robotctl.ipc.client import call; from robotctl.errors import Refused\n"
+        "os.setresuid(65534, 65534, 65534)\n"
+        "try: call('robot', 'status')\n"
+        "except Refused as error: print(error)\n"
+    )
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert ran.stdout == f"{path} belongs to another user\n", ran.stderr
+
+
+# A daemon that misbehaves
+
+
+def test_hello_and_the_request_leave_in_one_write(path: Path) -> None:
+    received: list[bytes] = []
+
+    def script(sock: socket.socket) -> None:
+        received.append(sock.recv(65536))
+        for reply in (HELLO_REPLY, {"jsonrpc": "2.0", "id": 1, "result": {"mode": "IDLE"}}):
+            sock.sendall(json.dumps(reply).encode() + b"\n")
+
+    with daemon(path, script):
+        assert call("robot", "status") == {"mode": "IDLE"}
+    methods = [json.loads(line)["method"] for line in received[0].splitlines()]
+    assert methods == ["hello", "status"]
+
+
+def test_a_silent_daemon_is_given_up_at_the_deadline(path: Path) -> None:
+    with (
+        daemon(path, answers()),
+        pytest.raises(NoDaemon, match=r"did not answer within 0.05 s \(see: robotctl logs\)"),
+    ):
+        call("robot", "status", deadline_s=0.05)
+
+
+def test_a_daemon_that_sends_half_an_answer_is_given_up_at_the_deadline(path: Path) -> None:
+    def script(sock: socket.socket) -> None:
+        sock.sendall(json.dumps(HELLO_REPLY).encode() + b'\n{"jsonrpc"')
+        while sock.recv(65536):
+            pass
+
+    with daemon(path, script), pytest.raises(NoDaemon, match="did not answer"):
+        call("robot", "status", deadline_s=0.05)
+
+
+def test_a_full_backlog_is_waited_for_until_the_deadline(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(client_module, "CALL_DEADLINE_S", 0.05)
+    path.parent.mkdir()
+    with socket.socket(socket.AF_UNIX) as listener, socket.socket(socket.AF_UNIX) as waiting:
+        listener.bind(str(path))
+        listener.listen(0)
+        waiting.connect(str(path))
+        with pytest.raises(NoDaemon, match="did not answer"):
+            call("robot", "status")
+
+
+def test_a_daemon_that_closes_is_named(path: Path) -> None:
+    with (
+        daemon(path, lambda sock: None),
+        pytest.raises(NoDaemon, match="closed the connection before it answered"),
+    ):
+        call("robot", "status")
+
+
+@pytest.mark.parametrize(
+    "reply",
+    [
+        b"garbage",
+        b"[" * 1000,
+        {"jsonrpc": "2.0", "id": 99, "result": {}},
+        {"jsonrpc": "2.0", "id": 1, "result": [1]},
+        {"jsonrpc": "2.0", "id": 1, "error": {"code": -32603, "message": "boom"}},
+    ],
+)
+def test_an_answer_out_of_order_is_an_error_of_ours(path: Path, reply: object) -> None:
+    with daemon(path, answers(HELLO_REPLY, reply)), pytest.raises(RobotctlError) as caught:
+        call("robot", "status")
+    assert caught.value.exit_code == 1
+
+
+def test_a_daemon_of_another_protocol_is_named_with_the_way_out(path: Path) -> None:
+    newer = {"jsonrpc": "2.0", "id": 0, "result": {"protocol": 2}}
+    with (
+        daemon(path, answers(newer)),
+        pytest.raises(
+            Refused, match=rf"protocol 2, this client 1: stop it with kill {os.getpid()}"
+        ),
+    ):
+        call("robot", "status")
+
+
+def test_the_emergency_stop_gets_through_to_a_daemon_of_another_protocol(path: Path) -> None:
+    refused = {
+        "jsonrpc": "2.0",
+        "id": 0,
+        "error": {"code": -32004, "message": "protocol 2", "data": {"exit_code": 4}},
+    }
+    stopped = {"jsonrpc": "2.0", "id": 1, "result": {"mode": "EMERGENCY_STOP"}}
+    with daemon(path, answers(refused, stopped)):
+        result = call("robot", "set_mode", {"mode": 3, "source": "test"})
+    assert result == {"mode": "EMERGENCY_STOP"}
+
+
+def test_why_an_emergency_stop_was_refused_is_not_lost(path: Path) -> None:
+    def script(sock: socket.socket) -> None:
+        reply = {
+            "jsonrpc": "2.0",
+            "id": None,
+            "error": {"code": -32003, "message": "not yours", "data": {"exit_code": 4}},
+        }
+        sock.sendall(json.dumps(reply).encode() + b"\n")
+
+    with daemon(path, script), pytest.raises(Refused, match="not yours"):
+        call("robot", "set_mode", {"mode": 3, "source": "test"})
+
+
+def test_a_call_without_a_deadline_outlasts_silence_while_the_daemon_answers_others(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(client_module, "LIVENESS_S", 0.05)
+    asked_again = threading.Event()
+
+    def script(sock: socket.socket) -> None:
+        lines = sock.recv(65536).splitlines()
+        sock.sendall(json.dumps(HELLO_REPLY).encode() + b"\n")
+        if len(lines) == 1:
+            asked_again.set()
+            return
+
+        def finish() -> None:
+            asked_again.wait()
+            last = {"jsonrpc": "2.0", "id": 1, "result": {"laps": 1}}
+            kept.sendall(json.dumps(last).encode() + b"\n")
+            kept.close()
+
+        kept = sock.dup()
+        threading.Thread(target=finish).start()
+
+    with daemon(path, script, connections=2):
+        assert call("robot", "drive", {}, deadline_s=None) == {"laps": 1}
+
+
+def test_a_call_without_a_deadline_ends_when_the_daemon_hangs(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(client_module, "LIVENESS_S", 0.05)
+    with daemon(path, answers(HELLO_REPLY)), pytest.raises(NoDaemon, match="did not answer"):
+        call("robot", "drive", {}, deadline_s=None)
+
+
+# Against the real server
+
+
+async def test_calls_share_one_connection_and_one_hello(serve: Any, robot: Any) -> None:
+    def talk() -> list[object]:
+        with Client("robot") as client:
+            assert client.daemon_pid == os.getpid()
+            client.call("set_mode", {"mode": 1, "source": "test"})
+            return [client.call("status")["mode"] for _ in range(3)]
+
+    async with serve():
+        assert await asyncio.to_thread(talk) == [1, 1, 1]
+
+
+async def test_a_refusal_arrives_as_the_error_that_was_raised(serve: Any, robot: Any) -> None:
+    robot.mode = 3
+    async with serve():
+        with pytest.raises(Refused, match="release it with robotctl reset"):
+            await asyncio.to_thread(call, "robot", "set_mode", {"mode": 1, "source": "test"})
+
+
+async def test_a_wrong_parameter_arrives_as_a_usage_error(serve: Any) -> None:
+    params = {"pattern": "square", "source": "test", "side_m": 0}
+    async with serve():
+        with pytest.raises(UsageError, match="side_m"):
+            await asyncio.to_thread(call, "robot", "drive", params)
+
+
+async def test_a_busy_daemon_still_takes_the_clients_emergency_stop(
+    serve: Any, connect: Any, robot: Any
+) -> None:
+    async with serve(Limits(clients=1)):
+        await connect()
+        with pytest.raises(Refused, match="busy with 1 clients"):
+            await asyncio.to_thread(call, "robot", "status")
+        await asyncio.to_thread(call, "robot", "set_mode", {"mode": 3, "source": "test"})
+    assert robot.mode == 3
+
+
+async def test_the_end_of_the_daemon_ends_a_call_under_way(serve: Any, robot: Any) -> None:
+    async with serve():
+        waiting = asyncio.create_task(asyncio.to_thread(call, "robot", "wait", deadline_s=None))
+        await robot.called.wait()
+    with pytest.raises(NoDaemon, match="the daemon is stopping"):
+        await waiting
+
+
+async def test_a_reply_of_megabytes_arrives_whole(serve: Any) -> None:
+    async with serve():
+        result = await asyncio.to_thread(call, "robot", "flood")
+    assert len(result["text"]) == 4_000_000

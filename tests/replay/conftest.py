@@ -1,0 +1,205 @@
+"""Replays in a process of their own, heard by this one; daemons that only say who they are."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+import subprocess
+import sys
+import warnings
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+with warnings.catch_warnings():
+    # Where the interface generators are installed, rclpy imports an old parser with them.
+    warnings.simplefilter("ignore")
+    import rosidl_generator_py  # noqa: F401
+
+from robotctl.ipc.params import NoParams
+from robotctl.ipc.server import ControlServer, Identity, Method
+from robotctl.paths import make_private, runtime_folder, socket_path
+from robotctl.ros import AsyncioExecutor, RawTap
+
+REPOSITORY = Path(__file__).parents[2]
+DEADLINE_S, UNTIL_S = 60.0, 20.0
+
+
+@dataclass(frozen=True, slots=True)
+class Ran:
+    """What a command line did."""
+
+    exit_code: int
+    out: str
+    err: str
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """The object of --json."""
+        found: dict[str, Any] = json.loads(self.out)
+        return found
+
+
+class Running:
+    """A `robotctl replay` under way."""
+
+    def __init__(self, *arguments: str) -> None:
+        program = "from robotctl.cli.app import main; main()"
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", program, "replay", *arguments],
+            cwd=REPOSITORY,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+
+    def interrupt(self) -> None:
+        """Ctrl-C."""
+        self._process.send_signal(signal.SIGINT)
+
+    def kill(self) -> None:
+        """End the command without a chance to clean up."""
+        self._process.kill()
+
+    def close(self) -> None:
+        """End it, if it has not ended."""
+        if self._process.returncode is None:
+            self._process.kill()
+            self._process.communicate()
+
+    async def end(self) -> Ran:
+        """Wait for it."""
+        out, err = await asyncio.to_thread(self._process.communicate, timeout=DEADLINE_S)
+        return Ran(self._process.returncode, out, err)
+
+
+Replay = Callable[..., Awaitable[Ran]]
+
+
+@pytest.fixture
+def start(domain_id: int, own_sockets: None) -> Iterator[Callable[..., Running]]:
+    """Begin a replay in the test's domain."""
+    started: list[Running] = []
+
+    def begin(*arguments: object) -> Running:
+        started.append(Running(*map(str, arguments)))
+        return started[-1]
+
+    yield begin
+    for each in started:
+        each.close()
+
+
+@pytest.fixture
+def replay(start: Callable[..., Running]) -> Replay:
+    """Carry out a replay in the test's domain."""
+
+    async def carry_out(*arguments: object) -> Ran:
+        return await start(*arguments).end()
+
+    return carry_out
+
+
+@pytest.fixture
+def own_sockets(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Control sockets of this test only."""
+    base = Path(os.environ["XDG_RUNTIME_DIR"])
+    folder = base / f"{len(list(base.iterdir()))}"
+    folder.mkdir(mode=0o700)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder))
+
+
+class Listener:
+    """Hears serialized messages in this process; `heard` has them by topic, in order."""
+
+    def __init__(self, node: Any) -> None:
+        self.node = node
+        self.heard: dict[str, list[bytes]] = {}
+
+    def listen(self, topic: str, type_name: str, qos: Any = 1000) -> None:
+        """Subscribe."""
+        from robotctl.ros.message_types import message_class
+
+        heard = self.heard.setdefault(topic, [])
+        tap = RawTap(lambda data, *_: heard.append(data))
+        self.node.create_subscription(message_class(type_name), topic, tap, qos, raw=True)
+
+
+@pytest.fixture
+async def listener(domain_id: int) -> AsyncIterator[Listener]:
+    """A node of another process than the replay's, in its domain."""
+    from rclpy.context import Context
+    from rclpy.node import Node
+
+    context = Context()
+    context.init(args=[], domain_id=domain_id)
+    node = Node("listener", context=context, start_parameter_services=False, enable_rosout=False)
+    try:
+        async with AsyncioExecutor(context) as executor:
+            executor.add_node(node)
+            yield Listener(node)
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
+        context.destroy()
+
+
+@pytest.fixture
+def until() -> Callable[[Callable[[], object]], Awaitable[None]]:
+    """Wait in the loop for a condition, with a deadline far beyond what it should take."""
+
+    async def wait(condition: Callable[[], object]) -> None:
+        async with asyncio.timeout(UNTIL_S):
+            while not condition():  # noqa: ASYNC110 - whatever the condition is
+                await asyncio.sleep(0.01)
+
+    return wait
+
+
+class FakeDaemon:
+    """Tells `mode` and `domain_id`, and nothing more."""
+
+    def __init__(self, robot: str, domain_id: int, mode: str) -> None:
+        self.robot = robot
+        self.domain_id = domain_id
+        self.mode = mode
+
+    async def status(self, _: NoParams) -> dict[str, object]:
+        """What `status` tells."""
+        return {"robot": self.robot, "domain_id": self.domain_id, "mode": self.mode}
+
+    @asynccontextmanager
+    async def running(self) -> AsyncIterator[FakeDaemon]:
+        """Listen on the robot's control socket."""
+        make_private(runtime_folder())
+        methods: dict[str, Method[Any]] = {"status": Method(NoParams, self.status)}
+        identity = Identity(self.robot, "0.1.0", os.getpid())
+        with ControlServer(socket_path(self.robot), methods, identity) as server:
+            task = asyncio.create_task(server.serve())
+            try:
+                yield self
+            finally:
+                task.cancel()
+                with suppress(asyncio.CancelledError):
+                    await task
+
+
+Daemon = Callable[..., AbstractAsyncContextManager[FakeDaemon]]
+
+
+@pytest.fixture
+def daemon(domain_id: int, own_sockets: None) -> Daemon:
+    """A daemon in the test's domain, or in another."""
+
+    def make(
+        robot: str = "robot", *, mode: str = "IDLE", domain: int | None = None
+    ) -> AbstractAsyncContextManager[FakeDaemon]:
+        return FakeDaemon(robot, domain_id if domain is None else domain, mode).running()
+
+    return make
