@@ -1,0 +1,53 @@
+"""The console script: one command line in, one exit code out, every error mapped here."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+from robotctl.cli import quick
+from robotctl.cli.text import printable
+from robotctl.errors import INTERRUPTED_EXIT_CODE, RobotctlError
+
+
+def main() -> None:
+    """Entry point of `robotctl`."""
+    sys.exit(run(sys.argv[1:]))
+
+
+def run(arguments: list[str]) -> int:
+    """Carry out one command line and return the exit code of its process."""
+    debug = "--debug" in arguments
+    arguments = [argument for argument in arguments if argument != "--debug"]
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):  # a path may hold what the terminal cannot show
+            stream.reconfigure(errors="backslashreplace")
+    try:
+        command = quick.match(arguments)
+        if command is not None:
+            command()
+        else:
+            from robotctl.cli.commands import dispatch
+
+            dispatch(arguments or ["--help"])
+        sys.stdout.flush()
+    except BrokenPipeError:  # the reader of our output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except KeyboardInterrupt:
+        return INTERRUPTED_EXIT_CODE
+    except Exception as error:  # no traceback reaches a user who did not ask for it
+        if debug:
+            raise
+        return _report(error)
+    return 0
+
+
+def _report(error: Exception) -> int:
+    if isinstance(error, RobotctlError):
+        text, exit_code = str(error), error.exit_code
+    else:
+        kind = type(error).__name__
+        text = f"unexpected {kind}: {error} (see where with: robotctl --debug ...)"
+        exit_code = RobotctlError.exit_code
+    print(f"robotctl: {printable(text)}", file=sys.stderr)
+    return exit_code

@@ -1,0 +1,111 @@
+"""drive: pick a pattern and its size, and start moving."""
+
+from __future__ import annotations
+
+import math
+import sys
+from enum import StrEnum
+from typing import Annotated, Any
+
+import typer
+
+from robotctl.cli.control import source
+from robotctl.cli.options import Json, Robot, new_app
+from robotctl.cli.text import json_text, number, printable
+from robotctl.errors import UsageError
+from robotctl.ipc.client import CALL_DEADLINE_S, call, command_for
+from robotctl.paths import DEFAULT_ROBOT
+
+app = new_app()
+
+
+class Pattern(StrEnum):
+    """What the robot can drive by itself."""
+
+    SQUARE = "square"
+    CIRCLE = "circle"
+    FIGURE_EIGHT = "figure-eight"
+
+
+@app.command()
+def drive(
+    pattern: Annotated[
+        Pattern, typer.Argument(metavar="PATTERN", help="square, circle or figure-eight.")
+    ],
+    side: Annotated[
+        float | None, typer.Option(metavar="M", help="Side of the square, in metres.")
+    ] = None,
+    radius: Annotated[
+        float | None,
+        typer.Option(metavar="M", help="Radius of the circle or of each loop, in metres."),
+    ] = None,
+    laps: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N", help="How many; 0 drives until stopped [default: 0, or 1 with --wait]."
+        ),
+    ] = None,
+    speed: Annotated[
+        float | None, typer.Option(metavar="M/S", help="Speed along the path.")
+    ] = None,
+    wait: Annotated[
+        bool, typer.Option("--wait", help="Return when done, with the tracking numbers.")
+    ] = False,
+    replace: Annotated[
+        bool, typer.Option("--replace", help="Take the place of a drive under way.")
+    ] = False,
+    robot: Robot = DEFAULT_ROBOT,
+    as_json: Json = False,
+) -> None:
+    """Drive a square, a circle or a figure-eight.
+
+    What is not given comes from the daemon's configuration.
+
+    \b
+    Examples:
+      robotctl drive square
+      robotctl drive square --side 2 --laps 3 --wait
+      robotctl drive circle --radius 0.5 --speed 0.2 --replace
+    """
+    if side is not None and pattern is not Pattern.SQUARE:
+        raise UsageError(f"a {pattern.value} has no side: use --radius")
+    if radius is not None and pattern is Pattern.SQUARE:
+        raise UsageError("a square has no radius: use --side")
+    for option, value in (("--side", side), ("--radius", radius), ("--speed", speed)):
+        if value is not None and not math.isfinite(value):
+            raise UsageError(f"{option} {value}: give a finite number")
+    params = {
+        "pattern": pattern.value,
+        "side_m": side,
+        "radius_m": radius,
+        "laps": laps,
+        "speed_mps": speed,
+        "replace": replace,
+        "wait": wait,
+        "source": source("drive"),
+    }
+    try:
+        answer = call(robot, "drive", params, deadline_s=None if wait else CALL_DEADLINE_S)
+    except KeyboardInterrupt:
+        halt = command_for(robot, "set-mode idle")
+        print(f"robotctl: the robot drives on (stop it with: {halt})", file=sys.stderr)
+        raise
+    if as_json:
+        print(json_text(answer))
+    else:
+        print(printable(answer.get("message", "done")))
+        if wait:
+            print("\n".join(tracking_lines(answer)))
+
+
+def tracking_lines(result: dict[str, Any]) -> list[str]:
+    """How well the path was followed, from the result of a drive that was waited for."""
+    rms, worst, closure, distance = (
+        number(result.get(key), ".3f")
+        for key in ("cross_track_rms_m", "cross_track_max_m", "closure_m", "distance_m")
+    )
+    return [
+        f"  driven      {result.get('laps')} lap(s), {distance} m",
+        f"  off track   {rms} m RMS, {worst} m at most",
+        f"  closure     {closure} m between start and end",
+    ]

@@ -1,0 +1,129 @@
+"""info: what a recording holds."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from robotctl.cli.options import Json, new_app
+from robotctl.cli.screen import TOPIC_HEADER, topic_row
+from robotctl.cli.text import duration, json_text, printable, short_path, size
+from robotctl.errors import UnreadableFile
+
+if TYPE_CHECKING:
+    from robotctl.recording.reader import RecordingInfo
+
+app = new_app()
+
+_POLICIES = {
+    "reliability": {"1": "reliable", "2": "best_effort"},
+    "durability": {"1": "transient_local", "2": "volatile"},
+    "history": {"1": "keep_last", "2": "keep_all", "3": "unknown"},
+}
+"""With the numbers that rosbag2 wrote before version 9 of its metadata (rmw/types.h). The history
+is unknown where DDS did not tell it to the recorder."""
+
+_ENTRY = re.compile(r"^ *(reliability|durability|history|depth): *(\w+)", re.MULTILINE)
+
+
+@app.command()
+def info(
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="An MCAP file, or the folder of a recording.")
+    ],
+    as_json: Json = False,
+) -> None:
+    """Show the topics of a recording: types, counts, rates and QoS.
+
+    Reads any MCAP file. Of a damaged one it shows what can be read, says what is missing, and
+    exits with 6.
+
+    \b
+    Examples:
+      robotctl info recordings/robot_20260101_120000
+      robotctl info run.mcap --json | jq '.topics[].name'
+    """
+    from robotctl.recording.reader import read_info
+
+    found = read_info(file)
+    print(json_text(as_object(found)) if as_json else "\n".join(info_screen(found)))
+    if found.missing:
+        raise UnreadableFile(f"{file} is incomplete: {'; '.join(found.missing)}")
+
+
+def as_object(found: RecordingInfo) -> dict[str, Any]:
+    """The object of `info --json`; times in nanoseconds since the epoch, or seconds."""
+    return {
+        "path": str(found.path),
+        "files": [str(path) for path in found.files],
+        "size_bytes": found.size_bytes,
+        "start_ns": found.start_ns,
+        "end_ns": found.end_ns,
+        "duration_s": found.duration_s,
+        "messages": found.message_count,
+        "profile": found.profile,
+        "library": found.library,
+        "topics": [
+            {
+                "name": topic.name,
+                "type": topic.type_name,
+                "count": topic.message_count,
+                "rate": topic.rate_hz,
+                "encoding": topic.encoding,
+                "qos": qos_text(topic.offered_qos),
+                "type_hash": topic.type_hash,
+            }
+            for topic in found.topics
+        ],
+        "missing": list(found.missing),
+    }
+
+
+def info_screen(found: RecordingInfo) -> Iterator[str]:
+    """The lines of `robotctl info`."""
+    count = len(found.files)
+    files = "" if count == 1 else f" in {count} files"
+    yield short_path(found.path)
+    yield f"  size       {size(found.size_bytes)}{files}"
+    if found.message_count:
+        start = datetime.fromtimestamp(found.start_ns / 1e9, UTC).astimezone()
+        yield f"  start      {start:%Y-%m-%d %H:%M:%S %z}"
+        yield f"  duration   {duration(found.duration_s)}"
+    yield f"  messages   {found.message_count}"
+    if not found.indexed:
+        yield "  index      missing: the file was scanned from its beginning"
+    yield f"  writer     {printable(found.library)}, profile {printable(found.profile) or 'none'}"
+    if found.topics:
+        yield ""
+        yield TOPIC_HEADER
+    for topic in found.topics:
+        yield topic_row(topic.name, topic.type_name, topic.message_count, topic.rate_hz)
+        qos = qos_text(topic.offered_qos)
+        if qos:
+            yield f"    {printable(qos)}"
+
+
+def qos_text(offered: str) -> str:
+    """The QoS that a topic's publishers offered, in words; "" where the file does not say.
+
+    rosbag2 writes a flat list in block style; a YAML parser would be at the mercy of the file.
+    """
+    profiles = (
+        dict(_ENTRY.findall(part)) for part in re.split(r"^- ", offered, flags=re.MULTILINE)
+    )
+    return "; ".join(dict.fromkeys(_profile_text(profile) for profile in profiles if profile))
+
+
+def _profile_text(profile: dict[str, str]) -> str:
+    words = []
+    for policy, names in _POLICIES.items():
+        value = profile.get(policy, "unknown")
+        words.append(names.get(value, value))
+    if words[-1] == "keep_last":
+        words[-1] += f" {profile.get('depth', '')}"
+    return ", ".join(word for word in words if word != "unknown")

@@ -1,0 +1,157 @@
+"""start, stop and logs: the daemon's life."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any, TextIO
+
+import typer
+
+from robotctl import __version__
+from robotctl.cli import control
+from robotctl.cli.drive import Pattern
+from robotctl.cli.launch import StartOptions, launch
+from robotctl.cli.options import Json, Robot, new_app
+from robotctl.cli.text import json_text, printable, short_path
+from robotctl.errors import NoDaemon
+from robotctl.ipc.client import command_for
+from robotctl.paths import DEFAULT_ROBOT, check_robot_name, log_path
+
+app = new_app()
+
+_FOLLOW_POLL_S = 0.2
+
+
+@app.command()
+def start(
+    robot: Robot = DEFAULT_ROBOT,
+    config: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Parameters, as a ROS parameter file.")
+    ] = None,
+    recordings: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Where to record [default: ./recordings].")
+    ] = None,
+    drive: Annotated[
+        Pattern | None, typer.Option(metavar="PATTERN", help="Start moving at once.")
+    ] = None,
+    sim: Annotated[
+        bool | None,
+        typer.Option(
+            "--sim/--no-sim",
+            help="Force or leave out the simulated robot; without either it "
+            "starts unless somebody publishes odometry already.",
+        ),
+    ] = None,
+    domain_id: Annotated[
+        int | None, typer.Option(metavar="N", help="ROS domain [default: ROS_DOMAIN_ID, or 0].")
+    ] = None,
+    foreground: Annotated[
+        bool, typer.Option("--foreground", help="Stay in the terminal, for systemd and containers.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Start the daemon and return when it is ready.
+
+    It records every topic from the first message on. Nothing moves before you say so.
+
+    \b
+    Examples:
+      robotctl start
+      robotctl start --drive circle
+      robotctl start --no-sim --config robot.yaml --recordings /data
+      robotctl start --robot r2 --domain-id 5
+    """
+    options = StartOptions(
+        robot=check_robot_name(robot),
+        config=config,
+        recordings=recordings,
+        drive=None if drive is None else drive.value,
+        sim=sim,
+        domain_id=domain_id,
+    )
+    if foreground:
+        command = options.command()
+        os.execv(command[0], command)
+    ready = launch(options)
+    print(json_text(ready) if as_json else "\n".join(summary(ready)))
+
+
+def summary(ready: dict[str, Any]) -> Iterator[str]:
+    """What a daemon that has just become ready says of itself."""
+    robot = printable(ready.get("robot"))
+    yield f"robotctl {__version__}: robot {robot} is ready"
+    yield f"  mode        {printable(ready.get('mode'))}"
+    domain, discovery = ready.get("domain_id"), printable(ready.get("discovery_range"))
+    yield f"  ROS         domain {domain}, discovery {discovery}"
+    yield f"  simulator   {'yes' if ready.get('sim') else 'no'}"
+    yield f"  socket      {printable(ready.get('socket'))}"
+    yield f"  recording   {short_path(ready.get('recording'))}"
+    yield f"  log         {printable(ready.get('log'))}"
+    yield f"  pid         {ready.get('pid')}"
+    yield from (f"note: {printable(note)}" for note in ready.get("notes") or [])
+    if ready.get("mode") == "EMERGENCY_STOP":
+        yield f"still latched from before; release it with: {command_for(robot, 'reset')}"
+
+
+@app.command()
+def stop(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
+    """Stop the robot, close the recording and end the daemon.
+
+    Returns when the process is gone.
+
+    \b
+    Examples:
+      robotctl stop
+    """
+    control.stop(robot, as_json)
+
+
+@app.command()
+def logs(
+    robot: Robot = DEFAULT_ROBOT,
+    follow: Annotated[
+        bool, typer.Option("--follow", "-f", help="Go on with what is written, until Ctrl-C.")
+    ] = False,
+) -> None:
+    """Print the log of the background daemon.
+
+    The log of the run before lies beside it, as daemon.log.1.
+
+    \b
+    Examples:
+      robotctl logs -f
+    """
+    path = log_path(robot)
+    if not path.exists():
+        raise NoDaemon(
+            f"no log of robot {robot!r}: it has not been started in the background ({path})"
+        )
+    for line in _lines(path, follow=follow):
+        print(printable(line), flush=follow)
+
+
+def _lines(path: Path, *, follow: bool) -> Iterator[str]:
+    """The lines of a file; with `follow`, those that are yet to come, also of its successor."""
+    while True:
+        with path.open(errors="replace") as log:
+            line = ""
+            while True:
+                piece = log.readline()
+                line += piece
+                if line.endswith("\n") or (line and not follow):
+                    yield line.rstrip("\n")
+                    line = ""
+                elif not follow:
+                    return
+                elif not piece:
+                    if _is_replaced(path, log):
+                        break
+                    time.sleep(_FOLLOW_POLL_S)
+
+
+def _is_replaced(path: Path, log: TextIO) -> bool:
+    """Whether another file has the path now: the next start's log."""
+    return path.exists() and not os.path.samestat(path.stat(), os.fstat(log.fileno()))

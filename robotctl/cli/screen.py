@@ -1,0 +1,94 @@
+"""The status as one screen of plain text, 80 columns wide."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from robotctl.cli.text import duration, elided, number, printable, short_path, size
+
+_LABEL_WIDTH = 10
+_NAME_WIDTH = 30
+_TYPE_WIDTH = 30
+_RATE_WIDTH = 7
+
+TOPIC_HEADER = (
+    f"  {'topic':{_NAME_WIDTH}} {'type':{_TYPE_WIDTH}} {'count':>8} {'Hz':>{_RATE_WIDTH}}"
+)
+"""Above the lines of topic_row."""
+
+
+def status_screen(status: dict[str, Any]) -> Iterator[str]:
+    """The lines of `robotctl status`, from the object of `status --json`."""
+    yield headline(status)
+    yield from (f"  {label:{_LABEL_WIDTH}} {text}" for label, text in status_rows(status))
+    topics = status.get("topics") or []
+    if topics:
+        yield ""
+        yield TOPIC_HEADER
+    for topic in topics:
+        yield topic_row(topic.get("name"), topic.get("type"), topic.get("count"), topic.get("rate"))
+    for warning in status.get("warnings") or []:
+        yield f"warning: {printable(warning)}"
+
+
+def headline(status: dict[str, Any]) -> str:
+    """Which robot is in which mode."""
+    phase = status.get("phase")
+    suffix = f" ({printable(phase)})" if phase else ""
+    return f"{printable(status.get('robot'))}: {printable(status.get('mode'))}{suffix}"
+
+
+def status_rows(status: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """Label and text of everything but the topics."""
+    if status.get("mode_reason"):
+        yield "reason", printable(status["mode_reason"])
+    yield "pose", pose_text(status)
+    yield "velocity", velocity_text(status)
+    yield "battery", battery_text(status)
+    yield "simulator", "yes" if status.get("sim") else "no"
+    recorder = status.get("recorder") or {}
+    yield "recorder", f"{printable(recorder.get('state'))}, {size(recorder.get('bytes') or 0)}"
+    counts = ("received", "written", "queued", "dropped", "lost")
+    yield "messages", ", ".join(f"{recorder.get(name, 0)} {name}" for name in counts)
+    if recorder.get("file"):
+        yield "file", short_path(recorder["file"])
+    domain, discovery = status.get("domain_id"), status.get("discovery_range")
+    yield "ROS", f"domain {domain}, discovery {printable(discovery)}"
+    yield "socket", printable(status.get("socket"))
+    version, pid = printable(status.get("version")), status.get("pid")
+    yield "daemon", f"robotctl {version}, pid {pid}, up {duration(status.get('uptime_s') or 0)}"
+
+
+def pose_text(status: dict[str, Any]) -> str:
+    """Where the robot is, in its odometry frame."""
+    pose = status.get("pose")
+    if not pose:
+        return "unknown (no odometry yet)"
+    x, y, theta = (number(pose.get(key), "+.3f") for key in ("x", "y", "theta"))
+    return f"x {x} m   y {y} m   theta {theta} rad"
+
+
+def velocity_text(status: dict[str, Any]) -> str:
+    """How fast the robot is, as measured."""
+    velocity = status.get("velocity") or {}
+    linear, angular = (number(velocity.get(key), "+.3f") for key in ("linear", "angular"))
+    return f"{linear} m/s   {angular} rad/s"
+
+
+def battery_text(status: dict[str, Any]) -> str:
+    """The battery's charge in percent."""
+    battery = status.get("battery")
+    return "unknown" if battery is None else f"{number(battery, '.0%')}".replace("%", " %")
+
+
+def topic_row(name: object, type_name: object, count: object, rate_hz: object) -> str:
+    """One topic, its type without `/msg` so that it fits."""
+    name_text = elided(name, _NAME_WIDTH)
+    type_text = elided(str(type_name).replace("/msg/", "/"), _TYPE_WIDTH)
+    rate = number(rate_hz, ".1f")
+    if len(rate) > _RATE_WIDTH:
+        rate = number(rate_hz, ".1e")
+    return (
+        f"  {name_text:{_NAME_WIDTH}} {type_text:{_TYPE_WIDTH}} {count!s:>8} {rate:>{_RATE_WIDTH}}"
+    )

@@ -1,0 +1,55 @@
+"""sim: the simulated robot alone."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from robotctl.cli.options import Robot, new_app
+from robotctl.paths import DEFAULT_ROBOT, check_robot_name, namespace_of
+
+app = new_app()
+
+
+@app.command()
+def sim(
+    robot: Robot = DEFAULT_ROBOT,
+    config: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Parameters, as a ROS parameter file.")
+    ] = None,
+    domain_id: Annotated[
+        int | None, typer.Option(metavar="N", help="ROS domain [default: ROS_DOMAIN_ID, or 0].")
+    ] = None,
+) -> None:
+    """Run the simulated robot in a process of its own, until Ctrl-C.
+
+    A daemon that is started afterwards finds it and drives it as a real robot. If that daemon
+    dies, the robot stops by its own command timeout.
+
+    \b
+    Examples:
+      robotctl sim
+      robotctl sim --robot r2 --domain-id 5
+    """
+    from robotctl import environment
+
+    note = environment.prepare()
+    if note:
+        print(f"note: {note}", file=sys.stderr)
+    import asyncio
+
+    from robotctl.config import Config, load
+    from robotctl.daemon.options import resolve_domain_id
+    from robotctl.daemon.simulator import simulate
+
+    domain = resolve_domain_id(domain_id)
+    namespace = namespace_of(check_robot_name(robot))
+    settings = Config() if config is None else load(config)
+
+    def say_ready() -> None:
+        print(f"simulated robot {robot} runs in ROS domain {domain} (Ctrl-C ends it)", flush=True)
+
+    asyncio.run(simulate(settings, domain_id=domain, namespace=namespace, on_ready=say_ready))

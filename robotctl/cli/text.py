@@ -1,0 +1,69 @@
+"""Text for a terminal: nothing that comes from a file or a daemon may steer it."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from typing import Any
+
+
+def printable(text: object) -> str:
+    """`text` on one line, with whatever is not plainly printable shown escaped."""
+    line = str(text)
+    if line.isprintable():
+        return line
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
+
+
+def json_text(value: object) -> str:
+    """One line of JSON, in ASCII: no control character survives."""
+    return json.dumps(value)
+
+
+def elided(text: object, width: int) -> str:
+    """`text` in at most `width` columns, cut in the middle, where names differ least."""
+    line = printable(text)
+    if len(line) <= width:
+        return line
+    head = (width - 2) // 2
+    return f"{line[:head]}..{line[len(line) - (width - 2 - head) :]}"
+
+
+def short_path(path: object) -> str:
+    """A path relative to the working directory where it lies below it."""
+    text = str(path)
+    try:
+        relative = os.path.relpath(text)
+    except (OSError, ValueError):
+        return printable(text)
+    return printable(text if relative.startswith("..") else relative)
+
+
+def is_terminal() -> bool:
+    """Whether our output goes to a terminal that can be drawn on."""
+    return sys.stdout.isatty() and os.environ.get("TERM") != "dumb"
+
+
+def size(count: float) -> str:
+    """Bytes as people read them, in powers of ten."""
+    for unit in ("B", "kB", "MB"):
+        if count < 1000:
+            return f"{count:.0f} {unit}" if unit == "B" else f"{count:.1f} {unit}"
+        count /= 1000
+    return f"{count:.1f} GB"
+
+
+def duration(seconds: float) -> str:
+    """Seconds as people read them."""
+    whole = int(seconds)
+    if whole < 60:
+        return f"{seconds:.1f} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60} s"
+    return f"{whole // 3600} h {whole % 3600 // 60} min"
+
+
+def number(value: Any, form: str) -> str:
+    """A number in the given format, or `unknown` where there is none."""
+    return format(value, form) if isinstance(value, int | float) else "unknown"

@@ -1,0 +1,1 @@
+"""The daemon: where kernel, ROS, recorder and control socket are put together."""

@@ -1,0 +1,80 @@
+"""`python -m robotctl.daemon`: starts a daemon and says on `--ready-fd` what came of it."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import os
+import sys
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from robotctl import environment
+from robotctl.daemon import options as command_line
+from robotctl.daemon.lock import owned
+from robotctl.daemon.options import DaemonOptions
+from robotctl.errors import INTERRUPTED_EXIT_CODE, RobotctlError
+from robotctl.paths import lock_path
+
+_log = logging.getLogger("robotctl")
+
+
+def main(arguments: list[str]) -> int:
+    """Run a daemon to its end and return its exit code."""
+    note = environment.prepare()
+    logging.basicConfig(
+        level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s"
+    )
+    ready_fd = command_line.parse_ready_fd(arguments)
+    if ready_fd is not None:
+        os.set_inheritable(ready_fd, False)
+    try:
+        options = command_line.parse(arguments)
+        with owned(lock_path(options.robot), options.robot):
+            _run(options, partial(_tell, ready_fd), [note] if note else [])
+    except RobotctlError as error:
+        return _fail(ready_fd, error)
+    except KeyboardInterrupt:  # before the loop took the signals over
+        return INTERRUPTED_EXIT_CODE
+    except OSError as error:
+        where = f": {error.filename}" if error.filename else ""
+        return _fail(ready_fd, RobotctlError(f"{error.strerror or error}{where}"))
+    except Exception as error:  # noqa: BLE001 - a bug of ours: its traceback goes into the log only
+        if ready_fd is not None:
+            _log.exception("the daemon failed")
+        return _fail(ready_fd, RobotctlError(f"unexpected {type(error).__name__}: {error}"))
+    return 0
+
+
+def _run(options: DaemonOptions, tell: Callable[[dict[str, Any]], None], notes: list[str]) -> None:
+    from robotctl.daemon.app import serve  # after environment.prepare(): it imports rclpy
+
+    asyncio.run(serve(options, notes, tell))
+
+
+def _fail(ready_fd: int | None, error: RobotctlError) -> int:
+    if ready_fd is None:
+        print(f"robotctl: {error}", file=sys.stderr)
+    else:
+        _log.error("%s", error)
+        _tell(ready_fd, {"ready": False, "error": str(error), "exit_code": error.exit_code})
+    return error.exit_code
+
+
+def _tell(ready_fd: int | None, said: dict[str, Any]) -> None:
+    """Write the one line that a starting process waits for, or to stdout in the foreground."""
+    line = json.dumps(said)
+    try:
+        if ready_fd is None:
+            print(line, flush=True)
+        else:
+            os.write(ready_fd, f"{line}\n".encode())
+            os.close(ready_fd)
+    except OSError as error:  # told already, or the one who started us is gone
+        _log.warning("nobody waited for READY: %s", error)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,106 @@
+"""The one place through which everything reaches the kernel, and its effects the world."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+
+from robotctl.daemon.journal import Journal
+from robotctl.daemon.requests import Requests
+from robotctl.kernel.kernel import Kernel, State
+from robotctl.kernel.types import (
+    DriveEnded,
+    DriveRequested,
+    Effect,
+    Event,
+    ModeRequested,
+    Reply,
+    ResetRequested,
+)
+
+
+class Control:
+    """Owns the kernel. `dispatch` belongs to the loop's thread and is synchronous.
+
+    An event that is dispatched while another is being carried out waits its turn; nothing
+    overtakes. Each event and effect is journaled, an effect after it was carried out.
+    """
+
+    def __init__(
+        self,
+        kernel: Kernel,
+        journal: Journal,
+        carry_out: Callable[[Effect], None],
+        requests: Requests,
+        on_failure: Callable[[Exception, str], None],
+    ) -> None:
+        """`on_failure(error, where)` is told of an effect that could not be carried out."""
+        self._kernel = kernel
+        self._journal = journal
+        self._carry_out = carry_out
+        self._requests = requests
+        self._on_failure = on_failure
+        self._events: deque[Event] = deque()
+        self._busy = False
+        self._failing = ""
+
+    @property
+    def state(self) -> State:
+        """What the kernel knows now."""
+        return self._kernel.state
+
+    def dispatch(self, event: Event) -> None:
+        """Let the kernel decide on `event`, and carry out what it decides."""
+        self._events.append(event)
+        if self._busy:
+            return
+        self._busy = True
+        try:
+            while self._events:
+                self._step(self._events.popleft())
+        finally:
+            self._busy = False
+
+    def journal_snapshot(self, t_ns: int) -> None:
+        """Write the kernel's state into the journal, as the beginning of a file."""
+        self._journal.snapshot(t_ns, self._kernel)
+
+    def new_request_id(self) -> int:
+        """Return a number for one request."""
+        return self._requests.new_id()
+
+    async def request(self, event: ModeRequested | ResetRequested | DriveRequested) -> Reply:
+        """Dispatch a request and return its reply, once what it confirms has happened."""
+        reply = self._requests.expect_reply(event.request_id)
+        try:
+            self.dispatch(event)
+            return await reply
+        finally:
+            reply.cancel()
+
+    def expect_end(self, request_id: int) -> asyncio.Future[DriveEnded]:
+        """Return a future of the end of the drive that `request_id` is about to begin."""
+        return self._requests.expect_end(request_id)
+
+    def _step(self, event: Event) -> None:
+        self._journal.event(event)
+        problem = ""
+        for effect in self._kernel.step(event):
+            done = effect
+            if problem and isinstance(effect, Reply):
+                done = replace(effect, ok=False, message=f"{effect.message}, but {problem}")
+            try:
+                self._carry_out(done)
+            except Exception as error:  # noqa: BLE001 - the other effects must happen all the same
+                problem = f"{type(effect).__name__} failed: {error}"
+                self._tell(error, problem)
+            self._journal.effect(event.t_ns, effect)
+        if not problem:
+            self._failing = ""
+
+    def _tell(self, error: Exception, problem: str) -> None:
+        if problem != self._failing:  # once, and not at each tick that it lasts
+            self._failing = problem
+            self._on_failure(error, problem)

@@ -1,0 +1,63 @@
+"""What the kernel decided, done: each effect goes to the part that it belongs to."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
+from robotctl.daemon.latch import Latch
+from robotctl.daemon.requests import Requests
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.types import (
+    DriveEnded,
+    Effect,
+    LatchEmergencyStop,
+    ModeChanged,
+    PublishTwist,
+    ReleaseEmergencyStop,
+    Reply,
+    Twist,
+)
+
+_log = logging.getLogger(__name__)
+
+
+class Effects:
+    """Carries out effects, in the loop's thread, without waiting for anything."""
+
+    def __init__(
+        self,
+        publish_twist: Callable[[Twist], None],
+        show_mode: Callable[[Mode], None],
+        latch: Latch,
+        requests: Requests,
+    ) -> None:
+        self._publish_twist = publish_twist
+        self._show_mode = show_mode
+        self._latch = latch
+        self._requests = requests
+
+    def carry_out(self, effect: Effect) -> None:
+        """Do it, or begin to; a reply is sent when all that came before it is done."""
+        match effect:
+            case PublishTwist():
+                self._publish_twist(effect.twist)
+            case ModeChanged():
+                _log.info("%s -> %s: %s", effect.previous.name, effect.mode.name, effect.reason)
+                self._show_mode(effect.mode)
+            case LatchEmergencyStop():
+                self._latch.set(effect.reason)
+            case ReleaseEmergencyStop():
+                self._latch.clear()
+            case Reply():
+                self._latch.when_settled(partial(self._answer, effect))
+            case DriveEnded():
+                _log.info("drive ended: %s", effect.reason)
+                self._requests.end_drive(effect)
+
+    def _answer(self, reply: Reply, problem: str) -> None:
+        if problem:
+            reply = replace(reply, message=f"{reply.message} ({problem})")
+        self._requests.answer(reply)

@@ -1,0 +1,43 @@
+"""The end of a daemon: the robot stands, and the recording holds the last word."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import Callable
+
+from robotctl.daemon.control import Control
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.types import ModeRequested, Tick
+
+_log = logging.getLogger(__name__)
+
+RAMP_DOWN_S = 3.0
+"""How long a stop may take to ramp down before the command is cut to zero."""
+
+POLL_S = 0.01
+
+
+async def stand_still(control: Control) -> None:
+    """Ramp down, or cut the command where that takes too long; then send one more zero."""
+    for mode in (Mode.IDLE, Mode.ERROR):
+        if control.state.mode is Mode.MOVING:
+            request = ModeRequested(
+                time.monotonic_ns(), control.new_request_id(), mode, "the daemon's end"
+            )
+            try:
+                await asyncio.wait_for(control.request(request), RAMP_DOWN_S)
+            except TimeoutError:
+                _log.error("not standing still after %g s", RAMP_DOWN_S)
+    control.dispatch(Tick(time.monotonic_ns()))
+
+
+async def until(condition: Callable[[], bool], deadline_s: float) -> bool:
+    """Wait until the condition holds or the time is over; say whether it holds."""
+    end = time.monotonic() + deadline_s
+    while not condition():
+        if time.monotonic() > end:
+            return False
+        await asyncio.sleep(POLL_S)
+    return True

@@ -1,0 +1,65 @@
+"""What comes in from ROS and from the recorder, as events of the kernel."""
+
+from __future__ import annotations
+
+import logging
+import time
+from pathlib import Path
+
+from robotctl.daemon.control import Control
+from robotctl.daemon.status import StatusSource
+from robotctl.kernel.types import (
+    BatteryReceived,
+    Cause,
+    FaultCleared,
+    FaultReported,
+    ModeRequested,
+    Odometry,
+    OdomReceived,
+    Reply,
+)
+from robotctl.ros.velocity_publisher import VelocityPublisher
+
+_log = logging.getLogger(__name__)
+
+
+class Inputs:
+    """Every method belongs to the loop's thread."""
+
+    def __init__(self, control: Control, status: StatusSource, velocity: VelocityPublisher) -> None:
+        self._control = control
+        self._status = status
+        self._velocity = velocity
+
+    def odometry(self, odometry: Odometry) -> None:
+        """The robot measured where it is."""
+        self._control.dispatch(OdomReceived(time.monotonic_ns(), odometry))
+        if self._control.state.drive is not None:
+            self._status.drove_to(odometry.pose)
+
+    def battery(self, level: float) -> None:
+        """The robot measured its battery."""
+        self._control.dispatch(BatteryReceived(time.monotonic_ns(), level))
+
+    async def service_call(self, requested: int, source: str) -> Reply:
+        """Somebody on ROS asks for a mode."""
+        request_id = self._control.new_request_id()
+        return await self._control.request(
+            ModeRequested(time.monotonic_ns(), request_id, requested, source)
+        )
+
+    def recorder_failed(self, detail: str) -> None:
+        """Nothing is recorded any more."""
+        _log.error("%s", detail)
+        self._control.dispatch(FaultReported(time.monotonic_ns(), Cause.RECORDER_FAILED, detail))
+
+    def file_begun(self, path: Path) -> None:
+        """The recorder goes on in another file, which is to stand alone as well."""
+        _log.info("recording goes on in %s", path)
+        self._control.journal_snapshot(time.monotonic_ns())
+
+    def stalled(self, detail: str) -> None:
+        """The loop turns again after a stall: stop by the rules, then let commands through."""
+        self._control.dispatch(FaultReported(time.monotonic_ns(), Cause.LOOP_STALLED, detail))
+        self._control.dispatch(FaultCleared(time.monotonic_ns(), Cause.LOOP_STALLED))
+        self._velocity.open_gate()

@@ -1,0 +1,59 @@
+"""One daemon per robot: an flock that the kernel releases when its owner dies, however it dies."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from robotctl.errors import AlreadyRunning
+from robotctl.paths import DEFAULT_ROBOT, make_private
+
+PID_S = 1.0
+"""How long the owner may take from its lock to its pid in the file."""
+
+
+@contextmanager
+def owned(path: Path, robot: str) -> Iterator[None]:
+    """Own the robot's lock within the block; raises AlreadyRunning, which names the owner's pid."""
+    make_private(path.parent)
+    fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    try:
+        until = time.monotonic() + PID_S
+        while not _locked(fd):
+            pid = _living_owner(fd)
+            if pid or time.monotonic() > until:
+                raise AlreadyRunning(
+                    f"robot {robot!r} is running already, pid {pid or 'unknown'} (stop it with: "
+                    f"robotctl stop{'' if robot == DEFAULT_ROBOT else f' --robot {robot}'})"
+                )
+            time.sleep(0.01)
+        os.ftruncate(fd, 0)
+        os.pwrite(fd, f"{os.getpid()}\n".encode(), 0)
+        yield
+        os.ftruncate(fd, 0)
+    finally:
+        os.close(fd)
+
+
+def _locked(fd: int) -> bool:
+    try:
+        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def _living_owner(fd: int) -> int:
+    """Return the pid in the file; 0 where it is not there yet, or that of an owner who died."""
+    try:
+        pid = int(os.pread(fd, 20, 0))
+        os.kill(pid, 0)
+    except (ValueError, ProcessLookupError):
+        return 0
+    except PermissionError:  # it lives, under another uid
+        pass
+    return pid

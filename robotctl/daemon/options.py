@@ -1,0 +1,70 @@
+"""The daemon's command line."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from robotctl.errors import UsageError
+from robotctl.kernel.patterns import PatternKind
+from robotctl.paths import DEFAULT_ROBOT, check_robot_name, namespace_of
+
+MAX_DOMAIN_ID = 232
+"""The last ROS domain whose ports exist (DDSI-RTPS 9.6.2.3)."""
+
+
+@dataclass(frozen=True, slots=True)
+class DaemonOptions:
+    """What a start decides; `sim` None means: unless somebody publishes odometry already."""
+
+    robot: str
+    config: Path | None
+    recordings: Path
+    drive: PatternKind | None
+    sim: bool | None
+    domain_id: int
+
+    @property
+    def namespace(self) -> str:
+        """The robot's ROS namespace."""
+        return namespace_of(self.robot)
+
+
+def parse(arguments: list[str]) -> DaemonOptions:
+    """Return the options; raises UsageError where a name or number is not allowed."""
+    parser = argparse.ArgumentParser(prog="python -m robotctl.daemon", description=__doc__)
+    parser.add_argument("--robot", default=DEFAULT_ROBOT)
+    parser.add_argument("--config", type=Path)
+    parser.add_argument("--recordings", type=Path, default=Path("recordings"))
+    parser.add_argument("--drive", choices=[kind.value for kind in PatternKind])
+    parser.add_argument("--sim", action=argparse.BooleanOptionalAction)
+    parser.add_argument("--domain-id", type=int)
+    parser.add_argument("--ready-fd", type=int)
+    given = parser.parse_args(arguments)
+    return DaemonOptions(
+        robot=check_robot_name(given.robot),
+        config=given.config,
+        recordings=given.recordings.absolute(),
+        drive=None if given.drive is None else PatternKind(given.drive),
+        sim=given.sim,
+        domain_id=resolve_domain_id(given.domain_id),
+    )
+
+
+def parse_ready_fd(arguments: list[str]) -> int | None:
+    """Return where to say what came of the start, also of one whose other options are wrong."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--ready-fd", type=int)
+    descriptor: int | None = parser.parse_known_args(arguments)[0].ready_fd
+    return descriptor
+
+
+def resolve_domain_id(given: int | None) -> int:
+    """Return the given ROS domain, else that of ROS_DOMAIN_ID, else 0; raises UsageError."""
+    text = os.environ.get("ROS_DOMAIN_ID") or "0"
+    name, value = ("--domain-id", str(given)) if given is not None else ("ROS_DOMAIN_ID", text)
+    if not value.isdecimal() or int(value) > MAX_DOMAIN_ID:
+        raise UsageError(f"{name} is {value!r}: use 0 to {MAX_DOMAIN_ID}")
+    return int(value)

@@ -1,0 +1,53 @@
+"""Who waits for what: requests for their reply, drives for their end."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TypeVar
+
+from robotctl.kernel.types import DriveEnded, Reply
+
+T = TypeVar("T", Reply, DriveEnded)
+
+
+class Requests:
+    """Futures by request id; used in the loop's thread only."""
+
+    def __init__(self) -> None:
+        self._last_id = 0
+        self._replies: dict[int, asyncio.Future[Reply]] = {}
+        self._ends: dict[int, asyncio.Future[DriveEnded]] = {}
+
+    def new_id(self) -> int:
+        """Return a number for one request."""
+        self._last_id += 1
+        return self._last_id
+
+    def expect_reply(self, request_id: int) -> asyncio.Future[Reply]:
+        """Return a future of the one reply to a request."""
+        return _expect(self._replies, request_id)
+
+    def expect_end(self, request_id: int) -> asyncio.Future[DriveEnded]:
+        """Return a future of the end of the drive that a request is about to begin."""
+        return _expect(self._ends, request_id)
+
+    def answer(self, reply: Reply) -> None:
+        """Hand a reply to whoever asked."""
+        _settle(self._replies, reply)
+
+    def end_drive(self, ended: DriveEnded) -> None:
+        """Tell whoever waits for the end of the drive."""
+        _settle(self._ends, ended)
+
+
+def _expect(waiting: dict[int, asyncio.Future[T]], request_id: int) -> asyncio.Future[T]:
+    future: asyncio.Future[T] = asyncio.get_running_loop().create_future()
+    waiting[request_id] = future
+    future.add_done_callback(lambda _: waiting.pop(request_id, None))
+    return future
+
+
+def _settle(waiting: dict[int, asyncio.Future[T]], result: T) -> None:
+    future = waiting.get(result.request_id)
+    if future is not None and not future.done():
+        future.set_result(result)

@@ -1,0 +1,38 @@
+"""The simulated robot in a process of its own, so that it outlives a daemon that dies."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+from collections.abc import Callable
+
+from robotctl.config import Config
+from robotctl.ros.session import ros_session
+from robotctl.ros.simulated_robot import SimulatedRobot
+
+
+async def simulate(
+    config: Config, *, domain_id: int, namespace: str, on_ready: Callable[[], None]
+) -> None:
+    """Run the robot until SIGINT or SIGTERM."""
+    loop = asyncio.get_running_loop()
+    stop = asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, stop.set)
+    topics = config.kernel
+    async with ros_session(domain_id=domain_id, namespace=namespace) as session:
+        robot = SimulatedRobot(
+            session,
+            config.sim,
+            command_topic=topics.command.topic,
+            odometry_topic=topics.odometry.topic,
+            battery_topic=topics.battery.topic,
+        )
+        running = asyncio.create_task(robot.run())
+        on_ready()
+        stopped = asyncio.create_task(stop.wait())
+        await asyncio.wait({running, stopped}, return_when=asyncio.FIRST_COMPLETED)
+        if running.done():
+            running.result()
+        running.cancel()
+        stopped.cancel()

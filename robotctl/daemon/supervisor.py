@@ -1,0 +1,63 @@
+"""Whatever fails in the daemon becomes an event: the kernel answers with zero and ERROR."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import Callable, Coroutine
+from typing import Any
+
+from robotctl.kernel.types import Cause, Event, FaultReported
+
+_log = logging.getLogger(__name__)
+
+RESTART_S = 1.0
+"""How long a task that died stays away: a fault that lasts must not fill log and journal."""
+
+Work = Callable[[], Coroutine[Any, Any, None]]
+"""Makes the coroutine of a task; called again for each restart."""
+
+
+class Supervisor:
+    """Runs tasks and takes the exceptions that nobody else takes.
+
+    A task that died is started again, so that status, stop and zeros stay available; its fault
+    stays until the daemon is restarted.
+    """
+
+    def __init__(self) -> None:
+        self._dispatch: Callable[[Event], None] | None = None
+
+    def report_to(self, dispatch: Callable[[Event], None]) -> None:
+        """Hand faults to the kernel from now on; before, they are only logged."""
+        self._dispatch = dispatch
+
+    async def run(self, name: str, work: Work) -> None:
+        """Run a task until it returns or is cancelled."""
+        while True:
+            try:
+                return await work()
+            except Exception as error:  # noqa: BLE001 - whatever it was, the robot stops
+                self._report(error, f"the {name} task failed")
+            await asyncio.sleep(RESTART_S)
+
+    def callback_failed(self, error: Exception, where: str) -> None:
+        """Take the exception of a ROS callback; the exception handler of the executor."""
+        self._report(error, f"the callback of {where} failed")
+
+    def loop_failed(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """Take what asyncio has nobody else to tell of; the exception handler of the loop."""
+        error = context.get("exception")
+        if isinstance(error, Exception):
+            self._report(error, str(context.get("message", "a callback failed")))
+        else:
+            loop.default_exception_handler(context)
+
+    def _report(self, error: Exception, what: str) -> None:
+        while isinstance(error, ExceptionGroup) and len(error.exceptions) == 1:
+            (error,) = error.exceptions  # what a TaskGroup wraps around
+        detail = f"{what} ({type(error).__name__}: {error})"
+        _log.error("%s", detail, exc_info=error)
+        if self._dispatch is not None:
+            self._dispatch(FaultReported(time.monotonic_ns(), Cause.TASK_DIED, detail))

@@ -1,0 +1,85 @@
+"""Where a robot's socket, lock, log and latch lie; standard library only."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+from robotctl.errors import UsageError
+
+DEFAULT_ROBOT = "robot"
+MAX_SOCKET_PATH_BYTES = 107
+"""`sun_path` holds 108 bytes with its terminating zero (unix(7))."""
+
+MAX_ROBOT_NAME_LENGTH = 48
+_ROBOT_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+
+
+def check_robot_name(name: str) -> str:
+    """Return `name` if it can be a ROS namespace and a file name; raises UsageError."""
+    if len(name) > MAX_ROBOT_NAME_LENGTH or not _ROBOT_NAME.fullmatch(name) or "__" in name:
+        raise UsageError(
+            f"robot name {name!r}: use a letter, then letters, digits and single underscores, "
+            f"at most {MAX_ROBOT_NAME_LENGTH}"
+        )
+    return name
+
+
+def namespace_of(robot: str) -> str:
+    """Return the robot's ROS namespace: none for the default robot, else its name."""
+    return "" if robot == DEFAULT_ROBOT else f"/{robot}"
+
+
+def runtime_folder() -> Path:
+    """The folder of sockets and locks: private to the user, gone after a reboot."""
+    base = os.environ.get("XDG_RUNTIME_DIR") or f"/tmp/robotctl-{os.getuid()}"
+    return Path(base) / "robotctl"
+
+
+def state_folder() -> Path:
+    """The folder of logs and emergency-stop latches: survives a reboot."""
+    base = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+    return Path(base) / "robotctl"
+
+
+def make_private(folder: Path) -> Path:
+    """Create `folder` for this user alone; raises UsageError when somebody else owns it."""
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    if folder.stat().st_uid != os.getuid():
+        raise UsageError(
+            f"{folder} belongs to another user: set XDG_RUNTIME_DIR to a folder of yours"
+        )
+    folder.chmod(0o700)
+    return folder
+
+
+def socket_path(robot: str) -> Path:
+    """The robot's control socket; raises UsageError where the path is too long for a socket."""
+    path = runtime_folder() / f"{check_robot_name(robot)}.sock"
+    if len(os.fsencode(path)) > MAX_SOCKET_PATH_BYTES:
+        raise UsageError(
+            f"socket path {path} is longer than {MAX_SOCKET_PATH_BYTES} bytes: "
+            "set XDG_RUNTIME_DIR to a shorter folder"
+        )
+    return path
+
+
+def lock_path(robot: str) -> Path:
+    """The file whose flock makes a process the robot's only daemon; it holds the owner's pid."""
+    return runtime_folder() / f"{check_robot_name(robot)}.lock"
+
+
+def robot_state_folder(robot: str) -> Path:
+    """The robot's folder for what must outlive the daemon."""
+    return state_folder() / check_robot_name(robot)
+
+
+def log_path(robot: str) -> Path:
+    """The background daemon's log."""
+    return robot_state_folder(robot) / "daemon.log"
+
+
+def latch_path(robot: str) -> Path:
+    """The file whose existence latches EMERGENCY_STOP over restarts; its text is the reason."""
+    return robot_state_folder(robot) / "emergency-stop"

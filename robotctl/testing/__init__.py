@@ -1,0 +1,1 @@
+"""Clocks, files and robots for tests: they fail on demand and keep time by hand."""

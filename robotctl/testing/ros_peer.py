@@ -1,0 +1,163 @@
+# mypy: disallow-untyped-calls=False
+"""Somebody else on the graph: plain rclpy in a process of its own, told what to do line by line.
+
+Reads one JSON object a line from stdin, does what its "do" says, answers one line on stdout.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import threading
+import time
+from typing import Any
+
+import rclpy
+from geometry_msgs.msg import Twist
+from nav_msgs.msg import Odometry
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from robot_controller.msg import RobotStatus
+from robot_controller.srv import SetMode
+from sensor_msgs.msg import BatteryState
+
+DEADLINE_S = 20.0
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+DEEP = QoSProfile(depth=10_000)
+BEST_EFFORT = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+class Peer:
+    def __init__(self) -> None:
+        self.node = Node("somebody_else")
+        self.commands: list[tuple[int, int, float, float]] = []
+        self.statuses: list[tuple[int, int, str]] = []
+        self.speed = 0.0
+        self.stop = threading.Event()
+        self.robot: threading.Thread | None = None
+
+    def listen(self, namespace: str = "") -> None:
+        """Keep what the daemon publishes: sequence number and content."""
+
+        def command(message: Any, info: Any) -> None:
+            number = info["publication_sequence_number"]
+            seen_ns = time.monotonic_ns()
+            self.commands.append((number, seen_ns, message.linear.x, message.angular.z))
+
+        def status(message: Any, info: Any) -> None:
+            number = info["publication_sequence_number"]
+            self.statuses.append((number, message.mode, message.robot_name))
+
+        def odometry(message: Any) -> None:
+            self.speed = message.twist.twist.linear.x
+
+        self._subscribe(Twist, f"{namespace}/cmd_vel", command, DEEP)
+        self._subscribe(RobotStatus, f"{namespace}/robot_status", status, DEEP)
+        self._subscribe(Odometry, f"{namespace}/odom", odometry, BEST_EFFORT)
+
+    def heard(self) -> dict[str, Any]:
+        """All that was kept so far."""
+        return {"commands": self.commands, "statuses": self.statuses, "speed": self.speed}
+
+    def set_mode(self, mode: int, namespace: str = "") -> dict[str, Any]:
+        """Call the service."""
+        client = self.node.create_client(SetMode, f"{namespace}/set_mode")
+        assert client.wait_for_service(DEADLINE_S), "no such service"
+        future = client.call_async(SetMode.Request(requested_mode=mode))
+        _wait(future.done)
+        answer = future.result()
+        self.node.destroy_client(client)
+        return {
+            "success": answer.success,
+            "message": answer.message,
+            "current_mode": answer.current_mode,
+        }
+
+    def late_status(self, namespace: str = "") -> list[Any]:
+        """Subscribe now, and return the first status that comes with the number it was sent as."""
+        got: list[Any] = []
+
+        def status(message: Any, info: Any) -> None:
+            got.append([message.mode, info["publication_sequence_number"]])
+
+        topic = f"{namespace}/robot_status"
+        subscription = self._subscribe(RobotStatus, topic, status, LATCHED)
+        _wait(lambda: got)
+        self.node.destroy_subscription(subscription)
+        return list(got[0])
+
+    def be_a_robot(self) -> None:
+        """Publish odometry and a full battery until the end."""
+        odometry = self.node.create_publisher(Odometry, "/odom", 10)
+        battery = self.node.create_publisher(BatteryState, "/battery_state", 10)
+
+        def run() -> None:
+            message = Odometry()
+            while not self.stop.wait(0.02):
+                message.header.stamp = self.node.get_clock().now().to_msg()
+                odometry.publish(message)
+                battery.publish(BatteryState(percentage=1.0))
+
+        self.robot = threading.Thread(target=run)
+        self.robot.start()
+
+    def command(self, linear: float) -> None:
+        """Publish a velocity command, as nobody but the daemon should."""
+        publisher = self.node.create_publisher(Twist, "/cmd_vel", 10)
+        message = Twist()
+        message.linear.x = linear
+        publisher.publish(message)
+
+    def publish(self, kind: str, topic: str) -> None:
+        """Offer a topic as a type of which we know the name."""
+        self.node.create_publisher({"Twist": Twist, "Odometry": Odometry}[kind], topic, 10)
+
+    def end(self) -> None:
+        """Publish no more."""
+        self.stop.set()
+        if self.robot is not None:
+            self.robot.join()
+
+    def nodes(self) -> list[str]:
+        """The full names of all other nodes."""
+        found = self.node.get_node_names_and_namespaces()
+        names = {f"{namespace.rstrip('/')}/{name}" for name, namespace in found}
+        return sorted(names - {"/somebody_else"})
+
+    def _subscribe(self, kind: Any, topic: str, callback: Any, qos: QoSProfile) -> Any:
+        # rclpy's own types know callbacks of one argument only.
+        return self.node.create_subscription(kind, topic, callback, qos)
+
+
+def _wait(condition: Any) -> None:
+    until = time.monotonic() + DEADLINE_S
+    while not condition():
+        assert time.monotonic() < until, "waited in vain"
+        time.sleep(0.002)
+
+
+def main() -> None:
+    rclpy.init(args=[])
+    peer = Peer()
+    executor = SingleThreadedExecutor()
+    executor.add_node(peer.node)
+    spinner = threading.Thread(target=executor.spin)
+    spinner.start()
+    print("ready", flush=True)
+    for line in sys.stdin:
+        request = json.loads(line)
+        try:
+            answer = {"result": getattr(peer, request.pop("do"))(**request)}
+        except Exception as error:  # noqa: BLE001 - told to the test
+            answer = {"error": f"{type(error).__name__}: {error}"}
+        print(json.dumps(answer), flush=True)
+    peer.end()
+    executor.shutdown()
+    spinner.join()
+    peer.node.destroy_node()
+    rclpy.shutdown()
+
+
+if __name__ == "__main__":
+    main()

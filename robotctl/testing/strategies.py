@@ -1,0 +1,70 @@
+"""Hypothesis strategies for all that may reach the kernel, sane or not."""
+
+from __future__ import annotations
+
+from math import inf, nan
+
+from hypothesis import strategies as st
+
+from robotctl.kernel.geometry import Pose
+from robotctl.kernel.patterns import Pattern, PatternKind
+from robotctl.kernel.types import (
+    BatteryReceived,
+    Cause,
+    CommandPublishersSeen,
+    DriveRequested,
+    Event,
+    FaultCleared,
+    FaultReported,
+    ModeRequested,
+    Odometry,
+    OdomReceived,
+    ResetRequested,
+    Tick,
+    Twist,
+)
+
+INT64 = st.integers(-(2**63), 2**63 - 1)
+ANY_FLOAT = st.floats(allow_nan=True, allow_infinity=True)
+SPECIAL_FLOAT = st.sampled_from((nan, inf, -inf, 0.0, -0.0, 1e308, -1e308, 5e-324))
+NEAR = st.floats(-2.0, 2.0)
+COORDINATE = st.one_of(NEAR, NEAR, ANY_FLOAT, SPECIAL_FLOAT)
+LEVEL = st.one_of(st.floats(0.0, 1.0), st.sampled_from((0.15, 0.2)), ANY_FLOAT, SPECIAL_FLOAT)
+MODE_NUMBER = st.one_of(st.integers(0, 3), st.integers(-1, 260))
+SOURCE = st.text(max_size=8)
+DAEMON_CAUSE = st.sampled_from((Cause.TASK_DIED, Cause.LOOP_STALLED, Cause.RECORDER_FAILED))
+
+TWIST = st.builds(Twist, COORDINATE, COORDINATE)
+ODOMETRY = st.builds(Odometry, st.builds(Pose, COORDINATE, COORDINATE, COORDINATE), TWIST, INT64)
+PATTERN = st.builds(
+    Pattern,
+    st.sampled_from(PatternKind),
+    st.one_of(st.floats(0.1, 3.0), ANY_FLOAT),
+    st.one_of(st.floats(0.01, 3.0), ANY_FLOAT),
+)
+
+
+def event(
+    t_ns: st.SearchStrategy[int], request_id: st.SearchStrategy[int]
+) -> st.SearchStrategy[Event]:
+    """Return any event at such a time, a request with such a number."""
+    cause = st.one_of(DAEMON_CAUSE, st.sampled_from(Cause))
+    return st.one_of(
+        st.builds(Tick, t_ns, st.integers(0, 10)),
+        st.builds(OdomReceived, t_ns, ODOMETRY),
+        st.builds(BatteryReceived, t_ns, LEVEL),
+        st.builds(ModeRequested, t_ns, request_id, MODE_NUMBER, SOURCE),
+        st.builds(ResetRequested, t_ns, request_id, SOURCE),
+        st.builds(
+            DriveRequested,
+            t_ns,
+            request_id,
+            PATTERN,
+            st.integers(-1, 3),
+            st.booleans(),
+            SOURCE,
+        ),
+        st.builds(CommandPublishersSeen, t_ns, st.lists(SOURCE, max_size=2).map(tuple)),
+        st.builds(FaultReported, t_ns, cause, SOURCE),
+        st.builds(FaultCleared, t_ns, cause),
+    )

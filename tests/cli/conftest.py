@@ -1,0 +1,104 @@
+"""Runs command lines in a home of their own, against a daemon that only speaks the protocol."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+import robotctl
+from robotctl.cli import app, launch
+from robotctl.errors import NoDaemon
+from robotctl.ipc.client import Client
+
+FAKE_DAEMON = Path(__file__).with_name("fake_daemon.py")
+DEADLINE_S = 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class Ran:
+    """What a command line did."""
+
+    exit_code: int
+    out: str
+    err: str
+
+
+@pytest.fixture(autouse=True)
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Sockets, logs and recordings below tmp_path; the fake daemon in the real one's place."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "run"))
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.setenv("PYTHONPATH", str(Path(robotctl.__file__).parent.parent))
+    monkeypatch.delenv("ROBOTCTL_ROBOT", raising=False)
+    monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
+    monkeypatch.setattr(launch, "DAEMON", (sys.executable, str(FAKE_DAEMON)))
+    (tmp_path / "cwd").mkdir()
+    monkeypatch.chdir(tmp_path / "cwd")
+    yield tmp_path
+    for socket in (tmp_path / "run" / "robotctl").glob("*.sock"):
+        try:
+            with Client(socket.stem) as client:
+                os.kill(client.daemon_pid, signal.SIGKILL)
+        except NoDaemon:
+            pass
+
+
+@pytest.fixture
+def cli(capsys: pytest.CaptureFixture[str]) -> Callable[..., Ran]:
+    """Run a command line in this process."""
+
+    def run(*arguments: str) -> Ran:
+        capsys.readouterr()
+        exit_code = app.run(list(arguments))
+        return Ran(exit_code, *capsys.readouterr())
+
+    return run
+
+
+@pytest.fixture
+def daemon(cli: Callable[..., Ran]) -> None:
+    """A daemon for robot 'robot' that runs until the test ends."""
+    ran = cli("start")
+    assert ran.exit_code == 0, ran.err
+
+
+PROGRAM = """
+import sys
+from robotctl.cli import app, launch
+launch.DAEMON = (sys.executable, sys.argv.pop(1))
+app.main()
+"""
+
+
+@pytest.fixture
+def command() -> list[str]:
+    """The beginning of a command line that runs in a process of its own."""
+    return [sys.executable, "-c", PROGRAM, str(FAKE_DAEMON)]
+
+
+@pytest.fixture
+def spawn(command: list[str]) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """Start a command line in a process of its own, which ends with the test at the latest."""
+    started: list[subprocess.Popen[str]] = []
+
+    def spawned(*arguments: str) -> subprocess.Popen[str]:
+        process = subprocess.Popen(
+            [*command, *arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        started.append(process)
+        return process
+
+    yield spawned
+    for process in started:
+        process.kill()
+        process.communicate()

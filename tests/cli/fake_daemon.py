@@ -1,0 +1,203 @@
+"""Stands in for `python -m robotctl.daemon`: the protocol and the ready line, without a robot.
+
+FAKE_START makes a start go wrong: refuse, run-already, crash, garbage or hang. FAKE_ENDLESS makes
+every drive endless; FAKE_MODE is the mode that it is ready in.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import os
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from mcap.writer import Writer
+
+from robotctl import __version__
+from robotctl.errors import Refused
+from robotctl.ipc.params import DriveParams, NoParams, ResetParams, SetModeParams
+from robotctl.ipc.server import ControlServer, Identity, Method
+from robotctl.paths import log_path, socket_path
+
+MODES = ["IDLE", "MOVING", "ERROR", "EMERGENCY_STOP"]
+DRIVE_S = 0.3
+SQUARE = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.0, 0.0]]
+START_FAILURES = {
+    "refuse": {"ready": False, "error": "robot.yaml: speed: nan is not allowed", "exit_code": 2},
+    "run-already": {
+        "ready": False,
+        "error": "robot 'robot' is already running (pid 4711)",
+        "exit_code": 5,
+    },
+}
+
+
+class FakeDaemon:
+    def __init__(self, options: argparse.Namespace) -> None:
+        self.options = options
+        self.mode = 0
+        self.asked_by = ""
+        self.started = time.monotonic()
+        self.stopped = asyncio.Event()
+        name = f"{options.robot}_20260101_120000"
+        self.file = Path(options.recordings).absolute() / name / f"{name}_0.mcap"
+        self.file.parent.mkdir(parents=True)
+        record(self.file)
+
+    async def status(self, _: NoParams) -> dict[str, Any]:
+        return {
+            "robot": self.options.robot,
+            "version": __version__,
+            "pid": os.getpid(),
+            "mode": MODES[self.mode],
+            "phase": "driving" if self.mode == 1 else "",
+            "mode_reason": self.asked_by,
+            "pose": {"x": 0.5, "y": -0.25, "theta": 1.5},
+            "velocity": {"linear": 0.2, "angular": 0.0},
+            "battery": 0.87,
+            "sim": True,
+            "topics": [
+                {"name": "/odom", "type": "nav_msgs/msg/Odometry", "count": 20, "rate": 50.0}
+            ],
+            "recorder": {
+                "state": "recording",
+                "file": str(self.file),
+                "bytes": self.file.stat().st_size,
+                "received": 20,
+                "written": 20,
+                "queued": 0,
+                "dropped": 0,
+                "lost": 0,
+            },
+            "warnings": ["\x1b[2Jforged by a topic name"],
+            "domain_id": self.options.domain_id,
+            "discovery_range": "LOCALHOST",
+            "socket": str(socket_path(self.options.robot)),
+            "uptime_s": time.monotonic() - self.started,
+        }
+
+    async def set_mode(self, params: SetModeParams) -> dict[str, Any]:
+        if self.mode == 3 and params.mode == 1:
+            raise Refused("EMERGENCY_STOP is latched: release it with robotctl reset")
+        self.mode, self.asked_by = params.mode, params.source
+        return {"message": f"Mode changed to {MODES[self.mode]}", "mode": MODES[self.mode]}
+
+    async def reset(self, params: ResetParams) -> dict[str, Any]:
+        return await self.set_mode(SetModeParams(0, params.source))
+
+    async def drive(self, params: DriveParams) -> dict[str, Any]:
+        if self.mode == 1 and not params.replace:
+            raise Refused("a drive is under way: add --replace")
+        self.mode, self.asked_by = 1, params.source
+        answer: dict[str, Any] = {
+            "message": f"Driving {params.pattern} {params.side_m} m",
+            "mode": "MOVING",
+        }
+        if params.wait:
+            endless = params.laps == 0 or "FAKE_ENDLESS" in os.environ
+            await asyncio.sleep(3600 if endless else DRIVE_S)
+            self.mode = 0
+            answer |= {
+                "message": "Drive finished",
+                "mode": "IDLE",
+                "laps": 1,
+                "distance_m": 4.0,
+                "cross_track_rms_m": 0.008,
+                "cross_track_max_m": 0.021,
+                "closure_m": 0.012,
+            }
+        return answer
+
+    async def path(self, _: NoParams) -> dict[str, Any]:
+        return {"reference": SQUARE, "driven": [[x + 0.01, y] for x, y in SQUARE]}
+
+    async def stop(self, _: NoParams) -> dict[str, Any]:
+        self.stopped.set()
+        return {"message": "Stopped; the recording is closed"}
+
+    async def serve(self) -> None:
+        options = self.options
+        methods: dict[str, Method[Any]] = {
+            "status": Method(NoParams, self.status),
+            "set_mode": Method(SetModeParams, self.set_mode),
+            "reset": Method(ResetParams, self.reset),
+            "drive": Method(DriveParams, self.drive, deadline_s=None),
+            "path": Method(NoParams, self.path),
+            "stop": Method(NoParams, self.stop),
+        }
+        identity = Identity(options.robot, __version__, os.getpid())
+        with ControlServer(socket_path(options.robot), methods, identity) as server:
+            print(f"ready with {sys.argv[1:]}\nin \x1b[31mred", flush=True)
+            say_ready(
+                options.ready_fd,
+                {
+                    "ready": True,
+                    "robot": options.robot,
+                    "mode": os.environ.get("FAKE_MODE", "IDLE"),
+                    "domain_id": options.domain_id,
+                    "discovery_range": "LOCALHOST",
+                    "sim": True,
+                    "socket": str(socket_path(options.robot)),
+                    "recording": str(self.file),
+                    "log": str(log_path(options.robot)),
+                    "pid": os.getpid(),
+                    "notes": ["a sourced ROS (humble) was left out"],
+                },
+            )
+            serving = asyncio.create_task(server.serve())
+            await self.stopped.wait()
+            serving.cancel()
+            await asyncio.gather(serving, return_exceptions=True)
+
+
+def record(file: Path) -> None:
+    """Write a recording of 20 messages."""
+    with file.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2")
+        schema = writer.register_schema("nav_msgs/msg/Odometry", "ros2msg", b"")
+        channel = writer.register_channel("/odom", "cdr", schema)
+        for index in range(20):
+            at_ns = 1_767_268_800_000_000_000 + index * 20_000_000
+            writer.add_message(channel, at_ns, b"\0" * 16, at_ns)
+        writer.finish()  # type: ignore[no-untyped-call]
+
+
+def say_ready(descriptor: int | None, said: object) -> None:
+    if descriptor is not None:
+        os.write(descriptor, json.dumps(said).encode() + b"\n")
+        os.close(descriptor)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--robot", required=True)
+    parser.add_argument("--config")
+    parser.add_argument("--recordings", default="recordings")
+    parser.add_argument("--drive")
+    parser.add_argument("--sim", action=argparse.BooleanOptionalAction)
+    parser.add_argument("--domain-id", type=int, default=0)
+    parser.add_argument("--ready-fd", type=int)
+    options = parser.parse_args()
+    failure = os.environ.get("FAKE_START")
+    if failure in START_FAILURES:
+        said = START_FAILURES[failure]
+        print("the loser's log", flush=True)
+        say_ready(options.ready_fd, said)
+        sys.exit(int(str(said["exit_code"])))
+    if failure == "crash":
+        raise ZeroDivisionError("a bug before READY")
+    if failure == "garbage":
+        os.write(options.ready_fd, b"not json\n")
+        sys.exit(3)
+    if failure == "hang":
+        time.sleep(3600)
+    asyncio.run(FakeDaemon(options).serve())
+
+
+if __name__ == "__main__":
+    main()

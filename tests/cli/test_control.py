@@ -1,0 +1,190 @@
+"""status, set-mode, estop, reset, stop and drive, against a daemon that speaks the protocol."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from robotctl.cli import control, process
+from robotctl.ipc.client import Client, call
+from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
+from robotctl.kernel.modes import Mode
+
+STABLE_KEYS = {
+    "robot",
+    "version",
+    "pid",
+    "mode",
+    "phase",
+    "mode_reason",
+    "pose",
+    "velocity",
+    "battery",
+    "sim",
+    "topics",
+    "recorder",
+    "warnings",
+    "domain_id",
+    "discovery_range",
+    "socket",
+    "uptime_s",
+}
+
+
+def mode() -> str:
+    return str(call("robot", "status")["mode"])
+
+
+def test_status_is_one_screen_of_80_columns(daemon: None, cli: Callable[..., Any]) -> None:
+    ran = cli("status")
+    lines = ran.out.splitlines()
+    assert ran.exit_code == 0
+    assert lines[0] == "robot: IDLE"
+    assert len(lines) <= 24
+    shown = " ".join(lines)
+    for text in ("x +0.500 m", "+0.200 m/s", "87 %", "recording", "domain 0", "LOCALHOST", "/odom"):
+        assert text in shown
+    # The socket's path is as long as the temporary folder's; everything else has its columns.
+    assert all(len(line) <= 80 for line in lines if "socket" not in line)
+
+
+def test_status_shows_control_characters_escaped(daemon: None, cli: Callable[..., Any]) -> None:
+    out = cli("status").out
+    assert "warning: \\x1b[2Jforged" in out
+    assert "\x1b" not in out
+    assert "\x1b" not in cli("status", "--json").out
+
+
+def test_status_json_is_one_line_with_the_stable_keys(
+    daemon: None, cli: Callable[..., Any]
+) -> None:
+    out = cli("status", "--json").out
+    assert out.count("\n") == 1
+    status = json.loads(out)
+    assert status.keys() >= STABLE_KEYS
+    assert status["mode"] == "IDLE"
+
+
+@pytest.mark.parametrize(
+    ("text", "number"),
+    [
+        ("idle", 0),
+        ("MOVING", 1),
+        ("Error", 2),
+        ("emergency-stop", 3),
+        ("EMERGENCY_STOP", 3),
+        ("emergency_Stop", 3),
+        ("0", 0),
+        ("3", 3),
+    ],
+)
+def test_a_mode_is_taken_in_any_case_with_dash_or_underscore_or_as_a_number(
+    text: str, number: int
+) -> None:
+    assert control.mode_number(text) == number
+
+
+def test_set_mode_answers_as_the_service_does(daemon: None, cli: Callable[..., Any]) -> None:
+    assert cli("set-mode", "moving").out == "Mode changed to MOVING\n"
+    assert json.loads(cli("set-mode", "idle", "--json").out) == {
+        "message": "Mode changed to IDLE",
+        "mode": "IDLE",
+    }
+
+
+def test_who_asked_is_told_to_the_daemon(daemon: None, cli: Callable[..., Any]) -> None:
+    cli("set-mode", "moving")
+    reason = call("robot", "status")["mode_reason"]
+    assert reason == f"robotctl set-mode (uid {os.getuid()}, pid {os.getpid()})"
+
+
+def test_estop_says_how_to_release_it_and_a_refusal_exits_with_4(
+    daemon: None, cli: Callable[..., Any]
+) -> None:
+    ran = cli("estop")
+    assert ran.out == "Mode changed to EMERGENCY_STOP (release it with: robotctl reset)\n"
+    ran = cli("set-mode", "moving")
+    assert (ran.exit_code, ran.out) == (4, "")
+    assert ran.err == "robotctl: EMERGENCY_STOP is latched: release it with robotctl reset\n"
+    assert cli("reset").out == "Mode changed to IDLE\n"
+    assert cli("set-mode", "moving").exit_code == 0
+
+
+def test_stop_returns_when_the_process_is_gone(daemon: None, cli: Callable[..., Any]) -> None:
+    with Client("robot") as client, process.watched(client.daemon_pid) as watched:
+        assert watched is not None
+        assert cli("stop").exit_code == 0
+        assert process.readable_within(watched, 0)
+    assert cli("stop").exit_code == 3
+
+
+def test_a_daemon_that_does_not_end_is_named(
+    daemon: None, cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(control, "readable_within", lambda process, seconds: False)
+    pid = call("robot", "status")["pid"]
+    ran = cli("stop")
+    assert ran.exit_code == 1
+    assert f"(pid {pid}) still runs after 30 s: end it with kill -9 {pid}" in ran.err
+
+
+def test_drive_starts_and_is_not_replaced_by_accident(
+    daemon: None, cli: Callable[..., Any]
+) -> None:
+    assert cli("drive", "square", "--side", "2").out == "Driving square 2.0 m\n"
+    ran = cli("drive", "circle")
+    assert ran.exit_code == 4
+    assert "--replace" in ran.err
+    assert cli("drive", "circle", "--replace").exit_code == 0
+
+
+def test_drive_wait_ends_with_the_tracking_numbers(daemon: None, cli: Callable[..., Any]) -> None:
+    ran = cli("drive", "square", "--wait")
+    assert ran.out.splitlines() == [
+        "Drive finished",
+        "  driven      1 lap(s), 4.000 m",
+        "  off track   0.008 m RMS, 0.021 m at most",
+        "  closure     0.012 m between start and end",
+    ]
+    answer = json.loads(cli("drive", "square", "--wait", "--json").out)
+    numbers = {"laps", "distance_m", "cross_track_rms_m", "cross_track_max_m", "closure_m"}
+    assert answer.keys() >= numbers
+
+
+def test_a_size_outside_the_limits_is_named(daemon: None, cli: Callable[..., Any]) -> None:
+    for value in ("nan", "1e999", "1000", "-1"):
+        ran = cli("drive", "square", "--side", value)
+        assert ran.exit_code == 2, value
+        assert "side" in ran.err
+    assert mode() == "IDLE"
+
+
+def test_ctrl_c_while_waiting_says_that_the_robot_drives_on(
+    daemon: None, spawn: Callable[..., subprocess.Popen[str]]
+) -> None:
+    waiting = spawn("drive", "square", "--laps", "0", "--wait")
+    while mode() != "MOVING":
+        assert waiting.poll() is None
+    waiting.send_signal(signal.SIGINT)
+    _, err = waiting.communicate(timeout=30)
+    assert waiting.returncode == 130
+    assert err == "robotctl: the robot drives on (stop it with: robotctl set-mode idle)\n"
+    assert mode() == "MOVING"
+
+
+def test_another_robots_hints_name_it(cli: Callable[..., Any]) -> None:
+    assert cli("start", "--robot", "r2").exit_code == 0
+    assert "release it with: robotctl reset --robot r2" in cli("estop", "--robot", "r2").out
+    assert cli("status").exit_code == 3
+
+
+def test_the_command_line_knows_the_modes_of_the_kernel() -> None:
+    names = {mode.name.lower().replace("_", "-"): mode.value for mode in Mode}
+    assert names == control.MODES
+    assert Mode.EMERGENCY_STOP == EMERGENCY_STOP_MODE

@@ -1,0 +1,139 @@
+"""The demo touches nobody's daemon, leaves nothing behind, and shows what it did."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import signal
+import socket
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robotctl import domains
+from robotctl.domains import DOMAINS, free_domain
+from robotctl.errors import Refused
+from robotctl.ipc.client import call
+from robotctl.recording.reader import read_info
+
+
+def sockets(home: Path) -> list[str]:
+    return [path.stem for path in (home / "run" / "robotctl").glob("*.sock")]
+
+
+def test_the_demo_shows_recording_numbers_picture_and_what_comes_next(
+    cli: Callable[..., Any], home: Path
+) -> None:
+    ran = cli("demo")
+    assert ran.exit_code == 0, ran.err
+    folder = next(Path("recordings").glob("demo_*"))
+    assert (folder / "path.png").stat().st_size > 1000
+    for text in (
+        f"recording   {folder}",
+        f"picture     {folder}/path.png",
+        "messages    20, 0 lost",
+        "/odom",
+        "off track   0.008 m RMS, 0.021 m at most",
+        "closure     0.012 m",
+        "\u2502",
+    ):
+        assert text in ran.out
+    assert max(len(line) for line in ran.out.splitlines()) <= 100
+    assert sockets(home) == []
+    assert read_info(folder).missing == ()
+
+
+def test_the_three_next_commands_can_be_pasted(cli: Callable[..., Any]) -> None:
+    out = cli("demo", "--recordings", "my recordings").out
+    pasted = [shlex.split(line) for line in out.split("next:\n")[1].splitlines()]
+    assert [words[:2] for words in pasted] == [
+        ["robotctl", "info"],
+        ["robotctl", "replay"],
+        ["robotctl", "start"],
+    ]
+    assert cli(*pasted[0][1:]).exit_code == 0
+
+
+def test_keep_leaves_the_daemon_and_says_how_to_go_on(cli: Callable[..., Any], home: Path) -> None:
+    out = cli("demo", "--keep").out
+    (robot,) = sockets(home)
+    assert call(robot, "status")["mode"] == "IDLE"
+    pasted = [shlex.split(line) for line in out.split("next:\n")[1].splitlines()]
+    assert pasted[-1] == ["robotctl", "stop", "--robot", robot]
+    assert cli(*pasted[-1][1:]).exit_code == 0
+    assert sockets(home) == []
+
+
+def test_json_is_one_line_with_every_number(cli: Callable[..., Any]) -> None:
+    ran = cli("demo", "--json")
+    assert ran.out.count("\n") == 1
+    said = json.loads(ran.out)
+    assert said["messages"] == {"/odom": 20}
+    assert said["lost"] == 0
+    assert Path(said["picture"]).exists()
+    assert said["cross_track_max_m"] == 0.021
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_an_interruption_stops_the_daemon_and_leaves_a_readable_recording(
+    number: signal.Signals,
+    spawn: Callable[..., subprocess.Popen[str]],
+    home: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("FAKE_ENDLESS", "1")
+    process = spawn("demo")
+    assert process.stdout is not None
+    while "MOVING" not in process.stdout.readline():
+        assert process.poll() is None
+    process.send_signal(number)
+    _, err = process.communicate(timeout=30)
+    assert process.returncode == 130
+    folder = next(Path("recordings").glob("demo_*"))
+    assert err == (
+        "note: a sourced ROS (humble) was left out\n"
+        f"stopped; recorded until then: {folder}/{folder.name}_0.mcap\n"
+    )
+    assert sockets(home) == []
+    assert read_info(folder).message_count == 20
+
+
+def test_a_running_daemon_is_not_touched(daemon: None, cli: Callable[..., Any]) -> None:
+    before = call("robot", "status")
+    assert cli("demo").exit_code == 0
+    after = call("robot", "status")
+    assert (after["pid"], after["mode"]) == (before["pid"], "IDLE")
+
+
+def test_a_daemon_that_does_not_start_is_reported(
+    cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FAKE_START", "refuse")
+    ran = cli("demo")
+    assert ran.exit_code == 2
+    assert ran.err == "robotctl: robot.yaml: speed: nan is not allowed\n"
+
+
+# The domain
+
+
+def test_a_domain_with_a_bound_port_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(domains, "DOMAINS", range(51, 53))
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 7400 + 250 * 51 + 10))
+        assert {free_domain() for _ in range(20)} == {52}
+
+
+def test_the_domain_of_the_environment_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "52")
+    monkeypatch.setattr(domains, "DOMAINS", range(52, 53))
+    with pytest.raises(Refused, match="every ROS domain"):
+        free_domain()
+
+
+def test_domain_0_is_left_to_those_who_did_not_choose() -> None:
+    assert 0 not in DOMAINS
+    assert max(DOMAINS) == 101

@@ -1,0 +1,147 @@
+"""Every error ends in one sentence and its exit code; no traceback reaches who did not ask."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import signal
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.main import get_command
+
+import robotctl
+from robotctl.cli import commands, control
+from robotctl.cli.commands import MODULES
+
+NO_DAEMON = "robotctl: no daemon for robot 'robot' (start one with: robotctl start)\n"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    ["status", "status --json", "set-mode idle", "estop", "reset", "stop", "drive square", "watch"],
+)
+def test_without_a_daemon_every_command_says_how_to_start_one(
+    arguments: str, cli: Callable[..., Any]
+) -> None:
+    ran = cli(*arguments.split())
+    assert (ran.exit_code, ran.out, ran.err) == (3, "", NO_DAEMON)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ("set-mode flying", "no mode 'flying': use idle, moving, error, emergency-stop, or 0 to 3"),
+        ("set-mode 7", "no mode '7': use idle, moving, error, emergency-stop, or 0 to 3"),
+        ("status --robot ../etc", "robot name '../etc': use a letter"),
+        ("stat", "No such command 'stat'. Did you mean 'start', 'status'?"),
+        ("drive", "Missing argument 'PATTERN'. Choose from: square, circle, figure-eight"),
+        ("drive star", "'star' is not one of 'square', 'circle', 'figure-eight'"),
+        ("drive square --radius 2", "a square has no radius: use --side"),
+        ("drive circle --side 2", "a circle has no side: use --radius"),
+        ("drive square --laps many", "--laps"),
+        ("drive square --size 3", "No such option: --size"),
+        ("set-mode", "Missing argument 'MODE' (see: robotctl set-mode --help)"),
+        ("--bogus", "No such option: --bogus (see: robotctl --help)"),
+    ],
+)
+def test_a_usage_error_is_one_sentence_with_exit_code_2(
+    arguments: str, text: str, cli: Callable[..., Any]
+) -> None:
+    ran = cli(*arguments.split())
+    assert ran.exit_code == 2
+    assert ran.out == ""
+    assert ran.err.startswith("robotctl: ")
+    assert ran.err.count("\n") == 1
+    assert text in ran.err
+
+
+def test_a_bug_is_one_sentence_that_says_how_to_see_more(
+    cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise ZeroDivisionError("a bug")
+
+    monkeypatch.setattr(control, "call", fail)
+    ran = cli("status")
+    assert ran.exit_code == 1
+    assert ran.err == (
+        "robotctl: unexpected ZeroDivisionError: a bug (see where with: robotctl --debug ...)\n"
+    )
+
+
+@pytest.mark.parametrize("arguments", [["--debug", "status"], ["status", "--debug"]])
+def test_debug_shows_the_traceback(arguments: list[str], command: list[str]) -> None:
+    ran = subprocess.run([*command, *arguments], capture_output=True, text=True)
+    assert ran.returncode == 1
+    assert "Traceback" in ran.stderr
+    assert "NoDaemon" in ran.stderr
+
+
+def test_an_error_cannot_steer_the_terminal(cli: Callable[..., Any]) -> None:
+    ran = cli("set-mode", "\x1b[2J\n\u202e")
+    assert ran.exit_code == 2
+    assert ran.err.isascii()
+    assert ran.err.removesuffix("\n").isprintable()
+
+
+def test_a_closed_pipe_is_no_error(daemon: None, command: list[str]) -> None:
+    for arguments in (["status"], ["logs"], ["--help"]):
+        reading, writing = os.pipe()
+        os.close(reading)
+        ran = subprocess.run([*command, *arguments], stdout=writing, stderr=subprocess.PIPE)
+        os.close(writing)
+        assert (ran.returncode, ran.stderr) == (0, b"")
+
+
+def test_ctrl_c_ends_with_130_and_without_a_traceback(
+    daemon: None, spawn: Callable[..., subprocess.Popen[str]]
+) -> None:
+    process = spawn("watch")
+    assert process.stdout is not None
+    process.stdout.readline()
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=30)
+    assert (process.returncode, err) == (130, "")
+
+
+def test_the_version_is_the_packages(cli: Callable[..., Any]) -> None:
+    assert cli("--version").out == f"robotctl {robotctl.__version__}\n"
+
+
+def test_nothing_at_all_shows_the_help(cli: Callable[..., Any]) -> None:
+    ran = cli()
+    assert ran.exit_code == 0
+    assert ran.out == cli("--help").out
+    assert all(f"\n  {name} " in ran.out for name in MODULES)
+
+
+@pytest.mark.parametrize("name", ["", *MODULES])
+def test_every_help_fits_80_columns(name: str, cli: Callable[..., Any]) -> None:
+    ran = cli(*name.split(), "--help")
+    assert ran.exit_code == 0
+    assert max(len(line) for line in ran.out.splitlines()) <= 80
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_every_example_in_the_help_can_be_typed(name: str) -> None:
+    app: Any = get_command(commands.app)
+    context = app.make_context("robotctl", [], resilient_parsing=True)
+    _, _, examples = app.get_command(context, name).help.partition("Examples:\n")
+    assert examples
+    for line in examples.splitlines():
+        words = shlex.split(line.partition("|")[0])[1:]
+        assert words[0] == name
+        app.get_command(context, name).make_context(name, words[1:])
+
+
+def test_output_that_the_terminal_cannot_encode_is_escaped(
+    daemon: None, command: list[str], tmp_path: Path
+) -> None:
+    environment = os.environ | {"PYTHONIOENCODING": "ascii"}
+    ran = subprocess.run([*command, "status"], capture_output=True, env=environment)
+    assert ran.returncode == 0
+    assert ran.stdout.isascii()

@@ -1,0 +1,42 @@
+"""An emergency stop does not wait for a library that it does not need."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+HEAVY = {"rclpy", "rich", "msgspec", "pydantic", "numpy", "mcap", "yaml", "asyncio"}
+
+PROGRAM = """
+import sys
+from robotctl.cli.app import run
+before = set(sys.modules)
+assert run(sys.argv[1:]) == 0
+print("imported", *{module.partition(".")[0] for module in sys.modules})
+"""
+
+
+def imported_by(*arguments: str) -> set[str]:
+    """Every top-level module that a command line needs, in a fresh interpreter."""
+    program = [sys.executable, "-c", PROGRAM, *arguments]
+    ran = subprocess.run(program, capture_output=True, text=True)
+    assert ran.returncode == 0, ran.stderr
+    return set(ran.stdout.splitlines()[-1].split()[1:])
+
+
+def test_help_imports_no_heavy_library() -> None:
+    assert not imported_by("--help") & HEAVY
+
+
+@pytest.mark.parametrize(
+    "arguments", [["status"], ["set-mode", "moving"], ["estop"], ["reset"], ["stop", "--json"]]
+)
+def test_what_controls_the_robot_imports_not_even_typer(arguments: list[str], daemon: None) -> None:
+    assert not imported_by(*arguments) & (HEAVY | {"typer", "dataclasses", "inspect"})
+
+
+@pytest.mark.parametrize("arguments", [["status", "--help"], ["drive", "square"]])
+def test_other_commands_import_no_heavy_library(arguments: list[str], daemon: None) -> None:
+    assert not imported_by(*arguments) & (HEAVY - {"pydantic"})

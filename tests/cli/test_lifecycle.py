@@ -1,0 +1,233 @@
+"""start, stop and logs: ready means ready, and a failed start says why."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robotctl.cli import launch, lifecycle
+from robotctl.ipc.client import call
+from robotctl.paths import log_path
+
+
+def children() -> set[int]:
+    """Our child processes, the dead among them that nobody has waited for."""
+    ids = Path(f"/proc/self/task/{os.getpid()}/children").read_text()
+    return {int(pid) for pid in ids.split()}
+
+
+def test_start_returns_when_the_daemon_answers_and_says_what_runs(cli: Callable[..., Any]) -> None:
+    ran = cli("start", "--domain-id", "7")
+    assert ran.exit_code == 0
+    pid = call("robot", "status")["pid"]
+    lines = ran.out.splitlines()
+    assert lines[0] == "robotctl 0.1.0: robot robot is ready"
+    for text in ("IDLE", "domain 7, discovery LOCALHOST", "yes", "robot.sock", "daemon.log"):
+        assert any(text in line for line in lines)
+    assert "  recording   recordings/robot_20260101_120000/robot_20260101_120000_0.mcap" in lines
+    assert f"  pid         {pid}" in lines
+    assert "note: a sourced ROS (humble) was left out" in lines
+
+
+def test_start_json_is_what_the_daemon_said(cli: Callable[..., Any]) -> None:
+    said = json.loads(cli("start", "--json").out)
+    assert said["ready"] is True
+    assert said["pid"] == call("robot", "status")["pid"]
+
+
+def test_a_latched_stop_is_shown_with_its_release(
+    cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FAKE_MODE", "EMERGENCY_STOP")
+    out = cli("start", "--robot", "r2").out
+    assert "still latched from before; release it with: robotctl reset --robot r2" in out
+
+
+def test_the_options_reach_the_daemon(cli: Callable[..., Any]) -> None:
+    options = ["--config", "a.yaml", "--recordings", "r", "--drive", "circle", "--no-sim"]
+    assert cli("start", *options).exit_code == 0
+    logged = cli("logs").out
+    for option in options:
+        assert f"'{option}'" in logged
+
+
+def test_the_daemon_outlives_its_terminal(daemon: None) -> None:
+    pid = call("robot", "status")["pid"]
+    assert os.getsid(pid) == pid
+
+
+@pytest.mark.parametrize(
+    ("failure", "exit_code", "text"),
+    [
+        ("refuse", 2, "robotctl: robot.yaml: speed: nan is not allowed\n"),
+        ("run-already", 5, "robotctl: robot 'robot' is already running (pid 4711)\n"),
+        ("crash", 1, "ended with exit code 1 before it was ready: ZeroDivisionError: a bug"),
+        ("garbage", 1, "ended with exit code 3 before it was ready: it wrote nothing"),
+    ],
+)
+def test_a_failed_start_says_why_and_leaves_nothing_running(
+    failure: str,
+    exit_code: int,
+    text: str,
+    cli: Callable[..., Any],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("FAKE_START", failure)
+    before = children()
+    ran = cli("start")
+    assert (ran.exit_code, ran.out) == (exit_code, "")
+    assert text in ran.err
+    assert ran.err.count("\n") == 1
+    assert children() == before
+
+
+def test_a_daemon_that_is_never_ready_is_ended(
+    cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FAKE_START", "hang")
+    monkeypatch.setattr(launch, "READY_DEADLINE_S", 0.05)
+    before = children()
+    ran = cli("start")
+    assert ran.exit_code == 1
+    assert "was not ready within" in ran.err
+    assert children() == before
+
+
+def test_ctrl_c_while_starting_leaves_nothing_running(
+    spawn: Callable[..., subprocess.Popen[str]], monkeypatch: pytest.MonkeyPatch, home: Path
+) -> None:
+    monkeypatch.setenv("FAKE_START", "hang")
+    process = spawn("start")
+    daemons = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+    while not (pids := daemons.read_text().split()):
+        assert process.poll() is None
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=30)
+    assert (process.returncode, err) == (130, "")
+    assert not Path(f"/proc/{pids[0]}").exists()
+    assert list((home / "state").glob("robotctl/robot/*")) == []
+
+
+def test_foreground_becomes_the_daemon(spawn: Callable[..., subprocess.Popen[str]]) -> None:
+    process = spawn("start", "--foreground", "--robot", "r2")
+    assert process.stdout is not None
+    assert "--ready-fd" not in process.stdout.readline()
+    assert call("r2", "status")["pid"] == process.pid
+    call("r2", "stop")
+    assert process.wait(30) == 0
+
+
+# The log
+
+
+def test_the_log_of_the_run_before_is_kept(cli: Callable[..., Any]) -> None:
+    for robot_run in range(3):
+        assert cli("start", "--recordings", f"run{robot_run}").exit_code == 0
+        assert cli("stop").exit_code == 0
+    log = log_path("robot")
+    assert "run2" in log.read_text()
+    assert "run1" in log.with_name("daemon.log.1").read_text()
+    assert sorted(path.name for path in log.parent.glob("daemon.log*")) == [
+        "daemon.log",
+        "daemon.log.1",
+    ]
+
+
+def test_a_second_start_leaves_the_running_daemons_log_alone(
+    daemon: None, cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = log_path("robot")
+    before = log.stat().st_ino
+    monkeypatch.setenv("FAKE_START", "run-already")
+    assert cli("start").exit_code == 5
+    assert log.stat().st_ino == before
+    assert [path.name for path in log.parent.glob("daemon.log*")] == ["daemon.log"]
+
+
+def test_the_log_of_a_failed_start_can_be_read(
+    cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FAKE_START", "crash")
+    cli("start")
+    assert "Traceback" in cli("logs").out
+
+
+def test_logs_shows_control_characters_escaped(daemon: None, cli: Callable[..., Any]) -> None:
+    assert "in \\x1b[31mred\n" in cli("logs").out
+
+
+def test_logs_without_a_log_says_so(cli: Callable[..., Any]) -> None:
+    ran = cli("logs")
+    assert ran.exit_code == 3
+    assert "no log of robot 'robot'" in ran.err
+
+
+def following(path: Path, monkeypatch: pytest.MonkeyPatch, *steps: Callable[[], Any]) -> list[str]:
+    """The lines that `logs -f` prints when these things happen, one at each of its waits."""
+    todo = iter(steps)
+
+    class Enough(Exception):
+        pass
+
+    def wait(_: float) -> None:
+        step = next(todo, None)
+        if step is None:
+            raise Enough
+        step()
+
+    monkeypatch.setattr("robotctl.cli.lifecycle.time.sleep", wait)
+
+    def lines() -> Iterator[str]:
+        try:
+            yield from lifecycle._lines(path, follow=True)
+        except Enough:
+            return
+
+    return list(lines())
+
+
+def test_logs_f_waits_for_the_rest_of_a_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = tmp_path / "log"
+    log.write_text("one\ntw")
+
+    def append(text: str) -> None:
+        with log.open("a") as file:
+            file.write(text)
+
+    lines = following(log, monkeypatch, lambda: append("o\nth"), lambda: append("ree\n"))
+    assert lines == ["one", "two", "three"]
+
+
+def test_logs_f_goes_on_with_the_next_runs_log(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = tmp_path / "log"
+    log.write_text("old\n")
+
+    def restart() -> None:
+        log.rename(tmp_path / "log.1")
+        log.write_text("new\n")
+
+    assert following(log, monkeypatch, restart) == ["old", "new"]
+
+
+def test_the_daemon_is_not_imported_from_the_working_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "json.py").write_text("raise SystemExit('shadowed')")
+    monkeypatch.undo()
+    command = launch.StartOptions("robot").command()
+    program = [*command[: command.index("-m")], "-c", "import json; print(json.__file__)"]
+    ran = subprocess.run(program, cwd=tmp_path, capture_output=True, text=True)
+    assert ran.stdout.strip().startswith(str(Path(os.__file__).parent)), ran.stderr
+    assert command[0] == sys.executable

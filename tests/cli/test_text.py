@@ -1,0 +1,81 @@
+"""What comes from files and daemons is shown, and cannot steer the terminal."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robotctl.cli.text import duration, elided, json_text, number, printable, short_path, size
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("/cmd_vel", "/cmd_vel"),
+        ("\u00fcber \U0001f916", "\u00fcber \U0001f916"),
+        ("\x1b[2J", "\\x1b[2J"),
+        ("a\nb\tc", "a\\nb\\tc"),
+        ("\x9b31m", "\\x9b31m"),
+        ("\u202eevil", "\\u202eevil"),
+        ("\udc80", "\\udc80"),
+        (None, "None"),
+    ],
+)
+def test_what_is_not_printable_is_shown_escaped(text: object, shown: str) -> None:
+    assert printable(text) == shown
+
+
+@given(st.text())
+def test_nothing_unprintable_gets_through(text: str) -> None:
+    assert printable(text).isprintable()
+    assert json_text({"name": text}).isascii()
+
+
+def test_a_long_name_is_cut_in_the_middle() -> None:
+    assert elided("/a/very/long/topic/name", 12) == "/a/ve../name"
+    assert elided("/short", 12) == "/short"
+    assert len(elided("\x1b" * 20, 11)) == 11
+
+
+def test_a_path_below_the_working_directory_is_relative(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert short_path(tmp_path / "recordings" / "run") == "recordings/run"
+    assert short_path(tmp_path.parent) == str(tmp_path.parent)
+    assert short_path("/bin/\x07") == "/bin/\\x07"
+
+
+def test_a_path_is_shown_from_a_working_directory_that_is_gone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    monkeypatch.chdir(gone)
+    os.rmdir(gone)
+    assert short_path("recordings/run") == "recordings/run"
+
+
+@pytest.mark.parametrize(
+    ("count", "text"),
+    [(0, "0 B"), (999, "999 B"), (1868, "1.9 kB"), (5e7, "50.0 MB"), (3e9, "3.0 GB")],
+)
+def test_bytes_are_shown_in_powers_of_ten(count: float, text: str) -> None:
+    assert size(count) == text
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(0.04, "0.0 s"), (59.9, "59.9 s"), (61, "1 min 1 s"), (7260, "2 h 1 min")]
+)
+def test_a_duration_is_shown_in_two_units(seconds: float, text: str) -> None:
+    assert duration(seconds) == text
+
+
+def test_a_number_that_is_not_there_is_unknown() -> None:
+    assert number(None, ".3f") == "unknown"
+    assert number("nan", ".3f") == "unknown"
+    assert number(1, ".3f") == "1.000"

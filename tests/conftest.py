@@ -1,0 +1,68 @@
+"""Tests meet no ROS but our own, nobody else's robot, and no file of the user's."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from robotctl.domains import DOMAINS, free_domain
+from robotctl.environment import prepare
+
+_notes: list[str] = []
+
+
+def pytest_plugin_registered(plugin: object, plugin_name: str) -> None:
+    """Leave a foreign ROS behind before any other conftest imports from it.
+
+    The restart would lose what is captured, and with it all further output.
+    """
+    if plugin_name == "capturemanager":
+        stop = plugin.stop_global_capturing  # type: ignore[attr-defined]
+        _notes.append(prepare(before_restart=stop))
+
+
+def pytest_report_header() -> list[str]:
+    """Say what was left out."""
+    return [f"robotctl: {note}" for note in _notes if note]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def isolated_session() -> Iterator[None]:
+    """Discovery on this machine only; sockets, logs and latches in a folder of this run.
+
+    The folder's path is short, for the path of a socket may have 107 bytes.
+    """
+    with (
+        tempfile.TemporaryDirectory(prefix="rt-", dir="/tmp", ignore_cleanup_errors=True) as folder,
+        pytest.MonkeyPatch.context() as patch,
+    ):
+        for variable, name in (("XDG_RUNTIME_DIR", "run"), ("XDG_STATE_HOME", "state")):
+            (Path(folder) / name).mkdir(mode=0o700)
+            patch.setenv(variable, str(Path(folder) / name))
+        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        patch.delenv("ROS_DOMAIN_ID", raising=False)
+        patch.delenv("ROBOTCTL_ROBOT", raising=False)
+        yield
+
+
+@pytest.fixture
+def domain_id(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+    """A ROS domain that no process on this machine uses, also for what the test starts."""
+    folder = Path(tempfile.gettempdir()) / f"robotctl-test-domains-{os.getuid()}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    for _ in DOMAINS:
+        number = free_domain()
+        with (folder / str(number)).open("w") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:  # another test run was faster
+                continue
+            monkeypatch.setenv("ROS_DOMAIN_ID", str(number))
+            yield number
+            return
+    pytest.fail("no ROS domain is free")

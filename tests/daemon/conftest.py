@@ -1,0 +1,103 @@
+"""The real daemon through the real command line, each time in a world of its own."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import warnings
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import AbstractAsyncContextManager, ExitStack, asynccontextmanager, suppress
+from typing import Any
+
+import pytest
+
+from robotctl.daemon.options import DaemonOptions
+from robotctl.errors import NoDaemon
+from robotctl.ipc.client import call
+from robotctl.testing.world import DEADLINE_S, Peer, World, new_world
+
+with warnings.catch_warnings():
+    # Where the interface generators are installed, rclpy imports an old parser with them.
+    warnings.simplefilter("ignore")
+    import rosidl_generator_py  # noqa: F401
+
+
+@pytest.fixture
+def world() -> Iterator[World]:
+    """A world for one test."""
+    with new_world() as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def shared_world() -> Iterator[World]:
+    """A world for the tests of a module."""
+    with new_world() as made:
+        yield made
+
+
+@pytest.fixture
+def new_peer() -> Iterator[Callable[[World], Peer]]:
+    """Make somebody else in a world."""
+    with ExitStack() as stack:
+
+        def make(world: World) -> Peer:
+            peer = Peer(world)
+            stack.callback(peer.close)
+            return peer
+
+        yield make
+
+
+class Daemon:
+    """A daemon in this very process and loop, asked over its socket as any other is."""
+
+    async def ask(self, method: str, **params: Any) -> Any:
+        """Call a method of the control socket from another thread."""
+        return await asyncio.to_thread(call, "robot", method, params)
+
+    async def until(self, condition: Callable[[Any], object]) -> Any:
+        """Wait until the status fulfils a condition; returns that status."""
+        async with asyncio.timeout(DEADLINE_S):
+            while True:
+                with suppress(NoDaemon):  # the task that answers is what a test lets die
+                    status = await self.ask("status")
+                    if condition(status):
+                        return status
+                await asyncio.sleep(0.02)
+
+
+@pytest.fixture
+def in_process(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> Callable[..., AbstractAsyncContextManager[Daemon]]:
+    """Run a daemon in the loop of the test, with the options given."""
+    for name in ("XDG_RUNTIME_DIR", "XDG_STATE_HOME", "ROS_DOMAIN_ID"):
+        monkeypatch.setenv(name, world.environment[name])
+
+    @asynccontextmanager
+    async def run(**options: Any) -> AsyncIterator[Daemon]:
+        from robotctl.daemon.app import serve
+
+        ready: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
+        chosen: dict[str, Any] = {"config": None, "drive": None, "sim": True, **options}
+        given = DaemonOptions(
+            "robot", recordings=world.recordings, domain_id=world.domain_id, **chosen
+        )
+        serving = asyncio.create_task(serve(given, [], ready.set_result))
+        await asyncio.wait({serving, ready}, return_when=asyncio.FIRST_COMPLETED)
+        if serving.done():
+            await serving  # raises why it did not start
+        try:
+            yield Daemon()
+        except BaseException:
+            serving.cancel()
+            raise
+        else:
+            os.kill(os.getpid(), signal.SIGTERM)
+        finally:
+            await asyncio.wait({serving})
+        await serving
+
+    return run

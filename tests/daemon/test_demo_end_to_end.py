@@ -1,0 +1,84 @@
+"""The demo as a newcomer runs it: the real daemon, one lap, and what is left of it."""
+
+from __future__ import annotations
+
+import os
+import pty
+import re
+import signal
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from robotctl.recording.reader import read_info
+from robotctl.testing.world import World, read_back, until
+
+
+def test_the_demo_drives_a_lap_and_shows_what_was_recorded(world: World) -> None:
+    world.source_another_ros()
+    ran = world.robotctl("demo")
+    assert ran.exit_code == 0, (ran, world.log())
+    assert ran.err.startswith("note: dropped another ROS (humble) from PYTHONPATH, LD_LIBRARY_PATH")
+    out = ran.out
+    folder = next(world.recordings.iterdir())
+    topics = read_back(folder)
+    robot = re.search(r"starting a simulated robot: (demo_\d+)", out)
+    assert robot is not None
+    assert f"recording   {folder.relative_to(world.folder)}" in out
+    assert "0 lost" in out
+    for name, messages in topics.items():
+        assert re.search(rf"^ *{re.escape(name)} .* {len(messages)} ", out, re.MULTILINE), name
+    assert len(topics[f"/{robot[1]}/odom"]) > 500
+    figures = {
+        name: [float(figure) for figure in re.findall(r"(\d+\.\d+) m", line)]
+        for name, line in re.findall(r"^ *(off track|closure) +(.*)$", out, re.MULTILINE)
+    }
+    rms_m, worst_m = figures["off track"]
+    assert 0.0 < rms_m < worst_m < 0.05
+    assert figures["closure"][0] < 0.05
+    png = (folder / "path.png").read_bytes()
+    assert png.startswith(b"\x89PNG")
+    following = out.split("next:\n")[1].splitlines()
+    assert [line.split()[:2] for line in following] == [
+        ["robotctl", "info"],
+        ["robotctl", "replay"],
+        ["robotctl", "start"],
+    ]
+    report = out[out.index("\n  recording") :]
+    assert max(map(len, report.splitlines())) <= 80
+    assert world.processes() == {}
+    assert world.sockets() == []
+
+
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
+)
+def test_an_interrupted_demo_leaves_a_valid_file_and_no_process(
+    world: World, number: signal.Signals
+) -> None:
+    screen, terminal = pty.openpty()
+    demo = world.spawn("demo", stdout=terminal)
+    os.close(terminal)
+    seen = b""
+    while b"MOVING" not in seen:
+        seen += os.read(screen, 65536)
+    demo.send_signal(number)
+    _drain(screen)
+    _, err = demo.communicate(timeout=30)
+    assert demo.returncode == 130
+    assert "recorded until then: recordings/demo_" in err
+    until(lambda: not world.processes())
+    folder = next(path for path in Path(world.recordings).iterdir())
+    info = read_info(folder)
+    assert info.missing == ()
+    assert info.indexed
+    assert info.message_count >= 10
+
+
+def _drain(screen: int) -> None:
+    """Read what the demo still draws, so that it is not held up, until it is gone."""
+    with suppress(OSError):  # how Linux tells that nobody has the terminal open any more
+        while os.read(screen, 65536):
+            pass
+    os.close(screen)

@@ -1,0 +1,281 @@
+"""Whatever fails within the daemon ends in zero velocity and ERROR, and is told."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import os
+import time
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from robotctl.daemon.app import serve
+from robotctl.daemon.inputs import Inputs
+from robotctl.daemon.options import DaemonOptions
+from robotctl.daemon.status import StatusSource
+from robotctl.daemon.watchdog import Watchdog
+from robotctl.errors import Refused
+from robotctl.ipc.server import ControlServer
+from robotctl.kernel.kernel import Kernel
+from robotctl.kernel.patterns import PatternKind
+from robotctl.kernel.types import ModeRequested
+from robotctl.recording.reader import read_info
+from robotctl.replay.rerun import rerun
+from robotctl.ros.simulated_robot import SimulatedRobot
+from robotctl.ros.tap import Tap
+from robotctl.ros.velocity_publisher import VelocityPublisher
+from robotctl.testing.world import Peer, World, journal_of, read_back, until
+
+
+class Bomb:
+    """Raises in the place of a method, once, when armed."""
+
+    def __init__(self, patch: pytest.MonkeyPatch, owner: Any, name: str) -> None:
+        self.armed = False
+        original = getattr(owner, name)
+
+        def passed(*args: Any, **kwargs: Any) -> Any:
+            if self.armed:
+                self.armed = False
+                raise RuntimeError("injected")
+            return original(*args, **kwargs)
+
+        patch.setattr(owner, name, passed)
+
+
+def is_moving(status: Any) -> bool:
+    return bool(status["mode"] == "MOVING" and status["velocity"]["linear"] > 0.02)
+
+
+def commands(world: World) -> list[tuple[float, float]]:
+    """Every recorded velocity command."""
+    from geometry_msgs.msg import Twist
+    from rclpy.serialization import deserialize_message
+
+    topics = read_back(next(world.recordings.iterdir()))
+    twists = [deserialize_message(message.data, Twist) for message in topics["/cmd_vel"]]
+    return [(twist.linear.x, twist.angular.z) for twist in twists]
+
+
+@pytest.mark.parametrize(
+    ("owner", "name", "said"),
+    [
+        (Watchdog, "ping", "the control task failed"),
+        (Tap, "_look", "the recorder task failed"),
+        (VelocityPublisher, "count_publishers", "the publisher watch task failed"),
+        (StatusSource, "sample", "the status task failed"),
+        (ControlServer, "_accept", "the socket task failed"),
+        (Inputs, "odometry", "the callback of "),
+        (VelocityPublisher, "publish", "PublishTwist failed"),
+    ],
+)
+async def test_a_part_that_raises_stops_the_robot_and_comes_back(
+    in_process: Callable[..., Any],
+    world: World,
+    monkeypatch: pytest.MonkeyPatch,
+    owner: Any,
+    name: str,
+    said: str,
+) -> None:
+    bomb = Bomb(monkeypatch, owner, name)
+    async with in_process(drive=PatternKind.CIRCLE) as daemon:
+        await daemon.until(is_moving)
+        bomb.armed = True
+        status = await daemon.until(lambda status: status["mode"] == "ERROR")
+        assert said in status["mode_reason"]
+        assert "injected" in status["mode_reason"]
+        ticked = _count(status, "/cmd_vel")
+        await daemon.until(lambda status: _count(status, "/cmd_vel") > ticked + 20)
+    driven = commands(world)
+    assert driven[-20:] == 20 * [(0.0, 0.0)]
+    assert max(driven)[0] > 0.02
+
+
+async def test_a_simulator_that_dies_stops_the_robot(
+    in_process: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    original = SimulatedRobot.run
+    died = asyncio.Event()
+
+    async def run(robot: SimulatedRobot) -> None:
+        alive = asyncio.create_task(original(robot))
+        await died.wait()
+        alive.cancel()
+        died.clear()
+        raise RuntimeError("injected")
+
+    monkeypatch.setattr(SimulatedRobot, "run", run)
+    async with in_process(drive=PatternKind.CIRCLE) as daemon:
+        await daemon.until(is_moving)
+        died.set()
+        status = await daemon.until(lambda status: status["mode"] == "ERROR")
+        assert "the simulated robot task failed" in status["mode_reason"]
+
+
+async def test_an_exception_that_only_the_loop_sees_stops_the_robot(
+    in_process: Callable[..., Any],
+) -> None:
+    def fail() -> None:
+        raise RuntimeError("injected")
+
+    async with in_process() as daemon:
+        asyncio.get_running_loop().call_soon(fail)
+        status = await daemon.until(lambda status: status["mode"] == "ERROR")
+        assert "RuntimeError: injected" in status["mode_reason"]
+
+
+async def test_what_could_not_be_done_is_not_confirmed(
+    in_process: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bomb = Bomb(monkeypatch, VelocityPublisher, "publish")
+    async with in_process() as daemon:
+        step = Kernel.step
+
+        def arm(kernel: Kernel, event: Any) -> Any:
+            bomb.armed = isinstance(event, ModeRequested)
+            return step(kernel, event)
+
+        monkeypatch.setattr(Kernel, "step", arm)
+        with pytest.raises(Refused, match=r"EMERGENCY_STOP, but PublishTwist failed: injected"):
+            await daemon.ask("set_mode", mode=3, source="test")
+
+
+async def test_a_daemon_that_is_cancelled_while_moving_ends_with_zero(
+    in_process: Callable[..., Any], world: World
+) -> None:
+    async def drive() -> None:
+        async with in_process(drive=PatternKind.CIRCLE) as daemon:
+            await daemon.until(is_moving)
+            raise LookupError  # which has the fixture cancel the daemon
+
+    with pytest.raises(LookupError):
+        await drive()
+    driven = commands(world)
+    assert driven[-1] == (0.0, 0.0)
+    assert max(driven)[0] > 0.02
+    assert world.sockets() == []
+
+
+async def test_a_start_that_is_cancelled_at_any_point_leaves_nothing_open(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("XDG_RUNTIME_DIR", "XDG_STATE_HOME"):
+        monkeypatch.setenv(name, world.environment[name])
+    options = DaemonOptions("robot", None, world.recordings, None, True, world.domain_id)
+    ready = asyncio.Event()
+    files = len(os.listdir("/proc/self/fd"))
+    for turns in itertools.chain(range(0, 20, 4), itertools.count(20, 40)):
+        starting = asyncio.create_task(serve(options, [], lambda _: ready.set()))
+        for _ in range(turns):
+            await asyncio.sleep(0)
+        starting.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await starting
+        assert world.sockets() == []
+        if ready.is_set() or turns > 300:
+            break
+    assert len(os.listdir("/proc/self/fd")) <= files + 8
+    for folder in world.recordings.glob("*"):
+        assert read_info(folder).missing == ()
+
+
+@pytest.mark.parametrize("jump_s", [-3600, 3600])
+async def test_a_wall_clock_that_is_set_does_not_touch_the_drive(
+    in_process: Callable[..., Any], world: World, monkeypatch: pytest.MonkeyPatch, jump_s: int
+) -> None:
+    wall_ns = time.time_ns
+    async with in_process(drive=PatternKind.CIRCLE) as daemon:
+        status = await daemon.until(is_moving)
+        monkeypatch.setattr(time, "time_ns", lambda: wall_ns() + jump_s * 1_000_000_000)
+        ticked = _count(status, "/cmd_vel")
+        status = await daemon.until(lambda status: _count(status, "/cmd_vel") > ticked + 50)
+        assert status["mode"] == "MOVING"
+    journal = journal_of(read_back(next(world.recordings.iterdir()))["/robotctl/journal"])
+    assert [entry.name for entry in journal].count("ModeChanged") == 2  # began and ended
+    assert rerun(journal) is None
+
+
+# The loop stalls
+
+
+def sleep(seconds: float) -> None:
+    time.sleep(seconds)
+
+
+def spin(seconds: float) -> None:
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        pass
+
+
+STALL_S = 1.5
+
+
+@pytest.mark.parametrize("stall", [sleep, spin])
+async def test_others_see_zero_while_the_loop_stalls(
+    in_process: Callable[..., Any],
+    world: World,
+    new_peer: Callable[[World], Peer],
+    stall: Callable[[float], None],
+) -> None:
+    peer = await asyncio.to_thread(new_peer, world)
+    await asyncio.to_thread(peer, "listen")
+    async with in_process(drive=PatternKind.CIRCLE) as daemon:
+        await daemon.until(is_moving)
+        await asyncio.to_thread(until, lambda: peer("heard")["commands"])
+        begun_ns = time.monotonic_ns()
+        stall(STALL_S)
+        ended_ns = time.monotonic_ns()
+        status = await daemon.until(lambda status: status["mode"] == "ERROR")
+        assert "the control loop stalled for more than 0." in status["mode_reason"]
+        answer = await daemon.ask("reset", source="test")
+        assert answer["mode"] == "IDLE"
+        heard = (await asyncio.to_thread(peer, "heard"))["commands"]
+    during = [
+        (linear, angular) for _, seen_ns, linear, angular in heard if begun_ns < seen_ns < ended_ns
+    ]
+    assert during.count((0.0, 0.0)) > 3
+    first = during.index((0.0, 0.0))
+    assert set(during[first:]) == {(0.0, 0.0)}
+    after = [(linear, angular) for _, seen_ns, linear, angular in heard if seen_ns >= ended_ns]
+    assert set(after) <= {(0.0, 0.0)}
+
+
+async def test_a_stall_while_standing_is_logged_and_ends_in_error(
+    in_process: Callable[..., Any], world: World, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with in_process() as daemon:
+        sleep(STALL_S)
+        status = await daemon.until(lambda status: status["mode"] == "ERROR")
+        assert (await daemon.ask("reset", source="test"))["mode"] == "IDLE"
+        ticked = _count(status, "/cmd_vel")
+        await daemon.until(lambda status: _count(status, "/cmd_vel") > ticked + 5)
+        answer = await daemon.ask("set_mode", mode=1, source="test")
+        assert answer["mode"] == "MOVING"  # the gate is open again
+        await daemon.until(is_moving)
+    assert "the loop stalls: no tick for 0." in caplog.text
+    assert "in sleep" in caplog.text  # where it stood
+    assert max(commands(world))[0] > 0.02
+
+
+# The recording of it all
+
+
+async def test_a_fault_can_be_decided_again_from_the_journal(
+    in_process: Callable[..., Any], world: World
+) -> None:
+    async with in_process(drive=PatternKind.CIRCLE) as daemon:
+        await daemon.until(is_moving)
+        sleep(STALL_S)
+        await daemon.until(lambda status: status["mode"] == "ERROR")
+    journal = journal_of(read_back(next(world.recordings.iterdir()))["/robotctl/journal"])
+    names = [entry.name for entry in journal]
+    assert "FaultReported" in names
+    assert names.index("FaultReported") < names.index("FaultCleared")
+    assert rerun(journal) is None
+
+
+def _count(status: Any, topic: str) -> int:
+    return int(next(entry["count"] for entry in status["topics"] if entry["name"] == topic))

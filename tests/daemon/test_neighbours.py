@@ -1,0 +1,91 @@
+"""Others in the ROS domain: a robot that is there already, somebody else who commands it."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable
+
+from robotctl.testing.world import Peer, World, until
+
+
+def test_no_robot_is_simulated_where_one_is(
+    world: World, new_peer: Callable[[World], Peer]
+) -> None:
+    peer = new_peer(world)
+    peer("be_a_robot")
+    out = world.ok("start")
+    assert "simulator   no" in out
+    assert "note: no simulator: /odom has a publisher already" in out
+    assert "/simulated_robot" not in peer("nodes")
+    status = world.status()
+    assert status["sim"] is False
+    assert status["pose"] == {"x": 0.0, "y": 0.0, "theta": 0.0}
+    assert status["battery"] == 1.0
+    # it is driven as any other
+    assert world.ok("set-mode", "moving") == "Mode changed to MOVING\n"
+    world.ok("stop")
+
+
+def test_sim_forces_the_simulator(world: World, new_peer: Callable[[World], Peer]) -> None:
+    peer = new_peer(world)
+    peer("be_a_robot")
+    assert "simulator   yes" in world.ok("start", "--sim")
+    until(lambda: "/simulated_robot" in peer("nodes"))
+    world.ok("stop")
+
+
+def test_a_robot_outside_stops_by_itself_when_the_daemon_is_killed(
+    world: World, new_peer: Callable[[World], Peer]
+) -> None:
+    peer = new_peer(world)
+    peer("listen")
+    robot = world.spawn("sim")
+    assert robot.stdout is not None
+    assert "simulated robot robot runs in ROS domain" in robot.stdout.readline()
+    assert "simulator   no" in world.ok("start")
+    world.ok("set-mode", "moving")
+    # The peer finds robot and daemon each in its own time.
+    until(lambda: any(command[2] > 0.1 for command in peer("heard")["commands"]))
+    until(lambda: peer("heard")["speed"] > 0.1)
+    world.kill(int(world.status()["pid"]))
+    until(lambda: abs(peer("heard")["speed"]) < 0.01)
+    assert peer("heard")["commands"][-1][2] > 0.1  # nobody told it to
+    robot.send_signal(signal.SIGINT)
+    assert robot.wait(30) == 0
+    robot.communicate()
+    (world.folder / "run" / "robotctl" / "robot.sock").unlink()  # the next start would
+
+
+def test_somebody_elses_commands_are_shown_and_refuse_motion(
+    world: World, new_peer: Callable[[World], Peer]
+) -> None:
+    world.ok("start", "--sim", "--drive", "circle")
+    peer = new_peer(world)
+    peer("command", linear=0.1)
+    until(lambda: world.status()["mode"] == "ERROR")
+    assert "also publishes velocity commands" in world.status()["mode_reason"]
+    warning = "/somebody_else also publishes velocity commands"
+    until(lambda: warning in world.status()["warnings"])
+    refused = world.robotctl("set-mode", "moving")
+    assert refused.exit_code == 4
+    assert "stop the other publisher" in refused.err
+    assert "stop the other publisher" in world.robotctl("reset").err
+    peer.close()
+    until(lambda: not world.status()["warnings"])
+    world.ok("reset")
+    world.ok("set-mode", "moving")
+    world.ok("stop")
+
+
+def test_a_topic_of_two_types_is_named_and_stops_nothing(
+    world: World, new_peer: Callable[[World], Peer]
+) -> None:
+    world.ok("start", "--sim")
+    for kind in ("Twist", "Odometry"):
+        new_peer(world)("publish", kind=kind, topic="/ambiguous")
+    until(lambda: world.status()["warnings"])
+    (warning,) = world.status()["warnings"]
+    assert warning.startswith("/ambiguous is ")
+    assert "nav_msgs/msg/Odometry" in warning
+    assert world.status()["mode"] == "IDLE"
+    world.ok("stop")

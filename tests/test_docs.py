@@ -1,0 +1,76 @@
+"""The documents say what the code does."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from robotctl import errors
+from robotctl.cli.commands import MODULES
+from robotctl.config import Config, flat
+from robotctl.kernel.safety import RULES
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_command_that_a_page_names_exists(page: Path) -> None:
+    blocks = re.split(r"^```", page.read_text(), flags=re.MULTILINE)
+    prose, code = "".join(blocks[::2]), "".join(blocks[1::2])
+    pieces = [*re.findall(r"`([^`]+)`", prose), *code.splitlines()]
+    named = set(
+        re.findall(r"^\s*(?:uv run )?robotctl ([a-z][a-z-]*)", "\n".join(pieces), re.MULTILINE)
+    )
+    assert named <= set(MODULES), named - set(MODULES)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_page_that_a_page_links_to_exists(page: Path) -> None:
+    links = re.findall(r"\]\((?!http)([^)#]+)\)", page.read_text())
+    missing = [link for link in links if not (page.parent / link).exists()]
+    assert not missing
+
+
+def test_the_readme_names_every_command() -> None:
+    readme = (ROOT / "README.md").read_text()
+    assert [name for name in MODULES if f"robotctl {name}" not in readme] == []
+
+
+def test_the_parameters_are_documented_with_their_defaults() -> None:
+    table = (ROOT / "docs" / "ros.md").read_text()
+    documented = dict(re.findall(r"^\| `([\w.]+)` \| (\S*) \|", table, re.MULTILINE))
+    assert documented == {key: str(value) for key, value in flat(Config()).items()}
+
+
+def test_the_readme_tells_the_exit_codes_in_use() -> None:
+    readme = (ROOT / "README.md").read_text()
+    told = {int(code) for code in re.findall(r"\b(\d+) [a-z]", readme.split("exit code:")[1][:200])}
+    used = {
+        kind.exit_code
+        for kind in vars(errors).values()
+        if isinstance(kind, type) and issubclass(kind, errors.RobotctlError)
+    }
+    not_yet = {errors.Divergence.exit_code, errors.RecoveredWithLoss.exit_code}
+    assert told == (used - not_yet) | {0, errors.INTERRUPTED_EXIT_CODE}
+
+
+def test_the_safety_page_has_a_cause_for_every_rule_that_ends_a_motion() -> None:
+    page = (ROOT / "docs" / "safety.md").read_text()
+    words = {
+        "battery low": "battery at or below",
+        "task died": "a part of the daemon failed",
+        "loop stalled": "the loop stalled",
+        "recorder failed": "the recorder failed",
+        "odometry wrong": "odometry not finite",
+        "odometry lost": "older than 0.5 s",
+        "tracking lost": "on the path",
+        "foreign publisher": "another node publishes",
+        "tick overrun": "no control tick",
+        "battery unknown": "battery level unknown",
+    }
+    raised = {rule.cause.value for rule in RULES if rule.raised_in}
+    assert raised == set(words)
+    assert [cause for cause, text in words.items() if text not in page] == []

@@ -1,0 +1,70 @@
+"""The ROS interfaces as they were built: what they promise to programs of other people."""
+
+import xml.etree.ElementTree as ElementTree
+from importlib.metadata import files, version
+from pathlib import Path
+
+import pytest
+from robot_controller.msg import JournalEntry, RobotStatus
+from robot_controller.srv import SetMode
+
+from robotctl import __version__
+from robotctl.kernel.modes import Mode
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_the_ros_package_and_the_python_package_have_one_version():
+    package_xml = ElementTree.parse(ROOT / "package.xml")
+
+    assert package_xml.findtext("version") == version("robotctl") == __version__
+
+
+def test_a_mode_has_the_same_number_in_the_kernel_and_on_the_wire():
+    on_the_wire = {mode: getattr(RobotStatus, f"MODE_{mode.name}") for mode in Mode}
+
+    assert on_the_wire == {mode: mode.value for mode in Mode}
+
+
+@pytest.mark.parametrize(
+    ("interface", "fields"),
+    [
+        (
+            RobotStatus,
+            {
+                "robot_name": "string",
+                "mode": "uint8",
+                "battery_level": "float",
+                "cpu_temperature": "float",
+                "is_connected": "boolean",
+            },
+        ),
+        (
+            JournalEntry,
+            {
+                "seq": "uint64",
+                "t_ns": "int64",
+                "kind": "uint8",
+                "name": "string",
+                "data": "string",
+            },
+        ),
+        (SetMode.Request, {"requested_mode": "uint8"}),
+        (SetMode.Response, {"success": "boolean", "message": "string", "current_mode": "uint8"}),
+    ],
+)
+def test_an_interface_keeps_its_fields_since_recordings_hold_them(interface, fields):
+    assert interface.get_fields_and_field_types() == fields
+
+
+@pytest.mark.parametrize(
+    "source", ["msg/JournalEntry.msg", "msg/RobotStatus.msg", "srv/SetMode.srv"]
+)
+def test_the_build_is_not_older_than_the_interface_files(source):
+    installed = [
+        file
+        for file in files("robotctl") or []
+        if str(file).endswith(f"share/robot_controller/{source}")
+    ]
+
+    assert [file.read_text() for file in installed] == [(ROOT / source).read_text()]
