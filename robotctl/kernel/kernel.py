@@ -136,6 +136,7 @@ class Kernel:
 
     def _odometry(self, event: OdomReceived) -> None:
         """Take a sample that can be true; while MOVING, drop any other and count on the next."""
+        self._notice_gap(event.t_ns)
         state, odometry, health = self.state, event.odometry, self.state.health
         fault = _odometry_fault(health, odometry, self.params.odometry)
         drive, error_m, last = state.drive, health.path_error_m, health.odometry
@@ -170,6 +171,7 @@ class Kernel:
         self._raise_fault(event.t_ns)
 
     def _learn(self, t_ns: int, **changes: object) -> None:
+        self._notice_gap(t_ns)
         self.state = replace(self.state, health=replace(self.state.health, **changes))  # type: ignore[arg-type]
         self._raise_fault(t_ns)
 
@@ -179,23 +181,32 @@ class Kernel:
     # The tick
 
     def _tick(self, event: Tick) -> None:
-        state, params, health = self.state, self.params, self.state.health
-        gap_s = 0.0 if state.tick_t_ns is None else (event.t_ns - state.tick_t_ns) / NS_PER_S
-        late_s = gap_s if abs(gap_s) > params.max_tick_gap_s else 0.0
-        if late_s != health.tick_gap_s:
-            health = replace(health, tick_gap_s=late_s)
-        finding = raised(state.mode, health, params, event.t_ns)
+        self._notice_gap(event.t_ns)
+        state, params = self.state, self.params
+        finding = raised(state.mode, state.health, params, event.t_ns)
         if state.mode is Mode.MOVING and finding is None:
-            self._move(event.t_ns, min(max(gap_s, 0.0), 2.0 / params.rate_hz), health)
+            gap_s = self._tick_gap_s(event.t_ns)
+            self._move(event.t_ns, min(max(gap_s, 0.0), 2.0 / params.rate_hz))
             return
-        self.state = replace(state, tick_t_ns=event.t_ns, health=health)
+        self.state = replace(state, tick_t_ns=event.t_ns)
         if finding is None:
             self._effects.append(PublishTwist(ZERO))
         else:
             self._stop_for(finding)
 
-    def _move(self, t_ns: int, dt_s: float, health: Health) -> None:
-        state, params = self.state, self.params
+    def _tick_gap_s(self, t_ns: int) -> float:
+        tick_t_ns = self.state.tick_t_ns
+        return 0.0 if tick_t_ns is None else (t_ns - tick_t_ns) / NS_PER_S
+
+    def _notice_gap(self, t_ns: int) -> None:
+        """Whatever is learned first after a gap shows it: all else that is stale is its fruit."""
+        gap_s, health = self._tick_gap_s(t_ns), self.state.health
+        late_s = gap_s if abs(gap_s) > self.params.max_tick_gap_s else 0.0
+        if late_s != health.tick_gap_s:
+            self.state = replace(self.state, health=replace(health, tick_gap_s=late_s))
+
+    def _move(self, t_ns: int, dt_s: float) -> None:
+        state, params, health = self.state, self.params, self.state.health
         drive, odometry = state.drive, health.odometry
         phase, stop_reason, target = state.phase, state.stop_reason, ZERO
         if phase is Phase.DRIVING and drive is not None and odometry is not None:

@@ -171,6 +171,13 @@ RULES: tuple[Rule, ...] = (
         )
     ),
     _rule(
+        Cause.TICK_OVERRUN,
+        Mode.ERROR,
+        _MOVING,
+        _tick_overrun,
+        "free the processor, lower rate_hz, or see robotctl logs for what held it up",
+    ),
+    _rule(
         Cause.ODOMETRY_WRONG,
         Mode.ERROR,
         _MOVING,
@@ -197,13 +204,6 @@ RULES: tuple[Rule, ...] = (
         _MOVING,
         _foreign_publisher,
         "stop the other publisher",
-    ),
-    _rule(
-        Cause.TICK_OVERRUN,
-        Mode.ERROR,
-        _MOVING,
-        _tick_overrun,
-        "free the processor, or lower rate_hz",
     ),
     _rule(
         Cause.BATTERY_UNKNOWN,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 import os
+import re
 import time
 from collections.abc import Callable
 from typing import Any
@@ -229,7 +230,8 @@ async def test_others_see_zero_while_the_loop_stalls(
         stall(STALL_S)
         ended_ns = time.monotonic_ns()
         status = await daemon.until(lambda status: status["mode"] == "ERROR")
-        assert "the control loop stalled for more than 0." in status["mode_reason"]
+        # What turned first after the stall has found it: the watchdog's report or the kernel.
+        assert re.match("the control loop stalled|no control tick for", status["mode_reason"])
         answer = await daemon.ask("reset", source="test")
         assert answer["mode"] == "IDLE"
         heard = (await asyncio.to_thread(peer, "heard"))["commands"]

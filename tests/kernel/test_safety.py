@@ -255,6 +255,16 @@ def test_a_late_tick_stops_a_moving_robot() -> None:
     assert stopped_by(bench, Cause.TICK_OVERRUN, Mode.ERROR)
 
 
+@pytest.mark.parametrize("first", [Bench.tick, Bench.odometry, lambda bench: bench.battery(1.0)])
+def test_a_gap_between_ticks_is_the_cause_and_not_the_stale_odometry_it_leaves(
+    first: Callable[[Bench], object],
+) -> None:
+    bench = moving()
+    bench.t_ns += 1_500_000_000
+    first(bench)
+    assert stopped_by(bench, Cause.TICK_OVERRUN, Mode.ERROR)
+
+
 @pytest.mark.parametrize("jump_ns", [-(10**18), -1_000_000_000, 10**18])
 def test_steady_time_that_jumps_stops_a_moving_robot_and_no_more(jump_ns: int) -> None:
     bench = moving()
