@@ -47,11 +47,15 @@ class RecordingParams:
 
 @dataclass(frozen=True, slots=True)
 class Config:
-    """Everything that a file may set. The kernel's parameters have no prefix in the file."""
+    """Everything that a file may set. The kernel's parameters have no prefix in the file.
+
+    `fifo_priority` asks for SCHED_FIFO for the thread of the loop, from 1 (low) to 99; 0 does not.
+    """
 
     kernel: KernelParams = field(default_factory=KernelParams)
     sim: SimParams = field(default_factory=SimParams)
     recording: RecordingParams = field(default_factory=RecordingParams)
+    fifo_priority: int = bounded(0, 0, 99)
 
 
 def load(path: Path) -> Config:
@@ -161,6 +165,10 @@ def _checked(key: str, value: object, kind: type, metadata: Mapping[str, Any]) -
     if type(value) is not kind:
         names = {int: "a whole number", str: "a text", bool: "true or false"}
         raise _not_allowed(key, value, f"use {names[kind]}")
+    if isinstance(value, int) and "range" in metadata:
+        low, high, _ = metadata["range"]
+        if not low <= value <= high:
+            raise _not_allowed(key, value, f"use {low} to {high}")
     return value
 
 

@@ -38,6 +38,10 @@ BAD = {
     "list for a number": ("rate_hz: [50]", "rate_hz: [50] is not allowed: use a number"),
     "date for a number": ("rate_hz: 2020-01-01", "rate_hz: datetime.date(2020, 1, 1) is not"),
     "fraction for a whole number": ("sim.seed: 1.5", "sim.seed: 1.5 is not allowed: use a whole"),
+    "priority beyond the last": (
+        "fifo_priority: 100",
+        "fifo_priority: 100 is not allowed: use 0 to 99",
+    ),
     "unknown pattern": ("pattern.kind: star", "pattern.kind: 'star' is not allowed: use square"),
     "unknown compression": ("recording.compression: zip", "'zip' is not allowed: use zstd, none"),
     "no topic": ("odometry.topic: ''", "odometry.topic: '' is not allowed: use the name of a ROS"),

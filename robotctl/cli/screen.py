@@ -57,6 +57,8 @@ def status_rows(status: dict[str, Any]) -> Iterator[tuple[str, str]]:
     yield "ROS", f"domain {domain}, discovery {printable(discovery)}"
     yield "socket", printable(status.get("socket"))
     version, pid = printable(status.get("version")), status.get("pid")
+    if status.get("scheduling") not in (None, "SCHED_OTHER"):
+        yield "scheduling", printable(status["scheduling"])
     yield "daemon", f"robotctl {version}, pid {pid}, up {duration(status.get('uptime_s') or 0)}"
 
 

@@ -85,6 +85,7 @@ async def serve(options: DaemonOptions, notes: list[str], on_ready: Ready) -> No
                 domain_id=options.domain_id,
                 namespace=options.namespace,
                 on_exception=supervisor.callback_failed,
+                fifo_priority=config.fifo_priority or None,
             )
         )
         notes = [*notes, *await asyncio.to_thread(tidy, options.recordings, config.recording)]
@@ -144,7 +145,9 @@ class _Daemon:
             supervisor.callback_failed,
         )
         supervisor.report_to(self._control.dispatch)
-        self._status = StatusSource(options, self._control, self._recorder, self._tap, params)
+        self._status = StatusSource(
+            options, self._control, self._recorder, self._tap, params, session.scheduling
+        )
         self._inputs = Inputs(self._control, self._status, self._velocity)
         self._watchdog = Watchdog(
             params.rate_hz, params.max_tick_gap_s, self._velocity, _in_loop(self._stalled)

@@ -24,7 +24,10 @@ MIN_STEP_M = 0.005
 
 
 class StatusSource:
-    """Gathers the status; `sim` says whether the robot is simulated."""
+    """Gathers the status; `sim` says whether the robot is simulated.
+
+    `scheduling` is how the kernel schedules the loop's thread.
+    """
 
     def __init__(
         self,
@@ -33,6 +36,7 @@ class StatusSource:
         recorder: Recorder,
         tap: Tap,
         params: KernelParams,
+        scheduling: str,
     ) -> None:
         self.sim = False
         self._options = options
@@ -40,6 +44,7 @@ class StatusSource:
         self._recorder = recorder
         self._tap = tap
         self._params = params
+        self._scheduling = scheduling
         self._rates = RateMeter()
         self._started = time.monotonic()
         self._driven: list[Pose] = []
@@ -122,6 +127,7 @@ class StatusSource:
             "warnings": list(self._warnings(recorder.failure, recorder.warning)),
             "domain_id": self._options.domain_id,
             "discovery_range": discovery_range(),
+            "scheduling": self._scheduling,
             "socket": str(socket_path(self._options.robot)),
             "uptime_s": round(time.monotonic() - self._started, 3),
         }

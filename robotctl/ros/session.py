@@ -22,6 +22,11 @@ class Session:
         self._namespace = namespace
         self._nodes: list[Node] = []
 
+    @property
+    def scheduling(self) -> str:
+        """How the kernel schedules the loop's thread, in words."""
+        return self._executor.scheduling
+
     def node(self, name: str) -> Node:
         """Create a node in the robot's namespace; parameters come from the configuration only."""
         node = Node(
@@ -45,13 +50,22 @@ class Session:
 
 @asynccontextmanager
 async def ros_session(
-    *, domain_id: int, namespace: str, on_exception: ExceptionHandler | None = None
+    *,
+    domain_id: int,
+    namespace: str,
+    on_exception: ExceptionHandler | None = None,
+    fifo_priority: int | None = None,
 ) -> AsyncIterator[Session]:
-    """Open a context in ROS domain `domain_id` and close everything in order at the end."""
+    """Open a context in ROS domain `domain_id` and close everything in order at the end.
+
+    `fifo_priority` asks for SCHED_FIFO (1..99) for the loop's thread.
+    """
     context = Context()
     context.init(domain_id=domain_id)
     try:
-        async with AsyncioExecutor(context, on_exception=on_exception) as executor:
+        async with AsyncioExecutor(
+            context, on_exception=on_exception, fifo_priority=fifo_priority
+        ) as executor:
             session = Session(context, executor, namespace)
             try:
                 yield session

@@ -77,6 +77,7 @@ class FakeDaemon:
             "domain_id": self.options.domain_id,
             "discovery_range": "LOCALHOST",
             "socket": str(socket_path(self.options.robot)),
+            "scheduling": "SCHED_OTHER",
             "uptime_s": time.monotonic() - self.started,
         }
 

@@ -32,6 +32,7 @@ STABLE_KEYS = {
     "warnings",
     "domain_id",
     "discovery_range",
+    "scheduling",
     "socket",
     "uptime_s",
 }

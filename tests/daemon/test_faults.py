@@ -8,6 +8,7 @@ import os
 import re
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -196,6 +197,17 @@ async def test_a_wall_clock_that_is_set_does_not_touch_the_drive(
     journal = journal_of(read_back(next(world.recordings.iterdir()))["/robotctl/journal"])
     assert [entry.name for entry in journal].count("ModeChanged") == 2  # began and ended
     assert rerun(journal) is None
+
+
+async def test_the_status_says_what_came_of_the_priority_that_was_asked_for(
+    in_process: Callable[..., Any], tmp_path: Path
+) -> None:
+    config = tmp_path / "config.yaml"
+    config.write_text("fifo_priority: 10\n")
+    async with in_process(config=config) as daemon:
+        told = (await daemon.ask("status"))["scheduling"]
+        granted = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
+    assert told == "SCHED_FIFO 10" if granted else told.startswith("SCHED_OTHER (SCHED_FIFO 10")
 
 
 # The loop stalls

@@ -33,6 +33,7 @@ STATUS_KEYS = {
     "warnings",
     "domain_id",
     "discovery_range",
+    "scheduling",
     "socket",
     "uptime_s",
 }
