@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from heapq import heapify, heappop, heappush
+from operator import itemgetter
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -115,6 +116,21 @@ def merge(
             heappush(heap, (entries[source.next][0], rank))
         else:
             held -= source.size
+            source.unload()
+
+
+def in_order_written(
+    files: Sequence[OpenFile],
+    topics: Collection[str] | None,
+    on_missing: Callable[[str], None],
+) -> Iterator[Message]:
+    """As `merge`, but in the order in which the messages stand in the files."""
+    for file in files:
+        for source in _sources(file, topics):
+            _load(source, MAX_OPEN_BYTES, on_missing)
+            source.entries.sort(key=itemgetter(1))
+            while source.next < len(source.entries):
+                yield source.take()
             source.unload()
 
 

@@ -19,7 +19,7 @@ from robotctl.recording import rosbag2
 from robotctl.recording.file_index import FileIndex, note_missing
 from robotctl.recording.indexing import index_of
 from robotctl.recording.mcap_input import Damaged, InputFile
-from robotctl.recording.merge import Message, OpenFile, merge
+from robotctl.recording.merge import Message, OpenFile, in_order_written, merge
 
 __all__ = [
     "Message",
@@ -175,6 +175,12 @@ class Recording:
     ) -> Iterator[Message]:
         """The messages in the order of their log time; `on_missing` gets what is found lost."""
         return merge(self._files, topics, on_missing)
+
+    def in_order_written(
+        self, topics: Collection[str] | None, on_missing: Callable[[str], None]
+    ) -> Iterator[Message]:
+        """As `messages`, in the order of the files: log times step back where the clock was set."""
+        return in_order_written(self._files, topics, on_missing)
 
     def _open(self, path: Path, *, only: bool, on_progress: Callable[[int, int], None]) -> None:
         try:
