@@ -44,6 +44,7 @@ class StartOptions:
     drive: str | None = None
     sim: bool | None = None
     domain_id: int | None = None
+    observe: bool = False
 
     def command(self) -> list[str]:
         """The daemon's command line."""
@@ -54,6 +55,8 @@ class StartOptions:
                 command += [f"--{name.replace('_', '-')}", str(value)]
         if self.sim is not None:
             command.append("--sim" if self.sim else "--no-sim")
+        if self.observe:
+            command.append("--observe")
         return command
 
 

@@ -15,6 +15,7 @@ from robotctl.cli import control
 from robotctl.cli.drive import Pattern
 from robotctl.cli.launch import StartOptions, launch
 from robotctl.cli.options import Json, Robot, new_app
+from robotctl.cli.screen import mode_text
 from robotctl.cli.text import json_text, printable, short_path
 from robotctl.errors import NoDaemon
 from robotctl.ipc.client import command_for
@@ -45,6 +46,12 @@ def start(
             "starts unless somebody publishes odometry already.",
         ),
     ] = None,
+    observe: Annotated[
+        bool,
+        typer.Option(
+            "--observe", help="Only record, beside anybody's stack: no command, no mode, no robot."
+        ),
+    ] = False,
     domain_id: Annotated[
         int | None, typer.Option(metavar="N", help="ROS domain [default: ROS_DOMAIN_ID, or 0].")
     ] = None,
@@ -63,6 +70,7 @@ def start(
       robotctl start --drive circle
       robotctl start --no-sim --config robot.yaml --recordings /data
       robotctl start --robot r2 --domain-id 5
+      robotctl start --observe --recordings /data
     """
     options = StartOptions(
         robot=check_robot_name(robot),
@@ -71,6 +79,7 @@ def start(
         drive=None if drive is None else drive.value,
         sim=sim,
         domain_id=domain_id,
+        observe=observe,
     )
     if foreground:
         command = options.command()
@@ -83,10 +92,11 @@ def summary(ready: dict[str, Any]) -> Iterator[str]:
     """What a daemon that has just become ready says of itself."""
     robot = printable(ready.get("robot"))
     yield f"robotctl {__version__}: robot {robot} is ready"
-    yield f"  mode        {printable(ready.get('mode'))}"
+    yield f"  mode        {mode_text(ready)}"
     domain, discovery = ready.get("domain_id"), printable(ready.get("discovery_range"))
     yield f"  ROS         domain {domain}, discovery {discovery}"
-    yield f"  simulator   {'yes' if ready.get('sim') else 'no'}"
+    if ready.get("sim") is not None:
+        yield f"  simulator   {'yes' if ready['sim'] else 'no'}"
     yield f"  socket      {printable(ready.get('socket'))}"
     yield f"  recording   {short_path(ready.get('recording'))}"
     yield f"  log         {printable(ready.get('log'))}"

@@ -12,6 +12,8 @@ _NAME_WIDTH = 30
 _TYPE_WIDTH = 30
 _RATE_WIDTH = 7
 
+OBSERVING = "observing (records, drives nothing)"
+
 TOPIC_HEADER = (
     f"  {'topic':{_NAME_WIDTH}} {'type':{_TYPE_WIDTH}} {'count':>8} {'Hz':>{_RATE_WIDTH}}"
 )
@@ -36,17 +38,28 @@ def headline(status: dict[str, Any]) -> str:
     """Which robot is in which mode."""
     phase = status.get("phase")
     suffix = f" ({printable(phase)})" if phase else ""
-    return f"{printable(status.get('robot'))}: {printable(status.get('mode'))}{suffix}"
+    return f"{printable(status.get('robot'))}: {mode_text(status)}{suffix}"
+
+
+def mode_text(status: dict[str, Any]) -> str:
+    """The mode; an observer has none."""
+    return OBSERVING if is_observer(status) else printable(status.get("mode"))
+
+
+def is_observer(status: dict[str, Any]) -> bool:
+    """Whether the daemon only records, and knows nothing of a robot."""
+    return "mode" in status and status["mode"] is None
 
 
 def status_rows(status: dict[str, Any]) -> Iterator[tuple[str, str]]:
     """Label and text of everything but the topics."""
     if status.get("mode_reason"):
         yield "reason", printable(status["mode_reason"])
-    yield "pose", pose_text(status)
-    yield "velocity", velocity_text(status)
-    yield "battery", battery_text(status)
-    yield "simulator", "yes" if status.get("sim") else "no"
+    if not is_observer(status):
+        yield "pose", pose_text(status)
+        yield "velocity", velocity_text(status)
+        yield "battery", battery_text(status)
+        yield "simulator", "yes" if status.get("sim") else "no"
     recorder = status.get("recorder") or {}
     yield "recorder", f"{printable(recorder.get('state'))}, {size(recorder.get('bytes') or 0)}"
     counts = ("received", "written", "queued", "dropped", "lost")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Iterator
 from typing import Any
 
 from rich.console import Group, RenderableType
@@ -10,7 +11,13 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from robotctl.cli.screen import battery_text, pose_text, velocity_text
+from robotctl.cli.screen import (
+    battery_text,
+    is_observer,
+    mode_text,
+    pose_text,
+    velocity_text,
+)
 from robotctl.cli.text import duration, number, printable, size
 
 _MODE_STYLES = {
@@ -26,14 +33,14 @@ _MAX_TOPICS = 12
 
 def live_view(status: dict[str, Any]) -> RenderableType:
     """Mode, pose, speed, battery, recorder and topics in one panel."""
-    mode = printable(status.get("mode"))
     facts = Table.grid(padding=(0, 2))
     facts.add_column(style="dim")
     facts.add_column()
-    facts.add_row("mode", _mode(status, mode))
-    facts.add_row("pose", Text(pose_text(status)))
-    facts.add_row("velocity", Text(velocity_text(status)))
-    facts.add_row("battery", Text(battery_text(status)))
+    facts.add_row("mode", _mode(status))
+    if not is_observer(status):
+        facts.add_row("pose", Text(pose_text(status)))
+        facts.add_row("velocity", Text(velocity_text(status)))
+        facts.add_row("battery", Text(battery_text(status)))
     facts.add_row("recorder", _recorder(status.get("recorder") or {}))
     for warning in status.get("warnings") or []:
         facts.add_row("warning", Text(printable(warning), style="yellow"))
@@ -45,22 +52,27 @@ def live_view(status: dict[str, Any]) -> RenderableType:
 
 def plain_line(status: dict[str, Any]) -> str:
     """The same on one line, for where no live view can be drawn."""
-    pose, velocity = status.get("pose") or {}, status.get("velocity") or {}
     recorder = status.get("recorder") or {}
     fields = (
         f"{status.get('uptime_s') or 0:.1f} s",
-        str(status.get("mode")),
-        str(status.get("phase")),
-        *(f"{key} {number(pose.get(key), '.3f')}" for key in ("x", "y", "theta")),
-        f"v {number(velocity.get('linear'), '.3f')}",
-        f"battery {battery_text(status)}",
+        mode_text(status),
+        *(() if is_observer(status) else _robot_fields(status)),
         f"written {recorder.get('written')}",
         f"lost {recorder.get('lost')}",
     )
     return "  ".join(printable(field) for field in fields)
 
 
-def _mode(status: dict[str, Any], mode: str) -> Text:
+def _robot_fields(status: dict[str, Any]) -> Iterator[str]:
+    pose, velocity = status.get("pose") or {}, status.get("velocity") or {}
+    yield str(status.get("phase"))
+    yield from (f"{key} {number(pose.get(key), '.3f')}" for key in ("x", "y", "theta"))
+    yield f"v {number(velocity.get('linear'), '.3f')}"
+    yield f"battery {battery_text(status)}"
+
+
+def _mode(status: dict[str, Any]) -> Text:
+    mode = mode_text(status)
     text = Text(mode, style=_MODE_STYLES.get(mode, "bold"))
     if status.get("phase"):
         text.append(f"  {printable(status['phase'])}", style="default not bold")

@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 from robotctl.daemon.control import Control
-from robotctl.daemon.status import StatusSource
+from robotctl.daemon.motion import Motion
 from robotctl.kernel.types import (
     BatteryReceived,
     Cause,
@@ -26,16 +26,16 @@ _log = logging.getLogger(__name__)
 class Inputs:
     """Every method belongs to the loop's thread."""
 
-    def __init__(self, control: Control, status: StatusSource, velocity: VelocityPublisher) -> None:
+    def __init__(self, control: Control, motion: Motion, velocity: VelocityPublisher) -> None:
         self._control = control
-        self._status = status
+        self._motion = motion
         self._velocity = velocity
 
     def odometry(self, odometry: Odometry) -> None:
         """The robot measured where it is."""
         self._control.dispatch(OdomReceived(time.monotonic_ns(), odometry))
         if self._control.state.drive is not None:
-            self._status.drove_to(odometry.pose)
+            self._motion.drove_to(odometry.pose)
 
     def battery(self, level: float) -> None:
         """The robot measured its battery."""

@@ -25,6 +25,8 @@ class DaemonOptions:
     drive: PatternKind | None
     sim: bool | None
     domain_id: int
+    observe: bool = False
+    """Record, and do nothing else."""
 
     @property
     def namespace(self) -> str:
@@ -41,8 +43,13 @@ def parse(arguments: list[str]) -> DaemonOptions:
     parser.add_argument("--drive", choices=[kind.value for kind in PatternKind])
     parser.add_argument("--sim", action=argparse.BooleanOptionalAction)
     parser.add_argument("--domain-id", type=int)
+    parser.add_argument("--observe", action="store_true")
     parser.add_argument("--ready-fd", type=int)
     given = parser.parse_args(arguments)
+    if given.observe and (given.drive or given.sim):
+        raise UsageError(
+            "--observe records and does nothing else: leave out --drive and --sim, or --observe"
+        )
     return DaemonOptions(
         robot=check_robot_name(given.robot),
         config=given.config,
@@ -50,6 +57,7 @@ def parse(arguments: list[str]) -> DaemonOptions:
         drive=None if given.drive is None else PatternKind(given.drive),
         sim=given.sim,
         domain_id=resolve_domain_id(given.domain_id),
+        observe=given.observe,
     )
 
 

@@ -52,16 +52,10 @@ class Tap:
     `open_sink` is called in the loop for each new topic and returns what takes its messages.
     """
 
-    def __init__(
-        self,
-        session: Session,
-        open_sink: Callable[[TappedTopic], Sink],
-        *,
-        skip: frozenset[str] = frozenset(),
-    ) -> None:
+    def __init__(self, session: Session, open_sink: Callable[[TappedTopic], Sink]) -> None:
         self._node = session.node("recorder")
         self._open_sink = open_sink
-        self._skip = skip
+        self._reserved: set[str] = set()
         self._tapped: dict[str, _Tapped] = {}
         self._sinks: dict[str, Sink] = {}
         self.problems: dict[str, str] = {}
@@ -78,9 +72,14 @@ class Tap:
         topic = self._node.resolve_topic_name(name)
         self._subscribe(topic, type_name, message_class(type_name), [offered])
 
+    def reserve(self, topic: TappedTopic) -> Sink:
+        """Return the sink of a topic whose messages come to it from elsewhere, not from here."""
+        self._reserved.add(topic.name)
+        return self._open_sink(topic)
+
     async def _look(self) -> None:
         for topic, type_names in self._node.get_topic_names_and_types():
-            if topic in self._skip:
+            if topic in self._reserved:
                 continue
             tapped = self._tapped.get(topic)
             if tapped is not None:

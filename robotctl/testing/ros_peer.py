@@ -15,6 +15,7 @@ from typing import Any
 import rclpy
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
+from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -113,6 +114,15 @@ class Peer:
         """Offer a topic as a type of which we know the name."""
         self.node.create_publisher({"Twist": Twist, "Odometry": Odometry}[kind], topic, 10)
 
+    def send(self, kind: str, topic: str, count: int) -> None:
+        """Publish messages once somebody listens, and see that they arrived there."""
+        message_type = {"Twist": Twist, "Odometry": Odometry}[kind]
+        publisher = self.node.create_publisher(message_type, topic, DEEP)
+        _wait(publisher.get_subscription_count)
+        for _ in range(count):
+            publisher.publish(message_type())
+        assert publisher.wait_for_all_acked(Duration(seconds=DEADLINE_S))
+
     def end(self) -> None:
         """Publish no more."""
         self.stop.set()
@@ -124,6 +134,20 @@ class Peer:
         found = self.node.get_node_names_and_namespaces()
         names = {f"{namespace.rstrip('/')}/{name}" for name, namespace in found}
         return sorted(names - {"/somebody_else"})
+
+    def publishers(self) -> dict[str, list[str]]:
+        """The nodes, other than this, that publish, by topic."""
+        found = {}
+        for topic, _ in self.node.get_topic_names_and_types():
+            infos = self.node.get_publishers_info_by_topic(topic)
+            names = {f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in infos}
+            found[topic] = sorted(names - {"/somebody_else"})
+        return {topic: names for topic, names in found.items() if names}
+
+    def services(self) -> list[str]:
+        """The services of all other nodes."""
+        found = [name for name, _ in self.node.get_service_names_and_types()]
+        return sorted(name for name in found if not name.startswith("/somebody_else/"))
 
     def _subscribe(self, kind: Any, topic: str, callback: Any, qos: QoSProfile) -> Any:
         # rclpy's own types know callbacks of one argument only.

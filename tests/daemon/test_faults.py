@@ -14,9 +14,9 @@ from typing import Any
 import pytest
 
 from robotctl.daemon.app import serve
+from robotctl.daemon.flight_recorder import FlightRecorder
 from robotctl.daemon.inputs import Inputs
 from robotctl.daemon.options import DaemonOptions
-from robotctl.daemon.status import StatusSource
 from robotctl.daemon.watchdog import Watchdog
 from robotctl.errors import Refused
 from robotctl.ipc.server import ControlServer
@@ -25,6 +25,7 @@ from robotctl.kernel.patterns import PatternKind
 from robotctl.kernel.types import ModeRequested
 from robotctl.recording.reader import read_info
 from robotctl.replay.rerun import rerun
+from robotctl.ros.mode_service import ModeService
 from robotctl.ros.simulated_robot import SimulatedRobot
 from robotctl.ros.tap import Tap
 from robotctl.ros.velocity_publisher import VelocityPublisher
@@ -67,7 +68,8 @@ def commands(world: World) -> list[tuple[float, float]]:
         (Watchdog, "ping", "the control task failed"),
         (Tap, "_look", "the recorder task failed"),
         (VelocityPublisher, "count_publishers", "the publisher watch task failed"),
-        (StatusSource, "sample", "the status task failed"),
+        (FlightRecorder, "sample", "the recorder's statistics task failed"),
+        (ModeService, "publish", "the status task failed"),
         (ControlServer, "_accept", "the socket task failed"),
         (Inputs, "odometry", "the callback of "),
         (VelocityPublisher, "publish", "PublishTwist failed"),

@@ -46,7 +46,7 @@ async def session(domain_id: int) -> AsyncIterator[Session]:
 async def taken(session: Session) -> AsyncIterator[Taken]:
     """What a running tap takes."""
     made = Taken()
-    made.tap = Tap(session, made.open, skip=frozenset({"/skipped"}))  # type: ignore[attr-defined]
+    made.tap = Tap(session, made.open)  # type: ignore[attr-defined]
     running = asyncio.create_task(made.tap.run())  # type: ignore[attr-defined]
     yield made
     running.cancel()
@@ -117,17 +117,20 @@ async def test_a_latched_message_from_before_is_taken(
     assert taken.values(topic) == [9]
 
 
-async def test_what_nobody_publishes_and_what_is_skipped_are_not_opened(
+async def test_what_nobody_publishes_and_what_comes_otherwise_are_not_subscribed_to(
     taken: Taken, node: Any, topic: str, until: Until
 ) -> None:
     from std_msgs.msg import UInt64
 
     node.create_subscription(UInt64, f"{topic}_listened", print, 10)
-    publisher(node, "/skipped")
+    sink = taken.tap.reserve(TappedTopic("/reserved", "", "", "", ""))  # type: ignore[attr-defined]
+    reserved = publisher(node, "/reserved")
     publisher(node, topic)
     await until(lambda: topic in taken.topics)
-    assert "/skipped" not in taken.topics
     assert f"{topic}_listened" not in taken.topics
+    assert reserved.get_subscription_count() == 0
+    sink(b"", 1, 2, 3, b"")
+    assert taken.messages["/reserved"] == [(b"", 1, 2, 3, b"")]
 
 
 async def test_a_type_that_is_not_installed_is_named_and_the_others_go_on(

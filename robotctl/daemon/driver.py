@@ -1,0 +1,204 @@
+"""The daemon that drives a robot, and records what it and everybody else does."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import Mapping
+from functools import partial
+from math import nan
+from typing import Any
+
+from robotctl.daemon.control import Control
+from robotctl.daemon.driving import DrivingMethods
+from robotctl.daemon.effects import Effects
+from robotctl.daemon.ending import stand_still, until
+from robotctl.daemon.flight_recorder import FlightRecorder
+from robotctl.daemon.host import Host, Ready, in_loop, running
+from robotctl.daemon.inputs import Inputs
+from robotctl.daemon.journal import Journal
+from robotctl.daemon.latch import Latch
+from robotctl.daemon.methods import common_methods
+from robotctl.daemon.motion import Motion
+from robotctl.daemon.neighbours import somebody_is_driven, watch_publishers
+from robotctl.daemon.requests import Requests
+from robotctl.daemon.status import StatusSource
+from robotctl.daemon.supervisor import Work
+from robotctl.daemon.watchdog import Watchdog
+from robotctl.errors import RobotctlError
+from robotctl.ipc.connection import Method
+from robotctl.ipc.server import ControlServer
+from robotctl.kernel.kernel import Kernel, State, latched
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.types import ZERO, DriveRequested, Tick
+from robotctl.paths import latch_path
+from robotctl.ros import qos
+from robotctl.ros.battery_subscriber import BatterySubscriber
+from robotctl.ros.journal_publisher import JournalPublisher
+from robotctl.ros.mode_service import ModeService, Shown
+from robotctl.ros.odom_subscriber import OdomSubscriber
+from robotctl.ros.simulated_robot import SimulatedRobot
+from robotctl.ros.ticker import Ticker
+from robotctl.ros.velocity_publisher import VelocityPublisher
+
+_log = logging.getLogger(__name__)
+
+READY_S = 3.0
+"""How long a start waits for the first odometry and battery level of a robot that is there."""
+
+DRAIN_S = 1.0
+"""How long a stop waits for the recorder to see the last command."""
+
+SHOW_PERIOD_S = 1.0
+
+
+class Driver:
+    """Kernel, roles and recorder, connected."""
+
+    def __init__(self, host: Host) -> None:
+        self._host = host
+        session, params, robot = host.session, host.config.kernel, host.options.robot
+        latch = Latch(latch_path(robot))
+        host.last.push_async_callback(latch.close)
+        self.recorder = FlightRecorder(
+            host.options,
+            host.config,
+            session,
+            in_loop(lambda detail: self._inputs.recorder_failed(detail)),
+            in_loop(lambda path: self._inputs.file_begun(path)),
+        )
+        tap = self.recorder.tap
+        tap.subscribe_own(params.command.topic, "geometry_msgs/msg/Twist", qos.COMMAND)
+        tap.subscribe_own("robot_status", "robot_controller/msg/RobotStatus", qos.LATCHED)
+        self._velocity = VelocityPublisher(session, params.command.topic)
+        requests = Requests()
+        reason = latch.read()
+        self._control = Control(
+            Kernel(params, State() if reason is None else latched(reason)),
+            Journal(self.recorder.open_journal(JournalPublisher(session))),
+            Effects(self._velocity.publish, self._show_mode, latch, requests).carry_out,
+            requests,
+            host.supervisor.callback_failed,
+        )
+        host.supervisor.report_to(self._control.dispatch)
+        self._motion = Motion(self._control, params)
+        self._status = StatusSource(host.options, self.recorder, self._motion, session.scheduling)
+        self._inputs = Inputs(self._control, self._motion, self._velocity)
+        self._watchdog = Watchdog(
+            params.rate_hz, params.max_tick_gap_s, self._velocity, in_loop(self._stalled)
+        )
+        self._odometry = OdomSubscriber(session, params.odometry.topic, self._inputs.odometry)
+        if params.battery.topic:
+            BatterySubscriber(session, params.battery.topic, self._inputs.battery)
+        self._modes = ModeService(session, robot, self._inputs.service_call)
+        self._driving = DrivingMethods(self._control, self._motion, params)
+
+    def methods(self) -> Mapping[str, Method[Any]]:
+        """Return what the control socket offers."""
+        return common_methods(self._status, self._host.stop) | self._driving.table()
+
+    async def run(self, server: ControlServer, notes: list[str], on_ready: Ready) -> None:
+        """Run every task until the daemon is told to stop."""
+        self._control.journal_snapshot(time.monotonic_ns())
+        sim = self._host.options.sim
+        if sim is None:
+            sim = self._host.alone or not await somebody_is_driven(self._odometry, self._host.stop)
+            if not sim:
+                notes = [*notes, f"no simulator: {self._odometry.topic} has a publisher already"]
+        self._motion.sim = sim
+        work = {**self._work(sim), "socket": server.serve}
+        async with running(self._host.supervisor, work):
+            with self._watchdog:
+                ready = await self._become_ready(notes, on_ready)
+                await self._host.stop.wait()
+                _log.info("stopping")
+                await stand_still(self._control)
+        await until(self._is_drained, DRAIN_S)
+        if not ready:
+            raise RobotctlError("the daemon was told to stop before it was ready")
+
+    async def cut(self) -> None:
+        """Send a zero past everything else, and record it."""
+        try:
+            self._velocity.publish(ZERO)
+            await until(self._is_drained, DRAIN_S)
+        except Exception:  # noqa: BLE001 - what made the daemon fail is to be told, not this
+            _log.exception("no last zero could be sent")
+
+    # Tasks
+
+    def _work(self, sim: bool) -> dict[str, Work]:
+        work: dict[str, Work] = {
+            "control": self._tick,
+            **self.recorder.work(),
+            "publisher watch": partial(watch_publishers, self._velocity, self._control.dispatch),
+            "status": self._show_status,
+        }
+        if sim:
+            work["simulated robot"] = self._simulated_robot().run
+        return work
+
+    def _simulated_robot(self) -> SimulatedRobot:
+        params, tap = self._host.config.kernel, self.recorder.tap
+        tap.subscribe_own(params.odometry.topic, "nav_msgs/msg/Odometry", qos.SENSOR)
+        if params.battery.topic:
+            tap.subscribe_own(params.battery.topic, "sensor_msgs/msg/BatteryState", qos.SENSOR)
+        return SimulatedRobot(
+            self._host.session,
+            self._host.config.sim,
+            command_topic=params.command.topic,
+            odometry_topic=params.odometry.topic,
+            battery_topic=params.battery.topic,
+        )
+
+    async def _tick(self) -> None:
+        async for tick in Ticker(self._host.config.kernel.rate_hz):
+            self._control.dispatch(Tick(tick.t_ns, tick.missed))
+            self._watchdog.ping()
+
+    async def _show_status(self) -> None:
+        while True:
+            self._show_mode(self._control.state.mode)
+            await asyncio.sleep(SHOW_PERIOD_S)
+
+    def _show_mode(self, mode: Mode) -> None:
+        level = self._control.state.health.battery_level
+        self._modes.publish(
+            Shown(mode, nan if level is None else level, self._motion.is_connected())
+        )
+
+    def _stalled(self, detail: str) -> None:
+        self._inputs.stalled(detail)
+        self._watchdog.taken()
+
+    def _is_drained(self) -> bool:
+        received = self.recorder.received()
+        return (
+            received.get(self._velocity.topic, 0) >= self._velocity.published
+            and received.get(self._modes.status_topic, 0) >= self._modes.published
+        )
+
+    # Beginning
+
+    async def _become_ready(self, notes: list[str], on_ready: Ready) -> bool:
+        stop = self._host.stop
+        if self._motion.sim or self._odometry.count_publishers():
+            await until(lambda: self._motion.is_known() or stop.is_set(), READY_S)
+        if stop.is_set():
+            return False
+        if self._host.options.drive is not None:
+            notes = [*notes, await self._begin_drive()]
+        on_ready(self._status.summary(notes))
+        _log.info("ready")
+        return True
+
+    async def _begin_drive(self) -> str:
+        pattern = self._driving.pattern(self._host.options.drive)
+        request_id = self._control.new_request_id()
+        reply = await self._control.request(
+            DriveRequested(
+                time.monotonic_ns(), request_id, pattern, 0, False, "robotctl start --drive"
+            )
+        )
+        return reply.message

@@ -1,0 +1,125 @@
+"""What the control socket offers to drive with; every method ends in an event for the kernel."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from robotctl.daemon.control import Control
+from robotctl.daemon.motion import Motion
+from robotctl.errors import Refused, UsageError
+from robotctl.ipc.connection import Method
+from robotctl.ipc.params import DriveParams, NoParams, ResetParams, SetModeParams
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.params import KernelParams
+from robotctl.kernel.patterns import Pattern, PatternKind
+from robotctl.kernel.types import DriveRequested, ModeRequested, Reply, ResetRequested
+
+DEFAULT_SIZE_M = {
+    PatternKind.SQUARE: 1.0,
+    PatternKind.CIRCLE: 0.5,
+    PatternKind.FIGURE_EIGHT: 0.5,
+}
+"""Of a pattern that is not the configured one: side of the square, radius of the circles."""
+
+MODE_DEADLINE_S = 30.0
+"""Longer than any ramp."""
+
+
+class DrivingMethods:
+    """The handlers of the control socket that ask something of the robot."""
+
+    def __init__(self, control: Control, motion: Motion, params: KernelParams) -> None:
+        self._control = control
+        self._motion = motion
+        self._params = params
+
+    def table(self) -> dict[str, Method[Any]]:
+        """Return every method by its name."""
+        return {
+            "path": Method(NoParams, self._get_path),
+            "set_mode": Method(SetModeParams, self._set_mode, MODE_DEADLINE_S),
+            "reset": Method(ResetParams, self._reset, MODE_DEADLINE_S),
+            "drive": Method(DriveParams, self._drive, None),
+        }
+
+    def pattern(
+        self,
+        kind: PatternKind | None,
+        size_m: float | None = None,
+        speed_mps: float | None = None,
+    ) -> Pattern:
+        """Return a pattern; what is left out comes from the configuration."""
+        configured = self._params.pattern
+        if kind is None or kind is configured.kind:
+            kind, default_m = configured.kind, configured.size_m
+        else:
+            default_m = DEFAULT_SIZE_M[kind]
+        return Pattern(
+            kind,
+            default_m if size_m is None else size_m,
+            configured.speed_mps if speed_mps is None else speed_mps,
+        )
+
+    async def _get_path(self, _: NoParams) -> dict[str, Any]:
+        return self._motion.path()
+
+    async def _set_mode(self, params: SetModeParams) -> dict[str, Any]:
+        if params.mode not in list(Mode):
+            names = ", ".join(f"{mode.value} {mode.name}" for mode in Mode)
+            raise UsageError(f"{params.mode} is not a mode: use {names}")
+        request_id = self._control.new_request_id()
+        event = ModeRequested(time.monotonic_ns(), request_id, params.mode, params.source)
+        return _answer(await self._control.request(event))
+
+    async def _reset(self, params: ResetParams) -> dict[str, Any]:
+        request_id = self._control.new_request_id()
+        event = ResetRequested(time.monotonic_ns(), request_id, params.source)
+        return _answer(await self._control.request(event))
+
+    async def _drive(self, params: DriveParams) -> dict[str, Any]:
+        kind = PatternKind(params.pattern)
+        size_m, unused = params.side_m, params.radius_m
+        if kind is not PatternKind.SQUARE:
+            size_m, unused = unused, size_m
+        if unused is not None:
+            raise UsageError(
+                f"a {kind.value} has no {'radius' if kind is PatternKind.SQUARE else 'side'}: "
+                f"use --{'side' if kind is PatternKind.SQUARE else 'radius'}"
+            )
+        request_id = self._control.new_request_id()
+        event = DriveRequested(
+            time.monotonic_ns(),
+            request_id,
+            self.pattern(kind, size_m, params.speed_mps),
+            int(params.wait) if params.laps is None else params.laps,
+            params.replace,
+            params.source,
+        )
+        end = self._control.expect_end(request_id)
+        try:
+            answer = _answer(await self._control.request(event))
+            if not params.wait:
+                return answer
+            ended = await end
+        finally:
+            end.cancel()
+        report = ended.report
+        is_early = event.laps > 0 and not ended.completed
+        if is_early or self._control.state.mode is not Mode.IDLE:
+            raise Refused(f"the drive ended after {report.laps} laps: {ended.reason}")
+        return {
+            "message": ended.reason,
+            "mode": self._control.state.mode.name,
+            "laps": report.laps,
+            "distance_m": report.distance_m,
+            "cross_track_rms_m": report.cross_track_rms_m,
+            "cross_track_max_m": report.cross_track_max_m,
+            "closure_m": None if report.closure_m != report.closure_m else report.closure_m,
+        }
+
+
+def _answer(reply: Reply) -> dict[str, Any]:
+    if not reply.ok:
+        raise Refused(reply.message)
+    return {"message": reply.message, "mode": reply.mode.name}

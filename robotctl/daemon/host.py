@@ -1,0 +1,74 @@
+"""What every daemon is put into, and what it must offer in return."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable, Mapping
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from robotctl.config import Config
+from robotctl.daemon.flight_recorder import FlightRecorder
+from robotctl.daemon.options import DaemonOptions
+from robotctl.daemon.supervisor import Supervisor, Work
+from robotctl.ipc.connection import Method
+from robotctl.ipc.server import ControlServer
+from robotctl.ros.session import Session
+
+Ready = Callable[[dict[str, Any]], None]
+"""Called once with the summary of a daemon that is ready."""
+
+
+@dataclass(frozen=True, slots=True)
+class Host:
+    """What a daemon is made in."""
+
+    options: DaemonOptions
+    config: Config
+    alone: bool
+    """Nobody else was in the ROS domain when we came."""
+
+    supervisor: Supervisor
+    stop: asyncio.Event
+    """Set when the daemon is told to end."""
+
+    session: Session
+    last: AsyncExitStack
+    """Closed after the session, when no callback runs any more."""
+
+
+class Daemon(Protocol):
+    """Made of its parts, in the order of dependence; nothing is published before it is recorded."""
+
+    recorder: FlightRecorder
+
+    def methods(self) -> Mapping[str, Method[Any]]:
+        """Return what the control socket offers."""
+
+    async def run(self, server: ControlServer, notes: list[str], on_ready: Ready) -> None:
+        """Run every task until the daemon is told to stop."""
+
+    async def cut(self) -> None:
+        """Bring the robot to rest past everything else: the daemon is about to fail."""
+
+
+@asynccontextmanager
+async def running(supervisor: Supervisor, work: Mapping[str, Work]) -> AsyncIterator[None]:
+    """Run the tasks, supervised, until the end of the block."""
+    async with asyncio.TaskGroup() as group:
+        tasks = [group.create_task(supervisor.run(name, each)) for name, each in work.items()]
+        yield
+        for task in tasks:
+            task.cancel()
+
+
+def in_loop(call: Callable[[Any], None]) -> Callable[[Any], None]:
+    """Return what any thread may call to have `call` called in the running loop."""
+    loop = asyncio.get_running_loop()
+
+    def post(argument: Any) -> None:
+        with suppress(RuntimeError):  # the loop is closed: nobody is left to tell
+            loop.call_soon_threadsafe(call, argument)
+
+    return post

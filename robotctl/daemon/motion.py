@@ -1,0 +1,94 @@
+"""What is known of the robot and its drive, as `robotctl status` and `path` tell it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from typing import Any
+
+from robotctl.daemon.control import Control
+from robotctl.kernel.geometry import Pose
+from robotctl.kernel.params import KernelParams
+
+MAX_DRIVEN_POSES = 20_000
+"""Of the driven path; beyond it every second pose is forgotten."""
+
+MIN_STEP_M = 0.005
+"""Poses nearer to the one before are not kept."""
+
+
+class Motion:
+    """Looks at the kernel's state; `sim` says whether the robot is simulated."""
+
+    def __init__(self, control: Control, params: KernelParams) -> None:
+        self.sim = False
+        self._control = control
+        self._params = params
+        self._driven: list[Pose] = []
+        self._wanted: list[Pose] = []
+        self._drive_id: int | None = None
+
+    def drove_to(self, pose: Pose) -> None:
+        """Note a pose of the present drive."""
+        drive = self._control.state.drive
+        assert drive is not None
+        if drive.request_id != self._drive_id:
+            self._drive_id = drive.request_id
+            self._driven = [drive.origin]
+            self._wanted = [drive.origin.compose(pose) for pose in drive.path.outline()]
+        if self._driven[-1].distance(pose) >= MIN_STEP_M:
+            self._driven.append(pose)
+            if len(self._driven) > MAX_DRIVEN_POSES:
+                del self._driven[1::2]
+
+    def path(self) -> dict[str, Any]:
+        """Return the wanted and the driven path of the present or last drive [m, odom frame]."""
+        return {
+            "reference": [[pose.x, pose.y] for pose in self._wanted],
+            "driven": [[pose.x, pose.y] for pose in self._driven],
+        }
+
+    def is_connected(self) -> bool:
+        """Say whether odometry is fresher than its timeout."""
+        health = self._control.state.health
+        if health.odometry is None:
+            return False
+        age_s = (time.monotonic_ns() - health.odometry_t_ns) / 1e9
+        return age_s <= self._params.odometry.timeout_s
+
+    def is_known(self) -> bool:
+        """Say whether the robot has told where it is, and its battery level if it has one."""
+        level = self._control.state.health.battery_level
+        return self.is_connected() and (level is not None or not self._params.battery.topic)
+
+    def facts(self) -> dict[str, Any]:
+        """Return the robot's part of the status."""
+        state = self._control.state
+        odometry = state.health.odometry
+        level = state.health.battery_level
+        return {
+            "mode": state.mode.name,
+            "phase": state.phase.value,
+            "mode_reason": state.reason,
+            "pose": None
+            if odometry is None
+            else {"x": odometry.pose.x, "y": odometry.pose.y, "theta": odometry.pose.theta},
+            "velocity": None
+            if odometry is None
+            else {"linear": odometry.velocity.linear, "angular": odometry.velocity.angular},
+            "battery": None if level is None or level != level else level,
+            "sim": self.sim,
+        }
+
+    def warnings(self) -> Iterator[str]:
+        """Say what is wrong with the robot, or could be."""
+        health = self._control.state.health
+        if health.foreign_publishers:
+            names = ", ".join(health.foreign_publishers)
+            yield f"{names} also publishes velocity commands"
+        if health.odometry_fault:
+            yield health.odometry_fault
+        if health.odometry is not None and not self.is_connected():
+            yield "odometry is older than its timeout"
+        if not self._params.battery.topic:
+            yield "no battery topic is configured: the battery is not checked"

@@ -1,0 +1,81 @@
+"""The daemon that only records, beside anybody's stack: it commands nothing, simulates nothing."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, NoReturn
+
+from robotctl.daemon.flight_recorder import FlightRecorder
+from robotctl.daemon.host import Host, Ready, in_loop, running
+from robotctl.daemon.methods import common_methods
+from robotctl.daemon.status import StatusSource
+from robotctl.errors import Refused
+from robotctl.ipc.connection import Method
+from robotctl.ipc.params import DriveParams, NoParams, ResetParams, SetModeParams
+from robotctl.ipc.server import ControlServer
+from robotctl.kernel.types import Event, FaultReported
+
+_log = logging.getLogger(__name__)
+
+
+class Observer:
+    """The recorder and the control socket."""
+
+    def __init__(self, host: Host) -> None:
+        self._host = host
+        self._faults: dict[str, None] = {}
+        self.recorder = FlightRecorder(
+            host.options,
+            host.config,
+            host.session,
+            in_loop(lambda detail: _log.error("%s", detail)),
+            in_loop(_file_begun),
+        )
+        self._status = StatusSource(host.options, self.recorder, self, host.session.scheduling)
+        host.supervisor.report_to(self._note)
+
+    def methods(self) -> Mapping[str, Method[Any]]:
+        """Return what the control socket offers; whatever would move a robot is refused."""
+        return common_methods(self._status, self._host.stop) | {
+            "path": Method(NoParams, self._refuse),
+            "set_mode": Method(SetModeParams, self._refuse),
+            "reset": Method(ResetParams, self._refuse),
+            "drive": Method(DriveParams, self._refuse),
+        }
+
+    async def run(self, server: ControlServer, notes: list[str], on_ready: Ready) -> None:
+        """Record until the daemon is told to stop."""
+        work = {**self.recorder.work(), "socket": server.serve}
+        async with running(self._host.supervisor, work):
+            on_ready(self._status.summary(notes))
+            _log.info("ready: observing")
+            await self._host.stop.wait()
+            _log.info("stopping")
+
+    async def cut(self) -> None:
+        """There is no robot of ours to stop."""
+
+    def facts(self) -> dict[str, Any]:
+        """Return the robot's part of the status: nothing is known."""
+        unknown = ("mode", "phase", "mode_reason", "pose", "velocity", "battery", "sim")
+        return dict.fromkeys(unknown)
+
+    def warnings(self) -> Iterator[str]:
+        """Say what failed in the daemon itself."""
+        yield from self._faults
+
+    def _note(self, event: Event) -> None:
+        if isinstance(event, FaultReported):
+            self._faults[event.detail] = None
+
+    async def _refuse(self, _: object) -> NoReturn:
+        raise Refused(
+            f"robot {self._host.options.robot!r} is only observed (robotctl start --observe): "
+            "nothing was sent to it; use the stop of the stack that drives it"
+        )
+
+
+def _file_begun(path: Path) -> None:
+    _log.info("recording goes on in %s", path)

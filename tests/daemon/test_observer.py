@@ -1,0 +1,134 @@
+"""An observer records somebody else's stack, and touches nothing of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+
+from robotctl.testing.world import Peer, Ran, World, new_world, read_back, until
+
+COMMANDS = 200
+
+
+@dataclass(frozen=True, slots=True)
+class Observed:
+    """What was seen of one life of an observer."""
+
+    started: str
+    status: Any
+    screen: str
+    line: str
+    nodes: list[str]
+    publishers: dict[str, list[str]]
+    services: list[str]
+    refusals: list[Ran]
+    still: Any
+    topics: dict[str, list[Any]]
+
+
+@pytest.fixture(scope="module")
+def observed() -> Iterator[Observed]:
+    """Live through it once."""
+    with new_world() as world:
+        peer = Peer(world)
+        try:
+            yield _live(world, peer)
+        finally:
+            peer.close()
+
+
+def _live(world: World, peer: Peer) -> Observed:
+    peer("be_a_robot")
+    started = world.ok("start", "--observe")
+    peer("send", kind="Twist", topic="/cmd_vel", count=COMMANDS)
+    until(lambda: _counts(world.status()).get("/cmd_vel", 0) == COMMANDS)
+    until(lambda: _counts(world.status()).get("/odom", 0) > 10)
+    screen = world.ok("status")
+    watching = world.spawn("watch")
+    assert watching.stdout is not None
+    line = watching.stdout.readline()
+    refused = (
+        ("set-mode", "moving"),
+        ("estop",),
+        ("reset",),
+        ("drive", "square"),
+    )
+    seen = Observed(
+        started=started,
+        status=world.status(),
+        screen=screen,
+        line=line,
+        nodes=peer("nodes"),
+        publishers=peer("publishers"),
+        services=peer("services"),
+        refusals=[world.robotctl(*command) for command in refused],
+        still=world.status(),
+        topics={},
+    )
+    world.ok("stop")
+    watching.communicate(timeout=30)
+    seen.topics.update(read_back(next(world.recordings.iterdir())))
+    return seen
+
+
+def _counts(status: Any) -> dict[str, int]:
+    return {topic["name"]: topic["count"] for topic in status["topics"]}
+
+
+def test_it_publishes_no_command_serves_no_mode_and_simulates_nothing(observed: Observed) -> None:
+    assert observed.nodes == ["/recorder"]
+    assert set(observed.publishers) == {"/parameter_events"}  # as every node of rclpy
+    assert observed.services == ["/recorder/get_type_description"]
+
+
+def test_it_records_a_foreign_stack_with_its_commands(observed: Observed) -> None:
+    commands = observed.topics["/cmd_vel"]
+    assert [message.sequence for message in commands] == list(range(1, COMMANDS + 1))
+    assert len(observed.topics["/odom"]) > 10
+    assert len(observed.topics["/battery_state"]) > 10
+    assert "/robotctl/journal" not in observed.topics
+
+
+def test_its_status_has_the_same_keys_and_no_robot(observed: Observed) -> None:
+    from tests.daemon.test_session import STATUS_KEYS
+
+    assert set(observed.status) == STATUS_KEYS
+    robot = ("mode", "phase", "mode_reason", "pose", "velocity", "battery", "sim")
+    assert [observed.status[key] for key in robot] == [None] * 7
+    assert observed.status["recorder"]["state"] == "recording"
+    assert observed.status["warnings"] == []
+
+
+def test_what_people_read_says_that_it_observes(observed: Observed) -> None:
+    assert "mode        observing (records, drives nothing)" in observed.started
+    assert "simulator" not in observed.started
+    assert observed.screen.startswith("robot: observing")
+    assert "pose" not in observed.screen
+    assert "None" not in observed.screen
+    assert "observing" in observed.line
+    assert "None" not in observed.line
+
+
+def test_whatever_would_move_or_stop_a_robot_is_refused_with_a_sentence(
+    observed: Observed,
+) -> None:
+    for ran in observed.refusals:
+        assert ran.exit_code == 4, ran
+        assert ran.err == (
+            "robotctl: robot 'robot' is only observed (robotctl start --observe): "
+            "nothing was sent to it; use the stop of the stack that drives it\n"
+        )
+    assert observed.still["mode"] is None
+
+
+@pytest.mark.parametrize("option", [("--drive", "square"), ("--sim",)])
+def test_an_observer_that_is_to_drive_as_well_is_not_started(
+    world: World, option: tuple[str, ...]
+) -> None:
+    ran = world.robotctl("start", "--observe", *option)
+    assert ran.exit_code == 2
+    assert "--observe records and does nothing else" in ran.err
+    assert not world.recordings.exists()
