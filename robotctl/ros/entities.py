@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Coroutine
-from contextlib import suppress
 from types import CoroutineType
 from typing import Any, ClassVar
 
@@ -13,23 +12,14 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallb
 from rclpy.client import Client
 from rclpy.event_handler import EventHandler
 from rclpy.executors import ShutdownException
-from rclpy.qos import HistoryPolicy, QoSProfile
 from rclpy.service import Service
-from rclpy.subscription import Subscription
 
 from robotctl.ros import rcl
 from robotctl.ros.futures import CallbacksNow, callbacks_at_once, fail_pending
 from robotctl.ros.pool import Pool
 from robotctl.ros.rcl import Signal
 from robotctl.ros.runtime import Runtime, log
-from robotctl.ros.timing import (
-    CALM_VERDICT_NS,
-    FASTEST_TOPIC_HZ,
-    FLOOD_REST_S,
-    FLOODED_VERDICT_NS,
-    LOOKS_PER_VERDICT,
-    SLOW_CALLBACK_NS,
-)
+from robotctl.ros.timing import SLOW_CALLBACK_NS
 
 RETRY_AFTER_FAILED_TAKE_S = 0.1
 
@@ -264,153 +254,9 @@ class TakeFailed(Exception):
         self.reason = reason
 
 
-def _rest(result: Any) -> Coroutine[Any, Any, Any] | None:
+def rest_of(result: Any) -> Coroutine[Any, Any, Any] | None:
+    """What a callback has left to do, if it is async."""
     return result if isinstance(result, CoroutineType) else None
-
-
-def affordable_rest_s(wanted_s: float, qos: QoSProfile) -> float:
-    """For how long messages may collect without overflowing the subscription's queue: 0 is never.
-
-    One of two lengths, so that sources share few pools.
-    """
-    if qos.history == HistoryPolicy.KEEP_ALL:
-        return wanted_s
-    holds_s = qos.depth / FASTEST_TOPIC_HZ
-    return next((rest_s for rest_s in (wanted_s, FLOOD_REST_S) if rest_s <= holds_s), 0.0)
-
-
-class SubscriptionSource(EventFdSource):
-    """A subscription, typed or raw, with a callback of one argument or two.
-
-    One that comes faster than 2 kHz, and has a queue of 50 or more, moves into a pool, and back
-    when it has calmed down: its messages then collect for a millisecond, which saves a quarter
-    of what each of them costs.
-    """
-
-    signals = (Signal.MESSAGE,)
-
-    def __init__(self, runtime: Runtime, subscription: Subscription, where: str) -> None:
-        super().__init__(runtime, subscription, subscription.handle, where)
-        self._take = self.handle.take_message
-        self._looks = 0
-        self._judged_ns = 0
-        self._rest_s = affordable_rest_s(FLOOD_REST_S, subscription.qos_profile)
-
-    def take(self) -> Any:
-        try:
-            return self._take(self.entity.msg_type, self.entity.raw)
-        except Exception as error:
-            raise TakeFailed(error) from error
-
-    def deliver(self, item: Any) -> Coroutine[Any, Any, Any] | None:
-        subscription = self.entity
-        if subscription._callback_type is Subscription.CallbackType.MessageOnly:
-            return _rest(subscription.callback(item[0]))
-        return _rest(subscription.callback(*item))
-
-    def drain(self) -> bool:
-        self._looks += 1
-        if self._looks >= LOOKS_PER_VERDICT:
-            self._judge_rate()
-        if self._strict:
-            return super().drain()
-        # The same as there, for speed without its calls.
-        runtime = self.runtime
-        subscription = self.entity
-        take, message_type, raw = self._take, subscription.msg_type, subscription.raw
-        callback = subscription.callback
-        with_info = subscription._callback_type is not Subscription.CallbackType.MessageOnly
-        clock = time.monotonic_ns
-        last = clock()
-        end = last + runtime.slice_ns
-        while True:
-            try:
-                item = take(message_type, raw)
-            except Exception as error:  # noqa: BLE001 - handed to the one handler
-                self.retry_later(error)
-                return False
-            if item is None:
-                runtime.drained(self)
-                return False
-            result = None
-            try:
-                result = callback(*item) if with_info else callback(item[0])
-            except Exception as error:  # noqa: BLE001 - handed to the one handler
-                runtime.report(error, self.where)
-            now = clock()
-            if now - last > SLOW_CALLBACK_NS:
-                runtime.slow.check(self.where, now - last)
-            last = now
-            if result is not None and isinstance(result, CoroutineType):
-                self.run_async(result)
-                if self.blocked():
-                    return False
-            if runtime.stale:
-                runtime.sync()
-                if self.closed:
-                    return False
-            if now > end:
-                return self.to_be_continued()
-
-    def _judge_rate(self) -> None:
-        now = time.monotonic_ns()
-        took_ns = now - self._judged_ns
-        self._looks, self._judged_ns = 0, now
-        if self.pool is None and self._rest_s > 0.0 and took_ns < FLOODED_VERDICT_NS:
-            with suppress(OSError):  # Without a descriptor for the pool it goes on as it is.
-                self.listen(self.runtime.pool(self._rest_s))
-        elif self.pool is not None and took_ns > CALM_VERDICT_NS:
-            self.listen(None)
-
-
-class RawTapSource(EventFdSource):
-    """A raw subscription with a `RawTap`: past rclpy, straight into the sink."""
-
-    path = "eventfd, serialized"
-    signals = (Signal.MESSAGE,)
-
-    def __init__(self, runtime: Runtime, subscription: Subscription, where: str) -> None:
-        super().__init__(runtime, subscription, subscription.handle, where)
-        self._taker = rcl.SerializedTaker(self.handle.pointer)
-        rest_s = affordable_rest_s(subscription.callback.latency_s, subscription.qos_profile)
-        if rest_s > 0.0:
-            self.pool = runtime.pool(rest_s)
-
-    def detach(self) -> None:
-        if not self.closed:
-            self._taker.close()
-        super().detach()
-
-    def drain(self) -> bool:
-        runtime = self.runtime
-        take = self._taker.take
-        sink = self.entity.callback.sink
-        clock = time.monotonic_ns
-        last = clock()
-        end = last + runtime.slice_ns
-        while True:
-            try:
-                item = take()
-            except rcl.RclCallFailed as error:
-                self.retry_later(error)
-                return False
-            if item is None:
-                runtime.drained(self)
-                return False
-            try:
-                sink(*item)
-            except Exception as error:  # noqa: BLE001 - handed to the one handler
-                runtime.report(error, self.where)
-            now = clock()
-            if now - last > SLOW_CALLBACK_NS:
-                runtime.slow.check(self.where, now - last)
-            last = now
-            if runtime.stale:
-                runtime.sync()
-                if self.closed:
-                    return False
-            if now > end:
-                return self.to_be_continued()
 
 
 class ServiceSource(EventFdSource):

@@ -43,18 +43,12 @@ from rclpy.utilities import get_default_context
 
 from robotctl.ros import futures
 from robotctl.ros.actions import ActionClientSource, ActionServerSource
-from robotctl.ros.entities import (
-    ClientSource,
-    QosEventSource,
-    RawTapSource,
-    ServiceSource,
-    Source,
-    SubscriptionSource,
-)
+from robotctl.ros.entities import ClientSource, QosEventSource, ServiceSource, Source
 from robotctl.ros.proof import prove
 from robotctl.ros.raw import RawTap
 from robotctl.ros.realtime import FifoScheduling, check_priority
 from robotctl.ros.runtime import ExceptionHandler, Runtime, log
+from robotctl.ros.subscriptions import RawTapSource, SubscriptionSource
 from robotctl.ros.timers import TimerSource
 from robotctl.ros.waitset import GuardSource, WaitableSource, WaitSetThread
 

@@ -182,6 +182,8 @@ class Serialized(NamedTuple):
 # then rmw_gid_t: the name of the middleware (a pointer) and 16 bytes.
 _MESSAGE_INFO = struct.Struct("@qqQQP16s")
 _MESSAGE_INFO_SIZE = 72
+_UNSUPPORTED = 2**64 - 1
+"""RMW_MESSAGE_INFO_SEQUENCE_NUMBER_UNSUPPORTED"""
 
 
 class SerializedTaker:
@@ -236,6 +238,16 @@ class SerializedTaker:
         if code == _RET_SUBSCRIPTION_TAKE_FAILED:
             return None
         raise RclCallFailed(f"rcl_take_serialized_message failed with {code}: {_take_error_text()}")
+
+    def info(self) -> dict[str, int | None]:
+        """What rclpy tells a callback of two arguments, about the message that was taken last."""
+        source_ns, received_ns, sent, received, _, _ = _MESSAGE_INFO.unpack_from(self._info)
+        return {
+            "source_timestamp": source_ns,
+            "received_timestamp": received_ns,
+            "publication_sequence_number": None if sent == _UNSUPPORTED else sent,
+            "reception_sequence_number": None if received == _UNSUPPORTED else received,
+        }
 
     def close(self) -> None:
         """Give the buffer back; the object takes nothing any more."""

@@ -282,18 +282,18 @@ async def test_a_failing_take_is_reported_and_tried_again_later(
         raw = node.create_subscription(UInt64, topic, tap, 10, raw=True)
         await asyncio.sleep(0)
         sources: Any = executor._sources
-        working = sources[typed]._take, sources[raw]._taker.take
+        takers = {each: sources[each]._taker for each in (typed, raw)}
 
         def fail(*_: Any) -> None:
             raise rcl.RclCallFailed("cannot take")
 
-        sources[typed]._take = fail
-        sources[raw]._taker = SimpleNamespace(take=fail, close=sources[raw]._taker.close)
+        for each, taker in takers.items():
+            sources[each]._taker = SimpleNamespace(take=fail, close=taker.close, info=taker.info)
         node.create_publisher(UInt64, topic, 10).publish(UInt64(data=3))
         await until(lambda: len(told) >= 4)
         assert got == tapped == []
-        sources[typed]._take = working[0]
-        sources[raw]._taker.take = working[1]
+        for each, taker in takers.items():
+            sources[each]._taker = taker
         await until(lambda: got == [3] and len(tapped) == 1)
     assert set(told) == {"cannot take"}
 

@@ -739,7 +739,7 @@ async def test_each_entity_names_its_path_at_debug_level(
     node.create_client(SetBool, topic)
     await until(lambda: len(caplog.messages) >= 4)
     text = "\n".join(caplog.messages)
-    assert f"/tested: tap of {topic} comes by eventfd, serialized" in text
+    assert f"/tested: tap of {topic} comes by eventfd, collected" in text
     assert "/tested: timer of 1 s" in text
     assert "comes by timerfd" in text
     assert "guard condition" in text

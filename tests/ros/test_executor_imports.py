@@ -14,6 +14,7 @@ RunPython = Callable[..., CompletedProcess[str]]
 # All that AsyncioExecutor and Ticker consist of.
 PARTS = {
     "actions",
+    "decoder",
     "entities",
     "executor",
     "futures",
@@ -23,6 +24,7 @@ PARTS = {
     "rcl",
     "realtime",
     "runtime",
+    "subscriptions",
     "ticker",
     "timerfd",
     "timers",

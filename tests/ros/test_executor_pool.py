@@ -16,8 +16,8 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import UInt64
 
 from robotctl.ros import AsyncioExecutor, RawTap
-from robotctl.ros.entities import affordable_rest_s
 from robotctl.ros.pool import Pool
+from robotctl.ros.subscriptions import affordable_rest_s
 
 DEADLINE_S = 20.0
 
