@@ -7,7 +7,7 @@ it stands in `RecordingInfo.missing`, or ends the iteration over messages with U
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from stat import S_ISDIR, S_ISREG
@@ -18,8 +18,10 @@ from robotctl.errors import UnreadableFile
 from robotctl.recording import rosbag2
 from robotctl.recording.file_index import FileIndex, note_missing
 from robotctl.recording.indexing import index_of
+from robotctl.recording.lookback import last_before
 from robotctl.recording.mcap_input import Damaged, InputFile
-from robotctl.recording.merge import Message, OpenFile, in_order_written, merge
+from robotctl.recording.merge import in_order_written, merge
+from robotctl.recording.source import ALWAYS, Message, OpenFile, Window
 
 __all__ = [
     "Message",
@@ -171,10 +173,22 @@ class Recording:
         )
 
     def messages(
-        self, topics: Collection[str] | None, on_missing: Callable[[str], None]
+        self,
+        topics: Collection[str] | None,
+        on_missing: Callable[[str], None],
+        window: Window = ALWAYS,
     ) -> Iterator[Message]:
-        """The messages in the order of their log time; `on_missing` gets what is found lost."""
-        return merge(self._files, topics, on_missing)
+        """The messages in the order of their log time; `on_missing` gets what is found lost.
+
+        Only those with a log time in `window` (ns, both ends included): nothing else is read.
+        """
+        return merge(self._files, topics, on_missing, window)
+
+    def last_before(
+        self, moment_ns: int, wanted: Mapping[str, int], on_missing: Callable[[str], None]
+    ) -> list[Message]:
+        """Of each topic in `wanted` so many of the last messages before a moment, in order."""
+        return last_before(self._files, wanted, moment_ns, on_missing)
 
     def in_order_written(
         self, topics: Collection[str] | None, on_missing: Callable[[str], None]
