@@ -1,0 +1,55 @@
+"""What the rolling footer costs in a file of the default length.
+
+Thirty topics with three messages a second each: slow and many, so the summary, which is written
+again every 250 ms, is as large beside the data as it gets on a robot.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from recording.figures import Figure
+
+from robotctl.recording.account import TopicAccount
+from robotctl.recording.buffer import pack
+from robotctl.recording.mcap_file import MESSAGE_HEAD
+from robotctl.recording.options import RecorderOptions
+from robotctl.recording.recorder import Topic
+from robotctl.recording.recording_file import RecordingFile
+
+TOPICS = 30
+MESSAGE_BYTES = 52
+
+CPU = "footer of a quiet robot [% of one core]"
+RATIO = "footer of a quiet robot, bytes written per byte recorded"
+RATE = "footer of a quiet robot [MB/s written]"
+
+
+def figures() -> Iterator[Figure]:
+    yield Figure(CPU, 2.0)
+    yield Figure(RATIO, digits=".1f")
+    yield Figure(RATE)
+
+
+def measure(scratch: Path) -> Iterator[tuple[str, float]]:
+    """Write a whole file as fast as it goes, syncing as often as the recorder does."""
+    options = RecorderOptions()
+    commits = int(options.split_s / options.flush_s)
+    with tempfile.TemporaryDirectory(dir=scratch) as folder:
+        accounts = [TopicAccount(Topic(f"/topic{n}", "a/msg/B", "x\n")) for n in range(TOPICS)]
+        file = RecordingFile(Path(folder) / "file.mcap", options, {}, accounts)
+        taken = pack([(channel, bytes(MESSAGE_BYTES), 1, 1, 1) for channel in range(TOPICS)])
+        begun = time.process_time()
+        for number in range(commits):
+            file.write(taken)
+            if number % round(options.sync_s / options.flush_s) == 0:
+                file.sync()
+        spent = time.process_time() - begun
+        written = file.size + file.trailer_bytes
+        file.finish()
+    yield CPU, 100 * spent / options.split_s
+    yield RATIO, written / (commits * TOPICS * (MESSAGE_HEAD.size + MESSAGE_BYTES))
+    yield RATE, written / options.split_s / 1e6
