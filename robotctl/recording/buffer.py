@@ -44,7 +44,7 @@ class PackBuffer:
     times may step back in it: all others need not be searched for their lowest and highest.
     """
 
-    __slots__ = ("_taken", "data", "end", "indexes", "limit", "unordered")
+    __slots__ = ("_taken", "data", "end", "indexes", "limit", "size", "unordered")
 
     def __init__(self, capacity: int) -> None:
         """Make room for `capacity` bytes of records."""
@@ -53,12 +53,16 @@ class PackBuffer:
         self.limit = capacity
         self.indexes: list[array[int]] = []
         self.unordered: set[int] = set()
+        self.size = capacity
+        """Bytes of memory it holds, without those of its indexes before `weigh`."""
+
         self._taken = 0
 
-    @property
-    def size(self) -> int:
-        """Bytes of memory it holds."""
-        return len(self.data)
+    def weigh(self) -> int:
+        """Add the bytes of the indexes to `size`, and return them. For the packer, at its end."""
+        added = sum(len(index) * index.itemsize for index in self.indexes)
+        self.size += added
+        return added
 
     def make_indexes(self, channels: int) -> None:
         """See that there is an index for each of so many channels. For the packer."""
@@ -94,7 +98,7 @@ class PackBuffer:
         """Make it empty again. Only after a take that nothing was packed behind."""
         self._taken = 0
         self.end = 0
-        self.limit = len(self.data)
+        self.limit = self.size = len(self.data)
         self.unordered.clear()
 
 

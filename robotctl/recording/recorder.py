@@ -257,7 +257,7 @@ class Recorder:
         spare = self._drain.spare
         buffer = spare.popleft() if spare else PackBuffer(self._chunk_bytes)
         buffer.make_indexes(len(self._accounts))
-        self._acquired += buffer.size
+        self._acquired += buffer.size + self._buffer.weigh()
         self._drain.queue.put(self._buffer)
         self._buffer = buffer
 
