@@ -58,7 +58,7 @@ app = new_app(LazyGroup)
 
 @app.callback(
     epilog="Try it without a robot: robotctl demo. Exit codes: 0 ok, 2 usage, 3 no daemon, "
-    "4 refused, 5 already running, 6 unreadable file, 130 interrupted."
+    "4 refused, 5 already running, 6 unreadable file, 7 decided differently, 130 interrupted."
 )
 def root(
     version: Annotated[

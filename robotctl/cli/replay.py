@@ -45,6 +45,9 @@ def replay(
         float | None,
         typer.Option("--duration", metavar="S", help="Play so many recorded seconds."),
     ] = None,
+    check: Annotated[
+        bool, typer.Option("--check", help="Decide again instead, and compare; needs no ROS.")
+    ] = False,
     loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
     force: Annotated[
         bool, typer.Option("--force", help="Original names although a daemon is there.")
@@ -69,7 +72,13 @@ def replay(
       robotctl replay recordings/robot_20260101_120000
       robotctl replay run.mcap --topics /odom,/tf --rate 2 --loop
       robotctl replay run.mcap --rate max --json
+      robotctl replay recordings/* --check
     """
+    if check:
+        from robotctl.cli.check import check_command
+
+        check_command(files, as_json=as_json)
+        return
     job = Job(
         file=_only(files).absolute(),
         robot=check_robot_name(robot),

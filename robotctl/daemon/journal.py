@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import platform
 from collections.abc import Callable
 from typing import Any
 
@@ -10,10 +9,8 @@ from robotctl.kernel.codec import to_json
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.types import Effect, Event
+from robotctl.recording.identity import MADE_BY
 from robotctl.recording.journal import JournalEntry, Kind, encode
-
-MADE_BY = f"Python {platform.python_version()}, {' '.join(platform.libc_ver())}".rstrip()
-"""Where floats come from: the last bit of sin and cos belongs to Python and libc."""
 
 
 class Journal:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import platform
+
 import robotctl
 
 PROFILE = "ros2"
@@ -17,3 +19,6 @@ LEDGER_RECORD = "robotctl.ledger"
 
 RECOVERY_RECORD = "robotctl.recovery"
 """In a file made by `recover`: from which file, and what is lost."""
+
+MADE_BY = f"Python {platform.python_version()}, {' '.join(platform.libc_ver())}".rstrip()
+"""Where floats come from: the last bit of sin and cos belongs to Python and libc."""

@@ -51,14 +51,20 @@ def in_order_written(
     files: Sequence[OpenFile],
     topics: Collection[str] | None,
     on_missing: Callable[[str], None],
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Iterator[Message]:
-    """As `merge`, but in the order in which the messages stand in the files."""
-    for source in sources(files, topics, ALWAYS):
-        _load(source, MAX_OPEN_BYTES, on_missing)
-        source.entries.sort(key=itemgetter(1))
-        while source.next < len(source.entries):
-            yield source.take()
-        source.unload()
+    """As `merge`, but as the messages stand in the files; tells bytes done and in total."""
+    done, total = 0, sum(file.file.size for file in files)
+    for file in files:
+        for source in sources([file], topics, ALWAYS):
+            _load(source, MAX_OPEN_BYTES, on_missing)
+            source.entries.sort(key=itemgetter(1))
+            while source.next < len(source.entries):
+                yield source.take()
+            source.unload()
+            on_progress(done + source.place.offset + source.place.length, total)
+        done += file.file.size
+        on_progress(done, total)
 
 
 def _load(source: Source, room: int, on_missing: Callable[[str], None]) -> None:

@@ -191,10 +191,16 @@ class Recording:
         return last_before(self._files, wanted, moment_ns, on_missing)
 
     def in_order_written(
-        self, topics: Collection[str] | None, on_missing: Callable[[str], None]
+        self,
+        topics: Collection[str] | None,
+        on_missing: Callable[[str], None],
+        on_progress: Callable[[int, int], None] = lambda done, total: None,
     ) -> Iterator[Message]:
-        """As `messages`, in the order of the files: log times step back where the clock was set."""
-        return in_order_written(self._files, topics, on_missing)
+        """As `messages`, in the order of the files: log times step back where the clock was set.
+
+        `on_progress` gets bytes done and in total.
+        """
+        return in_order_written(self._files, topics, on_missing, on_progress)
 
     def _open(self, path: Path, *, only: bool, on_progress: Callable[[int, int], None]) -> None:
         try:

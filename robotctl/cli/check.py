@@ -1,0 +1,138 @@
+"""replay --check: recordings decided once more, and what came of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from textwrap import wrap
+from typing import Any
+
+from robotctl.cli.text import duration, is_terminal, json_text, printable, short_path
+from robotctl.errors import Divergence, UnreadableFile
+from robotctl.kernel.modes import Mode
+from robotctl.replay.check_many import check_many
+from robotctl.replay.report import Verdict
+
+COLUMNS = 80
+_WIDTH = 12
+
+
+def check_command(files: Sequence[Path], *, as_json: bool) -> None:
+    """Check recordings and say what came of it.
+
+    Raises:
+        Divergence: One of them decides otherwise, or breaks a promise.
+        UnreadableFile: Not all of them could be checked whole.
+    """
+    paths = [path for file in files for path in _recordings_at(file)]
+    with _bar(len(paths), quiet=as_json) as on_share:
+        reports = check_many(paths, on_share)
+    if as_json:
+        print(json_text({"recordings": reports, **_counts(reports)}))
+    else:
+        print("\n".join(line for report in reports for line in report_lines(report)))
+    _raise_gravest(reports)
+
+
+def report_lines(report: dict[str, Any]) -> Iterator[str]:
+    """What came of one check, from its object in `--json`."""
+    verdict = Verdict(report["verdict"])
+    yield f"{verdict.value:{_WIDTH}}{short_path(report['path'])}"
+    if report["events"]:
+        how = "bit for bit" if report["bitwise"] else "as far as they can be compared"
+        yield from _row(
+            f"{duration(report['duration_s'])}: {report['events']} events, "
+            f"{report['effects']} effects {how}, {report['commands']} commands"
+        )
+    found = report["divergence"]
+    if found is not None:
+        yield from _divergence_lines(found)
+    for each in report["violations"]:
+        yield from _row(f"{_moment(each)}: {printable(each['text'])}")
+    more = report["violation_count"] - len(report["violations"])
+    if more:
+        yield from _row(f"and {more} more")
+    for sentence in report["missing"]:
+        yield from _row(f"not checked: {printable(sentence)}")
+    for sentence in report["notes"]:
+        yield from _row(f"note: {printable(sentence)}")
+
+
+def _divergence_lines(found: dict[str, Any]) -> Iterator[str]:
+    yield from _row(f"first at entry {found['seq']}, {_moment(found)}")
+    rows = {
+        "before": _state_text(found["state"]),
+        "event": found["event"],
+        "recorded": found["recorded"] or "nothing",
+        "decided": found["decided"] or "nothing",
+        "differs": "; ".join(found["differences"]),
+    }
+    for label, text in rows.items():
+        if text:
+            yield from _row(text, f"  {label:9}")
+
+
+def _row(text: str, label: str = "") -> Iterator[str]:
+    """Text in its column, with a label before it."""
+    first = f"{'':{_WIDTH}}{label}"
+    return iter(
+        wrap(printable(text), COLUMNS, initial_indent=first, subsequent_indent=" " * len(first))
+    )
+
+
+def _moment(found: dict[str, Any]) -> str:
+    clock = f", at {found['at'][11:23]}" if found["at"] else ""
+    return f"{found['after_s']:.3f} s after the beginning{clock}"
+
+
+def _state_text(state: dict[str, Any] | None) -> str:
+    if state is None:
+        return ""
+    command, drive = state["command"], state["drive"]
+    pattern = f" a {drive['pattern']['kind']}" if drive else ""
+    return (
+        f"{Mode(state['mode']).name}, {state['phase']}{pattern}, "
+        f"command {command['linear']:.4g} m/s, {command['angular']:.4g} rad/s"
+    )
+
+
+def _counts(reports: Sequence[dict[str, Any]]) -> dict[str, int]:
+    return {verdict.value: sum(r["verdict"] == verdict for r in reports) for verdict in Verdict}
+
+
+def _raise_gravest(reports: Sequence[dict[str, Any]]) -> None:
+    found = {verdict: [r for r in reports if r["verdict"] == verdict] for verdict in Verdict}
+    of = f" of {len(reports)} recordings" if len(reports) > 1 else " recording"
+    if found[Verdict.DIVERGED]:
+        raise Divergence(
+            f"{len(found[Verdict.DIVERGED])}{of} would be decided differently by this robotctl"
+        )
+    if found[Verdict.BROKEN]:
+        raise Divergence(f"{len(found[Verdict.BROKEN])}{of} breaks a promise of robotctl")
+    if found[Verdict.INCOMPLETE]:
+        raise UnreadableFile(f"{len(found[Verdict.INCOMPLETE])}{of} could not be checked whole")
+
+
+def _recordings_at(path: Path) -> list[Path]:
+    """The recordings in a folder that is none itself, or what was given."""
+    try:
+        if path.is_dir() and not any(path.glob("*.mcap")):
+            return sorted({file.parent for file in path.glob("*/*.mcap")}) or [path]
+    except OSError:
+        pass  # whoever reads it says why it cannot be read
+    return [path]
+
+
+@contextmanager
+def _bar(count: int, *, quiet: bool) -> Iterator[Callable[[float], None]]:
+    """A progress bar where there is a terminal."""
+    if quiet or not is_terminal():
+        yield lambda share: None
+        return
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    text = TextColumn(f"checking {count} recording{'' if count == 1 else 's'}")
+    with Progress(text, BarColumn(bar_width=None), TimeRemainingColumn(), transient=True) as bar:
+        task = bar.add_task("", total=1.0)
+        yield lambda share: bar.update(task, completed=share)

@@ -1,0 +1,197 @@
+"""Checks a recording: would a fresh kernel decide the same, and does it keep what is promised?"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from robotctl.errors import UnreadableFile
+from robotctl.recording import journal
+from robotctl.recording.identity import INFO_RECORD, LEDGER_RECORD, OWN_LIBRARY
+from robotctl.recording.journal import JournalEntry
+from robotctl.recording.journal_reader import journal_topic
+from robotctl.recording.reader import Recording, RecordingInfo, read_info
+from robotctl.replay import traffic
+from robotctl.replay.comparison import Comparison
+from robotctl.replay.invariants import Invariants
+from robotctl.replay.ledger import unbalanced
+from robotctl.replay.report import Report
+from robotctl.replay.rerun import Divergence, Rerun
+from robotctl.replay.steps import Gap, Step, steps
+from robotctl.replay.traffic import CommandTraffic
+from robotctl.replay.values import read_effect, read_snapshot
+
+Progress = Callable[[int, int], None]
+"""(bytes done, bytes in total)"""
+
+_COMMAND_TOPIC = "parameter.command.topic"
+
+
+def check(path: Path, on_progress: Progress = lambda done, total: None) -> Report:
+    """Check one recording, a file or a folder; what is wrong with it stands in the report."""
+    report = Report(path)
+    began = time.perf_counter()
+    try:
+        with Recording(path) as recording:
+            _Check(recording, report, on_progress).run()
+    except UnreadableFile as error:
+        report.miss(str(error))
+    report.took_s = time.perf_counter() - began
+    return report
+
+
+class _Check:
+    """One pass over the messages of a recording, in the order in which they were written."""
+
+    def __init__(self, recording: Recording, report: Report, on_progress: Progress) -> None:
+        self._recording = recording
+        self._report = report
+        self._on_progress = on_progress
+        self._info = recording.info()
+        self._invariants = Invariants()
+        self._traffic = CommandTraffic()
+        self._rerun: Rerun | None = None
+        self._before_snapshot = 0
+
+    def run(self) -> None:
+        """Fill the report. Raises UnreadableFile."""
+        report, info = self._report, self._info
+        for sentence in self._recording.missing:
+            report.miss(sentence)
+        report.robot = info.metadata.get(INFO_RECORD, {}).get("robot", "")
+        report.version = _version(info)
+        topic = journal_topic(info)
+        if topic is None:
+            raise UnreadableFile(
+                "it holds no journal of robotctl: nothing was decided in it that could be checked"
+            )
+        for item in steps(self._entries(topic)):
+            if isinstance(item, Gap):
+                self._interrupt(item.text)
+            elif isinstance(item, Step):
+                self._step(item)
+            else:
+                self._snapshot(item)
+        self._end()
+
+    def _entries(self, topic: str) -> Iterator[JournalEntry]:
+        """The journal; the commands that stand between its entries go to their own place."""
+        report = self._report
+        commands = self._command_topic(topic)
+        messages = self._recording.in_order_written(
+            {topic} if commands is None else {topic, commands}, report.miss, self._on_progress
+        )
+        for message in messages:
+            if message.topic == topic:
+                entry = journal.decode(message.data)
+                if not report.begin_log_ns:
+                    report.begin_ns, report.begin_log_ns = entry.t_ns, message.log_ns
+                report.duration_s = (entry.t_ns - report.begin_ns) / 1e9
+                yield entry
+            elif self._traffic.seen or message.publish_ns >= report.begin_log_ns > 0:
+                self._traffic.message(message.data)  # before that, another file has the decision
+
+    def _command_topic(self, journal_topic: str) -> str | None:
+        """The topic of the robot's velocity command, None where it is not recorded."""
+        namespace = journal_topic.removesuffix(f"/{journal.TOPIC}")
+        name = self._info.metadata.get(INFO_RECORD, {}).get(_COMMAND_TOPIC, "cmd_vel")
+        full_name = name if name.startswith("/") else f"{namespace}/{name}"
+        for topic in self._info.topics:
+            if topic.name == full_name and topic.type_name in traffic.TYPES:
+                return full_name
+        return None
+
+    def _snapshot(self, entry: JournalEntry) -> None:
+        report = self._report
+        try:
+            if self._rerun is None:
+                report.made_by = read_snapshot(entry).made_by
+                comparison = Comparison(report.version, report.made_by)
+                report.bitwise = comparison.is_exact
+                report.notes += comparison.notes()
+                self._rerun = Rerun(comparison)
+            snapshot, divergence = self._rerun.snapshot(entry)
+        except UnreadableFile as error:
+            self._interrupt(str(error))
+            return
+        self._note(divergence)
+        self._invariants.snapshot(snapshot)
+
+    def _step(self, step: Step) -> None:
+        report = self._report
+        report.events += 1
+        report.effects += len(step.effects)
+        try:
+            if self._rerun is None:
+                self._before_snapshot += 1
+                self._traffic.step(tuple(map(read_effect, step.effects)))
+                return
+            decided = self._rerun.step(step)
+            self._note(decided.divergence)
+            effects = decided.effects
+            if effects is None:
+                effects = tuple(map(read_effect, step.effects))
+        except UnreadableFile as error:
+            self._interrupt(str(error))
+            return
+        self._traffic.step(effects)
+        self._invariants.step(step.event.seq, decided.event, effects)
+
+    def _note(self, divergence: Divergence | None) -> None:
+        if self._report.divergence is None:
+            self._report.divergence = divergence
+
+    def _interrupt(self, reason: str) -> None:
+        """Nothing can be decided from here to the next snapshot."""
+        self._report.miss(reason)
+        self._invariants.stop()
+        if self._rerun is not None:
+            self._rerun.stop()
+
+    def _end(self) -> None:
+        report, invariants = self._report, self._invariants
+        if self._rerun is None:
+            report.miss("its journal holds no snapshot of the kernel to begin from")
+            return
+        if self._before_snapshot:
+            report.notes.append(f"{self._before_snapshot} events before the first snapshot")
+        kernel = self._rerun.kernel
+        if kernel is not None:
+            invariants.end(kernel.state.waiting)
+        self._check_traffic()
+        self._check_ledger()
+        report.violations, report.violation_count = invariants.violations, invariants.count
+
+    def _check_traffic(self) -> None:
+        report, commands = self._report, self._traffic
+        commands.end()
+        report.commands = commands.seen
+        if not commands.undecided:
+            return
+        text = f"{commands.undecided} commands that nobody decided on, such as {commands.example}"
+        if self._invariants.foreign:
+            names = ", ".join(sorted(self._invariants.foreign))
+            report.notes.append(f"{text}: {names} published as well")
+        elif report.missing or report.divergence is not None:
+            report.notes.append(text)
+        else:
+            self._invariants.violate(text)
+
+    def _check_ledger(self) -> None:
+        """The last file of a recording that was closed has the whole account."""
+        path = self._recording.path
+        ledger = read_info(self._info.files[-1]).metadata.get(LEDGER_RECORD)
+        if ledger is None:
+            self._report.notes.append("it was not closed: its loss ledger is not there to check")
+            return
+        for sentence in unbalanced(ledger, finished=path.is_dir()):
+            self._invariants.violate(sentence)
+
+
+def _version(info: RecordingInfo) -> str:
+    """The version of robotctl that made the recording, "" where it does not say."""
+    known = info.metadata.get(INFO_RECORD, {}).get("robotctl", "")
+    if known or not info.library.startswith(OWN_LIBRARY):
+        return known
+    return info.library.removeprefix(OWN_LIBRARY)

@@ -1,0 +1,177 @@
+"""What must hold in every recording, checked on the journal and on the traffic beside it.
+
+The journal's order decides, and values are compared, never times: a clock that is set meanwhile
+changes nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import isfinite
+
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.params import KernelParams, VelocityLimits
+from robotctl.kernel.safety import NS_PER_S
+from robotctl.kernel.snapshot import Snapshot
+from robotctl.kernel.types import (
+    ZERO,
+    CommandPublishersSeen,
+    DriveRequested,
+    Effect,
+    Event,
+    LatchEmergencyStop,
+    ModeChanged,
+    ModeRequested,
+    PublishTwist,
+    ReleaseEmergencyStop,
+    Reply,
+    ResetRequested,
+    Tick,
+    Twist,
+)
+
+MAX_VIOLATIONS = 20
+"""So many are told; all are counted."""
+
+ROUNDING = 1e-9
+"""Of a change between two commands, beyond what its limit allows."""
+
+_REQUESTS = (ModeRequested, ResetRequested, DriveRequested)
+
+
+@dataclass(frozen=True, slots=True)
+class Violation:
+    """A promise that the recording does not keep, in a sentence; `t_ns` of the event."""
+
+    seq: int
+    t_ns: int
+    text: str
+
+
+class Invariants:
+    """Takes the journal step by step, from a snapshot on; `violations` holds what was found."""
+
+    def __init__(self) -> None:
+        self.violations: list[Violation] = []
+        self.count = 0
+        self.mode: Mode | None = None
+        self.foreign: set[str] = set()
+        """Other nodes that were seen to publish the command."""
+
+        self._params = KernelParams()
+        self._command = ZERO
+        self._tick_t_ns: int | None = None
+        self._open_requests: set[int] = set()
+        self._latched = False
+        self._at = (0, 0)
+
+    def stop(self) -> None:
+        """Events are missing from here on, until the next snapshot."""
+        self.mode = None
+
+    def snapshot(self, snapshot: Snapshot) -> None:
+        """Go on from here."""
+        state = snapshot.state
+        self._params = snapshot.params
+        self.mode, self._command, self._tick_t_ns = state.mode, state.command, state.tick_t_ns
+        self._open_requests = set(state.waiting)
+        self._latched = state.mode is Mode.EMERGENCY_STOP
+        self.foreign.update(state.health.foreign_publishers)
+
+    def step(self, seq: int, event: Event, effects: tuple[Effect, ...]) -> None:
+        """Check one event and what came of it."""
+        if self.mode is None:
+            return
+        self._at = seq, event.t_ns
+        if isinstance(event, _REQUESTS):
+            self._open_requests.add(event.request_id)
+        elif isinstance(event, CommandPublishersSeen):
+            self.foreign.update(event.names)
+        for effect in effects:
+            match effect:
+                case PublishTwist():
+                    self._check_command(event, effect.twist)
+                case ModeChanged():
+                    self._change_mode(event, effect)
+                case LatchEmergencyStop():
+                    self._latched = True
+                case ReleaseEmergencyStop():
+                    self._latched = False
+                case Reply():
+                    self._check_reply(effect)
+                case _:
+                    pass
+        if self._latched is not (self.mode is Mode.EMERGENCY_STOP):
+            latched = "latched" if self._latched else "not latched"
+            self.violate(f"the mode is {self.mode.name}, and the emergency stop is {latched}")
+            self._latched = not self._latched
+        if isinstance(event, Tick):
+            self._tick_t_ns = event.t_ns
+
+    def end(self, waiting: tuple[int, ...]) -> None:
+        """Check that nobody is left without an answer but those who wait for a ramp to end."""
+        for request_id in sorted(self._open_requests.difference(waiting)):
+            self.violate(f"request {request_id} has no reply")
+
+    def violate(self, text: str) -> None:
+        """Count a promise that is not kept."""
+        self.count += 1
+        if len(self.violations) < MAX_VIOLATIONS:
+            self.violations.append(Violation(*self._at, text))
+
+    def _check_command(self, event: Event, twist: Twist) -> None:
+        limits, previous = self._params.limits, self._command
+        self._command = twist
+        if twist == ZERO:
+            return
+        if self.mode is not None and self.mode is not Mode.MOVING:
+            self.violate(f"a command of {shown(twist)} in {self.mode.name}")
+        if not isfinite(twist.linear) or not isfinite(twist.angular):
+            self.violate(f"a command of {shown(twist)}")
+        elif abs(twist.linear) > limits.linear_mps or abs(twist.angular) > limits.angular_rps:
+            self.violate(f"a command of {shown(twist)}, beyond {shown_limits(limits)}")
+        elif isinstance(event, Tick) and self._tick_t_ns is not None:
+            dt_s = (event.t_ns - self._tick_t_ns) / NS_PER_S
+            self._check_change(previous, twist, min(max(dt_s, 0.0), 2.0 / self._params.rate_hz))
+
+    def _check_change(self, previous: Twist, twist: Twist, dt_s: float) -> None:
+        limits = self._params.limits
+        linear, angular = twist.linear - previous.linear, twist.angular - previous.angular
+        if (
+            abs(linear) > limits.linear_accel_mps2 * dt_s + ROUNDING
+            or abs(angular) > limits.angular_accel_rps2 * dt_s + ROUNDING
+        ):
+            self.violate(
+                f"the command went from {shown(previous)} to {shown(twist)} within {dt_s:.3f} s, "
+                f"beyond {limits.linear_accel_mps2:g} m/s^2, {limits.angular_accel_rps2:g} rad/s^2"
+            )
+
+    def _change_mode(self, event: Event, change: ModeChanged) -> None:
+        if change.previous is not self.mode:
+            mode = self.mode.name if self.mode is not None else "unknown"
+            self.violate(f"a change from {change.previous.name}, while the mode was {mode}")
+        if change.previous is Mode.EMERGENCY_STOP:
+            if change.mode is not Mode.IDLE:
+                self.violate(f"EMERGENCY_STOP was left to {change.mode.name}, not to IDLE")
+            if not isinstance(event, ModeRequested | ResetRequested):
+                self.violate(f"EMERGENCY_STOP was left by a {type(event).__name__}, not by a reset")
+        self.mode = change.mode
+
+    def _check_reply(self, reply: Reply) -> None:
+        if reply.request_id not in self._open_requests:
+            self.violate(f"a reply to request {reply.request_id}, which does not wait for one")
+        self._open_requests.discard(reply.request_id)
+        if self.mode is not None and reply.mode is not self.mode:
+            self.violate(
+                f"request {reply.request_id} was told {reply.mode.name} in {self.mode.name}"
+            )
+
+
+def shown(twist: Twist) -> str:
+    """A velocity for people."""
+    return f"{twist.linear:.6g} m/s, {twist.angular:.6g} rad/s"
+
+
+def shown_limits(limits: VelocityLimits) -> str:
+    """What a velocity may be, for people."""
+    return f"{limits.linear_mps:g} m/s, {limits.angular_rps:g} rad/s"
