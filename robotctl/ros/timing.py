@@ -17,7 +17,7 @@ TURN_NS = 1_000_000
 SHORTEST_SLICE_NS = 50_000
 """Where very many are flooded: below this, changing turns would cost more than the work."""
 
-FLOOD_REST_S = 0.001
+FLOOD_REST_S = 0.002
 """A flooded subscription collects for so long."""
 
 FASTEST_TOPIC_HZ = 50_000.0
