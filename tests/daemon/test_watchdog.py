@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import threading
 
 import pytest
 
-from robotctl.daemon.watchdog import CONFIRM_S, Watchdog
+from robotctl.daemon.processor_time import ProcessorTime
+from robotctl.daemon.watchdog import CONFIRM_S, Turn, Watchdog
 from robotctl.testing.world import DEADLINE_S, until
+
+PATIENCE_S = 0.3
 
 
 class Gate:
@@ -30,7 +36,7 @@ class Gate:
 
 def watching(gate: Gate, rate_hz: float = 50.0) -> tuple[Watchdog, list[str]]:
     stalls: list[str] = []
-    return Watchdog(rate_hz, 0.3, gate, stalls.append), stalls
+    return Watchdog(rate_hz, PATIENCE_S, gate, stalls.append), stalls
 
 
 def test_before_the_first_tick_nothing_is_watched() -> None:
@@ -83,19 +89,30 @@ def test_a_loop_that_ticks_is_left_alone() -> None:
 def test_a_starved_loop_is_given_its_patience(monkeypatch: pytest.MonkeyPatch) -> None:
     gate = Gate()
     watchdog, stalls = watching(gate)
-    looks: list[float] = []
+    looks: list[int] = []
 
-    def starved() -> bool:
-        looks.append(watchdog._silent_s())
-        watchdog._ended.wait(0.01)
+    def starved(_: ProcessorTime) -> bool:
+        looks.append(watchdog._silent_ns())
         return True
 
-    monkeypatch.setattr(watchdog, "_is_starved", starved)
+    monkeypatch.setattr(ProcessorTime, "is_starved", starved)
     with watchdog:
         watchdog.ping()
         until(lambda: stalls)
     assert len(looks) > 1
-    assert max(looks) < 0.3  # then patience was over
+    assert float(stalls[0].split()[-2]) >= PATIENCE_S
+
+
+def test_the_time_for_which_the_loop_waited_for_a_processor_does_not_count(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    watchdog, stalls = watching(Gate())
+    waited_ns = [0, *range(0, 10**12, 10**12 // 100)]
+    monkeypatch.setattr(ProcessorTime, "waited_ns", lambda _: waited_ns.pop(0))
+    with watchdog:
+        watchdog.ping()
+        until(lambda: stalls)
+    assert float(stalls[0].split()[-2]) >= PATIENCE_S
 
 
 def test_a_loop_that_starves_and_ticks_again_is_left_alone(
@@ -105,25 +122,85 @@ def test_a_loop_that_starves_and_ticks_again_is_left_alone(
     watchdog, stalls = watching(gate)
     ticked = threading.Event()
 
-    def starved() -> bool:
+    def starved(_: ProcessorTime) -> bool:
         watchdog.ping()
         ticked.set()
         return True
 
-    monkeypatch.setattr(watchdog, "_is_starved", starved)
+    monkeypatch.setattr(ProcessorTime, "is_starved", starved)
     with watchdog:
         watchdog.ping()
         assert ticked.wait(DEADLINE_S)
     assert (gate.closed, stalls) == (0, [])
 
 
+class VirtualTime:
+    """In which a loop ticks at `ticks_ms`, and the watchdog's waits take no time of ours."""
+
+    def __init__(self, watchdog: Watchdog, ticks_ms: list[int]) -> None:
+        self.now_ns = 0
+        self._watchdog = watchdog
+        self._ticks_ms = ticks_ms
+
+    def now(self) -> Turn:
+        return Turn(self.now_ns, 0)
+
+    def wait(self, timeout: float) -> bool:
+        end_ns = self.now_ns + max(round(timeout * 1e9), 0)
+        while self._ticks_ms and self._ticks_ms[0] * 1_000_000 <= end_ns:
+            self.now_ns = self._ticks_ms.pop(0) * 1_000_000
+            self._watchdog._last = self.now()
+        self.now_ns = end_ns
+        return not self._ticks_ms
+
+
+@pytest.mark.parametrize(
+    ("ticks_ms", "stalled"),
+    [
+        ([0, 20, 130, 150], False),  # the look that the tick at 0 asked for is at 100
+        ([0, 115, 130], False),
+        ([0, 20, 145, 165], True),
+        ([0, 125, 145], True),
+    ],
+)
+def test_every_late_tick_is_given_its_confirmation(
+    ticks_ms: list[int], stalled: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ProcessorTime, "is_starved", lambda _: False)
+    gate = Gate()
+    watchdog, stalls = watching(gate)
+    virtual = VirtualTime(watchdog, ticks_ms)
+    with watchdog:
+        watchdog._now = virtual.now  # type: ignore[method-assign]
+        watchdog._ended.wait = virtual.wait  # type: ignore[method-assign]
+        watchdog._watch()
+    assert bool(stalls) == stalled
+
+
 def test_a_thread_that_waits_is_not_starved() -> None:
-    watchdog, _ = watching(Gate())
+    asked = ProcessorTime()
     starved: list[bool] = []
-    asking = threading.Thread(target=lambda: starved.append(watchdog._is_starved()))
+    asking = threading.Thread(target=lambda: starved.append(asked.is_starved()))
     asking.start()
     asking.join()  # waits meanwhile
+    asked.close()
     assert starved == [False]
+
+
+def test_a_thread_that_has_to_share_its_processor_has_waited() -> None:
+    asked = ProcessorTime()
+    cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(cores)})  # of this thread, and of those that it starts
+    try:
+        spinning = subprocess.Popen([sys.executable, "-c", "while True: pass"])
+        try:
+            until(lambda: asked.waited_ns() > 1_000_000)
+        finally:
+            spinning.kill()
+            spinning.wait()
+    finally:
+        os.sched_setaffinity(0, cores)
+        asked.close()
 
 
 @pytest.mark.filterwarnings("error::pytest.PytestUnhandledThreadExceptionWarning")
@@ -140,7 +217,6 @@ def test_a_zero_that_cannot_be_sent_is_followed_by_the_next() -> None:
 @pytest.mark.parametrize(("rate_hz", "limit_s"), [(1000.0, 0.1), (50.0, 0.1), (5.0, 0.5)])
 def test_slow_ticks_are_given_their_time(rate_hz: float, limit_s: float) -> None:
     watchdog, _ = watching(Gate(), rate_hz)
-    watchdog._last_ns = 0
     assert watchdog._limit_ns == round(limit_s * 1e9)
 
 
