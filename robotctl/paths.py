@@ -83,3 +83,8 @@ def log_path(robot: str) -> Path:
 def latch_path(robot: str) -> Path:
     """The file whose existence latches EMERGENCY_STOP over restarts; its text is the reason."""
     return robot_state_folder(robot) / "emergency-stop"
+
+
+def recordings_note_path(robot: str) -> Path:
+    """The file that names the folder into which the robot's last daemon has recorded."""
+    return robot_state_folder(robot) / "recordings"

@@ -22,7 +22,9 @@ MODULES = {
     "reset": "modes",
     "drive": "drive",
     "logs": "lifecycle",
+    "recordings": "recordings",
     "info": "info",
+    "recover": "recover",
     "replay": "replay",
     "sim": "sim",
     "demo": "demo",
@@ -58,7 +60,8 @@ app = new_app(LazyGroup)
 
 @app.callback(
     epilog="Try it without a robot: robotctl demo. Exit codes: 0 ok, 2 usage, 3 no daemon, "
-    "4 refused, 5 already running, 6 unreadable file, 7 decided differently, 130 interrupted."
+    "4 refused, 5 already running, 6 unreadable file, 7 decided differently, "
+    "8 recovered with loss, 130 interrupted."
 )
 def root(
     version: Annotated[

@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from datetime import UTC, datetime
-from pathlib import Path
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robotctl.cli.options import Json, new_app
+from robotctl.cli.library import Recordings, find_recording
+from robotctl.cli.options import Json, Robot, new_app
 from robotctl.cli.screen import TOPIC_HEADER, topic_row
-from robotctl.cli.text import duration, json_text, printable, short_path, size
+from robotctl.cli.text import duration, json_text, moment, printable, short_path, size
 from robotctl.errors import UnreadableFile
+from robotctl.paths import DEFAULT_ROBOT
 
 if TYPE_CHECKING:
+    from robotctl.recording.events import RecordedEvent
     from robotctl.recording.reader import RecordingInfo
 
 app = new_app()
+
+MAX_EVENTS_SHOWN = 20
 
 _POLICIES = {
     "reliability": {"1": "reliable", "2": "best_effort"},
@@ -34,30 +37,43 @@ _ENTRY = re.compile(r"^ *(reliability|durability|history|depth): *(\w+)", re.MUL
 @app.command()
 def info(
     file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="An MCAP file, or the folder of a recording.")
+        str,
+        typer.Argument(
+            metavar="FILE", help="An MCAP file, a recording's folder or name, or `last`."
+        ),
     ],
+    folder: Recordings = None,
+    robot: Robot = DEFAULT_ROBOT,
     as_json: Json = False,
 ) -> None:
-    """Show the topics of a recording: types, counts, rates and QoS.
+    """Show what a recording holds: topics with their types, counts, rates and QoS; events.
 
     Reads any MCAP file. Of a damaged one it shows what can be read, says what is missing, and
     exits with 6.
 
     \b
     Examples:
+      robotctl info last
       robotctl info recordings/robot_20260101_120000
       robotctl info run.mcap --json | jq '.topics[].name'
     """
     from robotctl.recording.reader import read_info
 
-    found = read_info(file)
+    path = find_recording(file, robot, folder)
+    found = read_info(path)
     print(json_text(as_object(found)) if as_json else "\n".join(info_screen(found)))
     if found.missing:
-        raise UnreadableFile(f"{file} is incomplete: {'; '.join(found.missing)}")
+        raise UnreadableFile(f"{path} is incomplete: {'; '.join(found.missing)}")
 
 
 def as_object(found: RecordingInfo) -> dict[str, Any]:
     """The object of `info --json`; times in nanoseconds since the epoch, or seconds."""
+    from robotctl.recording.events import EventKind
+    from robotctl.recording.identity import EVENT_RECORD, LEDGER_RECORD
+    from robotctl.recording.ledger_record import read_ledger
+    from robotctl.recording.rosbag2 import METADATA_RECORD
+
+    told_elsewhere = (METADATA_RECORD, LEDGER_RECORD, EVENT_RECORD)
     return {
         "path": str(found.path),
         "files": [str(path) for path in found.files],
@@ -80,6 +96,15 @@ def as_object(found: RecordingInfo) -> dict[str, Any]:
             }
             for topic in found.topics
         ],
+        "events": [
+            {"kind": event.kind.value, "time_ns": event.log_ns, "text": event.text}
+            | ({"laps": event.laps} if event.kind is EventKind.DRIVE_ENDED else {})
+            for event in found.events
+        ],
+        "ledger": read_ledger(found.metadata),
+        "metadata": {
+            name: values for name, values in found.metadata.items() if name not in told_elsewhere
+        },
         "missing": list(found.missing),
     }
 
@@ -91,8 +116,7 @@ def info_screen(found: RecordingInfo) -> Iterator[str]:
     yield short_path(found.path)
     yield f"  size       {size(found.size_bytes)}{files}"
     if found.message_count:
-        start = datetime.fromtimestamp(found.start_ns / 1e9, UTC).astimezone()
-        yield f"  start      {start:%Y-%m-%d %H:%M:%S %z}"
+        yield f"  start      {moment(found.start_ns)}"
         yield f"  duration   {duration(found.duration_s)}"
     yield f"  messages   {found.message_count}"
     if not found.indexed:
@@ -106,6 +130,17 @@ def info_screen(found: RecordingInfo) -> Iterator[str]:
         qos = qos_text(topic.offered_qos)
         if qos:
             yield f"    {printable(qos)}"
+    yield from event_lines(found.events)
+
+
+def event_lines(events: Sequence[RecordedEvent]) -> Iterator[str]:
+    """A table of the last events; nothing where there are none."""
+    if events:
+        yield ""
+        earlier = len(events) - MAX_EVENTS_SHOWN
+        yield "events" + (f" ({earlier} earlier ones: --json)" if earlier > 0 else "")
+    for event in events[-MAX_EVENTS_SHOWN:]:
+        yield f"  {moment(event.log_ns)}  {event.kind.value:<11}  {printable(event.text)}"
 
 
 def qos_text(offered: str) -> str:

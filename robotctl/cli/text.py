@@ -5,7 +5,11 @@ from __future__ import annotations
 import json
 import os
 import sys
+import time
 from typing import Any
+
+_LAST_MOMENT_NS = 253_402_300_800 * 10**9
+"""The end of the year 9999."""
 
 
 def printable(text: object) -> str:
@@ -62,6 +66,14 @@ def duration(seconds: float) -> str:
     if whole < 3600:
         return f"{whole // 60} min {whole % 60} s"
     return f"{whole // 3600} h {whole % 3600 // 60} min"
+
+
+def moment(time_ns: int) -> str:
+    """A time since the epoch as a clock in this place shows it."""
+    if time_ns > _LAST_MOMENT_NS:  # a file may claim anything
+        return f"{time_ns} ns"
+    seconds = time.localtime(time_ns // 1_000_000_000)
+    return time.strftime("%Y-%m-%d %H:%M:%S %z", seconds)
 
 
 def number(value: Any, form: str) -> str:

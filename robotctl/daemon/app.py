@@ -15,7 +15,7 @@ from robotctl.daemon.host import Daemon, Host, Ready
 from robotctl.daemon.neighbours import is_alone
 from robotctl.daemon.observer import Observer
 from robotctl.daemon.options import DaemonOptions
-from robotctl.daemon.recordings import tidy
+from robotctl.daemon.recordings import remember, tidy
 from robotctl.daemon.supervisor import Supervisor
 from robotctl.ipc.server import ControlServer, Identity
 from robotctl.paths import socket_path
@@ -47,6 +47,7 @@ async def serve(options: DaemonOptions, notes: list[str], on_ready: Ready) -> No
         AsyncExitStack() as stack,
     ):
         notes = [*notes, *await asyncio.to_thread(tidy, options.recordings, config.recording)]
+        notes += await asyncio.to_thread(remember, options.recordings, options.robot)
         host = Host(options, config, alone, supervisor, stop, session, last)
         daemon: Daemon = Observer(host) if options.observe else Driver(host)
         stack.push_async_callback(daemon.recorder.close)

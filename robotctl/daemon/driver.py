@@ -61,10 +61,13 @@ class Driver:
         session, params, robot = host.session, host.config.kernel, host.options.robot
         latch = Latch(latch_path(robot))
         host.last.push_async_callback(latch.close)
+        reason = latch.read()
+        kernel = Kernel(params, State() if reason is None else latched(reason))
         self.recorder = FlightRecorder(
             host.options,
             host.config,
             session,
+            lambda: kernel.state.mode.name,
             in_loop(lambda detail: self._inputs.recorder_failed(detail)),
             in_loop(lambda path: self._inputs.file_begun(path)),
         )
@@ -73,11 +76,12 @@ class Driver:
         tap.subscribe_own("robot_status", "robot_controller/msg/RobotStatus", qos.LATCHED)
         self._velocity = VelocityPublisher(session, params.command.topic)
         requests = Requests()
-        reason = latch.read()
         self._control = Control(
-            Kernel(params, State() if reason is None else latched(reason)),
+            kernel,
             Journal(self.recorder.open_journal(JournalPublisher(session))),
-            Effects(self._velocity.publish, self._show_mode, latch, requests).carry_out,
+            Effects(
+                self._velocity.publish, self._show_mode, self.recorder.note, latch, requests
+            ).carry_out,
             requests,
             host.supervisor.callback_failed,
         )

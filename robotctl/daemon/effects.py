@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -20,8 +21,12 @@ from robotctl.kernel.types import (
     Reply,
     Twist,
 )
+from robotctl.recording.events import EventKind, RecordedEvent
 
 _log = logging.getLogger(__name__)
+
+_NOTED = {Mode.EMERGENCY_STOP: EventKind.EMERGENCY_STOP, Mode.ERROR: EventKind.ERROR}
+"""Modes that somebody will look for in the recording."""
 
 
 class Effects:
@@ -31,11 +36,13 @@ class Effects:
         self,
         publish_twist: Callable[[Twist], None],
         show_mode: Callable[[Mode], None],
+        note: Callable[[RecordedEvent], None],
         latch: Latch,
         requests: Requests,
     ) -> None:
         self._publish_twist = publish_twist
         self._show_mode = show_mode
+        self._note = note
         self._latch = latch
         self._requests = requests
 
@@ -47,6 +54,8 @@ class Effects:
             case ModeChanged():
                 _log.info("%s -> %s: %s", effect.previous.name, effect.mode.name, effect.reason)
                 self._show_mode(effect.mode)
+                if effect.mode in _NOTED:
+                    self._note(RecordedEvent(_NOTED[effect.mode], time.time_ns(), effect.reason))
             case LatchEmergencyStop():
                 self._latch.set(effect.reason)
             case ReleaseEmergencyStop():
@@ -55,6 +64,10 @@ class Effects:
                 self._latch.when_settled(partial(self._answer, effect))
             case DriveEnded():
                 _log.info("drive ended: %s", effect.reason)
+                laps = effect.report.laps
+                self._note(
+                    RecordedEvent(EventKind.DRIVE_ENDED, time.time_ns(), effect.reason, laps)
+                )
                 self._requests.end_drive(effect)
 
     def _answer(self, reply: Reply, problem: str) -> None:

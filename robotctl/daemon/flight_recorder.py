@@ -16,6 +16,7 @@ from robotctl.daemon.options import DaemonOptions
 from robotctl.daemon.recordings import open_recorder
 from robotctl.daemon.statistics import RateMeter
 from robotctl.daemon.supervisor import Work
+from robotctl.recording.events import RecordedEvent
 from robotctl.recording.recorder import Topic
 from robotctl.ros.journal_publisher import JournalPublisher
 from robotctl.ros.raw import UNKNOWN_GID, Sink
@@ -35,15 +36,16 @@ class FlightRecorder:
         options: DaemonOptions,
         config: Config,
         session: Session,
+        mode: Callable[[], str],
         on_failure: Callable[[str], None],
         on_split: Callable[[Path], None],
     ) -> None:
-        """`on_failure` and `on_split` come from the writer thread; see Recorder.
+        """`mode` is asked, `on_failure` and `on_split` come from the writer thread; see Recorder.
 
         Raises Refused where nothing can be written.
         """
         self._recorder = open_recorder(
-            options.recordings, options.robot, config, on_failure, on_split
+            options.recordings, options.robot, config, mode, on_failure, on_split
         )
         self._rates = RateMeter()
         self.tap = Tap(session, self._open_sink)
@@ -62,6 +64,10 @@ class FlightRecorder:
             publisher.publish(serialized)
 
         return write_entry
+
+    def note(self, event: RecordedEvent) -> None:
+        """Name an event in the recording's metadata."""
+        self._recorder.note(event)
 
     def received(self) -> dict[str, int]:
         """Return how many messages of each topic were received."""

@@ -30,6 +30,7 @@ class Observer:
             host.options,
             host.config,
             host.session,
+            lambda: "observing",
             in_loop(lambda detail: _log.error("%s", detail)),
             in_loop(_file_begun),
         )

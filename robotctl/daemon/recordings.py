@@ -7,8 +7,10 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from robotctl import __version__
 from robotctl.config import Config, RecordingParams, flat
+from robotctl.daemon.provenance import provenance
+from robotctl.errors import RobotctlError
+from robotctl.paths import make_private, recordings_note_path
 from robotctl.recording.recorder import Compression, Recorder, RecorderOptions
 from robotctl.recording.repair import repair
 from robotctl.recording.retention import DAY_S, RetentionPolicy, enforce
@@ -32,25 +34,38 @@ def tidy(recordings: Path, params: RecordingParams) -> list[str]:
         return [f"{recordings} could not be tidied: {type(error).__name__}: {error}"]
 
 
+def remember(recordings: Path, robot: str) -> list[str]:
+    """Note for later commands where the robot's recordings are; a sentence where that fails."""
+    note = recordings_note_path(robot)
+    try:
+        make_private(note.parent)
+        unfinished = note.with_suffix(".new")
+        unfinished.write_text(f"{recordings}\n", encoding="utf-8")
+        unfinished.replace(note)
+    except (OSError, UnicodeEncodeError, RobotctlError) as error:
+        return [f"`robotctl recordings` will not find {recordings}: {error}"]
+    return []
+
+
 def open_recorder(
     recordings: Path,
     robot: str,
     config: Config,
+    mode: Callable[[], str],
     on_failure: Callable[[str], None],
     on_split: Callable[[Path], None],
 ) -> Recorder:
-    """Begin the recording ROBOT_DATE_TIME; raises Refused where nothing can be written."""
+    """Begin the recording ROBOT_DATE_TIME; raises Refused where nothing can be written.
+
+    `mode` is asked when a file begins; like the listeners, from any thread.
+    """
     compression = Compression.ZSTD if config.recording.compression == "zstd" else Compression.NONE
     parameters = {f"parameter.{key}": str(value) for key, value in flat(config).items()}
+    described = {"robot": robot, **provenance(), **parameters}
     return Recorder(
         _new_folder(recordings, f"{robot}_{time.strftime('%Y%m%d_%H%M%S')}"),
         RecorderOptions(compression=compression),
-        metadata={
-            "robotctl": __version__,
-            "robot": robot,
-            "host": os.uname().nodename,
-            **parameters,
-        },
+        metadata=lambda: {"mode": mode(), **described},
         on_failure=on_failure,
         on_split=on_split,
     )

@@ -10,9 +10,13 @@ from pathlib import Path
 
 from robotctl.recording.account import TopicAccount
 from robotctl.recording.buffer import Taken, pack
+from robotctl.recording.events import RecordedEvent
 from robotctl.recording.options import RecorderOptions
 from robotctl.recording.recording_file import RecordingFile
 from robotctl.recording.rosbag2 import BagFile, write_metadata
+
+MAX_EVENTS = 1000
+"""In one file: each takes room in the summary, which is rewritten four times a second."""
 
 
 class BagWriter:
@@ -26,14 +30,17 @@ class BagWriter:
         self,
         folder: Path,
         options: RecorderOptions,
-        metadata: Mapping[str, str],
+        metadata: Callable[[], Mapping[str, str]],
         accounts: Sequence[TopicAccount],
         on_split: Callable[[Path], None] = lambda path: None,
     ) -> None:
-        """Create the first file in `folder`, which exists; `on_split` gets each later one."""
+        """Create the first file in `folder`, which exists; `on_split` gets each later one.
+
+        `metadata` is asked when a file begins, for what is kept in it.
+        """
         self._folder = folder
         self._options = options
-        self._metadata = dict(metadata)
+        self._metadata = metadata
         self._accounts = accounts
         self._on_split = on_split
         self._finished: list[BagFile] = []
@@ -68,6 +75,12 @@ class BagWriter:
     def write_topics(self) -> None:
         """Write the topics that were added, also if they have no message yet."""
         self._file.write_topics()
+
+    def write_event(self, event: RecordedEvent) -> None:
+        """Name `event` in the current file."""
+        if self._file.event_count >= MAX_EVENTS:
+            self.split()
+        self._file.write_event(event)
 
     def sync(self) -> None:
         """Force what was written to the disk."""
@@ -122,7 +135,7 @@ class BagWriter:
     def _new_file(self) -> RecordingFile:
         path = self._folder / f"{self._folder.name}_{self._files_begun}.mcap"
         self._files_begun += 1
-        return RecordingFile(path, self._options, self._metadata, self._accounts)
+        return RecordingFile(path, self._options, self._metadata(), self._accounts)
 
     def _repeat_latched(self, log_ns: int) -> None:
         """Write the last latched message of each publisher again, as if received at `log_ns`."""

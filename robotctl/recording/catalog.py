@@ -16,6 +16,9 @@ from robotctl.recording.storage import is_being_written
 KEEP_FILE = "keep"
 """A recording with a file of this name in its folder is never removed."""
 
+CLIPS_FOLDER = "clips"
+"""Within a recording's folder: not part of the bag, but of what is kept or removed with it."""
+
 
 @dataclass(frozen=True, slots=True)
 class CatalogFile:
@@ -60,6 +63,14 @@ def own_recordings(recordings: Path) -> Iterator[CatalogFolder]:
             files = tuple(_files(folder))
             if files:
                 yield CatalogFolder(folder, files, (folder / KEEP_FILE).exists())
+
+
+def set_kept(folder: Path, kept: bool) -> None:
+    """Mark the recording in `folder` as never to be removed, or no longer. Raises OSError."""
+    if kept:
+        (folder / KEEP_FILE).touch()
+    else:
+        (folder / KEEP_FILE).unlink(missing_ok=True)
 
 
 def _files(folder: Path) -> Iterator[CatalogFile]:

@@ -13,6 +13,7 @@ from queue import Empty, SimpleQueue
 from robotctl.recording.account import TopicAccount
 from robotctl.recording.bag_writer import BagWriter
 from robotctl.recording.buffer import LargeMessage, PackBuffer, Taken
+from robotctl.recording.events import RecordedEvent
 from robotctl.recording.options import RecorderOptions
 
 SPARE_BUFFERS = 2
@@ -46,7 +47,7 @@ class Drain:
         on_failure: Callable[[str], None],
     ) -> None:
         """Start the thread; `active` gives the buffer that the loop is packing."""
-        self.queue: SimpleQueue[PackBuffer | LargeMessage | Request] = SimpleQueue()
+        self.queue: SimpleQueue[PackBuffer | LargeMessage | RecordedEvent | Request] = SimpleQueue()
         self.spare: deque[PackBuffer] = deque()
         self.released = 0
         """Bytes of buffers and messages that were queued and are free again."""
@@ -111,11 +112,15 @@ class Drain:
         else:
             self._write(taken)
 
-    def _handle(self, item: PackBuffer | LargeMessage | Request) -> None:
+    def _handle(self, item: PackBuffer | LargeMessage | RecordedEvent | Request) -> None:
         if isinstance(item, Request):
             if item is Request.SPLIT:
                 self._flush_active()
                 self._attempt(self._writer.split)
+            return
+        if isinstance(item, RecordedEvent):
+            event = item
+            self._attempt(lambda: self._writer.write_event(event))
             return
         taken = item.take()
         if taken is not None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass, field
 from enum import Enum
 
+from isal.isal_zlib import crc32
 from mcap.opcode import Opcode
-from mcap.records import Channel, Header, Schema
+from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from robotctl.recording.mcap_file import MAGIC
 from robotctl.recording.mcap_input import (
@@ -20,8 +22,14 @@ from robotctl.recording.mcap_input import (
     read_torn_chunk,
 )
 
+MAX_ATTACHMENT_BYTES = 256 << 20
+"""A larger attachment is not taken into memory."""
+
 MAX_SENTENCES = 20
 """What is missing is said in so many sentences at most."""
+
+
+_CRC = struct.Struct("<I")
 
 
 class PlaceKind(Enum):
@@ -77,8 +85,10 @@ class FileIndex:
     counts: dict[int, int] = field(default_factory=dict)
     start_ns: int = 0
     end_ns: int = 0
-    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
-    attachments: int = 0
+    metadata: list[Metadata] = field(default_factory=list)
+    attachments: list[int] = field(default_factory=list)
+    """Offsets of their records."""
+
     missing: list[str] = field(default_factory=list)
     scanned: bool = False
     """There was no valid summary."""
@@ -86,6 +96,10 @@ class FileIndex:
     def miss(self, sentence: str) -> None:
         """Say that something cannot be read."""
         note_missing(self.missing, sentence)
+
+    def has_metadata(self, *names: str) -> bool:
+        """Whether there is a metadata record of one of these names."""
+        return any(record.name in names for record in self.metadata)
 
     @property
     def message_count(self) -> int:
@@ -104,6 +118,19 @@ def read_content(file: InputFile, offset: int, length: int) -> bytes:
     if length > MAX_RECORD_BYTES:
         raise Damaged(f"a record at byte {offset} claims {length} bytes")
     return file.read(offset + RECORD_HEAD.size, length)
+
+
+def read_attachment(file: InputFile, offset: int) -> Attachment:
+    """The attachment whose record is at `offset`. Raises Damaged."""
+    _, length = read_record_head(file, offset)
+    if length > MAX_ATTACHMENT_BYTES:
+        raise Damaged(f"it has {length} bytes")
+    content = file.read(offset + RECORD_HEAD.size, length)
+    attachment: Attachment = parse(Attachment, content)
+    (crc,) = _CRC.unpack(content[-_CRC.size :])
+    if crc and crc != crc32(memoryview(content)[: -_CRC.size]):
+        raise Damaged("its checksum is wrong")
+    return attachment
 
 
 def read_header(file: InputFile) -> tuple[Header, int]:

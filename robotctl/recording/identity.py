@@ -12,10 +12,14 @@ OWN_LIBRARY = "robotctl "
 
 LIBRARY = OWN_LIBRARY + robotctl.__version__
 INFO_RECORD = "robotctl"
-"""What the daemon says about the recording."""
+"""What the daemon says about itself and the robot when a file begins."""
+
+EVENT_RECORD = "robotctl.event"
+"""Something to look for in the recording, written as it happens: see `events`."""
 
 LEDGER_RECORD = "robotctl.ledger"
-"""The loss ledger, one JSON object per topic; the last thing written: then the file is finished."""
+"""The loss ledger since the recording began, one JSON object per topic; the last thing written:
+then the file is finished. Queued is what came while the file was being finished."""
 
 RECOVERY_RECORD = "robotctl.recovery"
 """In a file made by `recover`: from which file, and what is lost."""

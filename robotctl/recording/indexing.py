@@ -17,16 +17,21 @@ _LOOK_AGAIN_S = 0.002
 
 
 def index_of(
-    file: InputFile, on_progress: Callable[[int], None] = lambda offset: None
+    file: InputFile,
+    on_progress: Callable[[int], None] = lambda offset: None,
+    *,
+    places: bool = True,
 ) -> FileIndex:
     """By the summary if that is valid, else by scanning, which tells the offset it has reached.
+
+    Whoever will read no message says so by `places`, which saves time.
 
     Raises Damaged if not even the header can be read.
     """
     deadline = time.monotonic() + _GROWING_S
     while True:
         try:
-            return index_from_summary(file)
+            return index_from_summary(file, places=places)
         except Damaged:
             if not file.is_changing() or time.monotonic() > deadline:
                 break

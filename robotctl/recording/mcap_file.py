@@ -20,6 +20,8 @@ from isal.isal_zlib import crc32
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
+    Attachment,
+    AttachmentIndex,
     Channel,
     ChunkIndex,
     DataEnd,
@@ -53,6 +55,7 @@ _SUMMARY_GROUPS = (
     Opcode.CHANNEL,
     Opcode.STATISTICS,
     Opcode.CHUNK_INDEX,
+    Opcode.ATTACHMENT_INDEX,
     Opcode.METADATA_INDEX,
 )
 
@@ -125,6 +128,7 @@ class McapFile:
         self._schema_count = 0
         self._channel_count = 0
         self._chunk_count = 0
+        self._attachment_count = 0
         self._metadata_count = 0
         self._counts: dict[int, int] = {}
         self._start_ns = 0
@@ -197,6 +201,22 @@ class McapFile:
         self._pending += data
         self._groups[Opcode.METADATA_INDEX] += record_bytes(index)
         self._metadata_count += 1
+
+    def add_attachment(self, attachment: Attachment) -> None:
+        """Add a file of another kind."""
+        data = record_bytes(attachment)
+        index = AttachmentIndex(
+            offset=self._data_end + len(self._pending),
+            length=len(data),
+            log_time=attachment.log_time,
+            create_time=attachment.create_time,
+            data_size=len(attachment.data),
+            name=attachment.name,
+            media_type=attachment.media_type,
+        )
+        self._pending += data
+        self._groups[Opcode.ATTACHMENT_INDEX] += record_bytes(index)
+        self._attachment_count += 1
 
     def commit(self, chunk: Chunk | None = None, *, finished: bool = True) -> None:
         """Write what was added, then `chunk`, then the trailer, by one positioned write.
@@ -300,7 +320,7 @@ class McapFile:
 
     def _statistics(self) -> Statistics:
         return Statistics(
-            attachment_count=0,
+            attachment_count=self._attachment_count,
             channel_count=self._channel_count,
             channel_message_counts=self._counts,
             chunk_count=self._chunk_count,

@@ -16,6 +16,7 @@ from typing import Self
 
 from robotctl.errors import UnreadableFile
 from robotctl.recording import rosbag2
+from robotctl.recording.events import RecordedEvent, events_in
 from robotctl.recording.file_index import FileIndex, note_missing
 from robotctl.recording.indexing import index_of
 from robotctl.recording.lookback import last_before
@@ -56,7 +57,7 @@ class RecordingInfo:
     """What a recording holds; times in nanoseconds since the epoch, 0 without messages.
 
     `missing` says, a sentence each, what cannot be read; `indexed` is False where a file had no
-    valid summary, so that it had to be scanned.
+    valid summary, so that it had to be scanned. `metadata` has the last record of each name.
     """
 
     path: Path
@@ -69,6 +70,7 @@ class RecordingInfo:
     profile: str
     library: str
     metadata: dict[str, dict[str, str]]
+    events: tuple[RecordedEvent, ...]
     indexed: bool
     missing: tuple[str, ...]
 
@@ -117,9 +119,9 @@ class Recording:
         self.path = path
         self._files: list[OpenFile] = []
         self.missing: list[str] = []
-        paths = _paths(path)
+        paths = recording_files(path)
         if paths != [path]:
-            for sentence in _absent(path, paths):
+            for sentence in absent_files(path, paths):
                 note_missing(self.missing, sentence)
         try:
             for each in paths:
@@ -154,9 +156,7 @@ class Recording:
         with_messages = [index for index in indexes if index.message_count]
         start_ns = min((index.start_ns for index in with_messages), default=0)
         end_ns = max((index.end_ns for index in with_messages), default=0)
-        metadata: dict[str, dict[str, str]] = {}
-        for index in indexes:
-            metadata.update(index.metadata)
+        metadata = [record for index in indexes for record in index.metadata]
         return RecordingInfo(
             path=self.path,
             files=tuple(each.path for each in self._files),
@@ -167,7 +167,8 @@ class Recording:
             topics=_topics(indexes, (end_ns - start_ns) / 1e9),
             profile=indexes[0].profile,
             library=indexes[0].library,
-            metadata=metadata,
+            metadata={record.name: record.metadata for record in metadata},
+            events=tuple(events_in(metadata)),
             indexed=not any(index.scanned for index in indexes),
             missing=tuple(self.missing),
         )
@@ -223,7 +224,7 @@ class Recording:
         note_missing(self.missing, reason if only else f"{path.name}: {reason}")
 
 
-def _paths(path: Path) -> list[Path]:
+def recording_files(path: Path) -> list[Path]:
     """The MCAP files of a recording in their order. Raises UnreadableFile if there are none."""
     try:
         mode = path.stat().st_mode
@@ -238,7 +239,8 @@ def _paths(path: Path) -> list[Path]:
     return found
 
 
-def _absent(folder: Path, present: list[Path]) -> list[str]:
+def absent_files(folder: Path, present: list[Path]) -> list[str]:
+    """A sentence for each file that the folder's `metadata.yaml` names beside those present."""
     names = {path.name for path in present}
     return [
         f"{name}: metadata.yaml names it, but it is not there"

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from shutil import rmtree
-from types import MappingProxyType
 from typing import Final
 
 from mcap.opcode import Opcode
@@ -31,6 +30,7 @@ from robotctl.recording.account import (
 from robotctl.recording.bag_writer import BagWriter
 from robotctl.recording.buffer import LargeMessage, PackBuffer
 from robotctl.recording.drain import Drain, Request
+from robotctl.recording.events import RecordedEvent
 from robotctl.recording.mcap_file import MESSAGE_FIELDS_BYTES, MESSAGE_HEAD
 from robotctl.recording.options import Compression, RecorderOptions
 
@@ -49,8 +49,6 @@ MAX_TOPICS: Final = 1 << 16
 
 _PREFIX = struct.Struct("<BQH")
 """What is the same in all messages of a channel and a size: opcode, record length, channel id."""
-
-_NO_METADATA: Final[Mapping[str, str]] = MappingProxyType({})
 
 
 class RecorderState(StrEnum):
@@ -95,15 +93,16 @@ class Recorder:
         folder: Path,
         options: RecorderOptions | None = None,
         *,
-        metadata: Mapping[str, str] = _NO_METADATA,
+        metadata: Callable[[], Mapping[str, str]] = dict,
         on_failure: Callable[[str], None],
         on_split: Callable[[Path], None] = lambda path: None,
     ) -> None:
         """Create `folder` with its first file in it, and start the writer thread.
 
-        `metadata` is kept in each file; `on_failure` is called at most once, from the writer
-        thread, with a sentence for the operator; `on_split`, from the same thread, with each
-        later file once it is begun. Raises Refused where nothing can be written.
+        `metadata` is asked when a file begins, for what is kept in it; `on_failure` is called
+        at most once, with a sentence for the operator; `on_split` with each later file once it
+        is begun. All are called from the writer thread, `metadata` for the first file from here.
+        Raises Refused where nothing can be written.
         """
         options = options or RecorderOptions()
         self._accounts: list[TopicAccount] = []
@@ -170,6 +169,10 @@ class Recorder:
     def split(self) -> None:
         """Go on in a new file, without a gap. Returns at once; `on_split` is told."""
         self._drain.queue.put(Request.SPLIT)
+
+    def note(self, event: RecordedEvent) -> None:
+        """Name `event` in the metadata of the current file. Never waits."""
+        self._drain.queue.put(event)
 
     def stats(self) -> RecorderStats:
         """The counts at this instant."""
@@ -275,7 +278,7 @@ def _new_packer(account: TopicAccount, channel: int, size: int) -> Packer:
 def _open_folder(
     folder: Path,
     options: RecorderOptions,
-    metadata: Mapping[str, str],
+    metadata: Callable[[], Mapping[str, str]],
     accounts: list[TopicAccount],
     on_split: Callable[[Path], None],
 ) -> BagWriter:

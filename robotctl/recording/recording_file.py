@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -11,7 +10,9 @@ from mcap.records import Channel, Schema
 from robotctl.recording.account import TopicAccount
 from robotctl.recording.buffer import Taken
 from robotctl.recording.chunk_encoder import ChunkEncoder
-from robotctl.recording.identity import INFO_RECORD, LEDGER_RECORD, LIBRARY, PROFILE
+from robotctl.recording.events import RecordedEvent
+from robotctl.recording.identity import EVENT_RECORD, INFO_RECORD, LEDGER_RECORD, LIBRARY, PROFILE
+from robotctl.recording.ledger_record import ledger_values
 from robotctl.recording.mcap_file import McapFile
 from robotctl.recording.options import RecorderOptions
 from robotctl.recording.rosbag2 import METADATA_RECORD, BagFile, serialized_metadata
@@ -37,6 +38,7 @@ class RecordingFile:
         self._announced = 0
         self._schemas: dict[tuple[str, str], int] = {}
         self._synced = False
+        self.event_count = 0
         self._mcap = McapFile(options.open_file(path), profile=PROFILE, library=LIBRARY)
         try:
             self._mcap.add_metadata(INFO_RECORD, metadata)
@@ -74,6 +76,13 @@ class RecordingFile:
             self._mcap.commit()
             self._synced = False
 
+    def write_event(self, event: RecordedEvent) -> None:
+        """Write something to look for into the metadata."""
+        self._mcap.add_metadata(EVENT_RECORD, event.values())
+        self._mcap.commit()
+        self._synced = False
+        self.event_count += 1
+
     def sync(self) -> None:
         """Force what was written to the disk."""
         if not self._synced:
@@ -84,7 +93,8 @@ class RecordingFile:
         """Write the final metadata, and close the file."""
         self._announce_topics()
         self._add_bag_metadata()
-        self._mcap.add_metadata(LEDGER_RECORD, self._ledger())
+        topics = [account.stats() for account in self._accounts[: self._announced]]
+        self._mcap.add_metadata(LEDGER_RECORD, ledger_values(topics))
         self._mcap.commit()
         self._mcap.sync()
         self._mcap.close()
@@ -138,19 +148,3 @@ class RecordingFile:
         topics = [account.topic for account in self._accounts[: self._announced]]
         text = serialized_metadata(topics, [self.describe()])
         self._mcap.add_metadata(METADATA_RECORD, {"serialized_metadata": text})
-
-    def _ledger(self) -> dict[str, str]:
-        ledger = {}
-        for account in self._accounts[: self._announced]:
-            stats = account.stats()
-            ledger[stats.name] = json.dumps(
-                {
-                    "received": stats.received,
-                    "written": stats.written,
-                    "dropped": stats.dropped,
-                    "lost": stats.lost,
-                    "unseen": stats.unseen,
-                    "bytes": stats.bytes,
-                }
-            )
-        return ledger

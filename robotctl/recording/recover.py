@@ -12,7 +12,13 @@ from mcap.opcode import Opcode
 from robotctl.errors import Refused, UnreadableFile
 from robotctl.recording.buffer import PlainMessage, pack
 from robotctl.recording.chunk_encoder import ChunkEncoder
-from robotctl.recording.file_index import FileIndex, Place, PlaceKind, note_missing
+from robotctl.recording.file_index import (
+    FileIndex,
+    Place,
+    PlaceKind,
+    note_missing,
+    read_attachment,
+)
 from robotctl.recording.identity import LIBRARY, RECOVERY_RECORD
 from robotctl.recording.indexing import index_of
 from robotctl.recording.mcap_file import McapFile
@@ -30,6 +36,7 @@ class Salvage:
 
     target: Path
     message_count: int
+    attachment_count: int
     lost: tuple[str, ...]
 
 
@@ -80,7 +87,7 @@ def _write_to(target: Path, open_file: Callable[[Path], Storage], copy: _Copy) -
     finally:
         with suppress(OSError):  # it is synced, or it is gone
             storage.close()
-    return Salvage(target, copy.message_count, tuple(copy.lost))
+    return Salvage(target, copy.message_count, copy.attachment_count, tuple(copy.lost))
 
 
 class _Copy:
@@ -94,8 +101,7 @@ class _Copy:
         self._on_progress = on_progress
         self.lost = list(index.missing)
         self.message_count = 0
-        if index.attachments:
-            note_missing(self.lost, f"{index.attachments} attachments were not copied")
+        self.attachment_count = 0
 
     def run(self, storage: Storage) -> None:
         """Write the copy. Raises OSError."""
@@ -115,11 +121,22 @@ class _Copy:
                 mcap.commit(encoder.encode(pack(messages)), finished=False)
                 self.message_count += len(messages)
             self._on_progress(place.offset)
-        for name, values in index.metadata.items():
-            mcap.add_metadata(name, values)
+        self._copy_attachments(mcap)
+        for record in index.metadata:
+            mcap.add_metadata(record.name, record.metadata)
         mcap.add_metadata(RECOVERY_RECORD, {"lost": "\n".join(self.lost)})
         mcap.commit()
         mcap.sync()
+
+    def _copy_attachments(self, mcap: McapFile) -> None:
+        for offset in self._index.attachments:
+            try:
+                mcap.add_attachment(read_attachment(self._file, offset))
+            except Damaged as damage:
+                note_missing(self.lost, f"the attachment at byte {offset} is lost: {damage}")
+            else:
+                mcap.commit(finished=False)  # one at a time in memory
+                self.attachment_count += 1
 
     def _read(self, place: Place) -> list[PlainMessage]:
         messages: list[PlainMessage] = []

@@ -48,7 +48,7 @@ def _repair_file(path: Path) -> str:
     with InputFile(path) as file:
         try:
             index = index_from_summary(file)
-            if LEDGER_RECORD in index.metadata or RECOVERY_RECORD in index.metadata:
+            if index.has_metadata(LEDGER_RECORD, RECOVERY_RECORD):
                 return ""
             _verify(file, index)
         except Damaged:

@@ -101,12 +101,11 @@ class _Scan:
                 raise Damaged("they make no sense")
             self._loose(offset, end)
         elif opcode == Opcode.METADATA:
-            record = parse(Metadata, read_content(file, offset, length))
-            index.metadata[record.name] = record.metadata
+            index.metadata.append(parse(Metadata, read_content(file, offset, length)))
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             self._define(opcode, read_content(file, offset, length))
         elif opcode == Opcode.ATTACHMENT:
-            index.attachments += 1
+            index.attachments.append(offset)
         elif opcode == Opcode.DATA_END:
             self.data_ended = True
         elif opcode == Opcode.STATISTICS:

@@ -74,7 +74,7 @@ def record(
     recorder = Recorder(
         folder,
         RecorderOptions(chunk_bytes=1 << 14),
-        metadata={"robotctl": version, "robot": robot, **parameters},
+        metadata=lambda: {"robotctl": version, "robot": robot, **parameters},
         on_failure=_fail,
     )
     journal, commands = recorder.add_topic(JOURNAL), recorder.add_topic(TWIST)

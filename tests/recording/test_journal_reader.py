@@ -18,7 +18,7 @@ from robotctl.testing.recordings import GID, START_NS, TWIST
 def record(folder: Path, robot: str, topics: dict[str, Iterable[int]]) -> Path:
     """A recording with journals whose entries have these log times after START_NS."""
     options = RecorderOptions(chunk_bytes=1024)
-    recorder = Recorder(folder, options, metadata={"robot": robot}, on_failure=pytest.fail)
+    recorder = Recorder(folder, options, metadata=lambda: {"robot": robot}, on_failure=pytest.fail)
     recorder.add_topic(TWIST)
     for name, times in topics.items():
         channel = recorder.add_topic(Topic(name, TYPE_NAME))

@@ -242,7 +242,8 @@ def test_the_folder_is_a_bag_of_version_9_from_its_first_moment(
 
 
 def test_the_file_describes_itself(folder: Path) -> None:
-    recorder = Recorder(folder, metadata={"robot": "robot", "mode": "IDLE"}, on_failure=pytest.fail)
+    metadata = {"robot": "robot", "mode": "IDLE"}
+    recorder = Recorder(folder, metadata=lambda: metadata, on_failure=pytest.fail)
     channel = recorder.add_topic(TWIST)
     write_numbered(recorder, channel, range(5, 15))
     write_numbered(recorder, channel, range(18, 20))
@@ -267,6 +268,7 @@ def test_the_file_describes_itself(folder: Path) -> None:
     assert json.loads(records[3].metadata["/cmd_vel"]) == {
         "received": 12,
         "written": 12,
+        "queued": 0,
         "dropped": 0,
         "lost": 3,
         "unseen": 4,

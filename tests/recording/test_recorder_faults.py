@@ -309,7 +309,7 @@ def test_after_a_power_cut_all_that_was_synced_is_readable(
     accounts = [TopicAccount(TWIST)]
     folder = tmp_path / "run"
     folder.mkdir()
-    writer = BagWriter(folder, options, {}, accounts)
+    writer = BagWriter(folder, options, dict, accounts)
     buffer = PackBuffer(1 << 20)
     buffer.make_indexes(1)
     crashed = tmp_path / "crashed.mcap"

@@ -14,6 +14,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from robotctl.errors import Refused, UnreadableFile
+from robotctl.recording.events import EventKind, RecordedEvent
 from robotctl.recording.reader import read_info, read_messages
 from robotctl.recording.recorder import Recorder, RecorderOptions
 from robotctl.recording.recover import recover
@@ -93,11 +94,47 @@ def test_a_cut_file_gives_a_valid_file_and_says_what_is_lost(
     }
 
 
-def test_attachments_are_said_to_be_left_out(tmp_path: Path) -> None:
+def attachments_of(path: Path) -> list[tuple[str, str, int, int, bytes]]:
+    with path.open("rb") as stream:
+        return [
+            (each.name, each.media_type, each.log_time, each.create_time, each.data)
+            for each in make_reader(stream, validate_crcs=True).iter_attachments()
+        ]
+
+
+def test_attachments_are_kept(tmp_path: Path) -> None:
     source = theirs(tmp_path / "file.mcap", 10, attachment=True)
-    assert recover(source, tmp_path / "out.mcap").lost == ("1 attachments were not copied",)
+    whole, cut = tmp_path / "whole.mcap", tmp_path / "cut.mcap"
+    assert recover(source, whole).lost == ()
     source.write_bytes(source.read_bytes()[:-100])
-    assert "1 attachments were not copied" in recover(source, tmp_path / "out2.mcap").lost
+    assert recover(source, cut).lost
+    for target in (whole, cut):
+        assert len(read_strictly(target)) == 10
+        assert attachments_of(target) == [("picture", "image/png", 2, 1, bytes(1000))]
+
+
+def test_a_damaged_attachment_is_said_to_be_lost(tmp_path: Path) -> None:
+    source = theirs(tmp_path / "file.mcap", 10, attachment=True)
+    data = bytearray(source.read_bytes())
+    data[data.index(bytes(900)) + 100] = 1
+    source.write_bytes(data)
+    (lost,) = recover(source, tmp_path / "out.mcap").lost
+    assert "attachment" in lost
+    assert "its checksum is wrong" in lost
+    assert attachments_of(tmp_path / "out.mcap") == []
+
+
+def test_metadata_of_one_name_is_all_kept(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
+    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 11))
+    for number in range(3):
+        recorder.note(RecordedEvent(EventKind.MARK, START_NS + number, f"mark {number}"))
+    recover(recorder.close().file, tmp_path / "out.mcap")
+    assert [event.text for event in read_info(tmp_path / "out.mcap").events] == [
+        "mark 0",
+        "mark 1",
+        "mark 2",
+    ]
 
 
 def test_a_damaged_chunk_is_left_out(tmp_path: Path) -> None:

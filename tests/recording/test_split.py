@@ -131,7 +131,7 @@ def test_each_file_stands_alone(tmp_path: Path) -> None:
     begun: list[Path] = []
     recorder = Recorder(
         tmp_path / "run",
-        metadata={"robot": "robot"},
+        metadata=lambda: {"robot": "robot"},
         on_failure=pytest.fail,
         on_split=begun.append,
     )

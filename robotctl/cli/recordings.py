@@ -1,0 +1,143 @@
+"""recordings: what was recorded, and what of it is kept."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from robotctl.cli.library import Recordings, find_recording, recordings_folder
+from robotctl.cli.options import Json, Robot, new_app
+from robotctl.cli.progress import progress_bar
+from robotctl.cli.text import duration, elided, json_text, moment, printable, short_path, size
+from robotctl.errors import Refused
+from robotctl.paths import DEFAULT_ROBOT
+
+if TYPE_CHECKING:
+    from robotctl.recording.listing import ListedRecording
+
+app = new_app()
+group = new_app()
+app.add_typer(group, name="recordings")
+
+Name = Annotated[
+    str, typer.Argument(metavar="NAME", help="A recording's name or folder, or `last`.")
+]
+
+_NAME_WIDTH = 26
+
+
+@group.callback(invoke_without_command=True)
+def recordings(
+    context: typer.Context,
+    folder: Recordings = None,
+    robot: Robot = DEFAULT_ROBOT,
+    as_json: Json = False,
+) -> None:
+    """List recordings: date, size, duration, laps and the worst that happened.
+
+    Those of the running daemon or, where none runs, of the robot's last one. The oldest are
+    removed when a daemon starts (see recording.max_total_gb), but for those marked with keep.
+
+    \b
+    Examples:
+      robotctl recordings
+      robotctl recordings --json | jq -r '.recordings[] | .path'
+      robotctl recordings keep robot_20260101_120000
+      robotctl recordings unkeep robot_20260101_120000
+    """
+    if context.invoked_subcommand is not None:
+        return
+    from robotctl.recording.listing import list_recordings
+
+    place = recordings_folder(robot, folder)
+    found: list[ListedRecording] = []
+    if place.is_dir():
+        try:
+            with progress_bar("reading", quiet=as_json) as on_progress:
+                found = list(list_recordings(place, on_progress))
+        except OSError as error:
+            raise Refused(f"{place} cannot be listed: {error.strerror}") from error
+    if as_json:
+        print(json_text({"folder": str(place), "recordings": [_as_object(each) for each in found]}))
+    else:
+        print("\n".join(_screen(place, found)))
+
+
+@group.command()
+def keep(name: Name, folder: Recordings = None, robot: Robot = DEFAULT_ROBOT) -> None:
+    """Never remove a recording, whatever its age."""
+    path = _set_kept(name, folder, robot, kept=True)
+    print(f"{printable(path.name)} is kept, whatever its age")
+
+
+@group.command()
+def unkeep(name: Name, folder: Recordings = None, robot: Robot = DEFAULT_ROBOT) -> None:
+    """Let a recording be removed again when its time has come."""
+    path = _set_kept(name, folder, robot, kept=False)
+    print(f"{printable(path.name)} is removed again when its time has come")
+
+
+def _set_kept(name: str, folder: Path | None, robot: str, *, kept: bool) -> Path:
+    from robotctl.recording.catalog import set_kept
+
+    path = find_recording(name, robot, folder)
+    if not path.is_dir():
+        raise Refused(f"{path} is no recording's folder (see: robotctl recordings)")
+    try:
+        set_kept(path, kept)
+    except OSError as error:
+        raise Refused(f"{path} cannot be changed: {error.strerror}") from error
+    return path
+
+
+def _as_object(each: ListedRecording) -> dict[str, Any]:
+    return {
+        "name": each.path.name,
+        "path": str(each.path),
+        "robot": each.robot or None,
+        "start_ns": each.start_ns,
+        "duration_s": each.duration_s,
+        "size_bytes": each.size_bytes,
+        "files": each.files,
+        "laps": each.laps,
+        "worst": None if each.worst is None else each.worst.value,
+        "readable": each.readable,
+        "damage": list(each.damage),
+        "live": each.live,
+        "kept": each.kept,
+        "clips": [str(clip) for clip in each.clips],
+    }
+
+
+def _screen(place: Path, found: Sequence[ListedRecording]) -> Iterator[str]:
+    if not found:
+        yield f"no recordings in {short_path(place)} (begin one: robotctl start)"
+        return
+    yield f"{short_path(place)}: {size(sum(each.size_bytes for each in found))}"
+    yield (f"  {'name':{_NAME_WIDTH}} {'start':16} {'size':>8} {'duration':>11} {'laps':>4}  worst")
+    for each in found:
+        begun_ns = each.start_ns or round(each.modified_s * 1e9)
+        worst = "-" if each.worst is None else each.worst.value
+        yield (
+            f"  {elided(each.path.name, _NAME_WIDTH):{_NAME_WIDTH}} {moment(begun_ns)[:16]} "
+            f"{size(each.size_bytes):>8} {duration(each.duration_s):>11} {each.laps:>4}  "
+            f"{worst:5} {', '.join(_remarks(each))}"
+        ).rstrip()
+    if any(each.damage for each in found):
+        yield "damaged ones: robotctl recover NAME saves what can be read"
+
+
+def _remarks(each: ListedRecording) -> Iterator[str]:
+    if each.live:
+        yield "live"
+    if each.kept:
+        yield "kept"
+    if each.clips:
+        yield f"{len(each.clips)} clip{'s' * (len(each.clips) > 1)}"
+    if not each.readable:
+        yield "unreadable"
+    elif each.damage:
+        yield "damaged"

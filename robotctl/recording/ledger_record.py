@@ -1,0 +1,33 @@
+"""The loss ledger as a file keeps it: a JSON object per topic."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+
+from robotctl.recording.account import TopicStats
+from robotctl.recording.identity import LEDGER_RECORD
+
+_COUNTS = ("received", "written", "queued", "dropped", "lost", "unseen", "bytes")
+
+
+def ledger_values(topics: Iterable[TopicStats]) -> dict[str, str]:
+    """The ledger as the values of a metadata record."""
+    ledger: dict[str, str] = {}
+    for stats in topics:
+        # A topic is recorded with a second type where somebody publishes one.
+        name = f"{stats.name} ({stats.type_name})" if stats.name in ledger else stats.name
+        ledger[name] = json.dumps({count: getattr(stats, count) for count in _COUNTS})
+    return ledger
+
+
+def read_ledger(metadata: Mapping[str, Mapping[str, str]]) -> dict[str, dict[str, int]]:
+    """The counts of each topic; of a file that was not closed there are none."""
+    ledger = {}
+    for topic, text in metadata.get(LEDGER_RECORD, {}).items():
+        try:
+            counts = json.loads(text)
+            ledger[topic] = {count: int(counts[count]) for count in _COUNTS if count in counts}
+        except (ValueError, TypeError, OverflowError, RecursionError):  # not ours
+            continue
+    return ledger

@@ -1,0 +1,60 @@
+"""Salvaging a recording of several files."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from functools import partial
+from itertools import accumulate
+from pathlib import Path
+from shutil import rmtree
+
+from robotctl.errors import Refused, UnreadableFile
+from robotctl.recording.bag_metadata import rewrite_metadata
+from robotctl.recording.reader import absent_files, recording_files
+from robotctl.recording.recover import Progress, Salvage, recover
+
+
+def recover_folder(
+    source: Path, target: Path, *, on_progress: Progress = lambda done, total: None
+) -> Salvage:
+    """Write all that can be read of the recording `source` into the new folder `target`.
+
+    Raises as `recover` does; after an error there is no `target` but one that was there before.
+    """
+    paths = recording_files(source)
+    sizes = [2 * path.stat().st_size if path.exists() else 0 for path in paths]
+    try:
+        target.mkdir()
+    except OSError as error:
+        raise Refused(f"cannot write {target}: {error.strerror}") from error
+    lost = absent_files(source, paths)
+    saved: list[Salvage] = []
+    try:
+        for path, before in zip(paths, accumulate(sizes[:-1], initial=0), strict=True):
+            tell = partial(_tell, on_progress, before, sum(sizes))
+            try:
+                salvage = recover(path, target / path.name, on_progress=tell)
+            except UnreadableFile as error:
+                lost.append(str(error))
+            else:
+                saved.append(salvage)
+                lost += (f"{path.name}: {sentence}" for sentence in salvage.lost)
+        if not saved:
+            raise UnreadableFile("; ".join(lost))
+        rewrite_metadata(target, [salvage.target for salvage in saved])
+    except BaseException as error:
+        with suppress(OSError):
+            rmtree(target)
+        if isinstance(error, OSError):
+            raise Refused(f"cannot write {target}: {error.strerror}") from error
+        raise
+    return Salvage(
+        target,
+        sum(salvage.message_count for salvage in saved),
+        sum(salvage.attachment_count for salvage in saved),
+        tuple(lost),
+    )
+
+
+def _tell(on_progress: Progress, before: int, total: int, done: int, _: int) -> None:
+    on_progress(before + done, total)

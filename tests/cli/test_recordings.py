@@ -1,0 +1,192 @@
+"""recordings and recover find the folder of the daemon, and say what is in it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robotctl.paths import recordings_note_path
+from robotctl.recording.events import EventKind, RecordedEvent
+from robotctl.recording.recorder import Recorder
+from robotctl.testing.recordings import START_NS, TWIST, read_strictly, write_numbered
+
+Cli = Callable[..., Any]
+
+OLDER, NEWER = "robot_20260101_120000", "robot_20260101_120000-2"
+
+
+def record(folder: Path, count: int = 100) -> Path:
+    recorder = Recorder(folder, on_failure=pytest.fail)
+    write_numbered(recorder, recorder.add_topic(TWIST), range(1, count + 1))
+    recorder.note(RecordedEvent(EventKind.EMERGENCY_STOP, START_NS, "requested by \x1b[2J"))
+    return recorder.close().file
+
+
+@pytest.fixture
+def library(tmp_path: Path) -> Path:
+    """The folder of the robot's last daemon, with two recordings."""
+    folder = tmp_path / "library"
+    for name in (OLDER, NEWER):
+        record(folder / name)
+    note = recordings_note_path("robot")
+    note.parent.mkdir(parents=True)
+    note.write_text(f"{folder}\n")
+    return folder
+
+
+def test_the_list_is_that_of_the_last_daemon_from_any_directory(library: Path, cli: Cli) -> None:
+    ran = cli("recordings")
+    assert ran.exit_code == 0
+    rows = [line.split() for line in ran.out.splitlines()]
+    assert [row[0] for row in rows[2:]] == [OLDER, NEWER]
+    assert rows[2][3:] == [*rows[2][3:5], "0.1", "s", "0", "estop"]
+    assert all(len(line) <= 80 for line in ran.out.splitlines()[1:])
+
+
+def test_the_list_for_machines_has_every_fact(library: Path, cli: Cli) -> None:
+    found = json.loads(cli("recordings", "--json").out)
+    assert found["folder"] == str(library)
+    first = found["recordings"][0]
+    assert first == {
+        "name": OLDER,
+        "path": str(library / OLDER),
+        "robot": None,
+        "start_ns": START_NS + 1_000_000,
+        "duration_s": 0.099,
+        "size_bytes": first["size_bytes"],
+        "files": 1,
+        "laps": 0,
+        "worst": "estop",
+        "readable": True,
+        "damage": [],
+        "live": False,
+        "kept": False,
+        "clips": [],
+    }
+
+
+def test_another_folder_may_be_named(library: Path, cli: Cli, tmp_path: Path) -> None:
+    record(tmp_path / "elsewhere" / "mine")
+    assert "mine" in cli("recordings", "--recordings", str(tmp_path / "elsewhere")).out
+    ran = cli("recordings", "--recordings", str(tmp_path / "nowhere"))
+    assert (ran.exit_code, ran.out) == (2, "")
+    assert "there is no such folder" in ran.err
+
+
+def test_without_any_daemon_ever_it_is_the_folder_here(cli: Cli) -> None:
+    ran = cli("recordings")
+    assert (ran.exit_code, ran.out) == (
+        0,
+        "no recordings in recordings (begin one: robotctl start)\n",
+    )
+    assert json.loads(cli("recordings", "--json").out)["recordings"] == []
+    record(Path("recordings") / "mine")
+    assert "mine" in cli("recordings").out
+
+
+@pytest.mark.parametrize("note", [b"", b"/nowhere\n", b"\xff\xfe\0", b"a\0b\n"])
+def test_a_note_that_leads_nowhere_does_no_harm(cli: Cli, note: bytes) -> None:
+    path = recordings_note_path("robot")
+    path.parent.mkdir(parents=True)
+    path.write_bytes(note)
+    assert cli("recordings").exit_code == 0
+
+
+def test_keep_marks_a_recording_and_unkeep_takes_it_back(library: Path, cli: Cli) -> None:
+    assert cli("recordings", "keep", OLDER).exit_code == 0
+    assert cli("recordings", "keep", "last").exit_code == 0
+    assert (library / OLDER / "keep").exists()
+    assert (library / NEWER / "keep").exists()
+    assert cli("recordings").out.count("kept") == 2
+    assert cli("recordings", "unkeep", OLDER).exit_code == 0
+    assert not (library / OLDER / "keep").exists()
+    ran = cli("recordings", "keep", "nothing")
+    assert (ran.exit_code, ran.err.count("\n")) == (4, 1)
+
+
+def test_info_takes_a_name_and_last(library: Path, cli: Cli) -> None:
+    for name, found in ((OLDER, OLDER), ("last", NEWER)):
+        ran = cli("info", name)
+        assert ran.exit_code == 0
+        assert found in ran.out
+        assert "estop        requested by \\x1b[2J" in ran.out
+    ran = cli("info", "last", "--robot", "r2")
+    assert ran.exit_code == 4
+    assert "no recording of robot 'r2'" in ran.err
+
+
+def test_info_tells_machines_events_ledger_and_metadata(library: Path, cli: Cli) -> None:
+    found = json.loads(cli("info", OLDER, "--json").out)
+    assert found["events"] == [
+        {"kind": "estop", "time_ns": START_NS, "text": "requested by \x1b[2J"}
+    ]
+    counts = {"received": 100, "written": 100, "queued": 0, "dropped": 0, "lost": 0, "unseen": 0}
+    assert found["ledger"] == {"/cmd_vel": {**counts, "bytes": 5200}}
+    assert found["metadata"] == {"robotctl": {}}
+
+
+# recover
+
+
+def test_a_whole_file_is_recovered_without_loss(cli: Cli, tmp_path: Path) -> None:
+    file = record(tmp_path / "run")
+    ran = cli("recover", str(file))
+    assert (ran.exit_code, ran.err) == (0, "")
+    assert "100 messages are saved, nothing is lost" in ran.out
+    assert len(read_strictly(tmp_path / "run_0_recovered.mcap")) == 100
+
+
+def test_what_is_lost_is_said_and_is_the_exit_code(cli: Cli, tmp_path: Path) -> None:
+    file = record(tmp_path / "run")
+    file.write_bytes(file.read_bytes()[:-30])
+    out = tmp_path / "out.mcap"
+    ran = cli("recover", str(file), "-o", str(out), "--json")
+    assert ran.exit_code == 8
+    assert ran.err.startswith(f"robotctl: not all of {file} could be saved: ")
+    found = json.loads(ran.out)
+    assert (found["target"], found["messages"]) == (str(out), 100)
+    assert found["lost"]
+    assert len(read_strictly(out)) == 100
+
+
+def test_nothing_readable_is_exit_code_6_and_nothing_is_overwritten(
+    cli: Cli, tmp_path: Path
+) -> None:
+    broken = tmp_path / "broken.mcap"
+    broken.write_bytes(b"nonsense" * 100)
+    ran = cli("recover", str(broken))
+    assert (ran.exit_code, ran.out, ran.err.count("\n")) == (6, "", 1)
+    assert sorted(tmp_path.glob("*.mcap")) == [broken]
+    ran = cli("recover", str(record(tmp_path / "run")), "-o", str(broken))
+    assert ran.exit_code == 4
+    assert broken.read_bytes() == b"nonsense" * 100
+
+
+def test_a_folder_is_recovered_file_by_file(library: Path, cli: Cli) -> None:
+    folder = library / OLDER
+    file = folder / f"{OLDER}_0.mcap"
+    (folder / f"{OLDER}_1.mcap").write_bytes(file.read_bytes()[:-30])
+    (folder / f"{OLDER}_2.mcap").write_bytes(b"")
+    ran = cli("recover", OLDER)
+    assert ran.exit_code == 8
+    assert f"{OLDER}_1.mcap: " in ran.err
+    assert f"{OLDER}_2.mcap cannot be read: it is empty" in ran.err
+    saved = library / f"{OLDER}_recovered"
+    assert [len(read_strictly(path)) for path in sorted(saved.glob("*.mcap"))] == [100, 100]
+    assert (saved / "metadata.yaml").exists()
+    assert cli("info", str(saved)).exit_code == 0
+    assert cli("recover", OLDER).exit_code == 4
+
+
+def test_a_folder_without_anything_readable_leaves_no_folder(cli: Cli, tmp_path: Path) -> None:
+    for name in ("empty", "broken"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "broken" / "a.mcap").write_bytes(b"")
+    for name in ("empty", "broken"):
+        ran = cli("recover", str(tmp_path / name))
+        assert (ran.exit_code, ran.out) == (6, "")
+        assert not (tmp_path / f"{name}_recovered").exists()
