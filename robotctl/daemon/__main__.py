@@ -6,6 +6,7 @@ import asyncio
 import json
 import logging
 import os
+import resource
 import sys
 from collections.abc import Callable
 from functools import partial
@@ -30,6 +31,7 @@ def main(arguments: list[str]) -> int:
     ready_fd = command_line.parse_ready_fd(arguments)
     if ready_fd is not None:
         os.set_inheritable(ready_fd, False)
+    _allow_many_files()
     try:
         options = command_line.parse(arguments)
         with owned(lock_path(options.robot), options.robot):
@@ -52,6 +54,12 @@ def _run(options: DaemonOptions, tell: Callable[[dict[str, Any]], None], notes: 
     from robotctl.daemon.app import serve  # after environment.prepare(): it imports rclpy
 
     asyncio.run(serve(options, notes, tell))
+
+
+def _allow_many_files() -> None:
+    """Each recorded topic is one: the usual soft limit, 1024, is kept low for select(2) only."""
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
 
 
 def _fail(ready_fd: int | None, error: RobotctlError) -> int:

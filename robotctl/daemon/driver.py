@@ -74,6 +74,8 @@ class Driver:
         tap = self.recorder.tap
         tap.subscribe_own(params.command.topic, "geometry_msgs/msg/Twist", qos.COMMAND)
         tap.subscribe_own("robot_status", "robot_controller/msg/RobotStatus", qos.LATCHED)
+        calls = "robot_controller/srv/SetMode_Event"
+        tap.subscribe_own("set_mode/_service_event", calls, qos.SERVICE_EVENTS)
         self._velocity = VelocityPublisher(session, params.command.topic)
         requests = Requests()
         self._control = Control(

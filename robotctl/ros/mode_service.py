@@ -8,6 +8,7 @@ from math import nan
 from pathlib import Path
 from typing import Any
 
+from rclpy.service_introspection import ServiceIntrospectionState
 from robot_controller.msg import RobotStatus
 from robot_controller.srv import SetMode
 
@@ -29,7 +30,10 @@ class Shown:
 
 
 class ModeService:
-    """Node `mode_service`: SetMode on `set_mode`, RobotStatus on `robot_status`."""
+    """Node `mode_service`: SetMode on `set_mode`, RobotStatus on `robot_status`.
+
+    Every call and its answer are published on `set_mode/_service_event`, too.
+    """
 
     def __init__(
         self, session: Session, robot: str, request: Callable[[int, str], Awaitable[Reply]]
@@ -39,6 +43,9 @@ class ModeService:
         self._node = session.node("mode_service")
         self._publisher = self._node.create_publisher(RobotStatus, "robot_status", qos.LATCHED)
         self._service = self._node.create_service(SetMode, "set_mode", self._answer)
+        self._service.configure_introspection(
+            self._node.get_clock(), qos.SERVICE_EVENTS, ServiceIntrospectionState.CONTENTS
+        )
         self._message = RobotStatus(robot_name=robot)
         self.published = 0
 

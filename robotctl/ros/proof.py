@@ -18,6 +18,9 @@ from robotctl.ros.rcl import Signal
 
 PROOF_TIMEOUT_S = 5.0
 
+TOPIC_PREFIX = "/_asyncio_executor_proof_"
+"""Of the topic over which a process proves its path to itself; the pid follows."""
+
 _SENT = Time(sec=0x01020304, nanosec=0x05060708)
 _CDR = bytes.fromhex("00010000 04030201 08070605")
 
@@ -37,7 +40,7 @@ async def prove(context: Context) -> None:
         return
     rcl.check_platform()
     check_for_type_support(Time)
-    topic = f"/_asyncio_executor_proof_{os.getpid()}"
+    topic = f"{TOPIC_PREFIX}{os.getpid()}"
     qos = QoSProfile(depth=1).get_c_qos_profile()
     with ExitStack() as entities:
         node = _rclpy.Node("_asyncio_executor_proof", "/", context.handle, None, False, False)

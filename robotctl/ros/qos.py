@@ -25,6 +25,9 @@ SENSOR = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 JOURNAL = QoSProfile(depth=1000)
 
+SERVICE_EVENTS = QoSProfile(depth=100)
+"""Reliable, as a record of who asked for what should be; a call is two events."""
+
 RECORDING_DEPTH = 10_000
 """RELIABLE with a shallow queue still drops (rmw_fastrtps); the queue is filled by need."""
 

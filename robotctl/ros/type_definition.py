@@ -6,8 +6,12 @@ import json
 import re
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
+
+from robotctl.ros.message_types import interface_of
+from robotctl.ros.type_description import texts_of
 
 _SEPARATOR = "=" * 80
 _FIELD = re.compile(r"^\s*([A-Za-z][\w/]*)(?:<=\d+)?(?:\[[^\]]*\])?\s+\w+")
@@ -15,20 +19,49 @@ _BUILT_IN = frozenset(
     {"bool", "byte", "char", "float32", "float64", "string", "wstring"}
     | {f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)}
 )
+_UNKNOWN = (OSError, PackageNotFoundError, ValueError, KeyError)
+"""What a type that is not installed, or not as ROS 2 Jazzy installs types, ends in."""
 
 
 @lru_cache(maxsize=1024)
 def definition_of(type_name: str) -> str:
-    """Return the ros2msg text of `pkg/msg/T` with all that it needs, "" where it has no .msg file.
+    """Return the ros2msg text of a type with all that it needs, "" where it is not installed.
 
     In rosbag2's form: the type's own text, then its dependencies depth first, each once, after a
-    line of 80 "=" and `MSG: pkg/T`.
+    line of 80 "=" and `MSG: pkg/T`. The text of `pkg/msg/T` is that of its .msg file; what
+    services and actions imply has no such file, and its text is made from its fields.
     """
+    try:
+        package, kind, short = type_name.split("/")
+        if kind == "msg":
+            texts = _texts_of_message(f"{package}/{short}")
+        else:
+            texts = texts_of(type_name, _described(type_name)["type_description_msg"])
+    except _UNKNOWN:
+        return ""
+    (_, own), *others = texts.items()
+    parts = [own, *(f"{_SEPARATOR}\nMSG: {name}\n{text}" for name, text in others)]
+    return "\n".join(part.rstrip("\n") for part in parts) + "\n"
+
+
+@lru_cache(maxsize=1024)
+def type_hash_of(type_name: str) -> str:
+    """Return the RIHS01 hash of a type, "" where it is not installed."""
+    try:
+        for entry in _described(type_name)["type_hashes"]:
+            if entry["type_name"] == type_name:
+                return str(entry["hash_string"])
+    except _UNKNOWN:
+        pass
+    return ""
+
+
+def _texts_of_message(root: str) -> dict[str, str]:
     found: dict[str, str] = {}
 
     def collect(name: str) -> None:
         package, _, short = name.partition("/")
-        text = _message_file(package, short, ".msg")
+        text = _interface_file(package, "msg", f"{short}.msg")
         found[name] = text
         for line in text.splitlines():
             match = _FIELD.match(line.partition("#")[0])
@@ -38,33 +71,14 @@ def definition_of(type_name: str) -> str:
             if dependency not in found:
                 collect(dependency)
 
-    try:
-        package, kind, short = type_name.split("/")
-        if kind != "msg":
-            return ""
-        root = f"{package}/{short}"
-        collect(root)
-    except (OSError, PackageNotFoundError, ValueError):
-        return ""
-    parts = [found.pop(root)]
-    parts += [f"{_SEPARATOR}\nMSG: {name}\n{text}" for name, text in found.items()]
-    return "\n".join(part.rstrip("\n") for part in parts) + "\n"
+    collect(root)
+    return found
 
 
-@lru_cache(maxsize=1024)
-def type_hash_of(type_name: str) -> str:
-    """Return the RIHS01 hash of `pkg/msg/T`, "" where the type is not installed."""
-    try:
-        package, _, short = type_name.split("/")
-        described = json.loads(_message_file(package, short, ".json"))
-        for entry in described["type_hashes"]:
-            if entry["type_name"] == type_name:
-                return str(entry["hash_string"])
-    except (OSError, PackageNotFoundError, ValueError, KeyError):
-        pass
-    return ""
+def _described(type_name: str) -> Any:
+    package, kind, short = type_name.split("/")
+    return json.loads(_interface_file(package, kind, f"{interface_of(short)}.json"))
 
 
-def _message_file(package: str, short: str, suffix: str) -> str:
-    folder = Path(get_package_share_directory(package)) / "msg"
-    return (folder / f"{short}{suffix}").read_text(encoding="utf-8")
+def _interface_file(package: str, kind: str, name: str) -> str:
+    return (Path(get_package_share_directory(package)) / kind / name).read_text(encoding="utf-8")

@@ -29,6 +29,28 @@ ROBOTCTL = str(Path(sys.executable).with_name("robotctl"))
 SHARED_MEMORY = Path("/dev/shm")
 DEADLINE_S = 30.0
 
+STATUS_KEYS = {
+    "robot",
+    "version",
+    "pid",
+    "mode",
+    "phase",
+    "mode_reason",
+    "pose",
+    "velocity",
+    "battery",
+    "sim",
+    "topics",
+    "recorder",
+    "warnings",
+    "domain_id",
+    "discovery_range",
+    "scheduling",
+    "socket",
+    "uptime_s",
+}
+"""What `status --json` always has."""
+
 
 @dataclass(frozen=True, slots=True)
 class Ran:

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.testing.world import Peer, Ran, World, new_world, read_back, until
+from robotctl.testing.world import STATUS_KEYS, Peer, Ran, World, new_world, read_back, until
 
 COMMANDS = 200
 
@@ -93,8 +93,6 @@ def test_it_records_a_foreign_stack_with_its_commands(observed: Observed) -> Non
 
 
 def test_its_status_has_the_same_keys_and_no_robot(observed: Observed) -> None:
-    from tests.daemon.test_session import STATUS_KEYS
-
     assert set(observed.status) == STATUS_KEYS
     robot = ("mode", "phase", "mode_reason", "pose", "velocity", "battery", "sim")
     assert [observed.status[key] for key in robot] == [None] * 7

@@ -15,28 +15,7 @@ import pytest
 
 from robotctl.recording.journal import JournalEntry, Kind
 from robotctl.replay.rerun import rerun
-from robotctl.testing.world import Peer, World, journal_of, new_world, read_back, until
-
-STATUS_KEYS = {
-    "robot",
-    "version",
-    "pid",
-    "mode",
-    "phase",
-    "mode_reason",
-    "pose",
-    "velocity",
-    "battery",
-    "sim",
-    "topics",
-    "recorder",
-    "warnings",
-    "domain_id",
-    "discovery_range",
-    "scheduling",
-    "socket",
-    "uptime_s",
-}
+from robotctl.testing.world import STATUS_KEYS, Peer, World, journal_of, new_world, read_back, until
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,6 +247,21 @@ def test_every_topic_is_recorded(session: Session) -> None:
 def test_every_message_is_recorded_from_the_first_to_the_last(session: Session, topic: str) -> None:
     sequence = [message.sequence for message in session.topics[topic]]
     assert sequence == list(range(1, len(sequence) + 1))
+
+
+def test_every_call_of_the_service_is_recorded_with_its_answer(session: Session) -> None:
+    from rclpy.serialization import deserialize_message
+
+    from robotctl.ros.message_types import message_class
+
+    kind = message_class("robot_controller/srv/SetMode_Event")
+    events = [
+        deserialize_message(message.data, kind)
+        for message in session.topics["/set_mode/_service_event"]
+    ]
+    answers = [event.response[0].message for event in events if event.response]
+    assert sorted(answers) == sorted(call["message"] for call in session.calls.values())
+    assert len([event for event in events if event.request]) == len(answers)
 
 
 def test_the_recording_holds_what_others_received(session: Session) -> None:

@@ -13,6 +13,7 @@ import tempfile
 import time
 import warnings
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -135,6 +136,57 @@ def turns_while_waiting() -> Callable[[], Awaitable[int]]:
         return turns
 
     return count
+
+
+class Taken:
+    """What a tap handed over, by topic."""
+
+    def __init__(self) -> None:
+        self.tap: Any = None
+        self.topics: dict[str, Any] = {}
+        self.messages: dict[str, list[tuple[Any, ...]]] = {}
+        self.unwanted: set[str] = set()
+
+    def open(self, topic: Any) -> Callable[..., None]:
+        self.topics[topic.name] = topic
+        taken = self.messages.setdefault(topic.name, [])
+        return lambda *message: taken.append(message)
+
+    def wanted(self, topic: str, type_name: str) -> bool:
+        return not self.unwanted & {topic, type_name}
+
+    def values(self, topic: str) -> list[int]:
+        """The numbers of std_msgs/UInt64 messages."""
+        return [int.from_bytes(message[0][4:12], "little") for message in self.messages[topic]]
+
+
+@pytest.fixture
+def new_taken() -> type[Taken]:
+    """Makes what keeps the messages of a tap."""
+    return Taken
+
+
+@pytest.fixture
+async def session(domain_id: int) -> AsyncIterator[Any]:
+    """A session of the daemon's kind."""
+    from robotctl.ros.session import ros_session
+
+    async with ros_session(domain_id=domain_id, namespace="") as made:
+        yield made
+
+
+@pytest.fixture
+async def taken(session: Any) -> AsyncIterator[Taken]:
+    """What a running tap takes."""
+    from robotctl.ros.tap import Tap
+
+    made = Taken()
+    made.tap = Tap(session, made.open, made.wanted)
+    running = asyncio.create_task(made.tap.run())
+    yield made
+    running.cancel()
+    with suppress(asyncio.CancelledError):
+        await running
 
 
 class Peer:

@@ -2,56 +2,19 @@
 
 from __future__ import annotations
 
-import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import suppress
+from collections.abc import Awaitable, Callable
 from typing import Any
 
 import pytest
 import yaml
 
 from robotctl.ros import qos, tap
-from robotctl.ros.session import Session, ros_session
+from robotctl.ros.session import Session
 from robotctl.ros.tap import Tap, TappedTopic
+from robotctl.ros.tapped import TappedSubscription
 from robotctl.ros.type_definition import definition_of, type_hash_of
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
-
-
-class Taken:
-    """What the tap handed over, by topic."""
-
-    def __init__(self) -> None:
-        self.topics: dict[str, TappedTopic] = {}
-        self.messages: dict[str, list[tuple[Any, ...]]] = {}
-
-    def open(self, topic: TappedTopic) -> Callable[..., None]:
-        self.topics[topic.name] = topic
-        taken = self.messages.setdefault(topic.name, [])
-        return lambda *message: taken.append(message)
-
-    def values(self, topic: str) -> list[int]:
-        """The numbers of std_msgs/UInt64 messages."""
-        return [int.from_bytes(message[0][4:12], "little") for message in self.messages[topic]]
-
-
-@pytest.fixture
-async def session(domain_id: int) -> AsyncIterator[Session]:
-    """A session of the daemon's kind."""
-    async with ros_session(domain_id=domain_id, namespace="") as made:
-        yield made
-
-
-@pytest.fixture
-async def taken(session: Session) -> AsyncIterator[Taken]:
-    """What a running tap takes."""
-    made = Taken()
-    made.tap = Tap(session, made.open)  # type: ignore[attr-defined]
-    running = asyncio.create_task(made.tap.run())  # type: ignore[attr-defined]
-    yield made
-    running.cancel()
-    with suppress(asyncio.CancelledError):
-        await running
 
 
 def publisher(node: Any, topic: str, profile: Any = 10, kind: Any = None) -> Any:
@@ -67,7 +30,7 @@ def number(value: int) -> Any:
 
 
 async def test_a_foreign_topic_is_taken_with_all_that_describes_it(
-    taken: Taken, node: Any, topic: str, until: Until
+    taken: Any, node: Any, topic: str, until: Until
 ) -> None:
     published = publisher(node, topic)
     await until(published.get_subscription_count)
@@ -88,9 +51,9 @@ async def test_a_foreign_topic_is_taken_with_all_that_describes_it(
 
 
 async def test_our_own_topic_is_taken_from_its_first_message(
-    session: Session, topic: str, until: Until
+    session: Session, new_taken: Callable[[], Any], topic: str, until: Until
 ) -> None:
-    taken = Taken()
+    taken = new_taken()
     Tap(session, taken.open).subscribe_own(topic, "std_msgs/msg/UInt64", qos.COMMAND)
     publisher(session.node("ours"), topic).publish(number(1))
     await until(lambda: taken.messages[topic])
@@ -98,7 +61,7 @@ async def test_our_own_topic_is_taken_from_its_first_message(
 
 
 async def test_a_publisher_that_offers_less_is_taken_as_well(
-    taken: Taken, node: Any, topic: str, until: Until
+    taken: Any, node: Any, topic: str, until: Until
 ) -> None:
     reliable = publisher(node, topic)
     await until(reliable.get_subscription_count)
@@ -110,7 +73,7 @@ async def test_a_publisher_that_offers_less_is_taken_as_well(
 
 
 async def test_a_latched_message_from_before_is_taken(
-    taken: Taken, node: Any, topic: str, until: Until
+    taken: Any, node: Any, topic: str, until: Until
 ) -> None:
     publisher(node, topic, qos.LATCHED).publish(number(9))
     await until(lambda: topic in taken.messages and taken.messages[topic])
@@ -118,12 +81,12 @@ async def test_a_latched_message_from_before_is_taken(
 
 
 async def test_what_nobody_publishes_and_what_comes_otherwise_are_not_subscribed_to(
-    taken: Taken, node: Any, topic: str, until: Until
+    taken: Any, node: Any, topic: str, until: Until
 ) -> None:
     from std_msgs.msg import UInt64
 
     node.create_subscription(UInt64, f"{topic}_listened", print, 10)
-    sink = taken.tap.reserve(TappedTopic("/reserved", "", "", "", ""))  # type: ignore[attr-defined]
+    sink = taken.tap.reserve(TappedTopic("/reserved", "", "", "", ""))
     reserved = publisher(node, "/reserved")
     publisher(node, topic)
     await until(lambda: topic in taken.topics)
@@ -134,7 +97,7 @@ async def test_what_nobody_publishes_and_what_comes_otherwise_are_not_subscribed
 
 
 async def test_a_type_that_is_not_installed_is_named_and_the_others_go_on(
-    taken: Taken, node: Any, topic: str, until: Until, monkeypatch: pytest.MonkeyPatch
+    taken: Any, node: Any, topic: str, until: Until, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from std_msgs.msg import String
 
@@ -147,7 +110,7 @@ async def test_a_type_that_is_not_installed_is_named_and_the_others_go_on(
 
     monkeypatch.setattr(tap, "_load", missing)
     publisher(node, f"{topic}_foreign", kind=String)
-    problems = taken.tap.problems  # type: ignore[attr-defined]
+    problems = taken.tap.problems
     await until(lambda: problems)
     publisher(node, topic)
     await until(lambda: topic in taken.topics)
@@ -158,18 +121,18 @@ async def test_a_type_that_is_not_installed_is_named_and_the_others_go_on(
 
 
 async def test_a_subscription_that_fails_is_named_and_the_others_go_on(
-    taken: Taken, node: Any, topic: str, until: Until, monkeypatch: pytest.MonkeyPatch
+    taken: Any, node: Any, topic: str, until: Until, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    create = Tap._create
+    create = TappedSubscription._create
 
-    def failing(self: Tap, message_type: Any, name: str, wanted: Any) -> Any:
-        if name.endswith("_bad"):
+    def failing(self: TappedSubscription) -> Any:
+        if self.topic.endswith("_bad"):
             raise RuntimeError("injected")
-        return create(self, message_type, name, wanted)
+        return create(self)
 
-    monkeypatch.setattr(Tap, "_create", failing)
+    monkeypatch.setattr(TappedSubscription, "_create", failing)
     publisher(node, f"{topic}_bad")
-    problems = taken.tap.problems  # type: ignore[attr-defined]
+    problems = taken.tap.problems
     await until(lambda: problems)
     publisher(node, topic)
     await until(lambda: topic in taken.topics)
@@ -177,7 +140,7 @@ async def test_a_subscription_that_fails_is_named_and_the_others_go_on(
 
 
 async def test_a_second_type_of_a_topic_is_named_until_it_is_gone(
-    taken: Taken, node: Any, new_context: Callable[[], Any], topic: str, until: Until
+    taken: Any, node: Any, new_context: Callable[[], Any], topic: str, until: Until
 ) -> None:
     from rclpy.node import Node
     from std_msgs.msg import String
@@ -186,7 +149,7 @@ async def test_a_second_type_of_a_topic_is_named_until_it_is_gone(
     await until(lambda: topic in taken.topics)
     other = Node("other", context=new_context())
     second = publisher(other, topic, kind=String)
-    problems = taken.tap.problems  # type: ignore[attr-defined]
+    problems = taken.tap.problems
     await until(lambda: problems)
     assert problems == {
         topic: f"{topic} is recorded as std_msgs/msg/UInt64, not as std_msgs/msg/String"
@@ -217,7 +180,7 @@ def test_a_definition_holds_its_dependencies_once_in_rosbag2s_form() -> None:
     assert sections[0].rstrip().endswith("geometry_msgs/TwistWithCovariance twist")
 
 
-@pytest.mark.parametrize("name", ["nope/msg/Nope", "std_msgs/msg/Nope", "std_srvs/srv/Empty", "x"])
+@pytest.mark.parametrize("name", ["nope/msg/Nope", "std_msgs/msg/Nope", "std_srvs/srv/Nope", "x"])
 def test_what_has_no_definition_has_none(name: str) -> None:
     assert (definition_of(name), type_hash_of(name)) == ("", "")
 

@@ -1,0 +1,235 @@
+"""The tap goes along with a graph that changes: topics, types and publishers come and go."""
+
+from __future__ import annotations
+
+import os
+import resource
+from collections.abc import Awaitable, Callable, Iterator
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from robotctl.ros import proof, qos, tap
+from robotctl.ros.session import Session
+from robotctl.ros.tap import Tap
+
+Until = Callable[[Callable[[], object]], Awaitable[None]]
+
+MANY = 150
+
+
+@pytest.fixture
+def other(new_context: Callable[[], Any]) -> Iterator[Any]:
+    """A node of another participant: one can have a topic with one type only."""
+    from rclpy.node import Node
+
+    made = Node("other", context=new_context())
+    yield made
+    made.destroy_node()
+
+
+def publisher(node: Any, topic: str, profile: Any = 10) -> Any:
+    from std_msgs.msg import UInt64
+
+    return node.create_publisher(UInt64, topic, profile)
+
+
+def text_publisher(node: Any, topic: str) -> Any:
+    from std_msgs.msg import String
+
+    return node.create_publisher(String, topic, 10)
+
+
+def number(value: int) -> Any:
+    from std_msgs.msg import UInt64
+
+    return UInt64(data=value)
+
+
+# Topics
+
+
+async def test_a_topic_that_vanishes_and_comes_back_is_taken_again(
+    taken: Any, other: Any, topic: str, until: Until
+) -> None:
+    for value in (1, 2):
+        published = publisher(other, topic)
+        await until(published.get_subscription_count)
+        published.publish(number(value))
+        await until(lambda value=value: taken.values(topic)[-1:] == [value])
+        other.destroy_publisher(published)
+    sequences = [message[3] for message in taken.messages[topic]]
+    assert sequences == [1, 1]
+    assert len({message[4] for message in taken.messages[topic]}) == 2  # it is another publisher
+
+
+async def test_a_topic_that_comes_back_with_another_type_is_taken_as_that(
+    taken: Any, other: Any, topic: str, until: Until
+) -> None:
+    from std_msgs.msg import String
+
+    first = publisher(other, topic)
+    await until(first.get_subscription_count)
+    other.destroy_publisher(first)
+    second = text_publisher(other, topic)
+    await until(second.get_subscription_count)
+    second.publish(String(data="as text"))
+    await until(lambda: taken.messages[topic])
+    assert taken.topics[topic].type_name == "std_msgs/msg/String"
+    assert b"as text" in taken.messages[topic][0][0]
+    await until(lambda: not taken.tap.problems)
+
+
+async def test_a_topic_that_nobody_publishes_for_long_is_given_back(
+    taken: Any, other: Any, topic: str, until: Until, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    published = publisher(other, topic)
+    await until(published.get_subscription_count)
+    other.destroy_publisher(published)
+    await until(lambda: other.count_publishers(topic) == 0)
+    assert other.count_subscribers(topic) == 1  # it may come back any moment
+    monkeypatch.setattr(tap, "ABANDONED_S", 0.0)
+    await until(lambda: other.count_subscribers(topic) == 0)
+
+
+async def test_of_several_types_the_most_published_is_taken_and_the_others_are_named(
+    session: Session,
+    new_taken: Callable[[], Any],
+    node: Any,
+    other: Any,
+    topic: str,
+    until: Until,
+) -> None:
+    kept = [publisher(node, topic), publisher(node, topic), text_publisher(other, topic)]
+    taken = new_taken()
+    tap = Tap(session, taken.open)
+    await until(lambda: len(tap._node.get_publishers_info_by_topic(topic)) == len(kept))
+    await tap._look()
+    assert taken.topics[topic].type_name == "std_msgs/msg/UInt64"
+    assert tap.problems == {
+        topic: f"{topic} is recorded as std_msgs/msg/UInt64, not as std_msgs/msg/String"
+    }
+
+
+async def test_what_is_not_wanted_is_left_alone(
+    taken: Any, node: Any, topic: str, until: Until
+) -> None:
+    unwanted = publisher(node, f"{topic}_unwanted")
+    taken.unwanted = {f"{topic}_unwanted", "std_msgs/msg/String"}
+    text = text_publisher(node, f"{topic}_text")
+    publisher(node, topic)
+    await until(lambda: topic in taken.topics)
+    assert unwanted.get_subscription_count() == 0
+    assert text.get_subscription_count() == 0
+    assert taken.tap.problems == {}
+
+
+async def test_hidden_topics_are_taken_but_for_the_executors_own(
+    taken: Any, node: Any, topic: str, until: Until
+) -> None:
+    hidden = topic.replace("/", "/_")
+    own = publisher(node, f"{proof.TOPIC_PREFIX}4711")
+    published = publisher(node, hidden)
+    await until(published.get_subscription_count)
+    published.publish(number(3))
+    await until(lambda: taken.messages[hidden])
+    publisher(node, topic)
+    await until(lambda: topic in taken.topics)
+    assert own.get_subscription_count() == 0
+
+
+async def test_the_feedback_and_the_status_of_an_action_are_taken(
+    taken: Any, node: Any, topic: str, until: Until, borrowed_action: ModuleType
+) -> None:
+    from rclpy.action import ActionServer
+
+    server = ActionServer(node, borrowed_action.Count, topic, lambda handle: None)
+    feedback, status = f"{topic}/_action/feedback", f"{topic}/_action/status"
+    await until(lambda: {feedback, status} <= taken.topics.keys())
+    assert taken.topics[status].type_name == "action_msgs/msg/GoalStatusArray"
+    assert "durability: transient_local" in taken.topics[status].offered_qos
+    server.destroy()
+
+
+async def test_the_events_of_a_service_are_taken_with_a_schema_that_decodes_them(
+    taken: Any, executor: Any, node: Any, topic: str, until: Until
+) -> None:
+    from rclpy.service_introspection import ServiceIntrospectionState
+    from robot_controller.srv import SetMode
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    def answer(request: Any, response: Any) -> Any:
+        response.message = "because"
+        return response
+
+    service = node.create_service(SetMode, topic, answer)
+    service.configure_introspection(
+        node.get_clock(), qos.SERVICE_EVENTS, ServiceIntrospectionState.CONTENTS
+    )
+    events = f"{topic}/_service_event"
+    await until(lambda: events in taken.topics)
+    await until(lambda: node.count_subscribers(events) == 1)
+    client = node.create_client(SetMode, topic)
+    await executor.wait_for_service(client, timeout_s=20.0)
+    await executor.call(client, SetMode.Request(requested_mode=3), timeout_s=20.0)
+    await until(lambda: len(taken.messages[events]) == 2)
+    described = taken.topics[events]
+    assert described.type_name == "robot_controller/srv/SetMode_Event"
+    (info,) = node.get_publishers_info_by_topic(events)
+    assert described.type_hash == str(info.topic_type_hash)
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(described.definition, described.type_name))
+    asked, answered = (
+        store.deserialize_cdr(message[0], "robot_controller/srv/msg/SetMode_Event")
+        for message in taken.messages[events]
+    )
+    assert (asked.info.event_type, asked.request[0].requested_mode) == (1, 3)
+    assert (answered.info.event_type, answered.response[0].message) == (2, "because")
+
+
+# Publishers
+
+
+async def test_a_publisher_that_is_replaced_by_one_that_offers_less_is_taken_as_well(
+    taken: Any, node: Any, other: Any, topic: str, until: Until
+) -> None:
+    steady, first = publisher(node, topic), publisher(other, topic)
+    await until(lambda: steady.get_subscription_count() and first.get_subscription_count())
+    other.destroy_publisher(first)
+    weaker = publisher(other, topic, qos.SENSOR)
+    await until(weaker.get_subscription_count)
+    weaker.publish(number(7))
+    await until(lambda: 7 in taken.values(topic))
+
+
+async def test_hundreds_of_topics_take_one_file_each(
+    taken: Any, other: Any, topic: str, until: Until
+) -> None:
+    files = len(os.listdir("/proc/self/fd"))
+    published = [publisher(other, f"{topic}_{index}") for index in range(MANY)]
+    await until(lambda: all(each.get_subscription_count() for each in published))
+    taken_files = len(os.listdir("/proc/self/fd")) - files
+    for index, each in enumerate(published):
+        each.publish(number(index))
+    await until(lambda: all(taken.values(f"{topic}_{index}") == [index] for index in range(MANY)))
+    assert MANY <= taken_files < MANY + 20
+
+
+async def test_a_topic_too_many_is_named_and_the_process_keeps_its_files(
+    session: Session,
+    new_taken: Callable[[], Any],
+    node: Any,
+    topic: str,
+    until: Until,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(resource, "getrlimit", lambda what: (2, 2))
+    taken = new_taken()
+    tap = Tap(session, taken.open)
+    kept = [publisher(node, f"{topic}_{index}") for index in range(2)]
+    await until(lambda: all(tap._node.count_publishers(each.topic_name) for each in kept))
+    await tap._look()
+    assert len(taken.topics) == 1
+    (problem, *_) = tap.problems.values()
+    assert "there are more topics than 2 open files allow (see ulimit -n)" in problem
