@@ -30,6 +30,8 @@ MAX_FILE_BYTES = 1_000_000
 
 
 _TOPIC = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+_PATTERN = re.compile(r"(?:type:|(?=[/*?\[]))[A-Za-z0-9_/*?!\[\]-]{1,300}")
+PATTERN_HELP = "a topic (/scan), a glob (/camera/*) or a type (type:sensor_msgs/msg/Image)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,12 +39,16 @@ class RecordingParams:
     """How traffic is recorded, and for how long.
 
     `compression` is zstd or none. At a start the oldest recordings are removed until no more than
-    `max_total_gb` are left and none is older than `max_age_days`; 0 keeps all.
+    `max_total_gb` are left and none is older than `max_age_days`; 0 keeps all. Of the topics
+    those are recorded that a pattern of `include` matches, all where there is none, but for those
+    that a pattern of `exclude` matches.
     """
 
     compression: str = field(default="zstd", metadata={"choices": ("zstd", "none")})
     max_total_gb: float = bounded(20.0, 0.0, 1e6, "GB")
     max_age_days: float = bounded(30.0, 0.0, 1e5, "days")
+    include: tuple[str, ...] = ()
+    exclude: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,8 +122,14 @@ def flat(config: Config) -> dict[str, object]:
         value: Any = config
         for name in path:
             value = getattr(value, name)
-        values[key] = value.value if isinstance(value, Enum) else value
+        values[key] = _as_in_file(value)
     return values
+
+
+def _as_in_file(value: Any) -> object:
+    if isinstance(value, Enum):
+        return value.value
+    return list(value) if isinstance(value, tuple) else value
 
 
 def _leaves(config: Config) -> Iterator[tuple[str, tuple[str, ...]]]:
@@ -144,7 +156,9 @@ def _replaced(section: Any, path: tuple[str, ...], key: str, value: object) -> A
     return replace(section, **{name: _checked(key, value, kind, item.metadata)})
 
 
-def _checked(key: str, value: object, kind: type, metadata: Mapping[str, Any]) -> object:
+def _checked(key: str, value: object, kind: Any, metadata: Mapping[str, Any]) -> object:
+    if kind == tuple[str, ...]:
+        return _checked_patterns(key, value)
     if issubclass(kind, Enum):
         choices = {member.value: member for member in kind}
         if isinstance(value, str) and value in choices:
@@ -170,6 +184,20 @@ def _checked(key: str, value: object, kind: type, metadata: Mapping[str, Any]) -
         if not low <= value <= high:
             raise _not_allowed(key, value, f"use {low} to {high}")
     return value
+
+
+def _checked_patterns(key: str, value: object) -> tuple[str, ...]:
+    if not isinstance(value, list):
+        raise _not_allowed(key, value, f"use a list, each {PATTERN_HELP}")
+    for pattern in value:
+        if not is_topic_pattern(pattern):
+            raise _not_allowed(key, pattern, f"use {PATTERN_HELP}")
+    return tuple(value)
+
+
+def is_topic_pattern(value: object) -> bool:
+    """Say whether a text can name topics: it is PATTERN_HELP."""
+    return isinstance(value, str) and _PATTERN.fullmatch(value) is not None
 
 
 def _is_topic(value: object, *, optional: bool) -> bool:

@@ -19,6 +19,14 @@ def write(folder: Path, content: str | bytes) -> Path:
 
 
 BAD = {
+    "patterns that are no list": (
+        "recording.exclude: /camera",
+        "'/camera' is not allowed: use a list",
+    ),
+    "a pattern with a line break": ('recording.include: ["/a\\n"]', "use a topic (/scan), a glob"),
+    "a pattern that steers a terminal": ('recording.exclude: ["/\\e[2J"]', "is not allowed"),
+    "a pattern that is no text": ("recording.exclude: [/a, 7]", "7 is not allowed: use a topic"),
+    "a relative name": ("recording.exclude: [camera]", "'camera' is not allowed: use a topic"),
     "unknown key": ("limits.linear_mp: 1", "limits.linear_mp: no such key: did you mean"),
     "unknown section": ("wheels: {radius: 1}", "wheels.radius: no such key"),
     "a section as a value": ("limits: 3", "limits: no such key"),
@@ -157,3 +165,11 @@ def test_a_whole_number_is_a_number(tmp_path: Path) -> None:
 
 def test_a_robot_may_have_no_battery_topic(tmp_path: Path) -> None:
     assert load(write(tmp_path, 'battery.topic: ""')).kernel.battery.topic == ""
+
+
+def test_patterns_of_topics_are_read_as_they_stand(tmp_path: Path) -> None:
+    content = "recording:\n  exclude: [/camera/*, 'type:sensor_msgs/msg/Image']\n  include: ['*']\n"
+    config = load(write(tmp_path, content))
+    assert config.recording.exclude == ("/camera/*", "type:sensor_msgs/msg/Image")
+    assert config.recording.include == ("*",)
+    assert load(write(tmp_path, yaml.safe_dump(flat(config)))) == config

@@ -45,6 +45,8 @@ class StartOptions:
     sim: bool | None = None
     domain_id: int | None = None
     observe: bool = False
+    include: tuple[str, ...] = ()
+    exclude: tuple[str, ...] = ()
 
     def command(self) -> list[str]:
         """The daemon's command line."""
@@ -57,6 +59,8 @@ class StartOptions:
             command.append("--sim" if self.sim else "--no-sim")
         if self.observe:
             command.append("--observe")
+        command += [f"--include={pattern}" for pattern in self.include]
+        command += [f"--exclude={pattern}" for pattern in self.exclude]
         return command
 
 

@@ -52,6 +52,14 @@ def start(
             "--observe", help="Only record, beside anybody's stack: no command, no mode, no robot."
         ),
     ] = False,
+    include: Annotated[
+        list[str] | None,
+        typer.Option(metavar="PATTERN", help="Record only these topics; may be repeated."),
+    ] = None,
+    exclude: Annotated[
+        list[str] | None,
+        typer.Option(metavar="PATTERN", help="Do not record these topics; may be repeated."),
+    ] = None,
     domain_id: Annotated[
         int | None, typer.Option(metavar="N", help="ROS domain [default: ROS_DOMAIN_ID, or 0].")
     ] = None,
@@ -64,6 +72,10 @@ def start(
 
     It records every topic from the first message on. Nothing moves before you say so.
 
+    A PATTERN is a topic (/scan), a glob (/camera/*) or a type
+    (type:sensor_msgs/msg/Image); several may stand between commas. What proves a drive
+    is always recorded: command, odometry, robot status and journal.
+
     \b
     Examples:
       robotctl start
@@ -71,6 +83,7 @@ def start(
       robotctl start --no-sim --config robot.yaml --recordings /data
       robotctl start --robot r2 --domain-id 5
       robotctl start --observe --recordings /data
+      robotctl start --exclude '/camera/*,type:sensor_msgs/msg/PointCloud2'
     """
     options = StartOptions(
         robot=check_robot_name(robot),
@@ -80,6 +93,8 @@ def start(
         sim=sim,
         domain_id=domain_id,
         observe=observe,
+        include=tuple(include or ()),
+        exclude=tuple(exclude or ()),
     )
     if foreground:
         command = options.command()

@@ -31,7 +31,7 @@ async def serve(options: DaemonOptions, notes: list[str], on_ready: Ready) -> No
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, stop.set)
-    config = load(options.config) if options.config is not None else Config()
+    config = options.applied_to(load(options.config) if options.config else Config())
     address = socket_path(options.robot)
     alone = is_alone(options.domain_id)
     supervisor = Supervisor()

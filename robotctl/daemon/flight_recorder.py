@@ -18,6 +18,7 @@ from robotctl.daemon.statistics import RateMeter
 from robotctl.daemon.supervisor import Work
 from robotctl.recording.events import RecordedEvent
 from robotctl.recording.recorder import Topic
+from robotctl.recording.topic_filter import TopicFilter
 from robotctl.ros.journal_publisher import JournalPublisher
 from robotctl.ros.raw import UNKNOWN_GID, Sink
 from robotctl.ros.session import Session
@@ -29,7 +30,11 @@ SAMPLE_PERIOD_S = 1.0
 
 
 class FlightRecorder:
-    """Recorder and tap; it records from here on, foreign topics while its work runs."""
+    """Recorder and tap; it records from here on, foreign topics while its work runs.
+
+    What proves a drive is recorded whatever the filters say: command, odometry, robot status and
+    journal.
+    """
 
     def __init__(
         self,
@@ -48,7 +53,11 @@ class FlightRecorder:
             options.recordings, options.robot, config, mode, on_failure, on_split
         )
         self._rates = RateMeter()
-        self.tap = Tap(session, self._open_sink)
+        proof = (config.kernel.command.topic, config.kernel.odometry.topic, "robot_status")
+        self._filter = TopicFilter(
+            config.recording.include, config.recording.exclude, map(session.resolve, proof)
+        )
+        self.tap = Tap(session, self._open_sink, self._filter.records)
 
     def work(self) -> dict[str, Work]:
         """Return the tasks."""

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import argparse
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from robotctl.config import PATTERN_HELP, Config, is_topic_pattern
 from robotctl.errors import UsageError
 from robotctl.kernel.patterns import PatternKind
 from robotctl.paths import DEFAULT_ROBOT, check_robot_name, namespace_of
@@ -28,10 +29,20 @@ class DaemonOptions:
     observe: bool = False
     """Record, and do nothing else."""
 
+    include: tuple[str, ...] = ()
+    exclude: tuple[str, ...] = ()
+    """Patterns of topics, beside those of the configuration."""
+
     @property
     def namespace(self) -> str:
         """The robot's ROS namespace."""
         return namespace_of(self.robot)
+
+    def applied_to(self, config: Config) -> Config:
+        """Return the configuration with what the command line adds to it."""
+        given = config.recording
+        include, exclude = (*given.include, *self.include), (*given.exclude, *self.exclude)
+        return replace(config, recording=replace(given, include=include, exclude=exclude))
 
 
 def parse(arguments: list[str]) -> DaemonOptions:
@@ -44,6 +55,8 @@ def parse(arguments: list[str]) -> DaemonOptions:
     parser.add_argument("--sim", action=argparse.BooleanOptionalAction)
     parser.add_argument("--domain-id", type=int)
     parser.add_argument("--observe", action="store_true")
+    parser.add_argument("--include", action="append", default=[])
+    parser.add_argument("--exclude", action="append", default=[])
     parser.add_argument("--ready-fd", type=int)
     given = parser.parse_args(arguments)
     if given.observe and (given.drive or given.sim):
@@ -58,7 +71,18 @@ def parse(arguments: list[str]) -> DaemonOptions:
         sim=given.sim,
         domain_id=resolve_domain_id(given.domain_id),
         observe=given.observe,
+        include=_patterns("--include", given.include),
+        exclude=_patterns("--exclude", given.exclude),
     )
+
+
+def _patterns(option: str, given: list[str]) -> tuple[str, ...]:
+    """Return the patterns of an option that may be repeated, and hold several between commas."""
+    patterns = [pattern for text in given for pattern in text.split(",")]
+    for pattern in patterns:
+        if not is_topic_pattern(pattern):
+            raise UsageError(f"{option}: {pattern!r} is not allowed: use {PATTERN_HELP}")
+    return tuple(patterns)
 
 
 def parse_ready_fd(arguments: list[str]) -> int | None:

@@ -27,6 +27,10 @@ class Session:
         """How the kernel schedules the loop's thread, in words."""
         return self._executor.scheduling
 
+    def resolve(self, topic: str) -> str:
+        """Return the full name of a topic that may be relative to the robot's namespace."""
+        return topic if topic.startswith("/") else f"{self._namespace}/{topic}"
+
     def node(self, name: str) -> Node:
         """Create a node in the robot's namespace; parameters come from the configuration only."""
         node = Node(

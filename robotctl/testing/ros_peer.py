@@ -122,6 +122,7 @@ class Peer:
         for _ in range(count):
             publisher.publish(message_type())
         assert publisher.wait_for_all_acked(Duration(seconds=DEADLINE_S))
+        self.node.destroy_publisher(publisher)
 
     def end(self) -> None:
         """Publish no more."""

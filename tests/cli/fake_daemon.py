@@ -183,6 +183,8 @@ def main() -> None:
     parser.add_argument("--sim", action=argparse.BooleanOptionalAction)
     parser.add_argument("--domain-id", type=int, default=0)
     parser.add_argument("--observe", action="store_true")
+    parser.add_argument("--include", action="append")
+    parser.add_argument("--exclude", action="append")
     parser.add_argument("--ready-fd", type=int)
     options = parser.parse_args()
     failure = os.environ.get("FAKE_START")
