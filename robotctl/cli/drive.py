@@ -104,8 +104,9 @@ def tracking_lines(result: dict[str, Any]) -> list[str]:
         number(result.get(key), ".3f")
         for key in ("cross_track_rms_m", "cross_track_max_m", "closure_m", "distance_m")
     )
+    laps = result.get("laps")
     return [
-        f"  driven      {result.get('laps')} lap(s), {distance} m",
+        f"  driven      {laps} {'lap' if laps == 1 else 'laps'}, {distance} m",
         f"  off track   {rms} m RMS, {worst} m at most",
         f"  closure     {closure} m between start and end",
     ]

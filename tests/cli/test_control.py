@@ -149,7 +149,7 @@ def test_drive_wait_ends_with_the_tracking_numbers(daemon: None, cli: Callable[.
     ran = cli("drive", "square", "--wait")
     assert ran.out.splitlines() == [
         "Drive finished",
-        "  driven      1 lap(s), 4.000 m",
+        "  driven      1 lap, 4.000 m",
         "  off track   0.008 m RMS, 0.021 m at most",
         "  closure     0.012 m between start and end",
     ]
