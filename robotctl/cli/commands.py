@@ -25,6 +25,7 @@ MODULES = {
     "recordings": "recordings",
     "info": "info",
     "recover": "recover",
+    "clip": "clip",
     "replay": "replay",
     "sim": "sim",
     "demo": "demo",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,21 +33,17 @@ class CatalogFile:
 
 @dataclass(frozen=True, slots=True)
 class CatalogFolder:
-    """A recording of ours: `files` in their order, at least one."""
+    """A recording of ours: `files` in their order, and the clips that were cut out of it."""
 
     path: Path
     files: tuple[CatalogFile, ...]
+    clips: tuple[CatalogFile, ...]
     kept: bool
 
     @property
     def live(self) -> bool:
         """A living process is recording into it."""
         return any(file.live for file in self.files)
-
-    @property
-    def size(self) -> int:
-        """Bytes of its files."""
-        return sum(file.size for file in self.files)
 
 
 def own_recordings(recordings: Path) -> Iterator[CatalogFolder]:
@@ -60,9 +56,9 @@ def own_recordings(recordings: Path) -> Iterator[CatalogFolder]:
         if folder.is_symlink() or not folder.is_dir():
             continue
         with suppress(OSError):
-            files = tuple(_files(folder))
-            if files:
-                yield CatalogFolder(folder, files, (folder / KEEP_FILE).exists())
+            files, clips = tuple(_files(folder)), tuple(_clips(folder))
+            if files or clips:
+                yield CatalogFolder(folder, files, clips, (folder / KEEP_FILE).exists())
 
 
 def set_kept(folder: Path, kept: bool) -> None:
@@ -77,7 +73,17 @@ def _files(folder: Path) -> Iterator[CatalogFile]:
     name = re.compile(re.escape(folder.name) + r"_(\d+)\.mcap")
     numbered = [(name.fullmatch(path.name), path) for path in folder.iterdir()]
     ours = sorted((int(match[1]), path) for match, path in numbered if match)
-    for _, path in ours:
+    yield from _own(path for _, path in ours)
+
+
+def _clips(folder: Path) -> Iterator[CatalogFile]:
+    clips = folder / CLIPS_FOLDER
+    if clips.is_dir() and not clips.is_symlink():
+        yield from _own(sorted(clips.glob("*.mcap")))
+
+
+def _own(paths: Iterable[Path]) -> Iterator[CatalogFile]:
+    for path in paths:
         if not path.is_symlink() and path.is_file() and _is_own(path):
             stat = path.stat()
             yield CatalogFile(path, stat.st_size, stat.st_mtime, is_being_written(path))

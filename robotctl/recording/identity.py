@@ -21,6 +21,9 @@ LEDGER_RECORD = "robotctl.ledger"
 """The loss ledger since the recording began, one JSON object per topic; the last thing written:
 then the file is finished. Queued is what came while the file was being finished."""
 
+CLIP_RECORD = "robotctl.clip"
+"""In a file made by `clip`: out of which recording, around what, and what of it is missing."""
+
 RECOVERY_RECORD = "robotctl.recovery"
 """In a file made by `recover`: from which file, and what is lost."""
 

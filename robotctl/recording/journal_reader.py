@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from itertools import dropwhile
 from typing import NamedTuple
 
 from robotctl.errors import UnreadableFile
 from robotctl.paths import DEFAULT_ROBOT, namespace_of
 from robotctl.recording.identity import INFO_RECORD
-from robotctl.recording.journal import TOPIC, TYPE_NAME, JournalEntry, decode
-from robotctl.recording.reader import Recording, RecordingInfo
+from robotctl.recording.journal import TOPIC, TYPE_NAME, JournalEntry, Kind, decode
+from robotctl.recording.reader import Message, Recording, RecordingInfo
+
+_FIRST_STEP_NS = 15 * 10**9
+"""How far back a snapshot is looked for at first; daemons write one every 10 s."""
 
 
 class Journaled(NamedTuple):
@@ -43,3 +47,42 @@ def read_journal(recording: Recording, on_missing: Callable[[str], None]) -> Ite
         raise UnreadableFile(f"{recording.path} holds no journal of robotctl")
     for message in recording.in_order_written({topic}, on_missing):
         yield Journaled(message.log_ns, decode(message.data))
+
+
+def since_snapshot(
+    recording: Recording, moment_ns: int, on_missing: Callable[[str], None]
+) -> list[Message]:
+    """The journal from the last snapshot before a moment up to it: what leads to the state then.
+
+    Nothing where there is no snapshot before. What of it cannot be read is told to `on_missing`.
+    """
+    info = recording.info()
+    topic = journal_topic(info)
+    if topic is None or moment_ns <= info.start_ns:
+        return []
+    begin_ns = _last_snapshot_ns(recording, topic, info.start_ns, moment_ns)
+    messages = recording.messages({topic}, on_missing, (begin_ns, moment_ns - 1))
+    return list(dropwhile(lambda each: not _is_snapshot(each), messages))
+
+
+def _last_snapshot_ns(recording: Recording, topic: str, start_ns: int, moment_ns: int) -> int:
+    """The log time of the last snapshot before a moment, or the recording's beginning."""
+    step_ns = _FIRST_STEP_NS
+    while True:
+        begin_ns = max(moment_ns - step_ns, start_ns)
+        window = (begin_ns, moment_ns - 1)
+        found = [
+            message.log_ns
+            for message in recording.messages({topic}, lambda sentence: None, window)
+            if _is_snapshot(message)
+        ]
+        if found or begin_ns == start_ns:
+            return max(found, default=start_ns)
+        step_ns *= 2
+
+
+def _is_snapshot(message: Message) -> bool:
+    try:
+        return decode(message.data).kind is Kind.SNAPSHOT
+    except UnreadableFile:
+        return False

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from errno import ENOENT
 from pathlib import Path
 
 from robotctl.recording.catalog import CLIPS_FOLDER, KEEP_FILE
@@ -65,11 +67,11 @@ def list_recordings(
     `on_progress` gets recordings done and in total. Symbolic links are not followed. Raises
     OSError if `folder` cannot be listed.
     """
-    found = [(path, files) for path in sorted(folder.iterdir()) if (files := _files(path))]
-    for done, (path, files) in enumerate(found):
+    found = [path for path in sorted(folder.iterdir()) if _files(path)]
+    for done, path in enumerate(found):
         on_progress(done, len(found))
         with suppress(OSError):  # it is gone: removed by a daemon's retention, say
-            yield _listed(path, files)
+            yield list_recording(path)
     on_progress(len(found), len(found))
 
 
@@ -84,7 +86,11 @@ def _files(path: Path) -> list[Path]:
         return []
 
 
-def _listed(path: Path, files: list[Path]) -> ListedRecording:
+def list_recording(path: Path) -> ListedRecording:
+    """The recording `path`, a folder or a file. Raises OSError if it is not there."""
+    files = _files(path)
+    if not files:
+        raise FileNotFoundError(ENOENT, os.strerror(ENOENT), str(path))
     indexes: list[FileIndex] = []
     damage: list[str] = []
     live = False

@@ -14,6 +14,8 @@ from stat import S_ISDIR, S_ISREG
 from types import TracebackType
 from typing import Self
 
+from mcap.records import Channel, Metadata, Schema
+
 from robotctl.errors import UnreadableFile
 from robotctl.recording import rosbag2
 from robotctl.recording.events import RecordedEvent, events_in
@@ -156,7 +158,7 @@ class Recording:
         with_messages = [index for index in indexes if index.message_count]
         start_ns = min((index.start_ns for index in with_messages), default=0)
         end_ns = max((index.end_ns for index in with_messages), default=0)
-        metadata = [record for index in indexes for record in index.metadata]
+        metadata = self.metadata()
         return RecordingInfo(
             path=self.path,
             files=tuple(each.path for each in self._files),
@@ -172,6 +174,20 @@ class Recording:
             indexed=not any(index.scanned for index in indexes),
             missing=tuple(self.missing),
         )
+
+    def metadata(self) -> list[Metadata]:
+        """Every metadata record, in the order of the files."""
+        return [record for each in self._files for record in each.index.metadata]
+
+    def channels(self) -> dict[tuple[str, str], tuple[Channel, Schema | None]]:
+        """Of each topic and type name what the first file says about it."""
+        channels: dict[tuple[str, str], tuple[Channel, Schema | None]] = {}
+        for each in self._files:
+            for channel in each.index.channels.values():
+                schema = each.index.schemas.get(channel.schema_id)
+                key = channel.topic, schema.name if schema else ""
+                channels.setdefault(key, (channel, schema))
+        return channels
 
     def messages(
         self,

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mcap.opcode import Opcode
 
-from robotctl.errors import Refused, UnreadableFile
+from robotctl.errors import UnreadableFile
 from robotctl.recording.buffer import PlainMessage, pack
 from robotctl.recording.chunk_encoder import ChunkEncoder
 from robotctl.recording.file_index import (
@@ -23,6 +22,7 @@ from robotctl.recording.identity import LIBRARY, RECOVERY_RECORD
 from robotctl.recording.indexing import index_of
 from robotctl.recording.mcap_file import McapFile
 from robotctl.recording.mcap_input import MESSAGE_FIELDS, Damaged, InputFile, walk_records
+from robotctl.recording.new_file import new_file
 from robotctl.recording.options import Compression
 from robotctl.recording.storage import DiskFile, Storage
 
@@ -63,30 +63,11 @@ def recover(
         except Damaged as damage:
             raise UnreadableFile(f"{source} cannot be read: {damage}") from damage
         copy = _Copy(file, index, lambda done: on_progress(file.size + done, total))
-        salvage = _write_to(target, open_file, copy)
-    if not salvage.message_count and salvage.lost:
-        target.unlink()
-        raise UnreadableFile(f"{source} holds no readable message: {'; '.join(salvage.lost)}")
+        with new_file(target, open_file) as storage:
+            copy.run(storage)
+            if not copy.message_count and copy.lost:
+                raise UnreadableFile(f"{source} holds no readable message: {'; '.join(copy.lost)}")
     on_progress(total, total)
-    return salvage
-
-
-def _write_to(target: Path, open_file: Callable[[Path], Storage], copy: _Copy) -> Salvage:
-    try:
-        storage = open_file(target)
-    except OSError as error:
-        raise Refused(f"cannot write {target}: {_reason(error)}") from error
-    try:
-        copy.run(storage)
-    except BaseException as error:
-        with suppress(OSError):
-            target.unlink()
-        if isinstance(error, OSError):
-            raise Refused(f"cannot write {target}: {_reason(error)}") from error
-        raise
-    finally:
-        with suppress(OSError):  # it is synced, or it is gone
-            storage.close()
     return Salvage(target, copy.message_count, copy.attachment_count, tuple(copy.lost))
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from robotctl.recording.bag_metadata import rewrite_metadata
-from robotctl.recording.catalog import CatalogFolder, own_recordings
+from robotctl.recording.catalog import CLIPS_FOLDER, CatalogFolder, own_recordings
 from robotctl.recording.rosbag2 import METADATA_FILE
 
 DAY_S = 86_400.0
@@ -32,12 +32,12 @@ class Removed:
 def enforce(recordings: Path, policy: RetentionPolicy, now_s: float) -> list[Removed]:
     """Remove files below `recordings`, the oldest first, until `policy` holds.
 
-    Never removed: a file that is being written, a recording with a `keep` file in its folder,
-    anything that robotctl has not recorded. `now_s` is in seconds since the epoch. Blocks.
-    Raises OSError if `recordings` cannot be listed.
+    Never removed: a file that is being written, a recording with a `keep` file in its folder and
+    its clips, anything that robotctl has not recorded. `now_s` is in seconds since the epoch.
+    Blocks. Raises OSError if `recordings` cannot be listed.
     """
     folders = list(own_recordings(recordings))
-    files = [(file, folder) for folder in folders for file in folder.files]
+    files = [(file, folder) for folder in folders for file in (*folder.files, *folder.clips)]
     files.sort(key=lambda pair: (pair[0].modified_s, pair[0].path))
     total = sum(file.size for file, _ in files)
     removed: list[Removed] = []
@@ -64,7 +64,10 @@ def _tidy(folder: CatalogFolder, removed: set[Path]) -> None:
         return  # its writer keeps the list
     left = [file.path for file in folder.files if file.path not in removed]
     if left:
-        rewrite_metadata(folder.path, left)
+        if len(left) < len(folder.files):
+            rewrite_metadata(folder.path, left)
         return
     (folder.path / METADATA_FILE).unlink(missing_ok=True)
+    with suppress(OSError):  # there is none, or something is left in it
+        (folder.path / CLIPS_FOLDER).rmdir()
     folder.path.rmdir()

@@ -11,6 +11,8 @@ import pytest
 from mcap.writer import Writer
 from rosbags.rosbag2 import Reader as RosbagsReader
 
+from robotctl.recording.clip import Moment
+from robotctl.recording.clip_job import ClipJob, make_clip
 from robotctl.recording.reader import read_info
 from robotctl.recording.recorder import Recorder, RecorderOptions
 from robotctl.recording.retention import DAY_S, RetentionPolicy, enforce
@@ -82,6 +84,38 @@ def test_a_recording_marked_keep_stays(tmp_path: Path) -> None:
     recorded(tmp_path / "run", age_s=1000 * DAY_S)
     (tmp_path / "run" / "keep").touch()
     assert enforce(tmp_path, RetentionPolicy(max_bytes=0), NOW_S) == []
+
+
+def clipped(folder: Path, age_s: float) -> int:
+    """Cut a clip out of a recording `age_s` ago; returns its bytes."""
+    moment = Moment(read_info(folder).start_ns)
+    clip = make_clip(ClipJob(folder, moment, 1.0, 1.0)).target
+    os.utime(clip, (NOW_S - age_s, NOW_S - age_s))
+    return clip.stat().st_size
+
+
+def test_clips_go_with_their_recordings(tmp_path: Path) -> None:
+    for name in ("old", "kept"):
+        recorded(tmp_path / name, age_s=1000 * DAY_S)
+        clipped(tmp_path / name, age_s=1000 * DAY_S)
+    (tmp_path / "kept" / "keep").touch()
+    enforce(tmp_path, RetentionPolicy(), NOW_S)
+    assert names(tmp_path) == ["kept"]
+    assert len(names(tmp_path / "kept" / "clips")) == 1
+
+
+def test_clips_count_and_a_younger_one_outlives_its_recording(tmp_path: Path) -> None:
+    size = recorded(tmp_path / "run", age_s=100.0)
+    older, younger = clipped(tmp_path / "run", age_s=200.0), clipped(tmp_path / "run", age_s=50.0)
+    metadata = (tmp_path / "run" / "metadata.yaml").stat()
+    enforce(tmp_path, RetentionPolicy(max_bytes=size + younger + older - 1), NOW_S)
+    assert len(names(tmp_path / "run" / "clips")) == 1
+    assert (tmp_path / "run" / "metadata.yaml").stat() == metadata
+    assert read_info(tmp_path / "run").message_count == 10
+    enforce(tmp_path, RetentionPolicy(max_bytes=younger), NOW_S)
+    assert names(tmp_path / "run") == ["clips"]
+    enforce(tmp_path, RetentionPolicy(max_bytes=0), NOW_S)
+    assert names(tmp_path) == []
 
 
 def test_the_file_being_written_stays_and_its_bag_forgets_the_removed(tmp_path: Path) -> None:
