@@ -36,7 +36,7 @@ KNOWN_S: Final = 0.3
 """A publisher knows its subscribers before they know it, and what it sends until then is lost."""
 
 ACKNOWLEDGE_S: Final = 7.0
-"""A message that was lost is asked for at the next heartbeat, which is due every 3 s."""
+"""A message that was lost is asked for at the next heartbeat: after 3 s at most, by Fast DDS's defaults."""
 
 BLOCKED_S: Final = 5.0
 """How long a subscriber that reads nothing may hold up a replay at full speed."""
