@@ -1,4 +1,7 @@
-"""Which ROS domains are in use on this machine, read from the ports that their processes bind."""
+"""ROS domains: how far they reach, and which are in use, without joining one.
+
+A domain in use is known by the ports that its processes bind on this machine.
+"""
 
 from __future__ import annotations
 
@@ -16,33 +19,47 @@ _PORT_BASE, _PORTS_PER_DOMAIN = 7400, 250
 _TABLES = ("/proc/net/udp", "/proc/net/udp6")
 
 
+def discovery_range() -> str:
+    """Return how far ROS looks for others, as its environment variable has it."""
+    return os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
+
+
+def is_on_this_machine_only() -> bool:
+    """Whether ROS looks for nobody on other machines."""
+    return discovery_range() in ("LOCALHOST", "OFF")
+
+
+def is_deserted(domain_id: int) -> bool:
+    """Whether nobody can be in the domain yet; False where that cannot be seen."""
+    ports = _bound_udp_ports()
+    return is_on_this_machine_only() and ports is not None and domain_id not in _domains_of(ports)
+
+
 def free_domain() -> int:
     """A domain of which no discovery or data port is bound here.
 
     Chosen at random, so that two that look at the same time rarely meet. Raises Refused when all
     are taken.
     """
-    taken = domains_in_use() | {int(os.environ.get("ROS_DOMAIN_ID") or 0)}
+    taken = _domains_of(_bound_udp_ports() or set()) | {int(os.environ.get("ROS_DOMAIN_ID") or 0)}
     free = [domain for domain in DOMAINS if domain not in taken]
     if not free:
         raise Refused("every ROS domain from 1 to 101 is in use on this machine: stop one")
     return free[int.from_bytes(os.urandom(8)) % len(free)]
 
 
-def domains_in_use() -> set[int]:
-    """The domains that a process of this machine takes part in.
-
-    A port of another program may add one too many; without /proc none is found.
-    """
-    return {(port - _PORT_BASE) // _PORTS_PER_DOMAIN for port in _bound_udp_ports()}
+def _domains_of(ports: set[int]) -> set[int]:
+    """The domains that the ports belong to; a port of another program may add one too many."""
+    return {(port - _PORT_BASE) // _PORTS_PER_DOMAIN for port in ports}
 
 
-def _bound_udp_ports() -> set[int]:
-    ports = set()
+def _bound_udp_ports() -> set[int] | None:
+    """The ports that are bound on this machine, None without a /proc that tells them."""
+    ports: set[int] | None = None
     for table in _TABLES:
         try:
             lines = Path(table).read_text().splitlines()[1:]
         except OSError:  # no IPv6, or no /proc
             continue
-        ports |= {int(line.split()[1].rpartition(":")[2], 16) for line in lines}
+        ports = (ports or set()) | {int(line.split()[1].rpartition(":")[2], 16) for line in lines}
     return ports

@@ -12,11 +12,11 @@ from robotctl import __version__
 from robotctl.config import Config, load
 from robotctl.daemon.driver import Driver
 from robotctl.daemon.host import Daemon, Host, Ready
-from robotctl.daemon.neighbours import is_alone
 from robotctl.daemon.observer import Observer
 from robotctl.daemon.options import DaemonOptions
 from robotctl.daemon.recordings import remember, tidy
 from robotctl.daemon.supervisor import Supervisor
+from robotctl.domains import is_deserted
 from robotctl.ipc.server import ControlServer, Identity
 from robotctl.paths import socket_path
 from robotctl.ros.session import ros_session
@@ -33,7 +33,7 @@ async def serve(options: DaemonOptions, notes: list[str], on_ready: Ready) -> No
         loop.add_signal_handler(number, stop.set)
     config = options.applied_to(load(options.config) if options.config else Config())
     address = socket_path(options.robot)
-    alone = is_alone(options.domain_id)
+    alone = is_deserted(options.domain_id)
     supervisor = Supervisor()
     loop.set_exception_handler(supervisor.loop_failed)
     async with (

@@ -7,8 +7,6 @@ import time
 from collections.abc import Callable
 
 from robotctl.daemon.ending import until
-from robotctl.daemon.status import discovery_range
-from robotctl.domains import domains_in_use
 from robotctl.kernel.types import CommandPublishersSeen, Event
 from robotctl.ros.odom_subscriber import OdomSubscriber
 from robotctl.ros.velocity_publisher import VelocityPublisher
@@ -20,11 +18,6 @@ Fast DDS finds a process of the same machine within 0.15 s mostly, and within 2.
 """
 
 PUBLISHER_POLL_S = 0.2
-
-
-def is_alone(domain_id: int) -> bool:
-    """Say whether nobody else can be in the ROS domain; to be asked before we are there."""
-    return discovery_range() in ("LOCALHOST", "OFF") and domain_id not in domains_in_use()
 
 
 async def somebody_is_driven(odometry: OdomSubscriber, stop: asyncio.Event) -> bool:

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 from robotctl import __version__
 from robotctl.daemon.flight_recorder import FlightRecorder
 from robotctl.daemon.options import DaemonOptions
+from robotctl.domains import discovery_range, is_on_this_machine_only
 from robotctl.paths import log_path, socket_path
 
 
@@ -66,10 +67,5 @@ class StatusSource:
     def _warnings(self) -> Iterator[str]:
         yield from self._recorder.warnings()
         yield from self._robot.warnings()
-        if discovery_range() not in ("LOCALHOST", "OFF"):
+        if not is_on_this_machine_only():
             yield "ROS discovery is not limited to this machine"
-
-
-def discovery_range() -> str:
-    """Return how far ROS looks for others, as its environment variable has it."""
-    return os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")

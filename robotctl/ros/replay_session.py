@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import threading
 import time
@@ -20,8 +19,8 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import HistoryPolicy, ReliabilityPolicy
 
+from robotctl.domains import is_deserted
 from robotctl.ros.message_types import message_class
-from robotctl.ros.participants import may_be_used_here
 from robotctl.ros.recorded_qos import replay_qos
 
 NODE_NAME: Final = "robotctl_replay"
@@ -36,7 +35,7 @@ KNOWN_S: Final = 0.3
 """A publisher knows its subscribers before they know it, and what it sends until then is lost."""
 
 ACKNOWLEDGE_S: Final = 7.0
-"""A message that was lost is asked for at the next heartbeat: after 3 s at most, by Fast DDS's defaults."""
+"""A message that was lost is asked for at the next heartbeat, which may be due only after 3 s."""
 
 BLOCKED_S: Final = 5.0
 """How long a subscriber that reads nothing may hold up a replay at full speed."""
@@ -53,8 +52,7 @@ class ReplaySession:
     """A node in a ROS domain, for the `with` block."""
 
     def __init__(self, domain_id: int) -> None:
-        local = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") in ("LOCALHOST", "OFF")
-        self._is_alone = local and not may_be_used_here(domain_id)
+        self._is_alone = is_deserted(domain_id)
         self._joined = time.monotonic()
         self._context = Context()
         self._context.init(args=[], domain_id=domain_id)
