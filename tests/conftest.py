@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
-import os
 import signal
 import tempfile
 from collections.abc import Iterator
@@ -11,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.domains import DOMAINS, free_domain
 from robotctl.environment import prepare
+from robotctl.testing.domain import reserved_domain
 
 _notes: list[str] = []
 
@@ -61,16 +59,6 @@ def isolated_session() -> Iterator[None]:
 @pytest.fixture
 def domain_id(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     """A ROS domain that no process on this machine uses, also for what the test starts."""
-    folder = Path(tempfile.gettempdir()) / f"robotctl-test-domains-{os.getuid()}"
-    folder.mkdir(mode=0o700, exist_ok=True)
-    for _ in DOMAINS:
-        number = free_domain()
-        with (folder / str(number)).open("w") as lock:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:  # another test run was faster
-                continue
-            monkeypatch.setenv("ROS_DOMAIN_ID", str(number))
-            yield number
-            return
-    pytest.fail("no ROS domain is free")
+    with reserved_domain() as number:
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(number))
+        yield number

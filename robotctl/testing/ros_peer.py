@@ -1,13 +1,8 @@
 # mypy: disallow-untyped-calls=False
-"""Somebody else on the graph: plain rclpy in a process of its own, told what to do line by line.
-
-Reads one JSON object a line from stdin, does what its "do" says, answers one line on stdout.
-"""
+"""Somebody else on the graph: plain rclpy in a process of its own, told what to do line by line."""
 
 from __future__ import annotations
 
-import json
-import sys
 import threading
 import time
 from typing import Any
@@ -23,7 +18,9 @@ from robot_controller.msg import RobotStatus
 from robot_controller.srv import SetMode
 from sensor_msgs.msg import BatteryState
 
-DEADLINE_S = 20.0
+from robotctl.testing.lines import obey
+from robotctl.testing.waiting import DEADLINE_S, until
+
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 DEEP = QoSProfile(depth=10_000)
 BEST_EFFORT = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -66,7 +63,7 @@ class Peer:
         client = self.node.create_client(SetMode, f"{namespace}/set_mode")
         assert client.wait_for_service(DEADLINE_S), "no such service"
         future = client.call_async(SetMode.Request(requested_mode=mode))
-        _wait(future.done)
+        until(future.done)
         answer = future.result()
         self.node.destroy_client(client)
         return {
@@ -84,7 +81,7 @@ class Peer:
 
         topic = f"{namespace}/robot_status"
         subscription = self._subscribe(RobotStatus, topic, status, LATCHED)
-        _wait(lambda: got)
+        until(lambda: got)
         self.node.destroy_subscription(subscription)
         return list(got[0])
 
@@ -118,7 +115,7 @@ class Peer:
         """Publish messages once somebody listens, and see that they arrived there."""
         message_type = {"Twist": Twist, "Odometry": Odometry}[kind]
         publisher = self.node.create_publisher(message_type, topic, DEEP)
-        _wait(publisher.get_subscription_count)
+        until(publisher.get_subscription_count)
         for _ in range(count):
             publisher.publish(message_type())
         assert publisher.wait_for_all_acked(Duration(seconds=DEADLINE_S))
@@ -155,13 +152,6 @@ class Peer:
         return self.node.create_subscription(kind, topic, callback, qos)
 
 
-def _wait(condition: Any) -> None:
-    until = time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < until, "waited in vain"
-        time.sleep(0.002)
-
-
 def main() -> None:
     rclpy.init(args=[])
     peer = Peer()
@@ -169,14 +159,7 @@ def main() -> None:
     executor.add_node(peer.node)
     spinner = threading.Thread(target=executor.spin)
     spinner.start()
-    print("ready", flush=True)
-    for line in sys.stdin:
-        request = json.loads(line)
-        try:
-            answer = {"result": getattr(peer, request.pop("do"))(**request)}
-        except Exception as error:  # noqa: BLE001 - told to the test
-            answer = {"error": f"{type(error).__name__}: {error}"}
-        print(json.dumps(answer), flush=True)
+    obey(peer)
     peer.end()
     executor.shutdown()
     spinner.join()

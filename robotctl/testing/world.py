@@ -6,7 +6,6 @@ how they are found at its end, whatever a failed test has left of them.
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import re
@@ -14,20 +13,20 @@ import signal
 import subprocess
 import sys
 import tempfile
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from shutil import rmtree
 from typing import Any
 
-from robotctl.domains import free_domain
 from robotctl.recording.journal import JournalEntry, decode
+from robotctl.testing.domain import reserved_domain
+from robotctl.testing.lines import Told
+from robotctl.testing.waiting import DEADLINE_S, until
 
 ROBOTCTL = str(Path(sys.executable).with_name("robotctl"))
 SHARED_MEMORY = Path("/dev/shm")
-DEADLINE_S = 30.0
 
 STATUS_KEYS = {
     "robot",
@@ -61,33 +60,11 @@ class Ran:
     err: str
 
 
-class Peer:
+class Peer(Told):
     """A second process with plain rclpy (robotctl.testing.ros_peer)."""
 
     def __init__(self, world: World) -> None:
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "robotctl.testing.ros_peer"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            env=world.environment,
-        )
-        assert self._process.stdout is not None
-        assert self._process.stdout.readline() == "ready\n"
-
-    def __call__(self, do: str, **parameters: Any) -> Any:
-        """Have one thing done and return what came of it."""
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._process.stdin.write(json.dumps({"do": do, **parameters}) + "\n")
-        self._process.stdin.flush()
-        answer = json.loads(self._process.stdout.readline())
-        assert "error" not in answer, answer
-        return answer["result"]
-
-    def close(self) -> None:
-        """End by its own shutdown, which leaves no shared memory behind."""
-        self._process.communicate(timeout=DEADLINE_S)
+        super().__init__([sys.executable, "-m", "robotctl.testing.ros_peer"], world.environment)
 
 
 class World:
@@ -228,33 +205,15 @@ class World:
 @contextmanager
 def new_world() -> Iterator[World]:
     """A world that ends with the block; what is left of it fails the test."""
-    locks = Path(tempfile.gettempdir()) / f"robotctl-test-domains-{os.getuid()}"
-    locks.mkdir(mode=0o700, exist_ok=True)
-    for _ in range(100):
-        number = free_domain()
-        with (locks / str(number)).open("w") as lock:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:  # another test run was faster
-                continue
-            made = World(Path(tempfile.mkdtemp(prefix="rd-", dir="/tmp")), number)
-            left = ["the test did not end"]
-            try:
-                yield made
-            finally:
-                left = made.end()
-            if left:
-                raise AssertionError(f"left behind: {', '.join(left)}")
-            return
-    raise AssertionError("no ROS domain is free")
-
-
-def until(condition: Callable[[], object]) -> None:
-    """Wait for a condition, with a deadline far beyond what it should take."""
-    end = time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.01)
+    with reserved_domain() as domain_id:
+        made = World(Path(tempfile.mkdtemp(prefix="rd-", dir="/tmp")), domain_id)
+        left = ["the test did not end"]
+        try:
+            yield made
+        finally:
+            left = made.end()
+        if left:
+            raise AssertionError(f"left behind: {', '.join(left)}")
 
 
 def read_back(folder: Path) -> dict[str, list[Any]]:

@@ -18,7 +18,6 @@ from robotctl.errors import NoDaemon
 from robotctl.ipc.client import Client
 
 FAKE_DAEMON = Path(__file__).with_name("fake_daemon.py")
-DEADLINE_S = 30.0
 
 
 @dataclass(frozen=True, slots=True)

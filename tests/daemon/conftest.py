@@ -15,7 +15,8 @@ import pytest
 from robotctl.daemon.options import DaemonOptions
 from robotctl.errors import NoDaemon
 from robotctl.ipc.client import call
-from robotctl.testing.world import DEADLINE_S, Peer, World, new_world
+from robotctl.testing.waiting import DEADLINE_S
+from robotctl.testing.world import Peer, World, new_world
 
 with warnings.catch_warnings():
     # Where the interface generators are installed, rclpy imports an old parser with them.

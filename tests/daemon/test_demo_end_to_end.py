@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 
 from robotctl.recording.reader import read_info
-from robotctl.testing.world import World, read_back, until
+from robotctl.testing.waiting import until
+from robotctl.testing.world import World, read_back
 
 
 def test_the_demo_drives_a_lap_and_shows_what_was_recorded(world: World) -> None:

@@ -29,7 +29,8 @@ from robotctl.ros.mode_service import ModeService
 from robotctl.ros.simulated_robot import SimulatedRobot
 from robotctl.ros.tap import Tap
 from robotctl.ros.velocity_publisher import VelocityPublisher
-from robotctl.testing.world import Peer, World, journal_of, read_back, until
+from robotctl.testing.waiting import until
+from robotctl.testing.world import Peer, World, journal_of, read_back
 
 
 class Bomb:

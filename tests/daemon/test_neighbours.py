@@ -5,7 +5,8 @@ from __future__ import annotations
 import signal
 from collections.abc import Callable
 
-from robotctl.testing.world import Peer, World, until
+from robotctl.testing.waiting import until
+from robotctl.testing.world import Peer, World
 
 
 def test_no_robot_is_simulated_where_one_is(

@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 
-from robotctl.testing.world import STATUS_KEYS, Peer, Ran, World, new_world, read_back, until
+from robotctl.testing.waiting import until
+from robotctl.testing.world import STATUS_KEYS, Peer, Ran, World, new_world, read_back
 
 COMMANDS = 200
 

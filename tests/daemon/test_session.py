@@ -15,7 +15,8 @@ import pytest
 
 from robotctl.recording.journal import JournalEntry, Kind
 from robotctl.replay.rerun import rerun
-from robotctl.testing.world import STATUS_KEYS, Peer, World, journal_of, new_world, read_back, until
+from robotctl.testing.waiting import until
+from robotctl.testing.world import STATUS_KEYS, Peer, World, journal_of, new_world, read_back
 
 
 @dataclass(frozen=True, slots=True)

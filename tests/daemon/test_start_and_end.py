@@ -13,7 +13,8 @@ import pytest
 
 from robotctl.kernel.types import ModeChanged
 from robotctl.replay.rerun import rerun
-from robotctl.testing.world import Peer, World, journal_of, read_back, until
+from robotctl.testing.waiting import until
+from robotctl.testing.world import Peer, World, journal_of, read_back
 
 
 def pid_of(world: World, robot: str = "robot") -> int:

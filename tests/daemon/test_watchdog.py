@@ -11,7 +11,7 @@ import pytest
 
 from robotctl.daemon.processor_time import ProcessorTime
 from robotctl.daemon.watchdog import CONFIRM_S, Turn, Watchdog
-from robotctl.testing.world import DEADLINE_S, until
+from robotctl.testing.waiting import DEADLINE_S, until
 
 PATIENCE_S = 0.3
 

@@ -20,8 +20,8 @@ from robotctl.errors import UsageError
 from robotctl.ipc import connection
 from robotctl.ipc.protocol import MAX_REQUEST_BYTES, Code, encode_request
 from robotctl.ipc.server import ControlServer, Identity, Limits
+from robotctl.testing.waiting import DEADLINE_S
 
-DEADLINE_S = 10.0
 IDENTITY = Identity("robot", "0.1.0", 1)
 
 

@@ -13,7 +13,7 @@ from robotctl.recording.identity import EVENT_RECORD
 from robotctl.recording.reader import read_info
 from robotctl.recording.recorder import Recorder
 from robotctl.testing.recordings import START_NS, TWIST, read_strictly, write_numbered
-from robotctl.testing.world import until
+from robotctl.testing.waiting import until
 
 EVENTS = (
     RecordedEvent(EventKind.MARK, START_NS, "door \x1b[2J open"),

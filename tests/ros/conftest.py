@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-import fcntl
 import importlib.util
-import json
 import os
 import subprocess
 import sys
-import tempfile
 import time
 import warnings
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
@@ -20,6 +17,10 @@ from typing import Any
 
 import pytest
 
+from robotctl.testing.domain import reserved_domain
+from robotctl.testing.lines import Told
+from robotctl.testing.waiting import DEADLINE_S
+
 # Inherited by every process that a test starts.
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
@@ -29,23 +30,13 @@ with warnings.catch_warnings():
     import rosidl_generator_py  # noqa: F401
 
 HERE = Path(__file__).parent
-DEADLINE_S = 20.0
 
 
 @pytest.fixture(scope="module")
 def domain_id() -> Iterator[int]:
-    """A ROS domain of one's own, also against other test runs on this machine."""
-    folder = Path(tempfile.gettempdir()) / f"robotctl-test-domains-{os.getuid()}"
-    folder.mkdir(mode=0o700, exist_ok=True)
-    for number in range(1, 100):
-        with (folder / str(number)).open("w") as lock:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                continue
-            yield number
-            return
-    pytest.fail("no ROS domain is free")
+    """A ROS domain of one's own."""
+    with reserved_domain() as number:
+        yield number
 
 
 @pytest.fixture
@@ -190,47 +181,16 @@ async def taken(session: Any) -> AsyncIterator[Taken]:
 
 
 class Peer:
-    """A second process with plain rclpy (executor_peer.py), told what to do line by line."""
+    """A second process with plain rclpy (executor_peer.py), told from the loop what to do."""
 
     def __init__(self, domain_id: int) -> None:
-        self._process = subprocess.Popen(
-            [sys.executable, str(HERE / "executor_peer.py")],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            env={**os.environ, "ROS_DOMAIN_ID": str(domain_id)},
-        )
-        assert self._process.stdout is not None
-        if self._process.stdout.readline() != "ready\n":
-            self.close()
-            pytest.fail("the peer process did not start; its words are above")
+        environment = {**os.environ, "ROS_DOMAIN_ID": str(domain_id)}
+        self._told = Told([sys.executable, str(HERE / "executor_peer.py")], environment)
+        self.close = self._told.close
 
     async def __call__(self, do: str, **parameters: Any) -> Any:
         """Have one thing done and return what came of it."""
-        return await asyncio.to_thread(self._ask, {"do": do, **parameters})
-
-    def _ask(self, request: dict[str, Any]) -> Any:
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._process.stdin.write(json.dumps(request) + "\n")
-        self._process.stdin.flush()
-        line = self._process.stdout.readline()
-        assert line, f"the peer died of {request}"
-        answer = json.loads(line)
-        assert "error" not in answer, answer["error"]
-        return answer["result"]
-
-    def close(self) -> None:
-        """End the process by its own shutdown, which leaves no shared memory behind."""
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._process.stdin.close()
-        try:
-            self._process.wait(DEADLINE_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-        self._process.stdout.close()
+        return await asyncio.to_thread(self._told, do, **parameters)
 
 
 @pytest.fixture(scope="module")

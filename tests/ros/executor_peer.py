@@ -1,12 +1,7 @@
-"""The other side of the executor's tests: plain rclpy, spun as rclpy spins, in its own process.
-
-Reads one JSON object a line from stdin, does what its "do" says, answers one line on stdout.
-"""
+"""The other side of the executor's tests: plain rclpy, spun as rclpy spins, in its own process."""
 
 from __future__ import annotations
 
-import json
-import sys
 import threading
 import time
 from typing import Any
@@ -26,7 +21,8 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import UInt64
 from std_srvs.srv import SetBool
 
-DEADLINE_S = 20.0
+from robotctl.testing.lines import obey
+from robotctl.testing.waiting import DEADLINE_S, until
 
 
 class Peer:
@@ -42,7 +38,7 @@ class Peer:
     def publish(self, topic: str, values: list[int]) -> int:
         """Publish to at least one subscriber, and wait until all have acknowledged."""
         publisher = self._publisher(topic)
-        _wait(publisher.get_subscription_count)
+        until(publisher.get_subscription_count)
         for value in values:
             publisher.publish(UInt64(data=value))
         publisher.wait_for_all_acked(Duration(seconds=DEADLINE_S))
@@ -55,7 +51,7 @@ class Peer:
     def flood(self, topic: str, hz: float, seconds: float) -> int:
         """Publish a counter at a rate, and say how many."""
         publisher = self._publisher(topic)
-        _wait(publisher.get_subscription_count)
+        until(publisher.get_subscription_count)
         sent = 0
         begun = time.monotonic()
         while (now := time.monotonic() - begun) < seconds:
@@ -98,7 +94,7 @@ class Peer:
 
     def heard(self, topic: str, count: int) -> list[int]:
         """What came, once that many came."""
-        _wait(lambda: len(self.seen[topic]) >= count)
+        until(lambda: len(self.seen[topic]) >= count)
         return self.seen[topic]
 
     def offer(self, topic: str, reliable: bool = True, deadline_s: float | None = None) -> None:
@@ -203,30 +199,22 @@ class Peer:
         sent = client.send_goal_async(
             Count.Goal(value), feedback_callback=lambda m: feedback.append(m.feedback.value)
         )
-        _wait(sent.done)
+        until(sent.done)
         handle = sent.result()
         report: dict[str, Any] = {"accepted": handle.accepted, "feedback": feedback}
         if handle.accepted:
             if cancel_after is not None:
-                _wait(lambda: len(feedback) > cancel_after)
+                until(lambda: len(feedback) > cancel_after)
                 cancelled = handle.cancel_goal_async()
-                _wait(cancelled.done)
+                until(cancelled.done)
                 report["cancelling"] = len(cancelled.result().goals_canceling)
             result = handle.get_result_async()
-            _wait(result.done)
+            until(result.done)
             report["succeeded"] = result.result().status == GoalStatus.STATUS_SUCCEEDED
             report["canceled"] = result.result().status == GoalStatus.STATUS_CANCELED
             report["result"] = result.result().result.value
         client.destroy()
         return report
-
-
-def _wait(condition: Any) -> None:
-    end = time.monotonic() + DEADLINE_S
-    while not condition():
-        if time.monotonic() > end:
-            raise TimeoutError("what the peer waited for did not happen")
-        time.sleep(0.002)
 
 
 def main() -> None:
@@ -236,14 +224,7 @@ def main() -> None:
     executor.add_node(peer.node)
     spinner = threading.Thread(target=executor.spin)
     spinner.start()
-    print("ready", flush=True)
-    for line in sys.stdin:
-        request = json.loads(line)
-        try:
-            answer = {"result": getattr(peer, request.pop("do"))(**request)}
-        except Exception as error:  # noqa: BLE001 - the test shows it
-            answer = {"error": repr(error)}
-        print(json.dumps(answer), flush=True)
+    obey(peer)
     executor.shutdown()
     spinner.join()
     peer.node.destroy_node()

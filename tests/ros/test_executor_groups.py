@@ -19,8 +19,7 @@ from std_srvs.srv import SetBool
 
 from robotctl.ros import AsyncioExecutor, RawTap, Ticker
 from robotctl.ros.runtime import SHORTEST_SLICE_NS, SLICE_NS, TURN_NS
-
-DEADLINE_S = 20.0
+from robotctl.testing.waiting import DEADLINE_S
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 

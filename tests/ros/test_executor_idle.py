@@ -19,8 +19,7 @@ from std_msgs.msg import UInt64
 from std_srvs.srv import SetBool
 
 from robotctl.ros import AsyncioExecutor
-
-DEADLINE_S = 20.0
+from robotctl.testing.waiting import DEADLINE_S
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 TurnsWhileWaiting = Callable[[], Awaitable[int]]

@@ -18,8 +18,7 @@ from std_msgs.msg import UInt64
 from robotctl.ros import AsyncioExecutor, RawTap
 from robotctl.ros.pool import Pool
 from robotctl.ros.subscriptions import affordable_rest_s
-
-DEADLINE_S = 20.0
+from robotctl.testing.waiting import DEADLINE_S
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 

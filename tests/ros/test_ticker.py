@@ -11,8 +11,7 @@ from itertools import pairwise
 import pytest
 
 from robotctl.ros import Ticker
-
-DEADLINE_S = 20.0
+from robotctl.testing.waiting import DEADLINE_S
 
 
 def open_files() -> int:

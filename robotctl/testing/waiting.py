@@ -1,0 +1,18 @@
+"""Waiting for what should happen soon, on a machine that may be slow."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Final
+
+DEADLINE_S: Final = 30.0
+"""Far beyond what anything should take: whoever waits so long waits in vain."""
+
+
+def until(condition: Callable[[], object]) -> None:
+    """Wait for a condition."""
+    end = time.monotonic() + DEADLINE_S
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.005)
