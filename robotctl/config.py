@@ -56,12 +56,14 @@ class Config:
     """Everything that a file may set. The kernel's parameters have no prefix in the file.
 
     `fifo_priority` asks for SCHED_FIFO for the thread of the loop, from 1 (low) to 99; 0 does not.
+    `on_recorder_failure` says whether a robot that nothing records any more has to stop.
     """
 
     kernel: KernelParams = field(default_factory=KernelParams)
     sim: SimParams = field(default_factory=SimParams)
     recording: RecordingParams = field(default_factory=RecordingParams)
     fifo_priority: int = bounded(0, 0, 99)
+    on_recorder_failure: str = field(default="stop", metadata={"choices": ("stop", "warn")})
 
 
 def load(path: Path) -> Config:

@@ -15,7 +15,8 @@ from robotctl.daemon.driving import DrivingMethods
 from robotctl.daemon.effects import Effects
 from robotctl.daemon.ending import stand_still, until
 from robotctl.daemon.flight_recorder import FlightRecorder
-from robotctl.daemon.host import Host, Ready, in_loop, running
+from robotctl.daemon.handover import in_loop
+from robotctl.daemon.host import Host, Ready, running
 from robotctl.daemon.inputs import Inputs
 from robotctl.daemon.journal import Journal
 from robotctl.daemon.latch import Latch
@@ -68,8 +69,8 @@ class Driver:
             host.config,
             session,
             lambda: kernel.state.mode.name,
-            in_loop(lambda detail: self._inputs.recorder_failed(detail)),
-            in_loop(lambda path: self._inputs.file_begun(path)),
+            on_failure=lambda detail: self._inputs.recorder_failed(detail),
+            on_file=lambda: self._control.journal_snapshot(time.monotonic_ns()),
         )
         tap = self.recorder.tap
         tap.subscribe_own(params.command.topic, "geometry_msgs/msg/Twist", qos.COMMAND)
@@ -89,7 +90,9 @@ class Driver:
         )
         host.supervisor.report_to(self._control.dispatch)
         self._motion = Motion(self._control, params)
-        self._status = StatusSource(host.options, self.recorder, self._motion, session.scheduling)
+        self._status = StatusSource(
+            host.options, self.recorder.report, self._motion, session.scheduling
+        )
         self._inputs = Inputs(self._control, self._motion, self._velocity)
         self._watchdog = Watchdog(
             params.rate_hz, params.max_tick_gap_s, self._velocity, in_loop(self._stalled)

@@ -5,20 +5,23 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from shutil import rmtree
-from typing import Any
 
 from robotctl.config import Config
+from robotctl.daemon.handover import in_loop
 from robotctl.daemon.options import DaemonOptions
+from robotctl.daemon.recorder_report import RecorderReport
 from robotctl.daemon.recordings import open_recorder
-from robotctl.daemon.statistics import RateMeter
 from robotctl.daemon.supervisor import Work
 from robotctl.recording.events import RecordedEvent
 from robotctl.recording.recorder import Topic
 from robotctl.recording.topic_filter import TopicFilter
+from robotctl.ros import qos
+from robotctl.ros.diagnostics_publisher import TOPIC, TYPE_NAME, DiagnosticsPublisher
 from robotctl.ros.journal_publisher import JournalPublisher
 from robotctl.ros.raw import UNKNOWN_GID, Sink
 from robotctl.ros.session import Session
@@ -42,22 +45,33 @@ class FlightRecorder:
         config: Config,
         session: Session,
         mode: Callable[[], str],
-        on_failure: Callable[[str], None],
-        on_split: Callable[[Path], None],
+        on_failure: Callable[[str], None] = lambda detail: None,
+        on_file: Callable[[], None] = lambda: None,
     ) -> None:
-        """`mode` is asked, `on_failure` and `on_split` come from the writer thread; see Recorder.
+        """Begin to record.
 
-        Raises Refused where nothing can be written.
+        `mode` is asked from any thread. In the loop, `on_failure(detail)` is told where nothing is
+        recorded any more and the configuration wants the robot to stop then, `on_file` of each
+        later file, which is to stand alone. Raises Refused where nothing can be written.
         """
+        self._on_failure = on_failure
+        self._on_file = on_file
+        self._must_record = config.on_recorder_failure == "stop"
         self._recorder = open_recorder(
-            options.recordings, options.robot, config, mode, on_failure, on_split
+            options.recordings,
+            options.robot,
+            config,
+            mode,
+            in_loop(self._failed),
+            in_loop(self._file_begun),
         )
-        self._rates = RateMeter()
-        proof = (config.kernel.command.topic, config.kernel.odometry.topic, "robot_status")
-        self._filter = TopicFilter(
-            config.recording.include, config.recording.exclude, map(session.resolve, proof)
-        )
-        self.tap = Tap(session, self._open_sink, self._filter.records)
+        topics = (config.kernel.command.topic, config.kernel.odometry.topic)
+        proof = map(session.resolve, (*topics, "robot_status", "robotctl/journal"))
+        topic_filter = TopicFilter(config.recording.include, config.recording.exclude, proof)
+        self.tap = Tap(session, self._open_sink, topic_filter.records)
+        self.tap.subscribe_own(TOPIC, TYPE_NAME, qos.DIAGNOSTICS)
+        diagnostics = DiagnosticsPublisher(session, options.robot)
+        self.report = RecorderReport(self._recorder, self.tap, topic_filter, diagnostics)
 
     def work(self) -> dict[str, Work]:
         """Return the tasks."""
@@ -80,42 +94,10 @@ class FlightRecorder:
 
     def received(self) -> dict[str, int]:
         """Return how many messages of each topic were received."""
-        return {topic.name: topic.received for topic in self._recorder.stats().topics}
-
-    def facts(self) -> dict[str, Any]:
-        """Return what `status` tells of the recording."""
-        stats = self._recorder.stats()
-        return {
-            "topics": [
-                {
-                    "name": topic.name,
-                    "type": topic.type_name,
-                    "count": topic.received,
-                    "rate": self._rates.rate(topic.name),
-                }
-                for topic in sorted(stats.topics, key=lambda topic: topic.name)
-            ],
-            "recorder": {
-                "state": stats.state.value,
-                "file": str(stats.file),
-                "bytes": stats.bytes,
-                "received": stats.received,
-                "written": stats.written,
-                "queued": stats.queued,
-                "dropped": stats.dropped,
-                "lost": stats.lost,
-            },
-        }
-
-    def warnings(self) -> Iterator[str]:
-        """Say what is not recorded, and why."""
-        stats = self._recorder.stats()
-        yield from (text for text in (stats.failure, stats.warning) if text)
-        yield from self.tap.problems.values()
-
-    def sample(self) -> None:
-        """Take the counts that rates are made of."""
-        self._rates.sample(time.monotonic_ns(), self.received().items())
+        counts: Counter[str] = Counter()
+        for topic in self._recorder.stats().topics:
+            counts[topic.name] += topic.received
+        return counts
 
     async def close(self) -> None:
         """Finish the recording; the disk is not waited for in the loop."""
@@ -135,8 +117,17 @@ class FlightRecorder:
 
     async def _keep_statistics(self) -> None:
         while True:
-            self.sample()
+            self.report.sample()
             await asyncio.sleep(SAMPLE_PERIOD_S)
+
+    def _failed(self, detail: str) -> None:
+        _log.error("%s", detail)
+        if self._must_record:
+            self._on_failure(detail)
+
+    def _file_begun(self, path: Path) -> None:
+        _log.info("recording goes on in %s", path)
+        self._on_file()
 
     def _open_sink(self, topic: TappedTopic) -> Sink:
         described = Topic(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Callable, Mapping
-from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -61,14 +61,3 @@ async def running(supervisor: Supervisor, work: Mapping[str, Work]) -> AsyncIter
         yield
         for task in tasks:
             task.cancel()
-
-
-def in_loop(call: Callable[[Any], None]) -> Callable[[Any], None]:
-    """Return what any thread may call to have `call` called in the running loop."""
-    loop = asyncio.get_running_loop()
-
-    def post(argument: Any) -> None:
-        with suppress(RuntimeError):  # the loop is closed: nobody is left to tell
-            loop.call_soon_threadsafe(call, argument)
-
-    return post

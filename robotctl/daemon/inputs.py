@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import logging
 import time
-from pathlib import Path
 
 from robotctl.daemon.control import Control
 from robotctl.daemon.motion import Motion
@@ -19,8 +17,6 @@ from robotctl.kernel.types import (
     Reply,
 )
 from robotctl.ros.velocity_publisher import VelocityPublisher
-
-_log = logging.getLogger(__name__)
 
 
 class Inputs:
@@ -49,14 +45,8 @@ class Inputs:
         )
 
     def recorder_failed(self, detail: str) -> None:
-        """Nothing is recorded any more."""
-        _log.error("%s", detail)
+        """Nothing is recorded any more, and the robot is not to go on so."""
         self._control.dispatch(FaultReported(time.monotonic_ns(), Cause.RECORDER_FAILED, detail))
-
-    def file_begun(self, path: Path) -> None:
-        """The recorder goes on in another file, which is to stand alone as well."""
-        _log.info("recording goes on in %s", path)
-        self._control.journal_snapshot(time.monotonic_ns())
 
     def stalled(self, detail: str) -> None:
         """The loop turns again after a stall: stop by the rules, then let commands through."""

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any, NoReturn
 
 from robotctl.daemon.flight_recorder import FlightRecorder
-from robotctl.daemon.host import Host, Ready, in_loop, running
+from robotctl.daemon.host import Host, Ready, running
 from robotctl.daemon.methods import common_methods
 from robotctl.daemon.status import StatusSource
 from robotctl.errors import Refused
@@ -31,10 +30,10 @@ class Observer:
             host.config,
             host.session,
             lambda: "observing",
-            in_loop(lambda detail: _log.error("%s", detail)),
-            in_loop(_file_begun),
         )
-        self._status = StatusSource(host.options, self.recorder, self, host.session.scheduling)
+        self._status = StatusSource(
+            host.options, self.recorder.report, self, host.session.scheduling
+        )
         host.supervisor.report_to(self._note)
 
     def methods(self) -> Mapping[str, Method[Any]]:
@@ -76,7 +75,3 @@ class Observer:
             f"robot {self._host.options.robot!r} is only observed (robotctl start --observe): "
             "nothing was sent to it; use the stop of the stack that drives it"
         )
-
-
-def _file_begun(path: Path) -> None:
-    _log.info("recording goes on in %s", path)

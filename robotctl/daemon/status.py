@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from typing import Any, Protocol
 
 from robotctl import __version__
-from robotctl.daemon.flight_recorder import FlightRecorder
 from robotctl.daemon.options import DaemonOptions
+from robotctl.daemon.recorder_report import RecorderReport
 from robotctl.domains import discovery_range, is_on_this_machine_only
 from robotctl.paths import log_path, socket_path
 
@@ -28,10 +28,10 @@ class StatusSource:
     """Gathers the status; `scheduling` is how the kernel schedules the loop's thread."""
 
     def __init__(
-        self, options: DaemonOptions, recorder: FlightRecorder, robot: RobotView, scheduling: str
+        self, options: DaemonOptions, recording: RecorderReport, robot: RobotView, scheduling: str
     ) -> None:
         self._options = options
-        self._recorder = recorder
+        self._recording = recording
         self._robot = robot
         self._scheduling = scheduling
         self._started = time.monotonic()
@@ -43,7 +43,7 @@ class StatusSource:
             "version": __version__,
             "pid": os.getpid(),
             **self._robot.facts(),
-            **self._recorder.facts(),
+            **self._recording.facts(),
             "warnings": list(self._warnings()),
             "domain_id": self._options.domain_id,
             "discovery_range": discovery_range(),
@@ -65,7 +65,7 @@ class StatusSource:
         }
 
     def _warnings(self) -> Iterator[str]:
-        yield from self._recorder.warnings()
+        yield from self._recording.warnings()
         yield from self._robot.warnings()
         if not is_on_this_machine_only():
             yield "ROS discovery is not limited to this machine"

@@ -25,6 +25,8 @@ SENSOR = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 JOURNAL = QoSProfile(depth=1000)
 
+DIAGNOSTICS = QoSProfile(depth=10)
+
 SERVICE_EVENTS = QoSProfile(depth=100)
 """Reliable, as a record of who asked for what should be; a call is two events."""
 

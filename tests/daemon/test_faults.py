@@ -14,9 +14,9 @@ from typing import Any
 import pytest
 
 from robotctl.daemon.app import serve
-from robotctl.daemon.flight_recorder import FlightRecorder
 from robotctl.daemon.inputs import Inputs
 from robotctl.daemon.options import DaemonOptions
+from robotctl.daemon.recorder_report import RecorderReport
 from robotctl.daemon.watchdog import Watchdog
 from robotctl.errors import Refused
 from robotctl.ipc.server import ControlServer
@@ -69,7 +69,7 @@ def commands(world: World) -> list[tuple[float, float]]:
         (Watchdog, "ping", "the control task failed"),
         (Tap, "_look", "the recorder task failed"),
         (VelocityPublisher, "count_publishers", "the publisher watch task failed"),
-        (FlightRecorder, "sample", "the recorder's statistics task failed"),
+        (RecorderReport, "sample", "the recorder's statistics task failed"),
         (ModeService, "publish", "the status task failed"),
         (ControlServer, "_accept", "the socket task failed"),
         (Inputs, "odometry", "the callback of "),

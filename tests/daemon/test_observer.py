@@ -81,9 +81,12 @@ def _counts(status: Any) -> dict[str, int]:
 
 
 def test_it_publishes_no_command_serves_no_mode_and_simulates_nothing(observed: Observed) -> None:
-    assert observed.nodes == ["/recorder"]
-    assert set(observed.publishers) == {"/parameter_events"}  # as every node of rclpy
-    assert observed.services == ["/recorder/get_type_description"]
+    assert observed.nodes == ["/diagnostics", "/recorder"]
+    assert set(observed.publishers) == {
+        "/diagnostics",
+        "/parameter_events",  # as every node of rclpy
+    }
+    assert all(name.endswith("/get_type_description") for name in observed.services)
 
 
 def test_it_records_a_foreign_stack_with_its_commands(observed: Observed) -> None:
@@ -94,6 +97,19 @@ def test_it_records_a_foreign_stack_with_its_commands(observed: Observed) -> Non
 def test_it_leaves_out_what_is_excluded_but_for_what_proves_a_drive(observed: Observed) -> None:
     assert len(observed.topics["/odom"]) > 10
     assert "/battery_state" not in observed.topics
+
+
+def test_its_ledger_is_on_diagnostics(observed: Observed) -> None:
+    from diagnostic_msgs.msg import DiagnosticArray
+    from rclpy.serialization import deserialize_message
+
+    last = deserialize_message(observed.topics["/diagnostics"][-1].data, DiagnosticArray)
+    (status,) = last.status
+    assert (status.name, status.hardware_id) == ("robot: recorder", "robot")
+    assert (status.level, status.message) == (b"\0", "everything is recorded")
+    values = {entry.key: entry.value for entry in status.values}
+    assert int(values["received"]) >= 2 * COMMANDS
+    assert values["dropped"] == values["lost"] == "0"
 
 
 def test_its_status_has_the_same_keys_and_no_robot(observed: Observed) -> None:

@@ -1,0 +1,19 @@
+"""From other threads into the loop."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+
+def in_loop(call: Callable[[Any], None]) -> Callable[[Any], None]:
+    """Return what any thread may call to have `call` called in the running loop."""
+    loop = asyncio.get_running_loop()
+
+    def post(argument: Any) -> None:
+        with suppress(RuntimeError):  # the loop is closed: nobody is left to tell
+            loop.call_soon_threadsafe(call, argument)
+
+    return post

@@ -1,0 +1,92 @@
+"""How the recording goes: for `status`, for the log, and for diagnostics on ROS."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Iterator
+from typing import Any
+
+from robotctl.daemon.diagnosis import diagnose
+from robotctl.daemon.statistics import HeavyTopics, RateMeter, by_topic
+from robotctl.recording.recorder import Recorder
+from robotctl.recording.topic_filter import TopicFilter
+from robotctl.ros.diagnostics_publisher import DiagnosticsPublisher
+from robotctl.ros.tap import Tap
+
+_log = logging.getLogger(__name__)
+
+LEDGER = ("bytes", "written", "queued", "dropped", "lost", "unseen")
+"""What `status` tells of each topic beside its count and rate."""
+
+
+class RecorderReport:
+    """Looks at recorder and tap."""
+
+    def __init__(
+        self,
+        recorder: Recorder,
+        tap: Tap,
+        topic_filter: TopicFilter,
+        diagnostics: DiagnosticsPublisher,
+    ) -> None:
+        self._recorder = recorder
+        self._tap = tap
+        self._filter = topic_filter
+        self._diagnostics = diagnostics
+        self._rates = RateMeter()
+        self._heavy = HeavyTopics()
+        self._heavy_warnings: list[str] = []
+
+    def facts(self) -> dict[str, Any]:
+        """Return what `status` tells of the recording."""
+        stats = self._recorder.stats()
+        return {
+            "topics": [
+                {
+                    "name": topic.name,
+                    "type": topic.type_name,
+                    "count": topic.received,
+                    "rate": self._rates.rate((topic.name, topic.type_name)),
+                    **{name: getattr(topic, name) for name in LEDGER},
+                }
+                for topic in by_topic(stats.topics)
+            ],
+            "recorder": {
+                "state": stats.state.value,
+                "file": str(stats.file),
+                "bytes": stats.bytes,
+                "received": stats.received,
+                "written": stats.written,
+                "queued": stats.queued,
+                "dropped": stats.dropped,
+                "lost": stats.lost,
+            },
+        }
+
+    def warnings(self) -> Iterator[str]:
+        """Say what is not recorded, and why."""
+        stats = self._recorder.stats()
+        yield from (text for text in (stats.failure, stats.warning) if text)
+        yield from self._tap.problems.values()
+        yield from self._heavy_warnings
+
+    def sample(self) -> None:
+        """Take the counts that rates are made of, and tell ROS; to be called once a second."""
+        now_ns = time.monotonic_ns()
+        stats = self._recorder.stats()
+        topics = {(each.name, each.type_name): each for each in by_topic(stats.topics)}
+        self._rates.sample(now_ns, {key: topic.received for key, topic in topics.items()})
+        sizes = {key: topic.bytes for key, topic in topics.items()}
+        for (name, _), bytes_per_s in self._heavy.sample(now_ns, sizes).items():
+            self._warn_of_heavy(name, bytes_per_s)
+        self._diagnostics.publish(diagnose(stats, list(self.warnings())))
+
+    def _warn_of_heavy(self, topic: str, bytes_per_s: float) -> None:
+        if self._filter.can_leave_out(topic):
+            warning = (
+                f"{topic} brings {bytes_per_s / 1e6:.1f} MB/s: "
+                f"robotctl start --exclude {topic} leaves it out of the recording"
+            )
+            self._heavy_warnings.append(warning)
+            _log.warning("%s", warning)

@@ -1,0 +1,141 @@
+"""What the counts of the recorder tell: rates, heavy topics, and a diagnosis."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robotctl.daemon.diagnosis import MAX_TOPICS, diagnose
+from robotctl.daemon.statistics import (
+    HEAVY_BYTES_PER_S,
+    HEAVY_WINDOW_S,
+    HeavyTopics,
+    RateMeter,
+    by_topic,
+)
+from robotctl.recording.recorder import RecorderState, RecorderStats, TopicStats
+from robotctl.ros.diagnostics_publisher import Level
+
+S = 1_000_000_000
+CAMERA, SCAN = ("/camera", "sensor_msgs/msg/Image"), ("/scan", "sensor_msgs/msg/LaserScan")
+HEAVY = round(1.2 * HEAVY_BYTES_PER_S)
+
+
+def topic(name: str = "/scan", type_name: str = "t", **counts: int) -> TopicStats:
+    return replace(TopicStats(name, type_name, 0, 0, 0, 0, 0, 0, 0), **counts)
+
+
+def recorder(*topics: TopicStats, failure: str = "") -> RecorderStats:
+    return RecorderStats(
+        state=RecorderState.FAILED if failure else RecorderState.RECORDING,
+        file=Path("/data/run_0.mcap"),
+        bytes=1,
+        received=sum(each.received for each in topics),
+        written=sum(each.written for each in topics),
+        queued=0,
+        dropped=sum(each.dropped for each in topics),
+        lost=sum(each.lost for each in topics),
+        unseen=0,
+        failure=failure,
+        warning="",
+        topics=topics,
+    )
+
+
+def test_a_rate_is_that_between_the_last_two_samples() -> None:
+    rates = RateMeter()
+    rates.sample(10 * S, {SCAN: 100})
+    rates.sample(12 * S, {SCAN: 150, CAMERA: 10})
+    assert (rates.rate(SCAN), rates.rate(CAMERA)) == (25.0, 5.0)
+    assert rates.rate(("/none", "")) == 0.0
+
+
+# Heavy topics
+
+
+def test_a_heavy_topic_is_found_once_its_window_is_full_and_never_again() -> None:
+    heavy = HeavyTopics()
+    found = [heavy.sample(t * S, {CAMERA: t * HEAVY, SCAN: t * 1000}) for t in range(30)]
+    assert found[: round(HEAVY_WINDOW_S)] == round(HEAVY_WINDOW_S) * [{}]
+    (only,) = [each for each in found if each]
+    assert only == {CAMERA: pytest.approx(HEAVY)}
+
+
+def test_a_burst_is_not_heavy() -> None:
+    heavy = HeavyTopics()
+    sizes = [0, 0, 0, 0, 0, 3 * HEAVY, *(3 * HEAVY for _ in range(20))]
+    assert not any(heavy.sample(t * S, {CAMERA: size}) for t, size in enumerate(sizes))
+
+
+@given(st.lists(st.integers(0, 2 * HEAVY), min_size=1, max_size=40))
+def test_what_is_found_was_above_the_limit_over_its_window(steps: list[int]) -> None:
+    heavy = HeavyTopics()
+    sizes = [0]
+    for step in steps:
+        sizes.append(sizes[-1] + step)
+    window = round(HEAVY_WINDOW_S)
+    means = [(sizes[t] - sizes[t - window]) / window for t in range(window, len(sizes))]
+    found = [heavy.sample(t * S, {CAMERA: size}) for t, size in enumerate(sizes)]
+    assert any(found) == any(mean > HEAVY_BYTES_PER_S for mean in means)
+
+
+# One topic
+
+
+def test_a_topic_that_was_recorded_anew_is_one_topic_unless_its_type_changed() -> None:
+    channels = [
+        topic("/b", received=3, written=2, queued=1, bytes=30),
+        topic("/a", received=1),
+        topic("/b", received=4, written=4, lost=2, bytes=40),
+        topic("/b", "other", received=5),
+    ]
+    merged = by_topic(channels)
+    assert [(each.name, each.type_name, each.received) for each in merged] == [
+        ("/a", "t", 1),
+        ("/b", "other", 5),
+        ("/b", "t", 7),
+    ]
+    assert merged[2] == topic("/b", received=7, written=6, queued=1, lost=2, bytes=70)
+
+
+# The diagnosis
+
+
+def test_all_is_well_where_nothing_lacks() -> None:
+    diagnosis = diagnose(recorder(topic(received=7, written=7)), [])
+    assert (diagnosis.level, diagnosis.message) == (Level.OK, "everything is recorded")
+    assert diagnosis.values["received"] == "7"
+    assert "/scan" not in diagnosis.values
+
+
+def test_what_lacks_is_named_by_topic() -> None:
+    lacking = topic(received=9, written=7, dropped=2, lost=3)
+    diagnosis = diagnose(recorder(lacking, topic("/well")), [])
+    assert diagnosis.level is Level.WARN
+    assert diagnosis.message == "2 messages dropped, 3 lost on their way here"
+    assert diagnosis.values["/scan"] == diagnosis.message
+    assert "/well" not in diagnosis.values
+
+
+def test_a_warning_is_passed_on() -> None:
+    diagnosis = diagnose(recorder(), ["/x is not recorded: it has type a/msg/B"])
+    assert (diagnosis.level, diagnosis.message) == (
+        Level.WARN,
+        "/x is not recorded: it has type a/msg/B",
+    )
+
+
+def test_a_recorder_that_failed_is_an_error_in_its_own_words() -> None:
+    diagnosis = diagnose(recorder(topic(dropped=1), failure="the disk is full"), [])
+    assert (diagnosis.level, diagnosis.message) == (Level.ERROR, "the disk is full")
+
+
+def test_of_too_many_topics_those_that_lack_most_are_named() -> None:
+    topics = [topic(f"/t{index}", dropped=index + 1) for index in range(MAX_TOPICS + 10)]
+    values = diagnose(recorder(*topics), []).values
+    named = [name for name in values if name.startswith("/t")]
+    assert named == [f"/t{index}" for index in reversed(range(10, MAX_TOPICS + 10))]
