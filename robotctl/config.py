@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Hashable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from difflib import get_close_matches
 from enum import Enum
@@ -80,13 +81,13 @@ def load(path: Path) -> Config:
                 raise ConfigError(f"{key}: stands twice: keep one of them")
             seen.add(key)
             config = with_setting(config, key, value)
-        _check_together(config.kernel)
+        check_together(config.kernel)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
     return config
 
 
-def _check_together(kernel: KernelParams) -> None:
+def check_together(kernel: KernelParams) -> None:
     """Raise ConfigError for values that are each allowed, but not with one another."""
     battery, two_periods_s = kernel.battery, 2.0 / kernel.rate_hz
     if battery.clear_level < battery.stop_level:
@@ -115,6 +116,18 @@ def with_setting(config: Config, key: str, value: object) -> Config:
     replaced = _replaced(config, path, key, value)
     assert isinstance(replaced, Config)
     return replaced
+
+
+def with_text(config: Config, key: str, text: str) -> Config:
+    """As `with_setting`, with the value as it is typed on a command line. Raises ConfigError."""
+    kind = type(flat(config).get(key))
+    value: object = text
+    if kind is bool:
+        value = {"true": True, "false": False}.get(text.lower(), text)
+    elif kind in (int, float):
+        with suppress(ValueError):
+            value = kind(text)
+    return with_setting(config, key, value)
 
 
 def flat(config: Config) -> dict[str, object]:

@@ -5,17 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from textwrap import wrap
 from typing import Any
 
-from robotctl.cli.text import duration, is_terminal, json_text, printable, short_path
+from robotctl.cli.text import duration, is_terminal, json_text, row, short_path
 from robotctl.errors import Divergence, UnreadableFile
 from robotctl.kernel.modes import Mode
 from robotctl.replay.check_many import check_many
 from robotctl.replay.report import Verdict
 
-COLUMNS = 80
 _WIDTH = 12
+_INDENT = " " * _WIDTH
 
 
 def check_command(files: Sequence[Path], *, as_json: bool) -> None:
@@ -25,8 +24,8 @@ def check_command(files: Sequence[Path], *, as_json: bool) -> None:
         Divergence: One of them decides otherwise, or breaks a promise.
         UnreadableFile: Not all of them could be checked whole.
     """
-    paths = [path for file in files for path in _recordings_at(file)]
-    with _bar(len(paths), quiet=as_json) as on_share:
+    paths = [path for file in files for path in recordings_at(file)]
+    with bar(f"checking {len(paths)} recordings", quiet=as_json) as on_share:
         reports = check_many(paths, on_share)
     if as_json:
         print(json_text({"recordings": reports, **_counts(reports)}))
@@ -41,26 +40,27 @@ def report_lines(report: dict[str, Any]) -> Iterator[str]:
     yield f"{verdict.value:{_WIDTH}}{short_path(report['path'])}"
     if report["events"]:
         how = "bit for bit" if report["bitwise"] else "as far as they can be compared"
-        yield from _row(
+        yield from row(
+            _INDENT,
             f"{duration(report['duration_s'])}: {report['events']} events, "
-            f"{report['effects']} effects {how}, {report['commands']} commands"
+            f"{report['effects']} effects {how}, {report['commands']} commands",
         )
     found = report["divergence"]
     if found is not None:
         yield from _divergence_lines(found)
     for each in report["violations"]:
-        yield from _row(f"{_moment(each)}: {printable(each['text'])}")
+        yield from row(_INDENT, f"{_moment(each)}: {each['text']}")
     more = report["violation_count"] - len(report["violations"])
     if more:
-        yield from _row(f"and {more} more")
+        yield from row(_INDENT, f"and {more} more")
     for sentence in report["missing"]:
-        yield from _row(f"not checked: {printable(sentence)}")
+        yield from row(_INDENT, f"not checked: {sentence}")
     for sentence in report["notes"]:
-        yield from _row(f"note: {printable(sentence)}")
+        yield from row(_INDENT, f"note: {sentence}")
 
 
 def _divergence_lines(found: dict[str, Any]) -> Iterator[str]:
-    yield from _row(f"first at entry {found['seq']}, {_moment(found)}")
+    yield from row(_INDENT, f"first at entry {found['seq']}, {_moment(found)}")
     rows = {
         "before": _state_text(found["state"]),
         "event": found["event"],
@@ -70,15 +70,7 @@ def _divergence_lines(found: dict[str, Any]) -> Iterator[str]:
     }
     for label, text in rows.items():
         if text:
-            yield from _row(text, f"  {label:9}")
-
-
-def _row(text: str, label: str = "") -> Iterator[str]:
-    """Text in its column, with a label before it."""
-    first = f"{'':{_WIDTH}}{label}"
-    return iter(
-        wrap(printable(text), COLUMNS, initial_indent=first, subsequent_indent=" " * len(first))
-    )
+            yield from row(f"{_INDENT}  {label:9}", text)
 
 
 def _moment(found: dict[str, Any]) -> str:
@@ -114,7 +106,7 @@ def _raise_gravest(reports: Sequence[dict[str, Any]]) -> None:
         raise UnreadableFile(f"{len(found[Verdict.INCOMPLETE])}{of} could not be checked whole")
 
 
-def _recordings_at(path: Path) -> list[Path]:
+def recordings_at(path: Path) -> list[Path]:
     """The recordings in a folder that is none itself, or what was given."""
     try:
         if path.is_dir() and not any(path.glob("*.mcap")):
@@ -125,14 +117,14 @@ def _recordings_at(path: Path) -> list[Path]:
 
 
 @contextmanager
-def _bar(count: int, *, quiet: bool) -> Iterator[Callable[[float], None]]:
+def bar(label: str, *, quiet: bool) -> Iterator[Callable[[float], None]]:
     """A progress bar where there is a terminal."""
     if quiet or not is_terminal():
         yield lambda share: None
         return
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    text = TextColumn(f"checking {count} recording{'' if count == 1 else 's'}")
-    with Progress(text, BarColumn(bar_width=None), TimeRemainingColumn(), transient=True) as bar:
-        task = bar.add_task("", total=1.0)
-        yield lambda share: bar.update(task, completed=share)
+    columns = (TextColumn(label, markup=False), BarColumn(bar_width=None), TimeRemainingColumn())
+    with Progress(*columns, transient=True) as shown:
+        task = shown.add_task("", total=1.0)
+        yield lambda share: shown.update(task, completed=share)

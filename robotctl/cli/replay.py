@@ -48,6 +48,13 @@ def replay(
     check: Annotated[
         bool, typer.Option("--check", help="Decide again instead, and compare; needs no ROS.")
     ] = False,
+    what_if: Annotated[
+        list[str] | None,
+        typer.Option(metavar="KEY=VALUE", help="Decide again with another parameter; repeatable."),
+    ] = None,
+    resim: Annotated[
+        bool, typer.Option("--resim", help="Drive again with a simulated robot that reacts.")
+    ] = False,
     loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
     force: Annotated[
         bool, typer.Option("--force", help="Original names although a daemon is there.")
@@ -73,11 +80,19 @@ def replay(
       robotctl replay run.mcap --topics /odom,/tf --rate 2 --loop
       robotctl replay run.mcap --rate max --json
       robotctl replay recordings/* --check
+      robotctl replay run.mcap --resim --what-if tracking.k_y=8
     """
+    if check and (what_if or resim):
+        raise UsageError("--check takes the recorded parameters: leave --what-if and --resim out")
     if check:
         from robotctl.cli.check import check_command
 
         check_command(files, as_json=as_json)
+        return
+    if what_if or resim:
+        from robotctl.cli.whatif import what_if_command
+
+        what_if_command(files, what_if or [], closed_loop=resim, as_json=as_json)
         return
     job = Job(
         file=_only(files).absolute(),

@@ -6,7 +6,10 @@ import json
 import os
 import sys
 import time
+from collections.abc import Iterator
 from typing import Any
+
+COLUMNS = 80
 
 _LAST_MOMENT_NS = 253_402_300_800 * 10**9
 """The end of the year 9999."""
@@ -32,6 +35,15 @@ def elided(text: object, width: int) -> str:
         return line
     head = (width - 2) // 2
     return f"{line[:head]}..{line[len(line) - (width - 2 - head) :]}"
+
+
+def row(label: str, text: object) -> Iterator[str]:
+    """Text beside its label, wrapped into a column of its own."""
+    from textwrap import wrap
+
+    lines = wrap(printable(text), COLUMNS - len(label), break_on_hyphens=False) or [""]
+    yield f"{label}{lines[0]}"
+    yield from (f"{'':{len(label)}}{line}" for line in lines[1:])
 
 
 def short_path(path: object) -> str:

@@ -36,16 +36,21 @@ def journal_topic(info: RecordingInfo) -> str | None:
     return found.pop() if len(found) == 1 else None
 
 
-def read_journal(recording: Recording, on_missing: Callable[[str], None]) -> Iterator[Journaled]:
+def read_journal(
+    recording: Recording,
+    on_missing: Callable[[str], None],
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Iterator[Journaled]:
     """The entries in the order in which they were written, which is that of their `seq`.
 
-    Log times may step back where the clock was set. What cannot be read is told to `on_missing`.
-    Raises UnreadableFile where there is no journal, or an entry is none.
+    Log times may step back where the clock was set. What cannot be read is told to `on_missing`,
+    bytes done and in total to `on_progress`. Raises UnreadableFile where there is no journal, or
+    an entry is none.
     """
     topic = journal_topic(recording.info())
     if topic is None:
         raise UnreadableFile(f"{recording.path} holds no journal of robotctl")
-    for message in recording.in_order_written({topic}, on_missing):
+    for message in recording.in_order_written({topic}, on_missing, on_progress):
         yield Journaled(message.log_ns, decode(message.data))
 
 

@@ -26,9 +26,14 @@ def closed_loop(
 ) -> Iterator[tuple[Event, tuple[Effect, ...]]]:
     """Every event with its effects, without end, from `begin_ns` (steady) on.
 
-    `requests`, in the order of their time, come when their `t_ns` has come.
+    `requests`, in the order of their time, come when their `t_ns` has come. The robot stands where
+    the kernel's last odometry was.
     """
     robot = Robot(sim)
+    health = kernel.state.health
+    if health.odometry is not None:
+        robot.truth = robot.odometry = health.odometry.pose
+    stamp_ns = health.odometry_stamp_ns - begin_ns
     odometry_ns = round(NS_PER_S / sim.odometry_rate_hz)
     tick_ns = round(NS_PER_S / kernel.params.rate_hz)
     next_odometry_ns = next_battery_ns = begin_ns
@@ -43,7 +48,7 @@ def closed_loop(
         elif t_ns == next_odometry_ns:
             next_odometry_ns += odometry_ns
             robot.advance(1.0 / sim.odometry_rate_hz)
-            event = OdomReceived(t_ns, Odometry(robot.odometry, robot.measured, t_ns))
+            event = OdomReceived(t_ns, Odometry(robot.odometry, robot.measured, stamp_ns + t_ns))
         elif t_ns == next_battery_ns:
             next_battery_ns += NS_PER_S
             event = BatteryReceived(t_ns, robot.battery)

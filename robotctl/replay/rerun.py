@@ -14,7 +14,7 @@ from robotctl.kernel.types import Effect, Event
 from robotctl.recording.journal import JournalEntry
 from robotctl.replay.comparison import Comparison
 from robotctl.replay.steps import Gap, Step, steps
-from robotctl.replay.values import read_event, read_snapshot
+from robotctl.replay.values import read_event, read_snapshot, text_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +97,7 @@ class Rerun:
             found = self._divergence(self._event, theirs[len(mine)], None, before)
             return self._stop(event, found)
         if len(mine) > len(theirs) and not step.cut:
-            text = _text_of(mine[len(theirs)])
+            text = text_of(mine[len(theirs)])
             at = theirs[-1] if theirs else entry
             return self._stop(event, Divergence(at.seq, at.t_ns, self._event, "", text, before))
         return Decided(event, decided)
@@ -126,7 +126,7 @@ class Rerun:
             recorded.t_ns,
             event,
             _text(recorded),
-            "" if mine is None else _text_of(mine),
+            "" if mine is None else text_of(mine),
             before,
             tuple(differences),
         )
@@ -154,7 +154,3 @@ def rerun(entries: Iterable[JournalEntry]) -> Divergence | None:
 
 def _text(entry: JournalEntry) -> str:
     return f"{entry.name} {entry.data}"
-
-
-def _text_of(value: Any) -> str:
-    return f"{type(value).__name__} {to_json(value)}"

@@ -9,7 +9,7 @@ from typing import Any, get_args
 import msgspec
 
 from robotctl.errors import UnreadableFile
-from robotctl.kernel.codec import from_json
+from robotctl.kernel.codec import from_json, to_json
 from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.types import Effect, Event
 from robotctl.recording.journal import JournalEntry
@@ -43,6 +43,11 @@ def read_snapshot(entry: JournalEntry) -> Snapshot:
     """The snapshot in an entry; raises UnreadableFile where it is none of this version."""
     snapshot: Snapshot = _read(_SNAPSHOT, "snapshot", entry)
     return snapshot
+
+
+def text_of(value: Event | Effect | Snapshot) -> str:
+    """The value as a line of the journal: `Name {json}`."""
+    return f"{type(value).__name__} {to_json(value)}"
 
 
 def _read(kinds: Mapping[str, Any], noun: str, entry: JournalEntry) -> Any:

@@ -21,6 +21,8 @@ from shutil import rmtree
 from typing import Any
 
 from robotctl.recording.journal import JournalEntry, decode
+from robotctl.replay.check import check
+from robotctl.replay.report import Verdict
 from robotctl.testing.domain import reserved_domain
 from robotctl.testing.lines import Told
 from robotctl.testing.waiting import DEADLINE_S, until
@@ -198,8 +200,19 @@ class World:
             left += [f"memory {path}" for path in self.shared_memory()]
         for path in self.shared_memory():
             path.unlink(missing_ok=True)
+        left += self._contradictions()
         rmtree(self.folder)
         return left
+
+    def _contradictions(self) -> list[str]:
+        """What a fresh kernel would have decided otherwise in recordings of this world."""
+        folders = {path.parent for path in self.folder.rglob("*.mcap")}
+        reports = [check(folder) for folder in sorted(folders)]
+        return [
+            f"recording: {report.as_object()}"
+            for report in reports
+            if report.verdict in (Verdict.DIVERGED, Verdict.BROKEN)
+        ]
 
 
 @contextmanager

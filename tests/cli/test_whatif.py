@@ -1,0 +1,60 @@
+"""`replay --what-if` and `--resim` on the command line."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robotctl.recording.journal import JournalEntry
+from robotctl.testing.drives import Written, drive, drive_requested, record
+
+Cli = Callable[..., Any]
+
+
+@pytest.fixture(scope="module")
+def written() -> list[Written]:
+    return drive(23.0, requests=[drive_requested(laps=1)])
+
+
+def test_an_open_loop_says_that_the_robot_does_not_react(cli: Cli, written: list[Written]) -> None:
+    record(Path("run"), written)
+    ran = cli("replay", "run", "--what-if", "tracking.k_y=8")
+    assert ran.exit_code == 0
+    assert "The robot does not react here" in ran.out
+    assert "tracking.k_y                        20.0             8" in ran.out
+    assert max(map(len, ran.out.splitlines())) <= 80
+    found = json.loads(cli("replay", "run", "--what-if", "tracking.k_y=8", "--json").out)
+    assert found["recordings"][0]["angular_rps"]["max"] > 0.0
+
+
+def test_a_closed_loop_shows_the_error_before_and_after(cli: Cli, written: list[Written]) -> None:
+    record(Path("run"), written)
+    command = ("replay", "run", "--resim", "--what-if", "sim.lag_s=0.3")
+    ran = cli(*command)
+    assert ran.exit_code == 0
+    (header,) = [line for line in ran.out.splitlines() if "drive 1" in line]
+    assert header.split() == ["drive", "1", "recorded", "simulated", "what", "if"]
+    (rms,) = [line for line in ran.out.splitlines() if "off track RMS" in line]
+    _, simulated, other = map(float, rms.split("[m]")[1].split())
+    assert other > simulated
+    found = json.loads(cli(*command, "--json").out)["recordings"][0]["drives"][0]
+    assert found["what_if"]["cross_track_rms_m"] == pytest.approx(other, abs=1e-4)
+
+
+def test_a_wrong_key_is_wrong_usage(cli: Cli, written: list[Written]) -> None:
+    record(Path("run"), written)
+    for setting in ("tracking.k=8", "tracking.k_y=nan", "sim.lag_s=1"):
+        assert cli("replay", "run", "--what-if", setting).exit_code == 2
+    assert cli("replay", "run", "--check", "--resim").exit_code == 2
+
+
+def test_a_gap_is_told_and_no_success(cli: Cli, written: list[Written]) -> None:
+    entries = [each for each in written if isinstance(each, JournalEntry)]
+    record(Path("run"), [*entries[:100], *entries[103:]])
+    ran = cli("replay", "run", "--what-if", "tracking.k_y=8")
+    assert ran.exit_code == 6
+    assert "missing: the journal lacks the entries 100 to 102" in ran.out
