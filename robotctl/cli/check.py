@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from robotctl.cli.text import duration, is_terminal, json_text, row, short_path
+from robotctl.cli.progress import progress_bar
+from robotctl.cli.text import duration, json_text, row, short_path
 from robotctl.errors import Divergence, UnreadableFile
 from robotctl.kernel.modes import Mode
 from robotctl.replay.check_many import check_many
@@ -25,8 +25,8 @@ def check_command(files: Sequence[Path], *, as_json: bool) -> None:
         UnreadableFile: Not all of them could be checked whole.
     """
     paths = [path for file in files for path in recordings_at(file)]
-    with bar(f"checking {len(paths)} recordings", quiet=as_json) as on_share:
-        reports = check_many(paths, on_share)
+    with progress_bar("checking", quiet=as_json) as on_progress:
+        reports = check_many(paths, on_progress)
     if as_json:
         print(json_text({"recordings": reports, **_counts(reports)}))
     else:
@@ -114,17 +114,3 @@ def recordings_at(path: Path) -> list[Path]:
     except OSError:
         pass  # whoever reads it says why it cannot be read
     return [path]
-
-
-@contextmanager
-def bar(label: str, *, quiet: bool) -> Iterator[Callable[[float], None]]:
-    """A progress bar where there is a terminal."""
-    if quiet or not is_terminal():
-        yield lambda share: None
-        return
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn(label, markup=False), BarColumn(bar_width=None), TimeRemainingColumn())
-    with Progress(*columns, transient=True) as shown:
-        task = shown.add_task("", total=1.0)
-        yield lambda share: shown.update(task, completed=share)

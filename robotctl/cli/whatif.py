@@ -6,7 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from robotctl.cli.check import bar, recordings_at
+from robotctl.cli.check import recordings_at
+from robotctl.cli.progress import progress_bar
 from robotctl.cli.text import duration, json_text, number, printable, row, short_path
 from robotctl.errors import UnreadableFile
 from robotctl.replay.resim import resim
@@ -44,8 +45,8 @@ def what_if_command(
     compare, lines = (resim, resim_lines) if closed_loop else (what_if, what_if_lines)
     found = []
     for path in [path for file in files for path in recordings_at(file)]:
-        with bar(f"{short_path(path)}", quiet=as_json) as on_share:
-            found.append(compare(path, parsed, lambda done, total: on_share(done / max(total, 1))))
+        with progress_bar(short_path(path), quiet=as_json) as on_progress:
+            found.append(compare(path, parsed, on_progress))
         if not as_json:
             print("\n".join(lines(found[-1])), flush=True)
     if as_json:

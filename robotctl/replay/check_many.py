@@ -7,12 +7,12 @@ import os
 import subprocess
 import sys
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any
 
-from robotctl.replay.check import check
+from robotctl.replay.check import Progress, check
 from robotctl.replay.report import Report
 
 WORKER = (sys.executable, "-P", "-m", "robotctl.replay.check_worker")
@@ -20,14 +20,16 @@ WORKER = (sys.executable, "-P", "-m", "robotctl.replay.check_worker")
 
 POLL_S = 0.1
 
-Share = Callable[[float], None]
-"""Takes how much is done, 0 to 1."""
+_WHOLE = 1000
+"""In how many parts progress within a recording is told."""
 
 
-def check_many(paths: Sequence[Path], on_share: Share = lambda share: None) -> list[dict[str, Any]]:
+def check_many(
+    paths: Sequence[Path], on_progress: Progress = lambda done, total: None
+) -> list[dict[str, Any]]:
     """The reports, as in `Report.as_object`, in the order of `paths`."""
     if len(paths) == 1:
-        return [check(paths[0], lambda done, total: on_share(done / total)).as_object()]
+        return [check(paths[0], on_progress).as_object()]
     count = min(len(os.sched_getaffinity(0)), len(paths))
     waiting = deque(range(len(paths)))
     shares = [0.0] * len(paths)
@@ -48,7 +50,7 @@ def check_many(paths: Sequence[Path], on_share: Share = lambda share: None) -> l
         working = [pool.submit(work, worker) for worker in workers]
         try:
             while wait(working, POLL_S).not_done:
-                on_share(sum(shares) / len(paths))
+                on_progress(round(_WHOLE * sum(shares)), _WHOLE * len(paths))
         finally:
             waiting.clear()
             for worker in workers:
