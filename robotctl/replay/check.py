@@ -8,9 +8,10 @@ from pathlib import Path
 
 from robotctl.errors import UnreadableFile
 from robotctl.recording import journal
-from robotctl.recording.identity import CLIP_RECORD, INFO_RECORD, LEDGER_RECORD, OWN_LIBRARY
+from robotctl.recording.identity import CLIP_RECORD, INFO_RECORD, OWN_LIBRARY
 from robotctl.recording.journal import JournalEntry
 from robotctl.recording.journal_reader import journal_topic
+from robotctl.recording.ledger_record import read_ledger
 from robotctl.recording.reader import Recording, RecordingInfo, read_info
 from robotctl.replay import traffic
 from robotctl.replay.comparison import Comparison
@@ -181,10 +182,10 @@ class _Check:
     def _check_ledger(self) -> None:
         """The last file of a recording that was closed has the whole account."""
         path = self._recording.path
-        ledger = read_info(self._info.files[-1]).metadata.get(LEDGER_RECORD)
-        if ledger is None and CLIP_RECORD in self._info.metadata:
+        ledger = read_ledger(read_info(self._info.files[-1]).metadata)
+        if not ledger and CLIP_RECORD in self._info.metadata:
             return  # the account is that of the whole
-        if ledger is None:
+        if not ledger:
             self._report.notes.append("it was not closed: its loss ledger is not there to check")
             return
         for sentence in unbalanced(ledger, finished=path.is_dir()):

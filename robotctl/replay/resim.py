@@ -6,7 +6,7 @@ On virtual time, where no scheduler disturbs: two runs differ by their parameter
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ from robotctl.recording.journal import JournalEntry, Kind
 from robotctl.recording.journal_reader import read_journal
 from robotctl.recording.reader import Recording
 from robotctl.replay.closed_loop import closed_loop
-from robotctl.replay.settings import Settings, changed, recorded_config
+from robotctl.replay.settings import Settings, changed, simulated
 from robotctl.replay.values import read_effect, read_event, read_snapshot
 
 MAX_REQUESTS = 100_000
@@ -76,7 +76,7 @@ def resim(
     with Recording(path) as recording:
         for sentence in recording.missing:
             note_missing(missing, sentence)
-        known = recorded_config(recording.info())
+        info = recording.info()
         for _, entry in read_journal(recording, lambda text: note_missing(missing, text)):
             recorded.end_ns = entry.t_ns
             if entry.kind is Kind.SNAPSHOT and snapshot is None:
@@ -87,11 +87,11 @@ def resim(
         raise UnreadableFile(f"{path}: its journal holds no snapshot of the kernel to begin from")
     if len(recorded.requests) > MAX_REQUESTS:
         note_missing(missing, f"only the first {MAX_REQUESTS} requests are asked again")
-    for key in known.unknown:
+    config, unknown = simulated(Config(kernel=snapshot.params), info)
+    for key in unknown:
         note_missing(missing, f"the recorded parameter {key} is not known here")
-    config = replace(known.config, kernel=snapshot.params)
     other = changed(config, settings)
-    simulated = _simulate(config, snapshot.state, recorded, on_progress)
+    again = _simulate(config, snapshot.state, recorded, on_progress)
     what_if = _simulate(other, snapshot.state, recorded, on_progress) if settings else None
     return {
         "path": str(path),
@@ -103,12 +103,12 @@ def resim(
             {
                 "request_id": request_id,
                 "recorded": recorded.drives.get(request_id),
-                "simulated": simulated.drives.get(request_id),
+                "simulated": again.drives.get(request_id),
                 "what_if": what_if.drives.get(request_id) if what_if else None,
             }
             for request_id in sorted(
                 recorded.drives.keys()
-                | simulated.drives.keys()
+                | again.drives.keys()
                 | (what_if.drives.keys() if what_if else set())
             )
         ],

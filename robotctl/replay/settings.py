@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import fields
 
 from robotctl.config import Config, check_together, with_text
 from robotctl.errors import ConfigError, UsageError
@@ -54,24 +54,17 @@ def changed(config: Config, settings: Settings) -> Config:
     return config
 
 
-@dataclass(frozen=True, slots=True)
-class RecordedConfig:
-    """What a recording says of its configuration; of `unknown` keys nobody knows the meaning."""
+def simulated(config: Config, info: RecordingInfo) -> tuple[Config, list[str]]:
+    """The configuration with the recorded parameters of the simulated robot.
 
-    config: Config
-    unknown: tuple[str, ...]
-
-
-def recorded_config(info: RecordingInfo) -> RecordedConfig:
-    """The configuration in a recording's metadata; what it does not say has its default."""
-    config = Config()
+    Also the keys of those that are not known or not allowed here.
+    """
     unknown = []
     for name, value in info.metadata.get(INFO_RECORD, {}).items():
         key = name.removeprefix(PREFIX)
-        if key == name:
-            continue
-        try:
-            config = with_text(config, key, value)
-        except ConfigError:
-            unknown.append(key)
-    return RecordedConfig(config, tuple(unknown))
+        if key != name and key.startswith("sim."):
+            try:
+                config = with_text(config, key, value)
+            except ConfigError:
+                unknown.append(key)
+    return config, unknown
