@@ -15,6 +15,7 @@ from typing import Any
 from robotctl import environment
 from robotctl.daemon import options as command_line
 from robotctl.daemon.lock import owned
+from robotctl.daemon.log import log_to_stderr
 from robotctl.daemon.options import DaemonOptions
 from robotctl.errors import INTERRUPTED_EXIT_CODE, RobotctlError
 from robotctl.paths import lock_path
@@ -25,9 +26,7 @@ _log = logging.getLogger("robotctl")
 def main(arguments: list[str]) -> int:
     """Run a daemon to its end and return its exit code."""
     note = environment.prepare()
-    logging.basicConfig(
-        level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s"
-    )
+    log_to_stderr()
     ready_fd = command_line.parse_ready_fd(arguments)
     if ready_fd is not None:
         os.set_inheritable(ready_fd, False)
