@@ -68,6 +68,12 @@ class RecorderReport:
         """Say what is not recorded, and why."""
         stats = self._recorder.stats()
         yield from (text for text in (stats.failure, stats.warning) if text)
+        if stats.dropped and not stats.failure:
+            worst = max(stats.topics, key=lambda topic: topic.dropped)
+            yield (
+                f"{stats.dropped} messages are not recorded, most of {worst.name}: "
+                "they came faster than the disk writes, or are larger than the queue"
+            )
         yield from self._tap.problems.values()
         yield from self._heavy_warnings
 

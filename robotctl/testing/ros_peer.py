@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import threading
 import time
+from array import array
 from typing import Any
 
 import rclpy
@@ -17,6 +18,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from robot_controller.msg import RobotStatus
 from robot_controller.srv import SetMode
 from sensor_msgs.msg import BatteryState
+from std_msgs.msg import UInt8MultiArray
 
 from robotctl.testing.lines import obey
 from robotctl.testing.waiting import DEADLINE_S, until
@@ -118,6 +120,14 @@ class Peer:
         until(publisher.get_subscription_count)
         for _ in range(count):
             publisher.publish(message_type())
+        assert publisher.wait_for_all_acked(Duration(seconds=DEADLINE_S))
+        self.node.destroy_publisher(publisher)
+
+    def send_large(self, topic: str, size: int) -> None:
+        """Publish one message of so many bytes once somebody listens."""
+        publisher = self.node.create_publisher(UInt8MultiArray, topic, 1)
+        until(publisher.get_subscription_count)
+        publisher.publish(UInt8MultiArray(data=array("B", bytes(size))))
         assert publisher.wait_for_all_acked(Duration(seconds=DEADLINE_S))
         self.node.destroy_publisher(publisher)
 

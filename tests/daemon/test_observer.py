@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -48,6 +48,8 @@ def _live(world: World, peer: Peer) -> Observed:
     peer("send", kind="Twist", topic="/cmd_vel", count=COMMANDS)
     until(lambda: _counts(world.status()).get("/cmd_vel", 0) == 2 * COMMANDS)
     until(lambda: _counts(world.status()).get("/odom", 0) > 10)
+    told = _counts(world.status())["/diagnostics"]
+    until(lambda: _counts(world.status())["/diagnostics"] > told)
     screen = world.ok("status")
     watching = world.spawn("watch")
     assert watching.stdout is not None
@@ -146,6 +148,25 @@ def test_a_publisher_that_restarts_is_no_loss(observed: Observed) -> None:
     sequences = [message.sequence for message in observed.topics["/cmd_vel"]]
     assert sequences == 2 * list(range(1, COMMANDS + 1))
     assert observed.status["recorder"]["lost"] == 0
+
+
+@pytest.mark.slow
+def test_a_message_larger_than_the_queue_is_counted_and_named(
+    world: World, new_peer: Callable[[World], Peer]
+) -> None:
+    peer = new_peer(world)
+    world.ok("start", "--observe")
+    peer("send_large", topic="/large", size=200_000_000)
+    until(lambda: _counts(world.status()).get("/large") == 1)
+    peer("send", kind="Twist", topic="/cmd_vel", count=COMMANDS)
+    until(lambda: _counts(world.status()).get("/cmd_vel") == COMMANDS)
+    status = world.status()
+    assert status["recorder"]["state"] == "recording"
+    assert (status["recorder"]["dropped"], status["recorder"]["lost"]) == (1, 0)
+    assert any("1 messages are not recorded, most of /large" in text for text in status["warnings"])
+    world.ok("stop")
+    topics = read_back(next(world.recordings.iterdir()))
+    assert (len(topics["/cmd_vel"]), len(topics["/large"])) == (COMMANDS, 0)
 
 
 @pytest.mark.parametrize("option", [("--drive", "square"), ("--sim",)])
