@@ -170,6 +170,8 @@ class Peer:
             return GoalResponse.REJECT if goal.value > 1000 else GoalResponse.ACCEPT
 
         def execute(handle: Any) -> Any:
+            # The goal may come before we know that its client listens to the feedback.
+            until(lambda: self.node.count_subscribers(f"{action}/_action/feedback"))
             total = 0
             for number in range(handle.request.value):
                 if handle.is_cancel_requested:

@@ -103,7 +103,8 @@ def test_a_ros_without_the_function_is_named() -> None:
 
 
 NO_FILES = """
-import asyncio, resource, rclpy
+import asyncio, os, resource, rclpy
+from contextlib import suppress
 from std_msgs.msg import UInt64
 from robotctl.ros import AsyncioExecutor
 
@@ -117,12 +118,17 @@ async def main():
         node.create_subscription(UInt64, "early", lambda m: got.append(m.data), 10)
         publisher = node.create_publisher(UInt64, "early", 10)
         await asyncio.sleep(0)
-        import os
         limit = max(map(int, os.listdir("/proc/self/fd"))) + 1
         hard = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
         resource.setrlimit(resource.RLIMIT_NOFILE, (limit, hard))
+        filled = []
+        with suppress(OSError):
+            while True:
+                filled.append(os.open(os.devnull, os.O_RDONLY))
         timer = node.create_timer(0.001, lambda: got.append("timer"))
-        await asyncio.sleep(0.05)
+        async with asyncio.timeout(30):
+            while not reported:
+                await asyncio.sleep(0.001)
         executor.wake()
         await asyncio.sleep(0.05)
         assert len(reported) == 1, reported

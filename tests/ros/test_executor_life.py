@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import gc
-import os
 import signal
 import threading
 import time
@@ -22,14 +21,11 @@ from std_msgs.msg import UInt64
 from std_srvs.srv import SetBool
 
 from robotctl.ros import AsyncioExecutor, RawTap
+from robotctl.testing.descriptors import loop_descriptors
 from robotctl.testing.waiting import DEADLINE_S
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 RunPython = Callable[..., CompletedProcess[str]]
-
-
-def open_files() -> int:
-    return len(os.listdir("/proc/self/fd"))
 
 
 def populate(node: Node, topic: str, on_message: Callable[[Any], object]) -> Any:
@@ -41,6 +37,21 @@ def populate(node: Node, topic: str, on_message: Callable[[Any], object]) -> Any
     node.create_timer(0.001, lambda: None)
     node.create_guard_condition(lambda: None)
     return node.create_publisher(UInt64, topic, 100)
+
+
+class SlowToEnd:
+    """An async callback that waits for ever, and cleans up when it is cancelled."""
+
+    def __init__(self) -> None:
+        self.events: list[str] = []
+
+    async def __call__(self, message: UInt64) -> None:
+        self.events.append("running")
+        try:
+            await asyncio.sleep(DEADLINE_S)
+        finally:
+            await asyncio.sleep(0.02)
+            self.events.append("cleaned up")
 
 
 # Shutdown.
@@ -92,46 +103,28 @@ async def test_shutdown_from_an_async_callback_lets_it_run_to_its_next_await(
 async def test_shutdown_from_another_thread_waits_for_running_callbacks(
     context: Any, node: Node, topic: str, until: Until
 ) -> None:
-    events: list[str] = []
-
-    async def on_message(message: UInt64) -> None:
-        events.append("running")
-        try:
-            await asyncio.sleep(DEADLINE_S)
-        finally:
-            await asyncio.sleep(0.02)
-            events.append("cleaned up")
-
-    publisher = populate(node, topic, on_message)
+    slow = SlowToEnd()
+    publisher = populate(node, topic, slow)
     async with asyncio.timeout(DEADLINE_S), AsyncioExecutor(context) as executor:
         executor.add_node(node)
         publisher.publish(UInt64())
-        await until(lambda: events == ["running"])
+        await until(lambda: slow.events == ["running"])
         assert await asyncio.to_thread(executor.shutdown, 0.0) is False
         assert await asyncio.to_thread(executor.shutdown) is True
-        assert events == ["running", "cleaned up"]
+        assert slow.events == ["running", "cleaned up"]
         await executor.serve()
 
 
 async def test_leaving_the_block_cancels_async_callbacks_and_waits_for_their_cleanup(
     context: Any, node: Node, topic: str, until: Until
 ) -> None:
-    events: list[str] = []
-
-    async def on_message(message: UInt64) -> None:
-        events.append("running")
-        try:
-            await asyncio.sleep(DEADLINE_S)
-        finally:
-            await asyncio.sleep(0.01)
-            events.append("cleaned up")
-
-    publisher = populate(node, topic, on_message)
+    slow = SlowToEnd()
+    publisher = populate(node, topic, slow)
     async with AsyncioExecutor(context) as executor:
         executor.add_node(node)
         publisher.publish(UInt64())
-        await until(lambda: events)
-    assert events == ["running", "cleaned up"]
+        await until(lambda: slow.events)
+    assert slow.events == ["running", "cleaned up"]
 
 
 async def test_a_call_that_waits_when_the_executor_shuts_down_is_told(
@@ -266,11 +259,11 @@ async def test_200_starts_and_stops_under_traffic_leave_nothing_behind(
     try:
         await cycle()
         gc.collect()
-        before = (open_files(), threading.active_count())
+        before = (loop_descriptors(), threading.active_count())
         for _ in range(200):
             await cycle()
         gc.collect()
-        assert (open_files(), threading.active_count()) == before
+        assert (loop_descriptors(), threading.active_count()) == before
     finally:
         stop.set()
         thread.join()
@@ -352,7 +345,7 @@ async def test_opening_may_be_cancelled_at_any_await(
 ) -> None:
     monkeypatch.setattr("robotctl.ros.proof._proven", False)
     populate(node, f"/cancelled_{turns}", lambda _: None)
-    before = open_files()
+    before = loop_descriptors()
     executor = AsyncioExecutor(context)
 
     async def live() -> None:
@@ -366,7 +359,7 @@ async def test_opening_may_be_cancelled_at_any_await(
     task.cancel()
     with pytest.raises(asyncio.CancelledError):
         await task
-    assert open_files() == before
+    assert loop_descriptors() == before
     async with AsyncioExecutor(context) as second:
         assert second.add_node(node)
 
@@ -676,9 +669,9 @@ async def test_churn_of_subscriptions_under_traffic_loses_no_message_of_the_othe
             node.destroy_subscription(subscription)
         if round_number == 5:
             await asyncio.sleep(0)
-            before = open_files()
+            before = loop_descriptors()
     await asyncio.sleep(0)
-    assert open_files() == before
+    assert loop_descriptors() == before
     count = sent
     await until(lambda: len(got) >= count)
     assert got == list(range(len(got)))
