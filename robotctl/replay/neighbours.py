@@ -18,6 +18,8 @@ class Daemon:
     robot: str
     domain_id: int | None
     mode: str | None
+    observes: bool = False
+    """It only records, and so is in nobody's way."""
 
     @property
     def may_be_moving(self) -> bool:
@@ -36,8 +38,12 @@ def running_daemons() -> list[Daemon]:
 
 
 def daemons_in(domain_id: int) -> list[Daemon]:
-    """Those that are in a ROS domain; one that does not say where it is may be there."""
-    return [daemon for daemon in running_daemons() if daemon.domain_id in (None, domain_id)]
+    """Those that drive in a ROS domain; one that does not say where it is may be there."""
+    return [
+        daemon
+        for daemon in running_daemons()
+        if daemon.domain_id in (None, domain_id) and not daemon.observes
+    ]
 
 
 def ask(robot: str) -> Daemon | None:
@@ -55,4 +61,5 @@ def ask(robot: str) -> Daemon | None:
         robot,
         domain_id if isinstance(domain_id, int) else None,
         mode if isinstance(mode, str) else None,
+        observes="mode" in status and mode is None,
     )

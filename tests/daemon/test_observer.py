@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import pytest
 
+from robotctl.replay.neighbours import daemons_in, running_daemons
 from robotctl.testing.waiting import until
 from robotctl.testing.world import STATUS_KEYS, Peer, Ran, World, new_world, read_back
 
@@ -148,6 +150,16 @@ def test_a_publisher_that_restarts_is_no_loss(observed: Observed) -> None:
     sequences = [message.sequence for message in observed.topics["/cmd_vel"]]
     assert sequences == 2 * list(range(1, COMMANDS + 1))
     assert observed.status["recorder"]["lost"] == 0
+
+
+async def test_it_is_in_no_replays_way(in_process: Callable[..., Any], world: World) -> None:
+    async with in_process(observe=True, sim=None):
+        (daemon,) = await asyncio.to_thread(running_daemons)
+        assert (daemon.domain_id, daemon.observes) == (world.domain_id, True)
+        assert await asyncio.to_thread(daemons_in, world.domain_id) == []
+    async with in_process():
+        (daemon,) = await asyncio.to_thread(daemons_in, world.domain_id)
+        assert (daemon.mode, daemon.observes) == ("IDLE", False)
 
 
 @pytest.mark.slow
