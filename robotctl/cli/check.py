@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from robotctl.cli.library import find_recording
 from robotctl.cli.progress import progress_bar
 from robotctl.cli.text import duration, json_text, row, short_path
 from robotctl.errors import Divergence, UnreadableFile
@@ -17,14 +18,14 @@ _WIDTH = 12
 _INDENT = " " * _WIDTH
 
 
-def check_command(files: Sequence[Path], *, as_json: bool) -> None:
+def check_command(files: Sequence[Path], robot: str, *, as_json: bool) -> None:
     """Check recordings and say what came of it.
 
     Raises:
         Divergence: One of them decides otherwise, or breaks a promise.
         UnreadableFile: Not all of them could be checked whole.
     """
-    paths = [path for file in files for path in recordings_at(file)]
+    paths = [path for file in files for path in recordings_at(file, robot)]
     with progress_bar("checking", quiet=as_json) as on_progress:
         reports = check_many(paths, on_progress)
     if as_json:
@@ -106,8 +107,13 @@ def _raise_gravest(reports: Sequence[dict[str, Any]]) -> None:
         raise UnreadableFile(f"{len(found[Verdict.INCOMPLETE])}{of} could not be checked whole")
 
 
-def recordings_at(path: Path) -> list[Path]:
-    """The recordings in a folder that is none itself, or what was given."""
+def recordings_at(file: Path, robot: str) -> list[Path]:
+    """What is meant by a path, a name or `last`: of a folder of recordings, all of them.
+
+    Raises:
+        Refused: There is no last one.
+    """
+    path = find_recording(str(file), robot)
     try:
         if path.is_dir() and not any(path.glob("*.mcap")):
             return sorted({file.parent for file in path.glob("*/*.mcap")}) or [path]

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-import time
 from collections.abc import Iterator
-from datetime import datetime
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from robotctl.cli.library import Recordings, find_recording, recordings_folder, recordings_of
+from robotctl.cli.moments import parse_moment
 from robotctl.cli.options import Json, Robot, new_app
 from robotctl.cli.progress import progress_bar
 from robotctl.cli.text import duration, json_text, moment, printable, short_path
@@ -133,31 +132,12 @@ def _moment(listed: ListedRecording, event: Event | None, at: str | None) -> Mom
     from robotctl.recording.clip import Moment
 
     if at is not None:
-        at_ns = _parse_time(at, listed)
+        at_ns = parse_moment(at, listed.start_ns)
         held = listed.start_ns <= at_ns <= listed.end_ns
         return Moment(at_ns) if held else None
     wanted = set(Event) if event is None else {event}
     events = [each for each in listed.events if each.kind.value in wanted]
     return Moment.of(max(events, key=lambda each: each.log_ns)) if events else None
-
-
-def _parse_time(text: str, listed: ListedRecording) -> int:
-    """Nanoseconds since the epoch. Raises UsageError."""
-    try:
-        seconds = float(text)
-        if math.isfinite(seconds) and 0 <= seconds <= MAX_SECONDS * 366:
-            return listed.start_ns + round(seconds * 1e9)
-    except ValueError:
-        day = time.strftime("%Y-%m-%d", time.localtime(listed.start_ns // 10**9))
-        for candidate in (text, f"{day}T{text}"):
-            try:
-                return round(datetime.fromisoformat(candidate).astimezone().timestamp() * 1e9)
-            except (ValueError, OverflowError, OSError):
-                continue
-    raise UsageError(
-        f"--at {text}: give seconds into the recording, a time such as 12:03:04, "
-        "or a date such as 2026-01-01T12:03:04"
-    )
 
 
 def _as_object(source: Path, made: Clip) -> dict[str, Any]:

@@ -24,6 +24,7 @@ MODULES = {
     "logs": "lifecycle",
     "recordings": "recordings",
     "info": "info",
+    "why": "why",
     "recover": "recover",
     "clip": "clip",
     "replay": "replay",

@@ -87,12 +87,12 @@ def replay(
     if check:
         from robotctl.cli.check import check_command
 
-        check_command(files, as_json=as_json)
+        check_command(files, robot, as_json=as_json)
         return
     if what_if or resim:
         from robotctl.cli.whatif import what_if_command
 
-        what_if_command(files, what_if or [], closed_loop=resim, as_json=as_json)
+        what_if_command(files, what_if or [], robot, closed_loop=resim, as_json=as_json)
         return
     job = Job(
         file=_only(files).absolute(),

@@ -32,7 +32,7 @@ _LABEL, _COLUMN = 26, 14
 
 
 def what_if_command(
-    files: Sequence[Path], settings: Sequence[str], *, closed_loop: bool, as_json: bool
+    files: Sequence[Path], settings: Sequence[str], robot: str, *, closed_loop: bool, as_json: bool
 ) -> None:
     """Compare recordings with what would come of other parameters.
 
@@ -44,7 +44,7 @@ def what_if_command(
     check_scope(parsed, closed_loop=closed_loop)
     compare, lines = (resim, resim_lines) if closed_loop else (what_if, what_if_lines)
     found = []
-    for path in [path for file in files for path in recordings_at(file)]:
+    for path in [path for file in files for path in recordings_at(file, robot)]:
         with progress_bar(short_path(path), quiet=as_json) as on_progress:
             found.append(compare(path, parsed, on_progress))
         if not as_json:

@@ -13,20 +13,17 @@ from robotctl.recording.journal import JournalEntry
 from robotctl.recording.journal_reader import journal_topic
 from robotctl.recording.ledger_record import read_ledger
 from robotctl.recording.reader import Recording, RecordingInfo, read_info
-from robotctl.replay import traffic
 from robotctl.replay.comparison import Comparison
 from robotctl.replay.invariants import Invariants
 from robotctl.replay.ledger import unbalanced
 from robotctl.replay.report import Report
 from robotctl.replay.rerun import Divergence, Rerun
 from robotctl.replay.steps import Gap, Step, steps
-from robotctl.replay.traffic import CommandTraffic
+from robotctl.replay.traffic import CommandTraffic, command_topic
 from robotctl.replay.values import read_effect, read_snapshot
 
 Progress = Callable[[int, int], None]
 """(bytes done, bytes in total)"""
-
-_COMMAND_TOPIC = "parameter.command.topic"
 
 
 def check(path: Path, on_progress: Progress = lambda done, total: None) -> Report:
@@ -79,7 +76,7 @@ class _Check:
     def _entries(self, topic: str) -> Iterator[JournalEntry]:
         """The journal; the commands that stand between its entries go to their own place."""
         report = self._report
-        commands = self._command_topic(topic)
+        commands = command_topic(self._info, topic)
         messages = self._recording.in_order_written(
             {topic} if commands is None else {topic, commands}, report.miss, self._on_progress
         )
@@ -92,16 +89,6 @@ class _Check:
                 yield entry
             elif self._traffic.seen or message.publish_ns >= report.begin_log_ns > 0:
                 self._traffic.message(message.data)  # before that, another file has the decision
-
-    def _command_topic(self, journal_topic: str) -> str | None:
-        """The topic of the robot's velocity command, None where it is not recorded."""
-        namespace = journal_topic.removesuffix(f"/{journal.TOPIC}")
-        name = self._info.metadata.get(INFO_RECORD, {}).get(_COMMAND_TOPIC, "cmd_vel")
-        full_name = name if name.startswith("/") else f"{namespace}/{name}"
-        for topic in self._info.topics:
-            if topic.name == full_name and topic.type_name in traffic.TYPES:
-                return full_name
-        return None
 
     def _snapshot(self, entry: JournalEntry) -> None:
         report = self._report

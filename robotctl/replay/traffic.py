@@ -5,7 +5,11 @@ from __future__ import annotations
 import struct
 from collections import deque
 
+from robotctl.errors import UnreadableFile
 from robotctl.kernel.types import Effect, PublishTwist, Twist
+from robotctl.recording.identity import INFO_RECORD
+from robotctl.recording.journal import TOPIC
+from robotctl.recording.reader import RecordingInfo
 
 TYPES = frozenset({"geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"})
 """Both end with the six numbers."""
@@ -21,6 +25,22 @@ _BIG_ENDIAN_NUMBERS = struct.Struct(">6d")
 """Linear and angular velocity at the end of the serialized message (CDR, OMG DDSI-RTPS 10.2)."""
 
 _STILL = bytes(_NUMBERS.size)
+
+_COMMAND_TOPIC = "parameter.command.topic"
+
+
+def command_topic(info: RecordingInfo, journal_topic: str) -> str | None:
+    """The topic of the velocity commands that the journal decides on, None where there is none."""
+    name = info.metadata.get(INFO_RECORD, {}).get(_COMMAND_TOPIC, "cmd_vel")
+    if not name.startswith("/"):
+        name = f"{journal_topic.removesuffix(f'/{TOPIC}')}/{name}"
+    recorded = {topic.name for topic in info.topics if topic.type_name in TYPES}
+    return name if name in recorded else None
+
+
+def is_still(data: bytes) -> bool:
+    """Whether a message of the command topic commands no motion."""
+    return not any(_NUMBERS.unpack(_numbers(data)))
 
 
 class CommandTraffic:
@@ -83,9 +103,11 @@ class CommandTraffic:
 
 
 def _numbers(data: bytes) -> bytes:
-    """The six numbers of a Twist, little endian; of a message that is cut short, what there is."""
+    """The six numbers of a Twist, little endian. Raises UnreadableFile."""
     numbers = data[-_NUMBERS.size :]
-    if data[1:2] == b"\x00" and len(numbers) == _NUMBERS.size:
+    if len(numbers) < _NUMBERS.size:
+        raise UnreadableFile("a velocity command is cut short")
+    if data[1:2] == b"\x00":
         return _NUMBERS.pack(*_BIG_ENDIAN_NUMBERS.unpack(numbers))
     return numbers
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 
 from robotctl import __version__
@@ -11,7 +12,7 @@ from robotctl.config import Config, flat
 from robotctl.daemon.journal import Journal
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.patterns import Pattern
-from robotctl.kernel.types import DriveRequested, Event, PublishTwist, Twist
+from robotctl.kernel.types import DriveRequested, Effect, Event, PublishTwist, Twist
 from robotctl.recording.journal import TYPE_NAME, JournalEntry, decode, encode
 from robotctl.recording.recorder import Recorder, RecorderOptions, Topic
 from robotctl.replay.closed_loop import closed_loop
@@ -38,17 +39,29 @@ def drive(
     config: Config | None = None,
     requests: Sequence[Event] | None = None,
     snapshots_s: Iterable[float] = (0.0,),
+    then: Iterable[Event] = (),
 ) -> list[Written]:
-    """What a daemon writes and publishes while the simulated robot drives."""
+    """What a daemon writes and publishes while the simulated robot drives.
+
+    `requests` may be any events; those in `then` come when the robot is gone.
+    """
     config = config or Config()
     kernel = Kernel(config.kernel)
     written: list[Written] = []
     journal = Journal(lambda serialized, seq: written.append(decode(serialized)))
     snapshots_ns = [BEGIN_NS + round(after_s * 1e9) for after_s in snapshots_s]
     asked = [drive_requested()] if requests is None else requests
+    end_ns = BEGIN_NS + round(seconds * 1e9)
+
+    def steps() -> Iterator[tuple[Event, tuple[Effect, ...]]]:
+        for event, effects in closed_loop(kernel, config.sim, asked, BEGIN_NS):
+            yield event, effects
+            if event.t_ns >= end_ns:
+                return
+
     if snapshots_ns[:1] == [BEGIN_NS]:
         journal.snapshot(snapshots_ns.pop(0), kernel)
-    for event, effects in closed_loop(kernel, config.sim, asked, BEGIN_NS):
+    for event, effects in chain(steps(), ((event, kernel.step(event)) for event in then)):
         journal.event(event)
         for effect in effects:
             if isinstance(effect, PublishTwist):
@@ -56,9 +69,7 @@ def drive(
             journal.effect(event.t_ns, effect)
         if snapshots_ns and event.t_ns >= snapshots_ns[0]:
             journal.snapshot(snapshots_ns.pop(0), kernel)
-        if event.t_ns > BEGIN_NS + seconds * 1e9:
-            return written
-    raise AssertionError("a closed loop does not end")
+    return written
 
 
 def record(

@@ -100,3 +100,10 @@ assert "rclpy" not in sys.modules
 """
     ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert ran.returncode == 0, ran.stderr
+
+
+def test_the_last_recording_may_be_meant(cli: Cli, written: list[Written]) -> None:
+    record(Path("recordings/robot_20260101_120000"), written)
+    ran = cli("replay", "last", "--check")
+    assert ran.exit_code == 0
+    assert "robot_20260101_120000" in ran.out

@@ -1,0 +1,204 @@
+"""Finds what stopped the robot, or refused a request, and what the kernel knew at that moment."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+
+from robotctl.errors import Refused, UnreadableFile
+from robotctl.kernel.kernel import Kernel, State
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.params import KernelParams
+from robotctl.kernel.types import Effect, Event, ModeChanged, ModeRequested, Phase, Reply
+from robotctl.recording.journal import JournalEntry, decode
+from robotctl.recording.journal_reader import journal_topic
+from robotctl.recording.reader import Recording
+from robotctl.replay.steps import Gap, Step, steps
+from robotctl.replay.traffic import command_topic, is_still
+from robotctl.replay.values import read_effect, read_event, read_snapshot
+
+MAX_MESSAGES_AFTER = 2000
+"""Among which the first zero command after a stop is looked for."""
+
+
+class IncidentKind(StrEnum):
+    """What happened."""
+
+    FAULT = "fault"
+    """The kernel itself found a cause to stop for."""
+
+    STOP = "stop"
+    """Somebody asked for it, or the drive was over."""
+
+    REFUSAL = "refusal"
+
+
+@dataclass(slots=True)
+class Incident:
+    """A step of the kernel that stopped the robot or refused a request.
+
+    Times are steady ns; `log_ns` is that of the event, and `zero_ns` that of the first zero
+    command that was sent then, both since the epoch. What is None is not in the recording.
+    """
+
+    kind: IncidentKind
+    seq: int
+    t_ns: int
+    event: Event
+    effects: tuple[Effect, ...]
+    begin_ns: int
+    snapshot_seq: int | None
+    moving_since_ns: int | None
+    log_ns: int = 0
+    zero_ns: int | None = None
+    params: KernelParams | None = None
+    before: State | None = None
+    after: State | None = None
+    ramp: tuple[int, Event] | None = None
+    """When and by what event a ramp to this stop began."""
+
+    next_change: tuple[int, ModeChanged] | None = None
+
+
+def find_incident(
+    path: Path, at_ns: int | None, on_progress: Callable[[int, int], None]
+) -> Incident:
+    """The last incident of a recording, or the one nearest to `at_ns` since the epoch.
+
+    Raises UnreadableFile where there is no journal to read, Refused where nothing happened.
+    """
+    with Recording(path) as recording:
+        topic = journal_topic(recording.info())
+        if topic is None:
+            raise UnreadableFile(f"{path} holds no journal of robotctl: it does not say why")
+        incident = _search(recording, topic, at_ns, on_progress)
+        if incident is None:
+            raise Refused(f"{path}: the robot was not stopped, and nothing was refused")
+        _Context(recording, topic, incident).fill()
+    return incident
+
+
+def _search(
+    recording: Recording, topic: str, at_ns: int | None, on_progress: Callable[[int, int], None]
+) -> Incident | None:
+    """The first pass: which step it is, and where the mode was before and after."""
+    log_ns = 0
+    best: Incident | None = None
+    best_apart_ns = 0
+    begin_ns: int | None = None
+    snapshot_seq: int | None = None
+    moving_since_ns: int | None = None
+
+    def entries() -> Iterator[JournalEntry]:
+        nonlocal log_ns
+        for message in recording.in_order_written({topic}, _ignore, on_progress):
+            log_ns = message.log_ns
+            yield decode(message.data)
+
+    for item in steps(entries()):
+        if isinstance(item, Gap):
+            snapshot_seq = moving_since_ns = None
+            continue
+        if isinstance(item, JournalEntry):
+            begin_ns, snapshot_seq = begin_ns or item.t_ns, item.seq
+            continue
+        t_ns = item.event.t_ns
+        begin_ns = begin_ns or t_ns
+        effects = _telling(item)
+        for effect in effects:
+            if isinstance(effect, ModeChanged):
+                if best is not None and best.next_change is None:
+                    best.next_change = t_ns, effect
+                if effect.mode is Mode.MOVING:
+                    moving_since_ns = t_ns
+        kind = _kind(item, effects)
+        apart_ns = 0 if at_ns is None else abs(log_ns - at_ns)
+        if kind is not None and (best is None or apart_ns <= best_apart_ns):
+            best_apart_ns = apart_ns
+            best = Incident(
+                kind=kind,
+                seq=item.event.seq,
+                t_ns=t_ns,
+                event=read_event(item.event),
+                effects=tuple(map(read_effect, item.effects)),
+                begin_ns=begin_ns,
+                snapshot_seq=snapshot_seq,
+                moving_since_ns=moving_since_ns,
+            )
+    return best
+
+
+def _ignore(sentence: str) -> None:
+    """What is lost leaves gaps in the journal, which are seen."""
+
+
+def _telling(step: Step) -> list[Effect]:
+    """The effects of a step that may make it an incident."""
+    names = (ModeChanged.__name__, Reply.__name__)
+    return [read_effect(entry) for entry in step.effects if entry.name in names]
+
+
+def _kind(step: Step, effects: list[Effect]) -> IncidentKind | None:
+    for effect in effects:
+        if isinstance(effect, ModeChanged):
+            if effect.mode in (Mode.ERROR, Mode.EMERGENCY_STOP):
+                asked = step.event.name == ModeRequested.__name__
+                return IncidentKind.STOP if asked else IncidentKind.FAULT
+            if effect.previous is Mode.MOVING:
+                return IncidentKind.STOP
+    if any(isinstance(effect, Reply) and not effect.ok for effect in effects):
+        return IncidentKind.REFUSAL
+    return None
+
+
+class _Context:
+    """The second pass, from the last snapshot on: what the kernel knew, and when zero was sent."""
+
+    def __init__(self, recording: Recording, topic: str, incident: Incident) -> None:
+        self._recording = recording
+        self._topic = topic
+        self._incident = incident
+        self._messages_after = 0
+
+    def fill(self) -> None:
+        """Complete the incident, as far as the journal tells."""
+        incident = self._incident
+        kernel: Kernel | None = None
+        for item in steps(self._entries()):
+            if isinstance(item, Gap):
+                kernel = None
+            elif isinstance(item, JournalEntry):
+                kernel = read_snapshot(item).kernel()
+            elif kernel is not None and item.event.seq <= incident.seq:
+                before, event = kernel.state, read_event(item.event)
+                kernel.step(event)
+                if item.event.seq == incident.seq:
+                    incident.params = kernel.params
+                    incident.before, incident.after = before, kernel.state
+                elif kernel.state.phase is not Phase.STOPPING:
+                    incident.ramp = None
+                elif before.phase is not Phase.STOPPING:
+                    incident.ramp = event.t_ns, event
+
+    def _entries(self) -> Iterator[JournalEntry]:
+        """The journal up to a little behind the incident."""
+        incident = self._incident
+        first = incident.seq if incident.snapshot_seq is None else incident.snapshot_seq
+        commands = command_topic(self._recording.info(), self._topic)
+        topics = {self._topic} if commands is None else {self._topic, commands}
+        for message in self._recording.in_order_written(topics, _ignore):
+            if incident.log_ns:
+                self._messages_after += 1
+            if message.topic == self._topic:
+                entry = decode(message.data)
+                if entry.seq == incident.seq:
+                    incident.log_ns = message.log_ns
+                if entry.seq >= first:
+                    yield entry
+            elif 0 < incident.log_ns <= message.publish_ns and is_still(message.data):
+                incident.zero_ns = message.publish_ns
+                return
+            if self._messages_after > MAX_MESSAGES_AFTER:
+                return
