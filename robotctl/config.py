@@ -42,7 +42,8 @@ class RecordingParams:
     `compression` is zstd or none. At a start the oldest recordings are removed until no more than
     `max_total_gb` are left and none is older than `max_age_days`; 0 keeps all. Of the topics
     those are recorded that a pattern of `include` matches, all where there is none, but for those
-    that a pattern of `exclude` matches.
+    that a pattern of `exclude` matches. A clip is cut out around each emergency stop and error,
+    from `clip_before_s` before it to `clip_after_s` after it; none where `clip_before_s` is 0.
     """
 
     compression: str = field(default="zstd", metadata={"choices": ("zstd", "none")})
@@ -50,6 +51,8 @@ class RecordingParams:
     max_age_days: float = bounded(30.0, 0.0, 1e5, "days")
     include: tuple[str, ...] = ()
     exclude: tuple[str, ...] = ()
+    clip_before_s: float = bounded(30.0, 0.0, 3600.0, "s")
+    clip_after_s: float = bounded(5.0, 0.0, 600.0, "s")
 
 
 @dataclass(frozen=True, slots=True)

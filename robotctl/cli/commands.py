@@ -22,6 +22,8 @@ MODULES = {
     "reset": "modes",
     "drive": "drive",
     "logs": "lifecycle",
+    "mark": "record",
+    "record": "record",
     "recordings": "recordings",
     "info": "info",
     "why": "why",

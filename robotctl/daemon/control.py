@@ -20,6 +20,9 @@ from robotctl.kernel.types import (
     ResetRequested,
 )
 
+SNAPSHOT_PERIOD_NS = 10 * 10**9
+"""So much of the journal, at most, must be decided again to know the state at some moment."""
+
 
 class Control:
     """Owns the kernel. `dispatch` belongs to the loop's thread and is synchronous.
@@ -45,6 +48,7 @@ class Control:
         self._events: deque[Event] = deque()
         self._busy = False
         self._failing = ""
+        self._snapshot_t_ns: int | None = None
 
     @property
     def state(self) -> State:
@@ -64,7 +68,8 @@ class Control:
             self._busy = False
 
     def journal_snapshot(self, t_ns: int) -> None:
-        """Write the kernel's state into the journal, as the beginning of a file."""
+        """Write the kernel's state into the journal, now and every 10 s from now on."""
+        self._snapshot_t_ns = t_ns
         self._journal.snapshot(t_ns, self._kernel)
 
     def new_request_id(self) -> int:
@@ -85,6 +90,9 @@ class Control:
         return self._requests.expect_end(request_id)
 
     def _step(self, event: Event) -> None:
+        last = self._snapshot_t_ns
+        if last is not None and event.t_ns - last >= SNAPSHOT_PERIOD_NS:
+            self.journal_snapshot(event.t_ns)
         self._journal.event(event)
         problem = ""
         for effect in self._kernel.step(event):

@@ -23,6 +23,7 @@ from robotctl.daemon.latch import Latch
 from robotctl.daemon.methods import common_methods
 from robotctl.daemon.motion import Motion
 from robotctl.daemon.neighbours import somebody_is_driven, watch_publishers
+from robotctl.daemon.recording_methods import recording_methods
 from robotctl.daemon.requests import Requests
 from robotctl.daemon.status import StatusSource
 from robotctl.daemon.supervisor import Work
@@ -105,7 +106,11 @@ class Driver:
 
     def methods(self) -> Mapping[str, Method[Any]]:
         """Return what the control socket offers."""
-        return common_methods(self._status, self._host.stop) | self._driving.table()
+        return {
+            **common_methods(self._status, self._host.stop),
+            **recording_methods(self.recorder),
+            **self._driving.table(),
+        }
 
     async def run(self, server: ControlServer, notes: list[str], on_ready: Ready) -> None:
         """Run every task until the daemon is told to stop."""

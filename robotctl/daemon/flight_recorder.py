@@ -12,17 +12,19 @@ from pathlib import Path
 from shutil import rmtree
 
 from robotctl.config import Config
+from robotctl.daemon.black_box import BlackBox
 from robotctl.daemon.handover import in_loop
 from robotctl.daemon.options import DaemonOptions
 from robotctl.daemon.recorder_report import RecorderReport
 from robotctl.daemon.recordings import open_recorder
 from robotctl.daemon.supervisor import Work
-from robotctl.recording.events import RecordedEvent
+from robotctl.recording.events import EventKind, RecordedEvent
 from robotctl.recording.recorder import Topic
 from robotctl.recording.topic_filter import TopicFilter
 from robotctl.ros import qos
 from robotctl.ros.diagnostics_publisher import TOPIC, TYPE_NAME, DiagnosticsPublisher
 from robotctl.ros.journal_publisher import JournalPublisher
+from robotctl.ros.mark_publisher import MarkPublisher
 from robotctl.ros.raw import UNKNOWN_GID, Sink
 from robotctl.ros.session import Session
 from robotctl.ros.tap import Tap, TappedTopic
@@ -71,11 +73,18 @@ class FlightRecorder:
         self.tap = Tap(session, self._open_sink, topic_filter.records)
         self.tap.subscribe_own(TOPIC, TYPE_NAME, qos.DIAGNOSTICS)
         diagnostics = DiagnosticsPublisher(session, options.robot)
+        self._marks = MarkPublisher(session)
+        self._write_mark = self.tap.reserve(self._marks.description)
+        self._black_box = BlackBox(config.recording, self._recorder.stats().file.parent)
         self.report = RecorderReport(self._recorder, self.tap, topic_filter, diagnostics)
 
     def work(self) -> dict[str, Work]:
         """Return the tasks."""
-        return {"recorder": self.tap.run, "recorder's statistics": self._keep_statistics}
+        return {
+            "recorder": self.tap.run,
+            "recorder's statistics": self._keep_statistics,
+            "black box": self._black_box.run,
+        }
 
     def open_journal(self, publisher: JournalPublisher) -> Callable[[bytes, int], None]:
         """Return what records and publishes an entry, given serialized and with its number."""
@@ -88,9 +97,28 @@ class FlightRecorder:
 
         return write_entry
 
+    @property
+    def failure(self) -> str:
+        """Why nothing is recorded any more, "" while all is well."""
+        return self._recorder.stats().failure
+
     def note(self, event: RecordedEvent) -> None:
-        """Name an event in the recording's metadata."""
+        """Name an event in the recording's metadata, and have a clip cut of it if it is bad."""
         self._recorder.note(event)
+        self._black_box.note(event)
+
+    def mark(self, text: str, source: str) -> RecordedEvent:
+        """Mark this moment, in the recording and on ROS."""
+        now_ns = time.time_ns()
+        event = RecordedEvent(EventKind.MARK, now_ns, f"{text} [{source}]")
+        self._write_mark(self._marks.publish(event.text), now_ns, now_ns, 0, UNKNOWN_GID)
+        self.note(event)
+        _log.info("marked: %s", event.text)
+        return event
+
+    def split(self) -> None:
+        """Go on in a new file, without a gap; returns before that is done."""
+        self._recorder.split()
 
     def received(self) -> dict[str, int]:
         """Return how many messages of each topic were received."""
@@ -109,6 +137,7 @@ class FlightRecorder:
             stats.dropped,
             stats.lost,
         )
+        await self._black_box.finish()
 
     async def discard(self) -> None:
         """Leave nothing behind of a start that failed before anything ran."""

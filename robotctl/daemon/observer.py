@@ -9,6 +9,7 @@ from typing import Any, NoReturn
 from robotctl.daemon.flight_recorder import FlightRecorder
 from robotctl.daemon.host import Host, Ready, running
 from robotctl.daemon.methods import common_methods
+from robotctl.daemon.recording_methods import recording_methods
 from robotctl.daemon.status import StatusSource
 from robotctl.errors import Refused
 from robotctl.ipc.connection import Method
@@ -38,7 +39,9 @@ class Observer:
 
     def methods(self) -> Mapping[str, Method[Any]]:
         """Return what the control socket offers; whatever would move a robot is refused."""
-        return common_methods(self._status, self._host.stop) | {
+        return {
+            **common_methods(self._status, self._host.stop),
+            **recording_methods(self.recorder),
             "path": Method(NoParams, self._refuse),
             "set_mode": Method(SetModeParams, self._refuse),
             "reset": Method(ResetParams, self._refuse),

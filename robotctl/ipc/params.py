@@ -6,12 +6,14 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
+from robotctl.ipc.protocol import MAX_MARK_LENGTH
+
 Source = Annotated[str, Meta(max_length=200)]
 """Who asked, for the journal and the log."""
 
 
 class NoParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """For `status`, `path` and `stop`."""
+    """For whatever takes none."""
 
 
 class HelloParams(Struct, frozen=True, forbid_unknown_fields=True):
@@ -30,6 +32,13 @@ class SetModeParams(Struct, frozen=True, forbid_unknown_fields=True):
 class ResetParams(Struct, frozen=True, forbid_unknown_fields=True):
     """Releases ERROR and EMERGENCY_STOP to IDLE."""
 
+    source: Source
+
+
+class MarkParams(Struct, frozen=True, forbid_unknown_fields=True):
+    """Marks the present moment in the recording."""
+
+    text: Annotated[str, Meta(min_length=1, max_length=MAX_MARK_LENGTH)]
     source: Source
 
 

@@ -35,6 +35,9 @@ MAX_ID = 2**53
 
 EMERGENCY_STOP_MODE = 3
 
+MAX_MARK_LENGTH = 1000
+"""Characters: a marker is a note, not a log."""
+
 
 class Code(IntEnum):
     """The error codes: those of JSON-RPC 2.0, then robotctl's own."""

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import os
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Self
 
 from robotctl.errors import Refused
 from robotctl.recording.catalog import CLIPS_FOLDER
 from robotctl.recording.clip import Clip, Moment, Progress, cut
+from robotctl.recording.events import EventKind
 from robotctl.recording.listing import ListedRecording, list_recording
 from robotctl.recording.reader import Recording
 
@@ -28,6 +31,34 @@ class ClipJob:
     before_s: float
     after_s: float
     target: Path | None = None
+
+    def to_json(self) -> str:
+        """One line."""
+        moment = self.moment
+        return json.dumps(
+            {
+                "source": str(self.source),
+                "log_ns": moment.log_ns,
+                "kind": None if moment.kind is None else moment.kind.value,
+                "text": moment.text,
+                "before_s": self.before_s,
+                "after_s": self.after_s,
+                "target": None if self.target is None else str(self.target),
+            }
+        )
+
+    @classmethod
+    def from_json(cls, line: str) -> Self:
+        """The job in a line of `to_json`."""
+        given: dict[str, Any] = json.loads(line)
+        kind, target = given["kind"], given["target"]
+        return cls(
+            Path(given["source"]),
+            Moment(given["log_ns"], None if kind is None else EventKind(kind), given["text"]),
+            given["before_s"],
+            given["after_s"],
+            None if target is None else Path(target),
+        )
 
     @property
     def end_ns(self) -> int:

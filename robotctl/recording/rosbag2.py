@@ -106,13 +106,15 @@ def _body(topics: Iterable[Topic], files: Sequence[BagFile]) -> list[str]:
 
 
 def _topic(topic: Topic, count: int) -> list[str]:
+    # rosbags refuses the whole bag for the hash of a type that a service or an action implies.
+    type_hash = topic.type_hash if "/msg/" in topic.type_name else ""
     return [
         "- topic_metadata:",
         f"    name: {_quoted(topic.name)}",
         f"    type: {_quoted(topic.type_name)}",
         f"    serialization_format: {_quoted(topic.encoding)}",
         *_indented(_list("offered_qos_profiles", _qos_lines(topic.offered_qos)), 4),
-        f"    type_description_hash: {_quoted(topic.type_hash)}",
+        f"    type_description_hash: {_quoted(type_hash)}",
         f"  message_count: {count}",
     ]
 

@@ -25,6 +25,8 @@ SENSOR = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 JOURNAL = QoSProfile(depth=1000)
 
+MARK = QoSProfile(depth=100)
+
 DIAGNOSTICS = QoSProfile(depth=10)
 
 SERVICE_EVENTS = QoSProfile(depth=100)

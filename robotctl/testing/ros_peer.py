@@ -18,7 +18,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from robot_controller.msg import RobotStatus
 from robot_controller.srv import SetMode
 from sensor_msgs.msg import BatteryState
-from std_msgs.msg import UInt8MultiArray
+from std_msgs.msg import String, UInt8MultiArray
 
 from robotctl.testing.lines import obey
 from robotctl.testing.waiting import DEADLINE_S, until
@@ -33,6 +33,7 @@ class Peer:
         self.node = Node("somebody_else")
         self.commands: list[tuple[int, int, float, float]] = []
         self.statuses: list[tuple[int, int, str]] = []
+        self.marks: list[str] = []
         self.speed = 0.0
         self.stop = threading.Event()
         self.robot: threading.Thread | None = None
@@ -55,10 +56,17 @@ class Peer:
         self._subscribe(Twist, f"{namespace}/cmd_vel", command, DEEP)
         self._subscribe(RobotStatus, f"{namespace}/robot_status", status, DEEP)
         self._subscribe(Odometry, f"{namespace}/odom", odometry, BEST_EFFORT)
+        marks = f"{namespace}/robotctl/marks"
+        self._subscribe(String, marks, lambda message: self.marks.append(message.data), DEEP)
 
     def heard(self) -> dict[str, Any]:
         """All that was kept so far."""
-        return {"commands": self.commands, "statuses": self.statuses, "speed": self.speed}
+        return {
+            "commands": self.commands,
+            "statuses": self.statuses,
+            "marks": self.marks,
+            "speed": self.speed,
+        }
 
     def set_mode(self, mode: int, namespace: str = "") -> dict[str, Any]:
         """Call the service."""

@@ -53,6 +53,8 @@ def _live(world: World, peer: Peer) -> Observed:
     told = _counts(world.status())["/diagnostics"]
     until(lambda: _counts(world.status())["/diagnostics"] > told)
     screen = world.ok("status")
+    world.ok("mark", "seen")
+    world.ok("record", "split")
     watching = world.spawn("watch")
     assert watching.stdout is not None
     line = watching.stdout.readline()
@@ -85,9 +87,10 @@ def _counts(status: Any) -> dict[str, int]:
 
 
 def test_it_publishes_no_command_serves_no_mode_and_simulates_nothing(observed: Observed) -> None:
-    assert observed.nodes == ["/diagnostics", "/recorder"]
+    assert observed.nodes == ["/diagnostics", "/marks", "/recorder"]
     assert set(observed.publishers) == {
         "/diagnostics",
+        "/robotctl/marks",
         "/parameter_events",  # as every node of rclpy
     }
     assert all(name.endswith("/get_type_description") for name in observed.services)
@@ -96,6 +99,12 @@ def test_it_publishes_no_command_serves_no_mode_and_simulates_nothing(observed: 
 def test_it_records_a_foreign_stack_with_its_commands(observed: Observed) -> None:
     assert len(observed.topics["/cmd_vel"]) == 2 * COMMANDS
     assert "/robotctl/journal" not in observed.topics
+
+
+def test_it_takes_marks_and_splits_its_recording(observed: Observed) -> None:
+    (message,) = observed.topics["/robotctl/marks"]
+    assert b"seen [robotctl mark" in message.data
+    assert observed.status["recorder"]["file"].endswith("_1.mcap")
 
 
 def test_it_leaves_out_what_is_excluded_but_for_what_proves_a_drive(observed: Observed) -> None:

@@ -21,7 +21,7 @@ from robotctl.replay.report import Verdict
 from robotctl.testing.bags import LATCHED, STRING, VOLATILE, Line, text, write_bag
 from robotctl.testing.drives import BEGIN_NS, JOURNAL, Written, drive, serialized
 from robotctl.testing.recordings import GID, QOS, START_NS, TWIST, read_strictly
-from robotctl.testing.world import until
+from robotctl.testing.waiting import until
 
 DURATION_S = 40.0
 MAP = Topic("/map", STRING, "string data\n", "", QOS.replace(": volatile", ": transient_local"))

@@ -1,0 +1,90 @@
+"""record and mark: the recording that goes on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated, Any
+
+import typer
+
+from robotctl.cli.control import source
+from robotctl.cli.options import Json, Robot, new_app
+from robotctl.cli.text import elided, json_text, moment, printable, short_path, size
+from robotctl.errors import UsageError
+from robotctl.ipc.client import call
+from robotctl.ipc.protocol import MAX_MARK_LENGTH
+from robotctl.paths import DEFAULT_ROBOT
+
+app = new_app()
+group = new_app()
+app.add_typer(group, name="record")
+
+SPLIT_DEADLINE_S = 15.0
+
+_COUNTS = ("count", "written", "queued", "dropped", "lost", "unseen")
+
+
+@group.callback()
+def record() -> None:
+    """Look after the recording that goes on: status, split.
+
+    \b
+    Examples:
+      robotctl record status
+      robotctl record split
+    """
+
+
+@group.command()
+def status(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
+    """Show the recording with what was received, written and lost of each topic.
+
+    received = written + queued + dropped; lost were sent between messages that arrived, unseen
+    before the first that did.
+    """
+    answer = call(robot, "record_status")
+    print(json_text(answer) if as_json else "\n".join(status_lines(answer)))
+
+
+@group.command()
+def split(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
+    """Finish the current file, and go on in the next one without a gap."""
+    answer = call(robot, "record_split", deadline_s=SPLIT_DEADLINE_S)
+    print(json_text(answer) if as_json else printable(answer.get("message")))
+
+
+@app.command()
+def mark(
+    text: Annotated[str, typer.Argument(metavar="TEXT", help="What to find again, on one line.")],
+    robot: Robot = DEFAULT_ROBOT,
+    as_json: Json = False,
+) -> None:
+    """Mark this moment in the recording.
+
+    The mark is published on robotctl/marks, too; robotctl clip --event mark cuts out what happened
+    around it.
+
+    \b
+    Examples:
+      robotctl mark "the door opened"
+    """
+    text = text.strip()
+    if not 0 < len(text) <= MAX_MARK_LENGTH:
+        raise UsageError(f"a mark has 1 to {MAX_MARK_LENGTH} characters, not {len(text)}")
+    answer = call(robot, "mark", {"text": text, "source": source("mark")})
+    if as_json:
+        print(json_text(answer))
+    else:
+        print(f"marked {moment(answer['time_ns'])}: {printable(text)}")
+
+
+def status_lines(answer: dict[str, Any]) -> Iterator[str]:
+    """The lines of `robotctl record status`."""
+    recorder = answer.get("recorder") or {}
+    written = size(recorder.get("bytes") or 0)
+    yield f"{printable(recorder.get('state'))}: {short_path(recorder.get('file'))}, {written}"
+    yield f"  {'topic':30} " + " ".join(f"{name:>8}" for name in ("received", *_COUNTS[1:]))
+    for topic in answer.get("topics") or []:
+        counts = " ".join(f"{topic.get(name, 0):>8}" for name in _COUNTS)
+        yield f"  {elided(topic.get('name'), 30):30} {counts}"
+    yield from (f"warning: {printable(warning)}" for warning in answer.get("warnings") or [])

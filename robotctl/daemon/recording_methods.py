@@ -1,0 +1,49 @@
+"""What the control socket offers around the recording."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from robotctl.daemon.ending import until
+from robotctl.daemon.flight_recorder import FlightRecorder
+from robotctl.errors import Refused
+from robotctl.ipc.connection import Method
+from robotctl.ipc.params import MarkParams, NoParams
+
+SPLIT_DEADLINE_S = 5.0
+"""For the disk to finish one file and begin another."""
+
+
+def recording_methods(recorder: FlightRecorder) -> dict[str, Method[Any]]:
+    """Return `record_status`, `record_split` and `mark`."""
+
+    async def status(_: NoParams) -> dict[str, Any]:
+        return {**recorder.report.facts(), "warnings": list(recorder.report.warnings())}
+
+    async def split(_: NoParams) -> dict[str, Any]:
+        before = _file_of(recorder)
+        recorder.split()
+        if not await until(
+            lambda: bool(recorder.failure) or _file_of(recorder) != before, SPLIT_DEADLINE_S
+        ):
+            raise Refused("the disk is too slow: the next file is begun when it can be")
+        if recorder.failure:
+            raise Refused(recorder.failure)
+        file = _file_of(recorder)
+        return {"message": f"Recording goes on in {file}", "finished": before, "file": file}
+
+    async def mark(params: MarkParams) -> dict[str, Any]:
+        if recorder.failure:
+            raise Refused(recorder.failure)
+        event = recorder.mark(params.text, params.source)
+        return {"message": "Marked", "text": params.text, "time_ns": event.log_ns}
+
+    return {
+        "record_status": Method(NoParams, status),
+        "record_split": Method(NoParams, split, 2 * SPLIT_DEADLINE_S),
+        "mark": Method(MarkParams, mark),
+    }
+
+
+def _file_of(recorder: FlightRecorder) -> str:
+    return str(recorder.report.facts()["recorder"]["file"])

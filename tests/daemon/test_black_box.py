@@ -1,0 +1,227 @@
+"""The flight recorder's files and clips: what a daemon leaves to those who ask why."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mcap.reader import make_reader
+from rosbags.highlevel import AnyReader
+
+from robotctl.recording.journal import Kind
+from robotctl.recording.reader import read_info, read_messages
+from robotctl.replay.check import check
+from robotctl.replay.report import Verdict
+from robotctl.testing.bags import text
+from robotctl.testing.recordings import read_strictly
+from robotctl.testing.waiting import until
+from robotctl.testing.world import Peer, Ran, World, journal_of, new_world, read_back
+
+MARK = "the door \x1b[2J opened"
+CONFIG = "recording: {clip_before_s: 2.0, clip_after_s: 0.5}\n"
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """What was seen of one life of the daemon."""
+
+    folder: Path
+    marked: Any
+    heard: Any
+    refused: list[Ran]
+    split: Any
+    during: Any
+    screen: str
+    live: Any
+    ended: Any
+    log: str
+
+    @property
+    def files(self) -> list[Path]:
+        """The files of the recording in their order."""
+        return sorted(self.folder.glob("*.mcap"))
+
+    @property
+    def clips(self) -> list[Path]:
+        """The clips in the order of their events."""
+        found = [(read_info(path), path) for path in (self.folder / "clips").iterdir()]
+        return [
+            path
+            for _, path in sorted(
+                (int(info.metadata["robotctl.clip"]["event_ns"]), path) for info, path in found
+            )
+        ]
+
+
+@pytest.fixture(scope="module")
+def flight() -> Iterator[Flight]:
+    """Drive, mark, split, fail and stop, once."""
+    with new_world() as world:
+        peer = Peer(world)
+        try:
+            yield _fly(world, peer)
+        finally:
+            peer.close()
+
+
+def _fly(world: World, peer: Peer) -> Flight:
+    (world.folder / "robot.yaml").write_text(CONFIG)
+    subprocess.run(["git", "init", "-q"], cwd=world.folder, check=True)
+    world.ok("start", "--sim", "--config", "robot.yaml")
+    peer("listen")
+    until(lambda: world.ok("mark", "does anybody hear?") and peer("heard")["marks"])
+    world.ok("drive", "circle")
+    until(lambda: world.status()["velocity"]["linear"] > 0.05)
+    marked = world.answer("mark", MARK)
+    until(lambda: any(MARK in each for each in peer("heard")["marks"]))
+    split = world.answer("record", "split")
+    during = world.answer("record", "status")
+    until(lambda: world.status()["velocity"]["linear"] > 0.05)
+    world.ok("set-mode", "error")
+    until(lambda: "clip of the error" in world.log())
+    live = world.answer("recordings")
+    screen = world.ok("record", "status")
+    world.ok("estop")
+    refused = [world.robotctl("mark", words) for words in ("x" * 1001, " ")]
+    heard = peer("heard")["marks"]
+    world.ok("stop")
+    refused += [world.robotctl(*each) for each in (("mark", "x"), ("record", "split"))]
+    ended = world.answer("info", "last")
+    return Flight(
+        folder=next(world.recordings.iterdir()),
+        marked=marked,
+        heard=heard,
+        refused=refused,
+        split=split,
+        during=during,
+        screen=screen,
+        live=live,
+        ended=ended,
+        log=world.log(),
+    )
+
+
+# Files
+
+
+def test_every_file_of_a_split_recording_stands_alone(flight: Flight) -> None:
+    assert len(flight.files) == 2
+    for path in flight.files:
+        stored = read_strictly(path)
+        assert [m.data for m in sorted(stored, key=lambda m: m.log_ns)] == [
+            m.data for m in read_messages(path)
+        ]
+        with AnyReader([path]) as bag:
+            assert bag.message_count == len(stored)
+        assert any(message.topic == "/robot_status" for message in stored)
+        report = check(path)
+        assert (report.verdict, report.missing) == (Verdict.SAME, [])
+        assert report.events > 10
+    assert check(flight.folder).verdict is Verdict.SAME
+
+
+def test_a_split_loses_nothing(flight: Flight) -> None:
+    first, second = map(str, flight.files)
+    assert (flight.split["finished"], flight.split["file"]) == (first, second)
+    commands = [m.sequence for m in read_messages(flight.folder, {"/cmd_vel"})]
+    assert commands == list(range(1, len(commands) + 1))
+    journal = journal_of(read_back(flight.folder)["/robotctl/journal"])
+    assert [entry.seq for entry in journal] == list(range(len(journal)))
+    assert sum(entry.kind is Kind.SNAPSHOT for entry in journal) >= 2
+
+
+def test_each_file_tells_what_made_it(flight: Flight) -> None:
+    modes = []
+    for path in flight.files:
+        with path.open("rb") as stream:
+            (info,) = (
+                each.metadata
+                for each in make_reader(stream).iter_metadata()
+                if each.name == "robotctl"
+            )
+        modes.append(info["mode"])
+        names = ("robot", "host", "robotctl", "python", "rclpy", "ros_distro", "rmw", "mcap")
+        assert all(info[name] for name in names)
+        assert info["parameter.recording.clip_before_s"] == "2.0"
+        assert info["directory"] == str(flight.folder.parents[1])
+        assert "git.directory" not in info  # a repository without a commit
+    assert modes == ["IDLE", "MOVING"]
+
+
+def test_the_ledger_is_in_the_file_and_accounts_for_every_message(flight: Flight) -> None:
+    ledger = flight.ended["ledger"]
+    assert {"/cmd_vel", "/odom", "/robot_status", "/robotctl/journal"} <= set(ledger)
+    for topic in flight.ended["topics"]:
+        counts = ledger[topic["name"]]
+        assert counts["received"] == counts["written"] + counts["dropped"]
+        assert (counts["queued"], counts["dropped"]) == (0, 0)
+        repeated = topic["count"] - counts["written"]  # latched ones, in the second file
+        assert repeated in ((0, 1) if topic["name"] == "/robot_status" else (0,))
+
+
+def test_record_status_counts_each_topic(flight: Flight) -> None:
+    assert flight.during["recorder"]["state"] == "recording"
+    for topic in flight.during["topics"]:
+        assert topic["count"] == topic["written"] + topic["queued"] + topic["dropped"]
+    assert "/cmd_vel" in flight.screen
+    assert flight.screen.startswith("recording: ")
+
+
+# Marks
+
+
+def test_a_mark_is_recorded_published_and_named_with_its_source(flight: Flight) -> None:
+    *_, message = read_messages(flight.folder, {"/robotctl/marks"})
+    *_, event = (each for each in flight.ended["events"] if each["kind"] == "mark")
+    assert message.log_ns == event["time_ns"] == flight.marked["time_ns"]
+    assert message.data.rstrip(b"\0") == text(event["text"]).rstrip(b"\0")
+    assert event["text"].startswith(f"{MARK} [robotctl mark (uid {os.getuid()}, pid ")
+    assert flight.heard[-1] == event["text"]
+    assert "\x1b" not in flight.log
+
+
+def test_a_mark_that_is_none_and_one_without_a_daemon_are_refused(flight: Flight) -> None:
+    assert [ran.exit_code for ran in flight.refused] == [2, 2, 3, 3]
+    assert "a mark has 1 to 1000 characters, not 1001" in flight.refused[0].err
+    assert all(ran.err.count("\n") == 1 and not ran.out for ran in flight.refused)
+
+
+# Clips
+
+
+def test_each_error_and_emergency_stop_has_a_clip(flight: Flight) -> None:
+    infos = [read_info(path) for path in flight.clips]
+    about = [info.metadata["robotctl.clip"] for info in infos]
+    assert [each["event"] for each in about] == ["error", "estop"]
+    events = [each for each in flight.ended["events"] if each["kind"] in ("error", "estop")]
+    assert [each["event_ns"] for each in about] == [str(each["time_ns"]) for each in events]
+    for each in about:
+        assert int(each["start_ns"]) >= int(each["event_ns"]) - 2_000_000_000
+    assert int(about[0]["end_ns"]) == int(about[0]["event_ns"]) + 500_000_000
+
+
+def test_a_clip_is_whole_and_decided_again(flight: Flight) -> None:
+    for path in flight.clips:
+        assert {"/cmd_vel", "/odom", "/robot_status"} <= {m.topic for m in read_strictly(path)}
+        report = check(path)
+        assert (report.verdict, report.missing, report.notes) == (Verdict.SAME, [], [])
+
+
+def test_clips_are_no_part_of_the_bag(flight: Flight) -> None:
+    with AnyReader([flight.folder]) as bag:
+        assert bag.message_count == read_info(flight.folder).message_count
+    metadata = (flight.folder / "metadata.yaml").read_text()
+    assert "clips" not in metadata
+
+
+def test_the_list_tells_that_it_goes_on_and_what_happened(flight: Flight) -> None:
+    (listed,) = flight.live["recordings"]
+    assert (listed["live"], listed["worst"], listed["robot"]) == (True, "error", "robot")
+    assert len(listed["clips"]) == 1
+    assert json.dumps(flight.live).isprintable()

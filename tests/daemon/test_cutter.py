@@ -1,0 +1,146 @@
+"""Whatever becomes of a clip, the daemon goes on; and it does not grow without bounds."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from robotctl.config import RecordingParams
+from robotctl.daemon import black_box
+from robotctl.daemon.black_box import CUTTER, BlackBox
+from robotctl.recording.clip import Moment
+from robotctl.recording.clip_job import ClipJob
+from robotctl.recording.events import EventKind, RecordedEvent
+from robotctl.recording.recorder import Recorder
+from robotctl.testing.recordings import GID, TWIST, numbered
+from robotctl.testing.waiting import until
+
+NOW = RecordedEvent(EventKind.ERROR, 0, "because")
+PARAMS = RecordingParams(clip_before_s=1.0, clip_after_s=0.0)
+
+
+@pytest.fixture
+def cutter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Path]:
+    """Put a program in the place of the cutter; returns the file into which it may write."""
+
+    def put(program: str) -> Path:
+        log = tmp_path / "log"
+        program = f"log = open({str(log)!r}, 'a')\n{program}"
+        monkeypatch.setattr(black_box, "CUTTER", (sys.executable, "-c", program))
+        return log
+
+    return put
+
+
+async def cut(*events: RecordedEvent, params: RecordingParams = PARAMS) -> None:
+    box = BlackBox(params, Path("/nowhere"))
+    for event in events:
+        box.note(event)
+    await box.finish()
+
+
+@pytest.mark.parametrize(
+    ("program", "said"),
+    [
+        ('print(\'{"error": "the disk is full"}\')', "the disk is full"),
+        ("raise SystemExit('it broke')", "it broke"),
+        ("print('nonsense')", "no clip was cut of the error"),
+        ("pass", "it said nothing"),
+        ('print(\'{"target": "a.mcap", "lost": ["a chunk"]}\')', "it lacks something: a chunk"),
+    ],
+)
+async def test_a_cutter_that_fails_is_told_in_the_log_and_nowhere_else(
+    program: str,
+    said: str,
+    cutter: Callable[[str], Path],
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    cutter(program)
+    await cut(NOW)
+    assert said in caplog.text
+
+
+async def test_no_clip_is_cut_of_what_is_no_fault_or_where_it_is_switched_off(
+    cutter: Callable[[str], Path],
+) -> None:
+    log = cutter("log.write('cut\\n')")
+    await cut(RecordedEvent(EventKind.MARK, 0, ""), RecordedEvent(EventKind.DRIVE_ENDED, 0, ""))
+    await cut(NOW, params=RecordingParams(clip_before_s=0.0))
+    assert not log.exists()
+    await cut(NOW)
+    assert log.read_text() == "cut\n"
+
+
+async def test_more_than_a_few_do_not_wait_and_that_is_said(
+    cutter: Callable[[str], Path], caplog: pytest.LogCaptureFixture
+) -> None:
+    log = cutter("log.write('cut\\n')")
+    await cut(*[NOW] * 20)
+    assert log.read_text().count("cut") == black_box.MAX_WAITING
+    assert caplog.text.count("there are too many") == 20 - black_box.MAX_WAITING
+
+
+async def test_a_life_has_a_limit_of_clips(
+    cutter: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(black_box, "MAX_CLIPS", 3)
+    log = cutter("log.write('cut\\n')")
+    box = BlackBox(PARAMS, Path("/nowhere"))
+    for _ in range(5):
+        box.note(NOW)
+        await box.finish()
+    assert log.read_text().count("cut") == 3
+
+
+async def test_each_is_cut_when_its_time_has_come_and_none_twice(
+    cutter: Callable[[str], Path],
+) -> None:
+    log = cutter("log.write('cut\\n')")
+    box = BlackBox(RecordingParams(clip_before_s=1.0, clip_after_s=600.0), Path("/nowhere"))
+    running = asyncio.create_task(box.run())
+    box.note(RecordedEvent(EventKind.ERROR, 0, "long ago"))
+    await asyncio.to_thread(until, lambda: log.exists() and log.read_text() == "cut\n")
+    box.note(RecordedEvent(EventKind.EMERGENCY_STOP, time.time_ns(), "now"))
+    await asyncio.sleep(0)
+    running.cancel()
+    await asyncio.wait({running})
+    await box.finish()
+    assert log.read_text() == "cut\ncut\n"
+
+
+async def test_a_cutter_that_hangs_is_ended(
+    cutter: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(black_box, "END_DEADLINE_S", 0.2)
+    monkeypatch.setattr(black_box, "PATIENCE_S", 0.2)
+    cutter("import time\ntime.sleep(600)")
+    await cut(NOW, NOW)
+    assert "timed out" in caplog.text
+    assert caplog.records[-1].levelno == logging.WARNING
+
+
+def test_the_cutter_has_the_lowest_priority(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
+    moment = Moment(time.time_ns(), EventKind.ERROR)
+    job = ClipJob(tmp_path / "run", moment, 1.0, 600.0)
+    with subprocess.Popen([*CUTTER, job.to_json()], stdout=subprocess.PIPE) as process:
+        try:
+            until(lambda: os.getpriority(os.PRIO_PROCESS, process.pid) == 19)
+            now_ns = time.time_ns()
+            recorder.write(recorder.add_topic(TWIST), numbered(1), now_ns, now_ns, 1, GID)
+            recorder.close()
+            assert process.stdout is not None
+            said = process.stdout.read()
+        finally:
+            recorder.close()
+            process.kill()
+    assert b'"target"' in said
+    assert (tmp_path / "run" / "clips").is_dir()
