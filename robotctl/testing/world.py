@@ -20,6 +20,7 @@ from pathlib import Path
 from shutil import rmtree
 from typing import Any
 
+from robotctl.recording.catalog import CLIPS_FOLDER
 from robotctl.recording.journal import JournalEntry, decode
 from robotctl.replay.check import check
 from robotctl.replay.report import Verdict
@@ -206,8 +207,11 @@ class World:
 
     def _contradictions(self) -> list[str]:
         """What a fresh kernel would have decided otherwise in recordings of this world."""
-        folders = {path.parent for path in self.folder.rglob("*.mcap")}
-        reports = [check(folder) for folder in sorted(folders)]
+        recordings = {
+            path if path.parent.name == CLIPS_FOLDER else path.parent
+            for path in self.folder.rglob("*.mcap")
+        }
+        reports = [check(recording) for recording in sorted(recordings)]
         return [
             f"recording: {report.as_object()}"
             for report in reports
