@@ -65,6 +65,13 @@ def test_a_heavy_topic_is_found_once_its_window_is_full_and_never_again() -> Non
     assert only == {CAMERA: pytest.approx(HEAVY)}
 
 
+def test_a_topic_that_gets_heavy_after_hours_is_found_as_fast() -> None:
+    heavy = HeavyTopics()
+    sizes = [max(0, t - 100) * HEAVY for t in range(120)]
+    found = [t for t, size in enumerate(sizes) if heavy.sample(t * S, {CAMERA: size})]
+    assert found == [100 + round(HEAVY_WINDOW_S)]
+
+
 def test_a_burst_is_not_heavy() -> None:
     heavy = HeavyTopics()
     sizes = [0, 0, 0, 0, 0, 3 * HEAVY, *(3 * HEAVY for _ in range(20))]
