@@ -54,6 +54,14 @@ STATUS_KEYS = {
 """What `status --json` always has."""
 
 
+PATIENT = """\
+max_tick_gap_s: 5.0
+odometry.timeout_s: 10.0
+battery.timeout_s: 60.0
+"""
+"""Limits that a machine does not cross that lets a process wait for a while."""
+
+
 @dataclass(frozen=True, slots=True)
 class Ran:
     """What a command line did."""
@@ -77,6 +85,10 @@ class World:
         self.folder = folder
         self.domain_id = domain_id
         self.recordings = folder / "recordings"
+        self.patient = folder / "patient.yaml"
+        """A configuration for whatever is no test of the limits themselves."""
+
+        self.patient.write_text(PATIENT)
         self.environment = {
             **os.environ,
             "XDG_RUNTIME_DIR": str(folder / "run"),
@@ -110,7 +122,9 @@ class World:
         self.environment["ROS_DISTRO"] = "humble"
 
     def spawn(self, *arguments: str, **options: Any) -> subprocess.Popen[str]:
-        """Begin a command line."""
+        """Begin a command line; a start without a configuration gets the patient one."""
+        if arguments[0] == "start" and "--config" not in arguments:
+            arguments = (*arguments, "--config", str(self.patient))
         process = subprocess.Popen(
             [ROBOTCTL, *arguments],
             text=True,

@@ -73,7 +73,7 @@ class Daemon:
 def in_process(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> Callable[..., AbstractAsyncContextManager[Daemon]]:
-    """Run a daemon in the loop of the test, with the options given."""
+    """Run a daemon in the loop of the test, with the options given; it is patient by default."""
     for name in ("XDG_RUNTIME_DIR", "XDG_STATE_HOME", "ROS_DOMAIN_ID"):
         monkeypatch.setenv(name, world.environment[name])
 
@@ -82,7 +82,7 @@ def in_process(
         from robotctl.daemon.app import serve
 
         ready: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
-        chosen: dict[str, Any] = {"config": None, "drive": None, "sim": True, **options}
+        chosen: dict[str, Any] = {"config": world.patient, "drive": None, "sim": True, **options}
         given = DaemonOptions(
             "robot", recordings=world.recordings, domain_id=world.domain_id, **chosen
         )

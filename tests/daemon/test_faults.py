@@ -238,7 +238,7 @@ async def test_others_see_zero_while_the_loop_stalls(
 ) -> None:
     peer = await asyncio.to_thread(new_peer, world)
     await asyncio.to_thread(peer, "listen")
-    async with in_process(drive=PatternKind.CIRCLE) as daemon:
+    async with in_process(config=None, drive=PatternKind.CIRCLE) as daemon:
         await daemon.until(is_moving)
         await asyncio.to_thread(until, lambda: peer("heard")["commands"])
         begun_ns = time.monotonic_ns()
@@ -263,7 +263,7 @@ async def test_others_see_zero_while_the_loop_stalls(
 async def test_a_stall_while_standing_is_logged_and_ends_in_error(
     in_process: Callable[..., Any], world: World, caplog: pytest.LogCaptureFixture
 ) -> None:
-    async with in_process() as daemon:
+    async with in_process(config=None) as daemon:
         sleep(STALL_S)
         status = await daemon.until(lambda status: status["mode"] == "ERROR")
         assert (await daemon.ask("reset", source="test"))["mode"] == "IDLE"
@@ -283,7 +283,7 @@ async def test_a_stall_while_standing_is_logged_and_ends_in_error(
 async def test_a_fault_can_be_decided_again_from_the_journal(
     in_process: Callable[..., Any], world: World
 ) -> None:
-    async with in_process(drive=PatternKind.CIRCLE) as daemon:
+    async with in_process(config=None, drive=PatternKind.CIRCLE) as daemon:
         await daemon.until(is_moving)
         sleep(STALL_S)
         await daemon.until(lambda status: status["mode"] == "ERROR")

@@ -145,8 +145,9 @@ def test_status_has_the_stable_keys(session: Session) -> None:
     assert set(status) == STATUS_KEYS
     assert set(status["pose"]) == {"x", "y", "theta"}
     assert set(status["velocity"]) == {"linear", "angular"}
+    ledger = ("bytes", "written", "queued", "dropped", "lost", "unseen")
     assert {frozenset(topic) for topic in status["topics"]} == {
-        frozenset({"name", "type", "count", "rate"})
+        frozenset({"name", "type", "count", "rate", *ledger})
     }
     assert set(status["recorder"]) == {
         "state",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -13,8 +14,8 @@ import pytest
 
 from robotctl.kernel.types import ModeChanged
 from robotctl.replay.rerun import rerun
-from robotctl.testing.waiting import until
-from robotctl.testing.world import Peer, World, journal_of, read_back
+from robotctl.testing.waiting import DEADLINE_S, until
+from robotctl.testing.world import ROBOTCTL, Peer, World, journal_of, read_back
 
 
 def pid_of(world: World, robot: str = "robot") -> int:
@@ -32,6 +33,7 @@ def last_command(folder: Path) -> bytes:
 
 
 STILL = bytes(48)
+LIMITED = ("prlimit", "--fsize=60000", ROBOTCTL)
 
 
 # Starting twice
@@ -281,12 +283,15 @@ def test_a_signal_while_moving_ends_with_zero_and_a_closed_recording(
 
 
 def test_a_signal_during_the_start_ends_it(world: World) -> None:
-    start = world.spawn("start", "--sim")
-    until(lambda: world.recordings.exists() or start.poll() is not None)
-    for pid, command in world.processes().items():
-        if "robotctl.daemon" in command:
-            os.kill(pid, signal.SIGTERM)
-    _, err = start.communicate(timeout=30)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as somebody:
+        # Where somebody seems to be, a start listens for a robot that is there, for seconds.
+        somebody.bind(("127.0.0.1", 7400 + 250 * world.domain_id + 249))
+        start = world.spawn("start")
+        until(lambda: world.recordings.exists() or start.poll() is not None)
+        for pid, command in world.processes().items():
+            if "robotctl.daemon" in command:
+                os.kill(pid, signal.SIGTERM)
+        _, err = start.communicate(timeout=DEADLINE_S)
     assert start.returncode != 0
     assert "told to stop before it was ready" in err
     until(lambda: not world.processes())
@@ -299,7 +304,7 @@ def test_the_daemon_runs_in_the_foreground(world: World) -> None:
     assert (ready["ready"], ready["pid"]) == (True, process.pid)
     assert pid_of(world) == process.pid
     process.send_signal(signal.SIGINT)
-    assert process.wait(30) == 0
+    assert process.wait(DEADLINE_S) == 0
     process.communicate()
 
 
@@ -307,7 +312,7 @@ def test_two_stops_at_once_both_succeed(world: World) -> None:
     world.ok("start", "--sim")
     stops = [world.spawn("stop") for _ in range(2)]
     for process in stops:
-        _, err = process.communicate(timeout=30)
+        _, err = process.communicate(timeout=DEADLINE_S)
         assert process.returncode in (0, 3), err
     assert world.robotctl("status").exit_code == 3
     assert world.robotctl("stop").exit_code == 3
@@ -328,7 +333,7 @@ def test_a_client_that_hangs_up_changes_nothing_and_a_waiting_one_is_told_of_the
     second = world.spawn("drive", "circle", "--wait", "--replace")
     until(lambda: "drive ended: replaced" in world.log())
     world.ok("stop")
-    _, err = second.communicate(timeout=30)
+    _, err = second.communicate(timeout=DEADLINE_S)
     assert second.returncode == 4
     assert "the drive ended after 0 laps: requested by the daemon's end" in err
 
@@ -338,7 +343,7 @@ def test_a_waited_drive_that_a_fault_ends_is_an_error(world: World) -> None:
     drive = world.spawn("drive", "square", "--wait")
     until(lambda: world.status()["mode"] == "MOVING")
     world.ok("estop")
-    _, err = drive.communicate(timeout=30)
+    _, err = drive.communicate(timeout=DEADLINE_S)
     assert drive.returncode == 4
     assert "the drive ended after 0 laps: requested by robotctl estop" in err
     world.ok("stop")
@@ -359,7 +364,7 @@ def test_a_drive_while_moving_is_refused_unless_it_replaces(world: World) -> Non
 
 def test_a_recorder_that_fails_stops_the_robot(world: World) -> None:
     limited = subprocess.run(
-        ["prlimit", "--fsize=60000", *_robotctl("start", "--sim", "--drive", "circle")],
+        [*LIMITED, "start", "--sim", "--drive", "circle", "--config", str(world.patient)],
         cwd=world.folder,
         env=world.environment,
         capture_output=True,
@@ -377,9 +382,3 @@ def test_a_recorder_that_fails_stops_the_robot(world: World) -> None:
     world.ok("stop")
     journal = journal_of(read_back(next(world.recordings.iterdir()))["/robotctl/journal"])
     assert rerun(journal) is None
-
-
-def _robotctl(*arguments: str) -> list[str]:
-    from robotctl.testing.world import ROBOTCTL
-
-    return [ROBOTCTL, *arguments]
