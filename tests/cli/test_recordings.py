@@ -16,6 +16,7 @@ from robotctl.testing.recordings import START_NS, TWIST, read_strictly, write_nu
 
 Cli = Callable[..., Any]
 
+SAMPLES = Path(__file__).parents[3] / "shared" / "samples" / "rosbag2"
 OLDER, NEWER = "robot_20260101_120000", "robot_20260101_120000-2"
 
 
@@ -190,3 +191,21 @@ def test_a_folder_without_anything_readable_leaves_no_folder(cli: Cli, tmp_path:
         ran = cli("recover", str(tmp_path / name))
         assert (ran.exit_code, ran.out) == (6, "")
         assert not (tmp_path / f"{name}_recovered").exists()
+
+
+@pytest.mark.skipif(not SAMPLES.is_dir(), reason="no sample bags")
+def test_bags_of_rosbag2_are_shown_recovered_and_cut(cli: Cli, tmp_path: Path) -> None:
+    for bag in sorted(SAMPLES.iterdir()):
+        found = json.loads(cli("info", str(bag), "--json").out)
+        assert found["messages"] > 0
+        out = tmp_path / bag.name
+        ran = cli("recover", str(bag), "-o", str(out), "--json")
+        assert (ran.exit_code, json.loads(ran.out)["messages"]) == (0, found["messages"])
+        assert json.loads(cli("info", str(out), "--json").out)["messages"] == found["messages"]
+        clip = tmp_path / f"{bag.name}.mcap"
+        ran = cli("clip", str(bag), "--at", "0", "--before", "0", "--after", "0.5", "-o", str(clip))
+        assert ran.exit_code == 0, ran.err
+        assert read_strictly(clip)
+    listed = json.loads(cli("recordings", "--recordings", str(SAMPLES), "--json").out)
+    assert all(each["readable"] and not each["damage"] for each in listed["recordings"])
+    assert len(listed["recordings"]) == len(list(SAMPLES.iterdir()))

@@ -117,15 +117,16 @@ def tree(value: Any) -> Any:
 
 
 def test_most_messages_have_a_function_of_their_own() -> None:
-    assert len(TYPES) > 150
+    everyday = [kind for kind in TYPES if not kind.__module__.startswith("test_msgs.")]
+    assert len(everyday) > 150
     written = 0
-    for kind in TYPES:
+    for kind in everyday:
         try:
             decoder._Source(kind).compile()
             written += 1
         except decoder._Unusual:
             pass
-    assert written > 0.9 * len(TYPES)
+    assert written > 0.9 * len(everyday)
 
 
 @pytest.mark.parametrize("kind", TYPES, ids=lambda kind: kind.__name__)
