@@ -8,9 +8,16 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from robotctl.environment import prepare
 from robotctl.testing.domain import reserved_domain
+
+# The same examples in each run, and no limits on how long one takes: they depend on the machine.
+settings.register_profile(
+    "suite", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("suite")
 
 _notes: list[str] = []
 

@@ -96,7 +96,6 @@ def test_everything_else_is_left_to_typer(arguments: str) -> None:
 
 @settings(
     max_examples=300,
-    deadline=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 @given(first=st.sampled_from(["status", "set-mode", "estop", "stop"]), rest=st.lists(words))

@@ -9,7 +9,7 @@ import sys
 from contextlib import suppress
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robotctl.ipc.protocol import (
@@ -26,8 +26,6 @@ from robotctl.ipc.protocol import (
     parse_request,
     parse_response,
 )
-
-UNTIMED = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 VALID = [
     encode_request(1, "hello", {"protocol": 1}),
@@ -190,7 +188,6 @@ def test_a_line_over_the_limit_is_refused_before_it_is_whole() -> None:
         lines.next_line()
 
 
-@UNTIMED
 @given(
     st.lists(st.binary(max_size=20).map(lambda b: b.replace(b"\n", b"")), max_size=10), st.data()
 )
@@ -266,7 +263,6 @@ def test_mutated_streams_mean_the_same_whole_and_byte_by_byte() -> None:
         assert outcomes(stream, len(stream)) == outcomes(stream, 1), stream
 
 
-@UNTIMED
 @given(st.binary(max_size=200))
 def test_any_bytes_raise_nothing_but_protocol_errors(line: bytes) -> None:
     for parse in (parse_request, parse_response):
@@ -282,7 +278,6 @@ json_values = st.recursive(
 members = st.sampled_from(["jsonrpc", "id", "method", "params", "result", "error", "code", "data"])
 
 
-@UNTIMED
 @given(st.dictionaries(members, st.just("2.0") | json_values))
 def test_any_json_raises_nothing_but_protocol_errors(message: dict[str, object]) -> None:
     for parse in (parse_request, parse_response):

@@ -73,7 +73,7 @@ def test_every_kind_of_effect_is_tried() -> None:
 
 
 @given(st.one_of(EVENTS, *EFFECTS.values()))
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=500)
 def test_every_event_and_effect_survives_bit_for_bit(value: Any) -> None:
     text = to_json(value)
     assert text.isascii()
@@ -81,7 +81,7 @@ def test_every_event_and_effect_survives_bit_for_bit(value: Any) -> None:
 
 
 @given(st.lists(EVENTS, max_size=30))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_every_state_survives_bit_for_bit(events: list[Event]) -> None:
     kernel = Kernel(KernelParams(), moving(ticks=5).state)
     for event in events:

@@ -108,7 +108,7 @@ def test_curvature_is_the_change_of_heading_and_heading_that_of_position(kind: P
 
 @pytest.mark.parametrize("kind", PatternKind)
 @given(share=st.floats(0.02, 0.98), offset_m=st.floats(-0.03, 0.03), lag=st.floats(-0.03, 0.03))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_the_cross_track_error_is_the_distance_to_the_path(
     kind: PatternKind, share: float, offset_m: float, lag: float
 ) -> None:

@@ -123,7 +123,7 @@ ANY_EVENTS = st.lists(strategies.event(strategies.INT64, REQUEST_ID), max_size=4
 
 
 @given(ANY_EVENTS, st.sampled_from(("fresh", "latched", "ready", "moving")))
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_every_promise_holds_for_any_events_at_any_times(events: list[Event], begin: str) -> None:
     state = {
         "fresh": State(),
@@ -138,7 +138,7 @@ def test_every_promise_holds_for_any_events_at_any_times(events: list[Event], be
 
 
 @given(ANY_EVENTS)
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_an_emergency_stop_is_possible_at_any_moment(events: list[Event]) -> None:
     bench = moving()
     for event in events:
@@ -169,7 +169,7 @@ def test_an_emergency_stop_is_possible_at_any_moment(events: list[Event]) -> Non
     st.integers(0, 2),
     st.lists(st.integers(0, 400_000_000), min_size=20, max_size=60),
 )
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_every_allowed_configuration_keeps_every_promise(
     limits: VelocityLimits, rate_hz: float, pattern: Pattern, laps: int, gaps_ns: list[int]
 ) -> None:
@@ -282,4 +282,4 @@ class AnyHistory(RuleBasedStateMachine):
 
 
 TestAnyHistory = AnyHistory.TestCase
-TestAnyHistory.settings = settings(max_examples=60, stateful_step_count=30, deadline=None)
+TestAnyHistory.settings = settings(max_examples=60, stateful_step_count=30)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from rosbags.highlevel import AnyReader
 
@@ -129,7 +129,7 @@ def test_a_clip_says_of_what_it_is_one(recording: Path, tmp_path: Path) -> None:
         assert bag.message_count == info.message_count
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=25)
 @given(start_s=st.floats(0.0, DURATION_S), length_s=st.floats(0.05, 10.0))
 def test_whatever_is_cut_a_fresh_kernel_decides_it_the_same(
     recording: Path, tmp_path_factory: pytest.TempPathFactory, start_s: float, length_s: float

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader as RosbagsReader
@@ -98,7 +98,7 @@ def test_messages_come_back_as_they_went_in(
     assert stats.bytes == stats.file.stat().st_size
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=60)
 @given(
     messages=st.lists(
         st.tuples(

@@ -37,7 +37,7 @@ def everything(recording: Recording) -> list[Message]:
     return list(recording.messages(None, pytest.fail))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(written, moments, moments, st.sampled_from([IndexType.ALL, IndexType.NONE]))
 def test_a_window_holds_the_messages_of_its_time(
     messages: list[tuple[str, int]], first: int, last: int, index: IndexType
@@ -49,7 +49,7 @@ def test_a_window_holds_the_messages_of_its_time(
             assert found == [m for m in everything(recording) if first <= m.log_ns <= last]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(written, moments, st.integers(1, 3), st.sampled_from([IndexType.ALL, IndexType.NONE]))
 def test_looking_back_finds_the_last_messages_of_each_topic(
     messages: list[tuple[str, int]], moment: int, count: int, index: IndexType
