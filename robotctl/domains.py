@@ -16,6 +16,9 @@ DOMAINS = range(1, 102)
 _PORT_BASE, _PORTS_PER_DOMAIN = 7400, 250
 """The well-known ports of a domain (DDSI-RTPS 2.5, 9.6.2.3, Well-known Ports)."""
 
+_FIRST_OWN_PORT = 10
+"""From here on each participant has two ports of its own, the even one for discovery."""
+
 _TABLES = ("/proc/net/udp", "/proc/net/udp6")
 
 
@@ -33,6 +36,15 @@ def is_deserted(domain_id: int) -> bool:
     """Whether nobody can be in the domain yet; False where that cannot be seen."""
     ports = _bound_udp_ports()
     return is_on_this_machine_only() and ports is not None and domain_id not in _domains_of(ports)
+
+
+def participants_here(domain_id: int) -> int | None:
+    """How many take part in the domain on this machine; None where that cannot be seen."""
+    ports = _bound_udp_ports()
+    if ports is None:
+        return None
+    first = _PORT_BASE + _PORTS_PER_DOMAIN * domain_id
+    return len(ports & set(range(first + _FIRST_OWN_PORT, first + _PORTS_PER_DOMAIN, 2)))
 
 
 def free_domain() -> int:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import os
 import shlex
-import signal
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +19,7 @@ from robotctl.cli.drive import tracking_lines
 from robotctl.cli.launch import INTERRUPTIONS, StartOptions, launch
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.picture import Path2D, braille, write_png
+from robotctl.cli.process import interrupted_by
 from robotctl.cli.screen import TOPIC_HEADER, topic_row
 from robotctl.cli.text import is_terminal, json_text, number, printable, short_path, size
 from robotctl.cli.watch import POLL_S, polled, show
@@ -99,7 +99,7 @@ def demo(
 @contextmanager
 def _daemon(options: StartOptions, *, keep: bool) -> Iterator[None]:
     """A daemon that ends with the block, unless it is to be kept and nothing went wrong."""
-    with _interrupted_by(INTERRUPTIONS):
+    with interrupted_by(INTERRUPTIONS):
         try:
             for note in launch(options).get("notes") or []:
                 print(f"note: {printable(note)}", file=sys.stderr)
@@ -112,21 +112,6 @@ def _daemon(options: StartOptions, *, keep: bool) -> Iterator[None]:
             raise
         if not keep:
             _stop_if_running(options.robot)
-
-
-@contextmanager
-def _interrupted_by(numbers: Iterable[signal.Signals]) -> Iterator[None]:
-    """Let signals that would end this process and leave the daemon behind act as Ctrl-C does."""
-    previous = {
-        number: signal.signal(number, signal.default_int_handler)
-        for number in numbers
-        if signal.getsignal(number) is signal.SIG_DFL  # nohup ignores SIGHUP on purpose
-    }
-    try:
-        yield
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)
 
 
 def _drive_one_lap(robot: str, pool: ThreadPoolExecutor, *, quiet: bool) -> Outcome:

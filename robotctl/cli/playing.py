@@ -1,23 +1,39 @@
-"""The process that plays a recording: started, heard and ended from the command line."""
+"""The process that plays a recording: started, heard, steered and ended from the command line."""
 
 from __future__ import annotations
 
 import json
 import os
+import select
 import subprocess
 import sys
-from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
+from robotctl.cli.keyboard import Keyboard
+from robotctl.cli.replay_screen import Screen
 from robotctl.errors import RobotctlError, error_for_exit_code
+from robotctl.replay.controls import Command
 from robotctl.replay.job import Job
+from robotctl.replay.lines import Lines
 
 PLAYER = (sys.executable, "-P", "-m", "robotctl.replay")
 """-P: what lies in the working directory is not imported in place of a library."""
 
 END_DEADLINE_S = 15.0
 """For the player to take its publishers off the graph and leave."""
+
+KEYS = {
+    " ": Command.TOGGLE,
+    "+": Command.FASTER,
+    "=": Command.FASTER,
+    "-": Command.SLOWER,
+    "n": Command.NEXT,
+}
+"""Beside QUIT; `=` is where keyboards have the plus."""
+
+QUIT = "q"
 
 
 @dataclass(slots=True)
@@ -31,7 +47,7 @@ class Outcome:
     """The player has nothing more to say."""
 
 
-def play(job: Job, outcome: Outcome, show: Callable[[dict[str, Any]], None]) -> None:
+def play(job: Job, outcome: Outcome, screen: Screen) -> None:
     """Have a process play the job and show what it says; the first Ctrl-C asks it to end."""
     process = subprocess.Popen(
         PLAYER,
@@ -41,16 +57,18 @@ def play(job: Job, outcome: Outcome, show: Callable[[dict[str, Any]], None]) -> 
     )
     assert process.stdin is not None
     assert process.stdout is not None
+    player = _Player(process, outcome, screen)
     try:
         os.write(process.stdin.fileno(), f"{job.to_json()}\n".encode())
-        while not outcome.ended:
-            try:
-                _take(process.stdout.readline(), outcome, show)
-            except KeyboardInterrupt:
-                if outcome.interrupted:
-                    raise
-                outcome.interrupted = True
-                process.stdin.close()
+        with Keyboard(player.suspend, player.resume) as keyboard:
+            while not outcome.ended:
+                try:
+                    player.attend(keyboard)
+                except KeyboardInterrupt:
+                    if outcome.interrupted:
+                        raise
+                    outcome.interrupted = True
+                    process.stdin.close()
     except BrokenPipeError:
         outcome.ended = True
     finally:
@@ -68,15 +86,60 @@ def play(job: Job, outcome: Outcome, show: Callable[[dict[str, Any]], None]) -> 
         )
 
 
-def _take(line: bytes, outcome: Outcome, show: Callable[[dict[str, Any]], None]) -> None:
-    if not line:
-        outcome.ended = True
-        return
-    try:
-        said = json.loads(line)
-    except ValueError:  # the rest of a line that a Ctrl-C has cut
-        return
-    if "error" in said:
-        outcome.error = error_for_exit_code(said["exit_code"], said["error"])
-    outcome.summary = said.get("summary", outcome.summary)
-    show(said)
+class _Player:
+    """The other process, as seen from here."""
+
+    def __init__(self, process: subprocess.Popen[bytes], outcome: Outcome, screen: Screen) -> None:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        self._stdin, self._stdout = process.stdin, process.stdout
+        self._outcome = outcome
+        self._screen = screen
+        self._lines = Lines()
+        self._paused = False
+        self._resumes = False
+
+    def attend(self, keyboard: Keyboard) -> None:
+        """Wait for what is said or pressed next, and see to it."""
+        patience_s = END_DEADLINE_S if self._stdin.closed else None
+        ready, _, _ = select.select([self._stdout.fileno(), *keyboard.sources], [], [], patience_s)
+        self._outcome.ended = not ready
+        if self._stdout.fileno() in ready:
+            piece = os.read(self._stdout.fileno(), 1 << 16)
+            self._outcome.ended = not piece
+            for line in self._lines.feed(piece):
+                self._hear(json.loads(line))
+        if not set(ready).isdisjoint(keyboard.sources):
+            for key in keyboard.read():
+                self._press(key)
+
+    def suspend(self) -> None:
+        """Stand still as long as this process does."""
+        self._resumes = not self._paused
+        self._send(Command.PAUSE)
+        self._screen.suspend()
+
+    def resume(self) -> None:
+        """Go on, unless it stood still before."""
+        self._screen.resume()
+        if self._resumes:
+            self._send(Command.RESUME)
+
+    def _hear(self, said: dict[str, Any]) -> None:
+        if "error" in said:
+            self._outcome.error = error_for_exit_code(said["exit_code"], said["error"])
+        if "progress" in said:
+            self._paused = said["progress"]["paused"]
+        self._outcome.summary = said.get("summary", self._outcome.summary)
+        self._screen.show(said)
+
+    def _press(self, key: str) -> None:
+        if key == QUIT:
+            self._stdin.close()
+        elif key in KEYS:
+            self._send(KEYS[key])
+
+    def _send(self, command: Command) -> None:
+        if not self._stdin.closed:
+            with suppress(BrokenPipeError):  # it has ended, and says so on stdout
+                os.write(self._stdin.fileno(), command.line())

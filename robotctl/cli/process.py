@@ -1,10 +1,11 @@
-"""Waiting for a process that may or may not be our child."""
+"""Other processes: waiting for one that may not be our child, and being ended by one."""
 
 from __future__ import annotations
 
 import os
 import select
-from collections.abc import Iterator
+import signal
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
 
@@ -30,3 +31,18 @@ def readable_within(descriptor: int, seconds: float) -> bool:
     poll = select.poll()
     poll.register(descriptor, select.POLLIN)
     return bool(poll.poll(max(0, int(seconds * 1000))))
+
+
+@contextmanager
+def interrupted_by(numbers: Iterable[signal.Signals]) -> Iterator[None]:
+    """Let signals that would end this process and leave the daemon behind act as Ctrl-C does."""
+    previous = {
+        number: signal.signal(number, signal.default_int_handler)
+        for number in numbers
+        if signal.getsignal(number) is signal.SIG_DFL  # nohup ignores SIGHUP on purpose
+    }
+    try:
+        yield
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)

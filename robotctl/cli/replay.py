@@ -1,33 +1,52 @@
-"""replay: a recording to ROS, with its own timing."""
+"""replay: a recording to ROS, with its own timing, or only to the eye."""
 
 from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Annotated
+from signal import SIGHUP, SIGQUIT, SIGTERM
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from robotctl.cli.library import find_recording
 from robotctl.cli.options import Json, Robot, new_app
 from robotctl.cli.playing import Outcome, play
-from robotctl.cli.replay_screen import screen, summary_lines
+from robotctl.cli.process import interrupted_by
+from robotctl.cli.replay_screen import screen
+from robotctl.cli.replay_summary import summary_lines
 from robotctl.cli.text import json_text
 from robotctl.errors import UsageError
 from robotctl.paths import DEFAULT_ROBOT, check_robot_name
-from robotctl.replay.job import Job, check_seconds, parse_rate
+from robotctl.replay.job import (
+    Job,
+    check_clock,
+    check_regex,
+    check_seconds,
+    parse_rate,
+    parse_remap,
+)
+
+if TYPE_CHECKING:
+    from robotctl.replay.sight import Sight
+    from robotctl.replay.timeline import Span
 
 app = new_app()
 
 MAX_DOMAIN_ID = 232
 """The last ROS domain whose ports exist (DDSI-RTPS 2.5, 9.6.2.3)."""
 
+MAX_READ_AHEAD = 1_000_000
+
 
 @app.command()
 def replay(
     files: Annotated[
         list[Path],
-        typer.Argument(metavar="FILE", help="An MCAP file, or the folder of a recording."),
+        typer.Argument(metavar="FILE", help="An MCAP file, a recording's folder or name, or last."),
     ],
     rate: Annotated[
         str, typer.Option(metavar="X", help="Times the original speed; max: as fast as can be.")
@@ -35,8 +54,15 @@ def replay(
     topics: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="Only these topics; repeatable.")
     ] = None,
+    regex: Annotated[
+        str, typer.Option(metavar="RE", help="Topics with this in their name, beside --topics.")
+    ] = "",
     exclude: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="Not these topics; repeatable.")
+    ] = None,
+    remap: Annotated[
+        list[str] | None,
+        typer.Option(metavar="OLD:=NEW", help="Publish a topic as another; repeatable."),
     ] = None,
     start_offset: Annotated[
         float, typer.Option(metavar="S", help="Begin so many seconds into the recording.")
@@ -55,9 +81,31 @@ def replay(
     resim: Annotated[
         bool, typer.Option("--resim", help="Drive again with a simulated robot that reacts.")
     ] = False,
+    delay: Annotated[float, typer.Option(metavar="S", help="Wait before the first message.")] = 0.0,
     loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
+    paused: Annotated[bool, typer.Option("--paused", help="Begin paused.")] = False,
+    clock: Annotated[
+        float | None, typer.Option(metavar="HZ", help="Publish the recorded time as /clock.")
+    ] = None,
+    wait_for: Annotated[
+        int,
+        typer.Option(metavar="N", min=0, help="Send nothing before so many subscribers are there."),
+    ] = 0,
+    service_requests: Annotated[
+        bool,
+        typer.Option("--publish-service-requests", help="Send recorded service requests as calls."),
+    ] = False,
+    read_ahead: Annotated[
+        int | None,
+        typer.Option(metavar="N", min=1, max=MAX_READ_AHEAD, help="Messages to read ahead."),
+    ] = None,
+    see: Annotated[bool, typer.Option("--view", help="Draw the recorded robot meanwhile.")] = False,
+    see_only: Annotated[
+        bool, typer.Option("--view-only", help="Draw the recorded robot; nothing goes to ROS.")
+    ] = False,
     force: Annotated[
-        bool, typer.Option("--force", help="Original names although a daemon is there.")
+        bool,
+        typer.Option("--force", help="Original names beside a daemon; types that have changed."),
     ] = False,
     domain_id: Annotated[
         int | None,
@@ -71,19 +119,24 @@ def replay(
     """Publish a recording to ROS with its original timing.
 
     While a daemon runs in the same ROS domain, everything goes below /replay; --force uses the
-    original names, unless the robot is moving. Without a daemon, velocity commands that somebody
-    subscribes to are withheld unless they are named in --topics.
+    original names, unless the robot is moving. Without a daemon, velocity commands and service
+    requests that somebody would obey are withheld unless they are named in --topics.
+
+    Keys: space pauses, n sends the next message, + and - change the rate, q ends.
 
     \b
     Examples:
-      robotctl replay recordings/robot_20260101_120000
+      robotctl replay last
       robotctl replay run.mcap --topics /odom,/tf --rate 2 --loop
+      robotctl replay run.mcap --remap /odom:=/old/odom --wait-for 1
       robotctl replay run.mcap --rate max --json
       robotctl replay recordings/* --check
       robotctl replay run.mcap --resim --what-if tracking.k_y=8
+      robotctl replay run.mcap --view-only --start-offset 30
     """
     if check and (what_if or resim):
         raise UsageError("--check takes the recorded parameters: leave --what-if and --resim out")
+    robot = check_robot_name(robot)
     if check:
         from robotctl.cli.check import check_command
 
@@ -95,23 +148,41 @@ def replay(
         what_if_command(files, what_if or [], robot, closed_loop=resim, as_json=as_json)
         return
     job = Job(
-        file=_only(files).absolute(),
-        robot=check_robot_name(robot),
+        file=find_recording(str(_only(files)), robot).absolute(),
+        robot=robot,
         domain_id=_domain_id(domain_id),
         rate=parse_rate(rate),
         topics=_names(topics),
+        regex=check_regex(regex),
         exclude=_names(exclude),
+        remaps=tuple(parse_remap(each) for each in remap or ()),
         start_offset_s=check_seconds("--start-offset", start_offset),
         duration_s=None
         if play_duration is None
         else check_seconds("--duration", play_duration, positive=True),
+        delay_s=check_seconds("--delay", delay),
         loop=loop,
+        paused=paused,
+        clock_hz=None if clock is None else check_clock(clock),
+        wait_for=wait_for,
+        service_requests=service_requests,
+        read_ahead=read_ahead,
         force=force,
         debug="--debug" in sys.argv,
     )
+    with interrupted_by((SIGTERM, SIGHUP, SIGQUIT)):
+        if see_only:
+            _view(job, quiet=as_json)
+        else:
+            _play(job, see=see, as_json=as_json)
+
+
+def _play(job: Job, *, see: bool, as_json: bool) -> None:
+    """Play to ROS, and print the summary."""
     outcome = Outcome()
-    with screen(quiet=as_json) as show:
-        play(job, outcome, show)
+    with ExitStack() as stack:
+        sight = stack.enter_context(_sight(job))[0] if see else None
+        play(job, outcome, stack.enter_context(screen(sight, quiet=as_json)))
     if outcome.summary:
         text = json_text(outcome.summary) if as_json else "\n".join(summary_lines(outcome.summary))
         print(text, flush=True)
@@ -119,6 +190,28 @@ def replay(
         raise KeyboardInterrupt
     if outcome.error is not None:
         raise outcome.error
+
+
+def _view(job: Job, *, quiet: bool) -> None:
+    """Show the recording; nothing of ROS is imported. Raises UsageError."""
+    if job.rate is None:
+        raise UsageError("--view-only needs a --rate that is a number: nobody can see max")
+    from robotctl.cli.viewing import view
+
+    with _sight(job) as (sight, span), screen(sight, quiet=quiet) as shown:
+        view(job, sight, span, shown)
+
+
+@contextmanager
+def _sight(job: Job) -> Iterator[tuple[Sight, Span]]:
+    """The recorded robot during the part that is played."""
+    from robotctl.recording.reader import Recording
+    from robotctl.replay.sight import Sight
+    from robotctl.replay.timeline import span_of
+
+    with Recording(job.file) as recording:
+        span = span_of(recording.info(), job)
+        yield Sight(recording, span, loop=job.loop), span
 
 
 def _only(files: list[Path]) -> Path:

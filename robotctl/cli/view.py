@@ -36,7 +36,7 @@ def live_view(status: dict[str, Any]) -> RenderableType:
     facts = Table.grid(padding=(0, 2))
     facts.add_column(style="dim")
     facts.add_column()
-    facts.add_row("mode", _mode(status))
+    facts.add_row("mode", coloured_mode(status))
     if not is_observer(status):
         facts.add_row("pose", Text(pose_text(status)))
         facts.add_row("velocity", Text(velocity_text(status)))
@@ -71,7 +71,8 @@ def _robot_fields(status: dict[str, Any]) -> Iterator[str]:
     yield f"battery {battery_text(status)}"
 
 
-def _mode(status: dict[str, Any]) -> Text:
+def coloured_mode(status: dict[str, Any]) -> Text:
+    """The mode in its colour, with phase and reason."""
     mode = mode_text(status)
     text = Text(mode, style=_MODE_STYLES.get(mode, "bold"))
     if status.get("phase"):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import cos, hypot, pi, sin, tau
+from math import atan2, cos, hypot, pi, sin, tau
 
 
 def wrap_angle(angle_rad: float) -> float:
@@ -40,3 +40,8 @@ class Pose:
 
 
 ORIGIN = Pose()
+
+
+def yaw_of(x: float, y: float, z: float, w: float) -> float:
+    """Return the rotation about the vertical [rad] of a quaternion."""
+    return atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

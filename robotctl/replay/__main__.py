@@ -1,22 +1,26 @@
 """`python -m robotctl.replay`: plays the job that comes on stdin, and tells how it goes on stdout.
 
-One line of JSON each: {"note"}, {"start"}, {"progress"}, {"summary"}, and {"error", "exit_code"}.
-Anything more on stdin, its end among it, stops the replay: it never outlives who asked for it.
+One line of JSON each: {"note"}, {"waiting"}, {"start"}, {"progress"}, {"summary"}, and {"error",
+"exit_code"}. Further lines on stdin control the replay (robotctl.replay.controls), and its end
+stops it: a replay never outlives who asked for it.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import select
 import sys
 import threading
 import traceback
+from collections.abc import Iterator
 from contextlib import suppress
 from typing import Any
 
 from robotctl import environment
 from robotctl.errors import RobotctlError
 from robotctl.replay.job import Job
+from robotctl.replay.lines import Lines
 
 SWITCH_INTERVAL_S = 1e-4
 """How long the thread that keeps time waits for another one to let it go on (default 5 ms)."""
@@ -26,18 +30,24 @@ def main() -> int:
     """Play one job and return the exit code."""
     note = environment.prepare()
     sys.setswitchinterval(SWITCH_INTERVAL_S)
-    job = Job.from_json(sys.stdin.readline())
+    lines = _lines()
+    job = Job.from_json(next(lines, b"").decode())
     if note:
         _tell({"note": note})
-    from robotctl.replay.session import Replay  # after environment.prepare(): it imports rclpy
+    # After environment.prepare(): it imports rclpy.
+    from robotctl.replay.controls import command_of
+    from robotctl.replay.session import Replay
 
     replay = Replay(job, _tell)
 
-    def stop_with_parent() -> None:
-        os.read(sys.stdin.fileno(), 1)
+    def obey() -> None:
+        for line in lines:
+            command = command_of(line)
+            if command is not None:
+                replay.control(command)
         replay.stop()
 
-    threading.Thread(target=stop_with_parent, name="stdin", daemon=True).start()
+    threading.Thread(target=obey, name="stdin", daemon=True).start()
     try:
         replay.run()
     except RobotctlError as error:
@@ -52,8 +62,20 @@ def main() -> int:
     return 0
 
 
+def _lines() -> Iterator[bytes]:
+    """The lines of stdin; not buffered: a thread that waits in a buffer hinders the exit."""
+    lines = Lines()
+    while piece := os.read(sys.stdin.fileno(), 1 << 16):
+        yield from lines.feed(piece)
+
+
 def _tell(said: dict[str, Any]) -> None:
-    """Write a line; where nobody listens any more, stdin has ended as well."""
+    """Write a line; where nobody listens any more, stdin has ended as well.
+
+    Progress is dropped where the reader does not keep up: it must not hold up the safety checks.
+    """
+    if "progress" in said and not select.select([], [sys.stdout], [], 0)[1]:
+        return
     with suppress(BrokenPipeError):
         os.write(sys.stdout.fileno(), f"{json.dumps(said)}\n".encode())
 

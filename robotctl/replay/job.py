@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import asdict, dataclass
 from math import isfinite
 from pathlib import Path
@@ -13,6 +14,10 @@ from robotctl.errors import UsageError
 AS_FAST_AS_POSSIBLE = "max"
 MAX_RATE = 10_000.0
 MIN_RATE = 0.001
+MIN_CLOCK_HZ = 0.1
+MAX_CLOCK_HZ = 1000.0
+
+_TOPIC_NAME = re.compile(r"/?[A-Za-z_]\w*(?:/[A-Za-z_]\w*)*", re.ASCII)
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,7 +25,9 @@ class Job:
     """What to play, and how; `rate` None is as fast as subscribers take it.
 
     Times are of the recording: play from `start_offset_s` after its first message, for
-    `duration_s`. No `topics` means all. `domain_id` None leaves the choice to the robot's daemon.
+    `duration_s`; only `delay_s` is real time. Without `topics` and `regex` every topic is played,
+    else those that either selects. `domain_id` None leaves the choice to the robot's daemon.
+    Nothing is sent before `wait_for` subscribers are there, over all topics.
     """
 
     file: Path
@@ -29,10 +36,18 @@ class Job:
     rate: float | None = 1.0
     topics: tuple[str, ...] = ()
     exclude: tuple[str, ...] = ()
+    regex: str = ""
+    remaps: tuple[tuple[str, str], ...] = ()
     start_offset_s: float = 0.0
     duration_s: float | None = None
+    delay_s: float = 0.0
     loop: bool = False
+    paused: bool = False
     force: bool = False
+    clock_hz: float | None = None
+    service_requests: bool = False
+    wait_for: int = 0
+    read_ahead: int | None = None
     debug: bool = False
 
     def to_json(self) -> str:
@@ -45,6 +60,7 @@ class Job:
         fields: dict[str, Any] = json.loads(line)
         for name in ("topics", "exclude"):
             fields[name] = tuple(fields[name])
+        fields["remaps"] = tuple((old, new) for old, new in fields["remaps"])
         return cls(**fields | {"file": Path(fields["file"])})
 
 
@@ -71,3 +87,30 @@ def check_seconds(option: str, value: float, *, positive: bool = False) -> float
             f"{option} {value:g}: give seconds, {'above' if positive else 'at least'} 0"
         )
     return value
+
+
+def parse_remap(text: str) -> tuple[str, str]:
+    """The two names of a `--remap OLD:=NEW`. Raises UsageError."""
+    old, sign, new = text.partition(":=")
+    if not (sign and old and _TOPIC_NAME.fullmatch(new)):
+        raise UsageError(
+            f"--remap {text}: use OLD:=NEW with a new name like /robot/odom (letters, digits, _ "
+            "and / between them, no digit first)"
+        )
+    return old, new
+
+
+def check_regex(text: str) -> str:
+    """Return `text` if it is a regular expression; raises UsageError."""
+    try:
+        re.compile(text)
+    except re.error as error:
+        raise UsageError(f"--regex {text}: {error}") from None
+    return text
+
+
+def check_clock(hertz: float) -> float:
+    """Return `hertz` if a clock can be published so often; raises UsageError."""
+    if not MIN_CLOCK_HZ <= hertz <= MAX_CLOCK_HZ:
+        raise UsageError(f"--clock {hertz:g}: use {MIN_CLOCK_HZ:g} to {MAX_CLOCK_HZ:g} Hz")
+    return hertz

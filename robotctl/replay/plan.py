@@ -1,55 +1,91 @@
-"""What of a recording is played, under which names, and what is held back for safety."""
+"""What of a recording is played, and under which names."""
 
 from __future__ import annotations
 
+import re
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Final
 
-from robotctl.errors import Refused, UsageError
-from robotctl.ipc.client import command_for
+from robotctl.errors import UsageError
 from robotctl.recording.reader import TopicInfo
-from robotctl.replay.neighbours import Daemon
+from robotctl.replay.job import Job
 
-REPLAY_PREFIX = "/replay"
-"""Where a replay goes that must not be mistaken for the robot."""
+MAX_NAMES_SHOWN: Final = 12
 
-COMMAND_TYPES = frozenset({"geometry_msgs/msg/Twist"})
-COMMAND_NAME = "cmd_vel"
-"""What moves robots: a Twist under any name, and whatever is published as `.../cmd_vel`."""
-
-MAX_NAMES_SHOWN = 12
+_EVENT_TOPIC: Final = "/_service_event"
+_EVENT_TYPE = re.compile(r"[^/]+/srv/[^/]+_Event")
 
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """A recorded topic and the name under which it is published."""
+    """A recorded topic, and the name under which it is published, or its requests are sent."""
 
     topic: TopicInfo
     name: str
+    requests: bool = False
+    """The topic holds the introspection of a service, and its requests are sent again."""
 
 
-def published_name(topic: str, prefix: str) -> str:
-    """The name of a recorded topic below `prefix`; always absolute."""
-    return f"{prefix}/{topic.lstrip('/')}"
+def absolute(name: str, prefix: str = "") -> str:
+    """The name of a recorded topic, below `prefix`; always absolute."""
+    return f"{prefix}/{name.lstrip('/')}"
 
 
-def selected(
-    recorded: Sequence[TopicInfo], topics: Collection[str], exclude: Collection[str]
-) -> list[TopicInfo]:
-    """The topics to play. Raises UsageError for a name in `topics` that is not in the recording."""
-    wanted, unwanted = ({published_name(name, "") for name in names} for names in (topics, exclude))
-    there = {published_name(topic.name, "") for topic in recorded}
-    absent = sorted(wanted - there)
-    if absent:
-        names = ", ".join(sorted(there)[:MAX_NAMES_SHOWN]) or "no topics"
-        raise UsageError(f"--topics {', '.join(absent)}: not in the recording, which has {names}")
-    return [
-        topic
-        for topic in recorded
-        if (not wanted or published_name(topic.name, "") in wanted)
-        and published_name(topic.name, "") not in unwanted
-    ]
+def service_of(topic: TopicInfo) -> str:
+    """The service whose introspection the topic holds; "" for any other topic."""
+    name = absolute(topic.name)
+    if name.endswith(_EVENT_TOPIC) and _EVENT_TYPE.fullmatch(topic.type_name):
+        return name.removesuffix(_EVENT_TOPIC)
+    return ""
+
+
+def selected(recorded: Sequence[TopicInfo], job: Job) -> list[TopicInfo]:
+    """The topics to play. Raises UsageError for a name that is not in the recording.
+
+    A service counts as named by its own name and by that of its introspection.
+    """
+    wanted, unwanted = ({absolute(name) for name in names} for names in (job.topics, job.exclude))
+    there = {name for topic in recorded for name in _names(topic)}
+    _check_recorded("--topics", wanted, there)
+    pattern = re.compile(job.regex) if job.regex else None
+
+    def is_wanted(topic: TopicInfo) -> bool:
+        names = _names(topic)
+        if not unwanted.isdisjoint(names):
+            return False
+        if not wanted and pattern is None:
+            return True
+        matches = pattern is not None and pattern.search(absolute(topic.name)) is not None
+        return matches or not wanted.isdisjoint(names)
+
+    return [topic for topic in recorded if is_wanted(topic)]
+
+
+def is_named(topic: TopicInfo, names: Collection[str]) -> bool:
+    """Whether the topic, or its service, is among the names that a user gave."""
+    return not _names(topic).isdisjoint(absolute(name) for name in names)
+
+
+def routes(recorded: Sequence[TopicInfo], chosen: Iterable[TopicInfo], job: Job) -> list[Route]:
+    """Where the chosen topics go, before any prefix. Raises UsageError for an impossible remap."""
+    renamed = {absolute(old): absolute(new) for old, new in job.remaps}
+    _check_recorded("--remap", renamed.keys(), {n for topic in recorded for n in _names(topic)})
+    found = []
+    for topic in chosen:
+        requests = job.service_requests and bool(service_of(topic))
+        name = service_of(topic) if requests else absolute(topic.name)
+        found.append(Route(topic, renamed.get(name, name), requests))
+    types: dict[str, str] = {}
+    for route in found:
+        type_name = types.setdefault(route.name, route.topic.type_name)
+        if renamed and type_name != route.topic.type_name:
+            raise UsageError(
+                f"--remap: {route.name} would be published both as {type_name} "
+                f"and as {route.topic.type_name}"
+            )
+    return found
 
 
 def unplayable(topics: Iterable[TopicInfo]) -> dict[str, str]:
@@ -67,51 +103,12 @@ def unplayable(topics: Iterable[TopicInfo]) -> dict[str, str]:
     return reasons
 
 
-def prefix_for(daemons: Sequence[Daemon], domain_id: int, *, force: bool) -> tuple[str, str]:
-    """The prefix of all names, and a sentence about it ("" where there is nothing to say).
-
-    Raises:
-        Refused: `force`, while a daemon moves its robot, or may do so.
-    """
-    if not daemons:
-        return "", ""
-    names = ", ".join(repr(daemon.robot) for daemon in daemons)
-    who = f"a daemon ({names}) runs in ROS domain {domain_id}"
-    if not force:
-        return REPLAY_PREFIX, (
-            f"{who}: everything is published below {REPLAY_PREFIX} "
-            "(the original names: --force; another domain: --domain-id)"
-        )
-    check_still(daemons)
-    return "", f"{who}: --force publishes the original names all the same"
+def _names(topic: TopicInfo) -> set[str]:
+    return {absolute(topic.name), service_of(topic)} - {""}
 
 
-def check_still(daemons: Iterable[Daemon]) -> None:
-    """Raise Refused if one of the daemons moves its robot, or may do so."""
-    for daemon in daemons:
-        if daemon.may_be_moving:
-            state = daemon.mode or "in a mode that it does not tell"
-            cure = command_for(daemon.robot, "set-mode idle")
-            raise Refused(
-                f"--force is refused while robot {daemon.robot!r} is {state}: a replay under the "
-                f"original names would mislead it (first: {cure})"
-            )
-
-
-def is_command(topic: TopicInfo) -> bool:
-    """Whether a robot may move by it."""
-    return topic.type_name in COMMAND_TYPES or topic.name.rpartition("/")[2] == COMMAND_NAME
-
-
-def withheld_commands(
-    routes: Iterable[Route], named: Collection[str], count_subscribers: Callable[[str], int]
-) -> list[Route]:
-    """The commands that somebody would obey and nobody asked for by name."""
-    asked_for = {published_name(name, "") for name in named}
-    return [
-        route
-        for route in routes
-        if is_command(route.topic)
-        and published_name(route.topic.name, "") not in asked_for
-        and count_subscribers(route.name)
-    ]
+def _check_recorded(option: str, names: Collection[str], there: Collection[str]) -> None:
+    absent = sorted(set(names) - set(there))
+    if absent:
+        shown = ", ".join(sorted(there)[:MAX_NAMES_SHOWN]) or "no topics"
+        raise UsageError(f"{option} {', '.join(absent)}: not in the recording, which has {shown}")

@@ -7,17 +7,20 @@ from dataclasses import dataclass
 from typing import Final
 
 from robotctl.replay.clock import Clock
+from robotctl.replay.schedule import Schedule
+from robotctl.replay.steering import Steering
 from robotctl.replay.timeline import Entry
 from robotctl.replay.timing import Lateness
 
-Send = Callable[[bytes], bool]
-"""Hands a serialized message to the middleware; False where that did not take it."""
+Send = Callable[[bytes], bool | None]
+"""Hands a serialized message to the middleware: False where that did not take it, None where it
+held nothing to send."""
 
 LEAD_NS: Final = 20_000_000
 """Between the start and the first message, so that it is on time as well."""
 
 SLICE_NS: Final = 50_000_000
-"""How long a stop or a withheld topic may take to be noticed."""
+"""How long it may take until a stop or another schedule is noticed."""
 
 
 @dataclass(slots=True)
@@ -30,6 +33,22 @@ class Sent:
     sent: int = 0
     failed: int = 0
     withheld: int = 0
+
+
+class Ticks:
+    """Tells the recorded time to `send` every `period_ns` of real time, also while it rests."""
+
+    def __init__(self, period_ns: int, send: Callable[[int], object]) -> None:
+        self.period_ns = period_ns
+        self.send = send
+        self.due_ns = 0
+
+    def tick(self, now_ns: int, position_ns: int) -> None:
+        """Send if it is time; missed ticks are skipped."""
+        if now_ns >= self.due_ns:
+            self.send(position_ns)
+            following_ns = self.due_ns + self.period_ns
+            self.due_ns = following_ns if following_ns > now_ns else now_ns + self.period_ns
 
 
 class Player:
@@ -45,8 +64,12 @@ class Player:
         *,
         rate: float | None,
         clock: Clock,
+        paused: bool = False,
+        delay_ns: int = 0,
+        ticks: Ticks | None = None,
     ) -> None:
         self.topics = {topic: Sent(send) for topic, send in sends.items()}
+        self.steering = Steering(rate, clock.now_ns, paused=paused)
         self.lateness = Lateness()
         self.position_ns = 0
         """Recorded time that has been played."""
@@ -55,9 +78,15 @@ class Player:
         """How late the last message was."""
 
         self._batches = batches
-        self._rate = rate
         self._clock = clock
+        self._ticks = ticks
+        self._delay_ns = delay_ns
         self._stopped = False
+
+    @property
+    def sent(self) -> int:
+        """Messages that the middleware took, of all topics."""
+        return sum(topic.sent for topic in self.topics.values())
 
     def stop(self) -> None:
         """Send nothing more."""
@@ -67,33 +96,44 @@ class Player:
         """Send nothing more of one topic."""
         self.topics[topic].send = None
 
-    @property
-    def sent(self) -> int:
-        """Messages that the middleware took, of all topics."""
-        return sum(topic.sent for topic in self.topics.values())
-
     def run(self) -> None:
         """Send until the entries end or `stop` is called."""
-        rate = self._rate
-        start_ns = self._clock.now_ns() + LEAD_NS
+        self.steering.begin(self._clock.now_ns() + LEAD_NS + self._delay_ns)
         for batch in self._batches:
             for at_ns, topic, data in batch:
-                due_ns = start_ns if rate is None else start_ns + round(at_ns / rate)
-                if rate is not None:
-                    self._wait_until(due_ns)
+                due_ns = self._wait_for(at_ns)
                 if self._stopped:
                     return
-                self._send(self.topics[topic], data, due_ns if rate is not None else None)
+                self._send(self.topics[topic], data, due_ns)
                 self.position_ns = at_ns
 
-    def _wait_until(self, due_ns: int) -> None:
-        clock = self._clock
+    def _wait_for(self, at_ns: int) -> int | None:
+        """Return when the message is due, or at a stop; None where no moment was set for it."""
+        clock, steering = self._clock, self.steering
         while not self._stopped:
-            soon_ns = clock.now_ns() + SLICE_NS
-            if due_ns <= soon_ns:
+            schedule = steering.schedule
+            now_ns = clock.now_ns()
+            wake_ns = now_ns + SLICE_NS
+            if self._ticks is not None:
+                self._ticks.tick(now_ns, self._told_position_ns(schedule, now_ns))
+                wake_ns = min(wake_ns, self._ticks.due_ns)
+            if schedule.paused:
+                if steering.takes_step(at_ns):
+                    return None
+                clock.sleep_until(wake_ns)
+                continue
+            due_ns = schedule.due_ns(at_ns)
+            if due_ns > wake_ns:
+                clock.sleep_until(wake_ns)
+                continue
+            if schedule.rate is not None or due_ns > now_ns:
                 clock.sleep_until(due_ns)
-                return
-            clock.sleep_until(soon_ns)
+            if steering.schedule is schedule:
+                return due_ns if schedule.rate is not None else None
+        return None
+
+    def _told_position_ns(self, schedule: Schedule, now_ns: int) -> int:
+        return self.position_ns if schedule.rate is None else schedule.position_ns(now_ns)
 
     def _send(self, topic: Sent, data: bytes, due_ns: int | None) -> None:
         send = topic.send
@@ -103,7 +143,8 @@ class Player:
         if due_ns is not None:
             self.late_ns = self._clock.now_ns() - due_ns
             self.lateness.add(self.late_ns)
-        if send(data):
+        taken = send(data)
+        if taken:
             topic.sent += 1
-        else:
+        elif taken is False:
             topic.failed += 1

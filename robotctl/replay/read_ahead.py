@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterable, Iterator
 from types import TracebackType
@@ -13,15 +14,23 @@ from robotctl.replay.timeline import Entry
 BATCH_ENTRIES: Final = 256
 BATCH_BYTES: Final = 1 << 20
 AHEAD_ENTRIES: Final = 16_384
+"""How many messages may wait to be sent, unless somebody asks for more or fewer."""
+
 AHEAD_BYTES: Final = 64 << 20
-"""How much may wait to be sent; one batch more where a single one is larger."""
+"""How much of them; one batch more where a single one is larger."""
 
 
 class ReadAhead:
-    """Iterates over batches of `entries`, which are read in a thread while the block lasts."""
+    """Iterates over batches of `entries`, which are read in a thread while the block lasts.
 
-    def __init__(self, entries: Iterable[Entry]) -> None:
+    About `ahead` of them are read before they are asked for.
+    """
+
+    def __init__(self, entries: Iterable[Entry], ahead: int = AHEAD_ENTRIES) -> None:
         self._entries = entries
+        self._ahead = ahead
+        self._batch_entries = min(BATCH_ENTRIES, ahead)
+        self._given: list[Entry] = []
         self._changed = threading.Condition()
         self._batches: deque[tuple[list[Entry], int]] = deque()
         self._waiting_entries = 0
@@ -65,10 +74,20 @@ class ReadAhead:
                 batch, size = self._batches.popleft()
                 self._waiting_entries -= len(batch)
                 self._waiting_bytes -= size
+                self._given = batch
                 self._changed.notify_all()
             yield batch
         if self._failure is not None:
             raise self._failure
+
+    def count(self, after_ns: int, until_ns: int) -> int:
+        """How many of the messages that were read lie in a span of time; from any thread."""
+        with self._changed:
+            batches = [self._given, *(batch for batch, _ in self._batches)]
+        return sum(
+            bisect_right(batch, until_ns, key=_at_ns) - bisect_right(batch, after_ns, key=_at_ns)
+            for batch in batches
+        )
 
     def _run(self) -> None:
         try:
@@ -86,7 +105,7 @@ class ReadAhead:
             for entry in self._entries:
                 batch.append(entry)
                 size += len(entry[2])
-                if len(batch) >= BATCH_ENTRIES or size >= BATCH_BYTES:
+                if len(batch) >= self._batch_entries or size >= BATCH_BYTES:
                     full, full_size, batch, size = batch, size, [], 0
                     if not self._put(full, full_size):
                         return
@@ -109,6 +128,10 @@ class ReadAhead:
 
     def _is_full(self, entries: int, size: int) -> bool:
         return (
-            self._waiting_entries + entries > AHEAD_ENTRIES
+            self._waiting_entries + entries > self._ahead
             or self._waiting_bytes + size > AHEAD_BYTES
         )
+
+
+def _at_ns(entry: Entry) -> int:
+    return entry[0]

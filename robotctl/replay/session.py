@@ -4,50 +4,61 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
-from typing import Any, Final
+from typing import Final
 
-from robotctl.errors import Refused, UnreadableFile, UsageError
-from robotctl.recording.reader import Message, Recording, RecordingInfo, TopicInfo
+from robotctl.errors import UnreadableFile
+from robotctl.recording.reader import Recording
 from robotctl.replay import plan
 from robotctl.replay.clock import SteadyClock
+from robotctl.replay.controls import Command, carry_out
 from robotctl.replay.job import Job
-from robotctl.replay.neighbours import Daemon, ask, daemons_in
+from robotctl.replay.neighbours import ask, daemons_in
+from robotctl.replay.opening import open_clock, open_routes, playable
 from robotctl.replay.plan import Route
-from robotctl.replay.player import Player
-from robotctl.replay.read_ahead import ReadAhead
-from robotctl.replay.timeline import Span, entries
+from robotctl.replay.player import Player, Send, Ticks
+from robotctl.replay.read_ahead import AHEAD_ENTRIES, ReadAhead
+from robotctl.replay.record import Record, Tell
+from robotctl.replay.safety import Safety, check_still
+from robotctl.replay.summary import progress, summary
+from robotctl.replay.timeline import Span, recorded, span_of
 from robotctl.ros.recorded_qos import latched_depth
-from robotctl.ros.replay_session import ReplaySession, Unpublishable
+from robotctl.ros.replay_session import ReplaySession
 
 PROGRESS_S: Final = 0.1
+"""How often it is told how far the replay is, and looked for somebody who would obey it."""
+
 GUARD_S: Final = 0.5
-"""How often it is made sure that what was safe at the start still is."""
+"""How often it is made sure that no daemon has come, or begun to move its robot."""
 
 JOIN_S: Final = 10.0
 
-Tell = Callable[[dict[str, Any]], None]
-"""Says something to the user: {"note"}, {"start"}, {"progress"} or {"summary"}."""
-
 
 class Replay:
-    """Plays a job. `stop` may be called from any thread, at any time."""
+    """Plays a job. `stop` and `control` may be called from any thread, at any time."""
 
     def __init__(self, job: Job, tell: Tell) -> None:
         self._job = job
         self._tell = tell
         self._stopped = threading.Event()
-        self._notes: list[str] = []
-        self._skipped: dict[str, str] = {}
-        self._withheld: dict[str, int] = {}
-        self._missing: list[str] = []
-        self._original_names = True
-        self._overrides_daemon = False
+        self._record = Record(tell)
+        self._controlling = threading.Lock()
+        self._player: Player | None = None
+        self._early: list[Command] = []
+        """What was asked for before there was a player."""
 
     def stop(self) -> None:
         """End early; the summary then says so."""
         self._stopped.set()
+
+    def control(self, command: Command) -> None:
+        """Carry out what is asked for, at the latest when the player begins."""
+        with self._controlling:
+            if self._player is None:
+                self._early.append(command)
+            else:
+                carry_out(command, self._player.steering)
 
     def run(self) -> None:
         """Play to the end, then tell the summary.
@@ -55,30 +66,38 @@ class Replay:
         Raises:
             UnreadableFile: Nothing can be read; or not everything, after the rest was played.
             UsageError: The job asks for what the recording does not have.
-            Refused: It would not be safe, or no longer is.
+            Refused: It would not be safe, or no longer is, or a type is another one here.
         """
         job = self._job
         with ExitStack() as stack:
             recording = stack.enter_context(Recording(job.file))
             info = recording.info()
-            self._say_missing(info.missing)
-            chosen = plan.selected(info.topics, job.topics, job.exclude)
-            span = _span(info, job)
+            self._record.miss(info.missing)
+            chosen = plan.selected(info.topics, job)
+            routes = plan.routes(info.topics, chosen, job)
+            span = span_of(info, job)
             domain_id = self._domain_id()
             if job.force:
-                plan.check_still(daemons_in(domain_id))  # before ROS takes its time
-            ros = stack.enter_context(ReplaySession(domain_id))
+                check_still(daemons_in(domain_id))  # before ROS takes its time
+            ros = stack.enter_context(ReplaySession(domain_id, self._stopped))
+            routes = playable(routes, ros, job, self._record)
             ros.settle()
-            daemons = self._daemons(domain_id, ros)
-            prefix, note = plan.prefix_for(daemons, domain_id, force=job.force)
-            self._note(note)
-            self._overrides_daemon = bool(daemons) and not prefix
-            self._original_names = not prefix
-            routes = self._routes(chosen, prefix, ros)
-            player = self._play(recording, ros, routes, span, domain_id)
-        self._tell({"summary": self._summary(player, routes, prefix, domain_id)})
-        if self._missing and not self._stopped.is_set():
-            raise UnreadableFile(f"{job.file} is incomplete: {'; '.join(self._missing)}")
+            safety = Safety(ros, domain_id, job.topics, force=job.force)
+            self._record.note(safety.choose_prefix())
+            routes = safety.prefixed(routes)
+            ticks = open_clock(safety.prefix, ros, job, span)
+            for route in safety.withheld(routes):
+                routes.remove(route)
+                self._record.withhold(route, route.topic.message_count)
+            routes, sends = open_routes(routes, ros, job, self._record)
+            self._wait(ros)
+            player = self._play(recording, ros, safety, routes, sends, ticks, span)
+        said = summary(self._record, player, routes, interrupted=self._stopped.is_set())
+        where = {"file": str(job.file), "domain_id": domain_id, "prefix": safety.prefix}
+        self._tell({"summary": where | said})
+        missing = self._record.missing
+        if missing and not self._stopped.is_set():
+            raise UnreadableFile(f"{job.file} is incomplete: {'; '.join(missing)}")
 
     def _domain_id(self) -> int:
         """The domain that was asked for, else that of the robot's daemon, else 0."""
@@ -87,72 +106,58 @@ class Replay:
         daemon = ask(self._job.robot)
         return 0 if daemon is None else daemon.domain_id or 0
 
-    def _daemons(self, domain_id: int, ros: ReplaySession) -> list[Daemon]:
-        """Our own, who can be asked, and those that only the ROS graph shows."""
-        daemons = daemons_in(domain_id)
-        known = {daemon.robot for daemon in daemons}
-        others = [Daemon(robot, domain_id, None) for robot in ros.robots_with_daemon()]
-        return daemons + [daemon for daemon in others if daemon.robot not in known]
-
-    def _routes(self, chosen: Sequence[TopicInfo], prefix: str, ros: ReplaySession) -> list[Route]:
-        """The topics that can be played; what is skipped or withheld is noted."""
-        reasons = plan.unplayable(chosen)
-        routes = []
-        for topic in chosen:
-            try:
-                if topic.name not in reasons:
-                    ros.check_type(topic.type_name)
-                    routes.append(Route(topic, plan.published_name(topic.name, prefix)))
-            except Unpublishable as error:
-                reasons[topic.name] = str(error)
-        for name, reason in sorted(reasons.items()):
-            self._skip(name, reason)
-        withheld = self._unsafe_commands(routes, ros)
-        for route in withheld:
-            self._withheld[route.topic.name] = route.topic.message_count
-            self._note(_withheld_note(route.topic.name))
-        return [route for route in routes if route not in withheld]
-
-    def _unsafe_commands(self, routes: Iterable[Route], ros: ReplaySession) -> list[Route]:
-        """Commands that a robot would obey; below the prefix there is none, and --force asks so."""
-        if not self._original_names or self._overrides_daemon:
-            return []
-        return plan.withheld_commands(routes, self._job.topics, ros.count_subscribers)
+    def _wait(self, ros: ReplaySession) -> None:
+        """Return when those are there that are expected, and can be reached."""
+        expected = self._job.wait_for
+        if expected:
+            ros.wait_for_subscribers(
+                expected, lambda there: self._tell({"waiting": {"for": expected, "there": there}})
+            )
+        ros.wait_for_matches()
 
     def _play(
         self,
         recording: Recording,
         ros: ReplaySession,
-        routes: list[Route],
+        safety: Safety,
+        routes: Sequence[Route],
+        sends: dict[str, Send],
+        ticks: Ticks | None,
         span: Span,
-        domain_id: int,
     ) -> Player:
         job = self._job
-        sends = {}
-        for route in list(routes):
-            topic = route.topic
-            try:
-                sends[topic.name] = ros.open(
-                    route.name, topic.type_name, topic.offered_qos, keep_all=job.rate is None
-                )
-            except Unpublishable as error:
-                routes.remove(route)
-                self._skip(topic.name, str(error))
-        ros.wait_for_matches()
-
-        def read() -> Iterable[Message]:
-            return recording.messages(sends.keys(), lambda lost: self._say_missing([lost]))
-
         latched = {
             route.topic.name: depth
             for route in routes
-            if (depth := latched_depth(route.topic.offered_qos))
+            if not route.requests and (depth := latched_depth(route.topic.offered_qos))
         }
-        timeline = entries(read, span, latched, loop=job.loop)
-        with ReadAhead(timeline) as ahead:
-            player = Player(ahead, sends, rate=job.rate, clock=SteadyClock())
+
+        timeline = recorded(
+            recording,
+            span,
+            sends.keys(),
+            latched,
+            lambda sentence: self._record.miss([sentence]),
+            loop=job.loop,
+        )
+        with ReadAhead(timeline, job.read_ahead or AHEAD_ENTRIES) as ahead:
+            player = Player(
+                ahead,
+                sends,
+                rate=job.rate,
+                clock=SteadyClock(),
+                paused=job.paused,
+                delay_ns=round(job.delay_s * 1e9),
+                ticks=ticks,
+            )
+            with self._controlling:
+                self._player = player
+                for command in self._early:
+                    carry_out(command, player.steering)
             self._tell({"start": {"length_s": span.length_ns / 1e9, "topics": len(routes)}})
-            self._run_player(player, ahead, ros, routes, domain_id)
+            safety.check()  # waiting may have taken its time
+            self._withhold_unsafe(player, safety, routes)
+            self._run_player(player, ahead, safety, routes)
         ros.wait_until_received()
         return player
 
@@ -160,9 +165,8 @@ class Replay:
         self,
         player: Player,
         ahead: ReadAhead,
-        ros: ReplaySession,
+        safety: Safety,
         routes: Sequence[Route],
-        domain_id: int,
     ) -> None:
         """Let the player run in a thread, tell how far it is, and watch over safety."""
         failures: list[BaseException] = []
@@ -173,124 +177,30 @@ class Replay:
             except BaseException as failure:  # noqa: BLE001 - raised again in the main thread
                 failures.append(failure)
 
+        if self._stopped.is_set():  # while it was waited for somebody: nothing is sent any more
+            player.stop()
         thread = threading.Thread(target=run, name="player", daemon=True)
         thread.start()
         guard_at = time.monotonic() + GUARD_S
         try:
             while thread.is_alive() and not self._stopped.wait(PROGRESS_S):
-                self._tell({"progress": _progress(player)})
+                self._tell({"progress": progress(player, ahead, time.monotonic_ns())})
+                self._withhold_unsafe(player, safety, routes)
                 if time.monotonic() >= guard_at:
-                    self._guard(player, ros, routes, domain_id)
+                    safety.check()
                     guard_at = time.monotonic() + GUARD_S
         finally:
             if thread.is_alive():
                 player.stop()
                 ahead.close()
-                ros.stop()
+                self._stopped.set()
                 thread.join(JOIN_S)
         if failures:
             raise failures[0]
 
-    def _guard(
-        self, player: Player, ros: ReplaySession, routes: Sequence[Route], domain_id: int
-    ) -> None:
-        """Raise Refused where a daemon has come, or begun to move; withhold what turned unsafe."""
-        if not self._original_names:
-            return
-        daemons = self._daemons(domain_id, ros)
-        if self._job.force:
-            plan.check_still(daemons)
-        elif daemons:
-            names = ", ".join(repr(daemon.robot) for daemon in daemons)
-            raise Refused(
-                f"a daemon ({names}) has come into ROS domain {domain_id}: the replay under the "
-                "original names has ended (start it again to play below /replay)"
-            )
-        for route in self._unsafe_commands(routes, ros):
-            if route.topic.name not in self._withheld:
+    def _withhold_unsafe(self, player: Player, safety: Safety, routes: Sequence[Route]) -> None:
+        """Send nothing more of what somebody would obey by now."""
+        for route in safety.withheld(routes):
+            if route.topic.name not in self._record.withheld:
                 player.withhold(route.topic.name)
-                self._withheld[route.topic.name] = 0
-                self._note(_withheld_note(route.topic.name))
-
-    def _skip(self, topic: str, reason: str) -> None:
-        self._skipped[topic] = reason
-        self._note(f"{topic} is skipped: it {reason}")
-
-    def _say_missing(self, sentences: Iterable[str]) -> None:
-        for sentence in sentences:
-            if sentence not in self._missing:  # a loop meets it again
-                self._missing.append(sentence)
-                self._note(f"missing: {sentence}")
-
-    def _note(self, text: str) -> None:
-        if text:
-            self._notes.append(text)
-            self._tell({"note": text})
-
-    def _summary(
-        self, player: Player, routes: Iterable[Route], prefix: str, domain_id: int
-    ) -> dict[str, Any]:
-        topics = player.topics
-        withheld = dict(self._withheld)
-        for name, topic in topics.items():
-            if topic.withheld:
-                withheld[name] = withheld.get(name, 0) + topic.withheld
-        return {
-            "file": str(self._job.file),
-            "domain_id": domain_id,
-            "prefix": prefix,
-            "sent": player.sent,
-            "failed": sum(topic.failed for topic in topics.values()),
-            "topics": [
-                {
-                    "name": route.topic.name,
-                    "published": route.name,
-                    "type": route.topic.type_name,
-                    "sent": topics[route.topic.name].sent,
-                    "failed": topics[route.topic.name].failed,
-                }
-                for route in routes
-            ],
-            "withheld": withheld,
-            "skipped": self._skipped,
-            "timing_error_us": {
-                "p50": player.lateness.quantile_us(0.5),
-                "p99": player.lateness.quantile_us(0.99),
-                "max": player.lateness.max_ns / 1e3,
-            }
-            if player.lateness.count
-            else None,
-            "played_s": player.position_ns / 1e9,
-            "interrupted": self._stopped.is_set(),
-            "missing": self._missing,
-            "notes": self._notes,
-        }
-
-
-def _span(info: RecordingInfo, job: Job) -> Span:
-    """The part to play. Raises UsageError where that is none."""
-    if job.start_offset_s > info.duration_s:
-        raise UsageError(
-            f"--start-offset {job.start_offset_s:g}: "
-            f"the recording ends after {info.duration_s:.1f} s"
-        )
-    start_ns = info.start_ns + round(job.start_offset_s * 1e9)
-    end_ns = info.end_ns
-    if job.duration_s is not None:
-        end_ns = min(end_ns, start_ns + round(job.duration_s * 1e9))
-    return Span(start_ns, end_ns)
-
-
-def _progress(player: Player) -> dict[str, Any]:
-    return {
-        "position_s": player.position_ns / 1e9,
-        "sent": player.sent,
-        "late_s": max(player.late_ns, 0) / 1e9,
-    }
-
-
-def _withheld_note(topic: str) -> str:
-    return (
-        f"{topic} is withheld: somebody subscribes to it, and a robot would move "
-        f"(to send it nevertheless, name it: --topics {topic})"
-    )
+                self._record.withhold(route, 0)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final
 
-from robotctl.recording.reader import Message
+from robotctl.errors import UsageError
+from robotctl.recording.reader import Message, Recording, RecordingInfo
+from robotctl.replay.job import Job
 
 Entry = tuple[int, str, bytes]
 """When, in ns of recorded time since the replay's beginning; the recorded topic; the message."""
@@ -28,50 +29,64 @@ class Span:
         """From the beginning to the end."""
         return self.end_ns - self.start_ns
 
+    @property
+    def pass_ns(self) -> int:
+        """What one pass of a loop takes."""
+        return max(self.length_ns, MIN_PASS_NS)
+
+
+def span_of(info: RecordingInfo, job: Job) -> Span:
+    """The part that a job plays. Raises UsageError where that is none."""
+    if job.start_offset_s > info.duration_s:
+        raise UsageError(
+            f"--start-offset {job.start_offset_s:g}: "
+            f"the recording ends after {info.duration_s:.1f} s"
+        )
+    start_ns = info.start_ns + round(job.start_offset_s * 1e9)
+    end_ns = info.end_ns
+    if job.duration_s is not None:
+        end_ns = min(end_ns, start_ns + round(job.duration_s * 1e9))
+    return Span(start_ns, end_ns)
+
+
+def recorded(
+    recording: Recording,
+    span: Span,
+    topics: Collection[str],
+    latched: Mapping[str, int],
+    on_missing: Callable[[str], None],
+    *,
+    loop: bool,
+) -> Iterator[Entry]:
+    """The entries of a recording, with so many latched messages of each topic in `latched`."""
+
+    def before() -> Iterable[Message]:
+        return recording.last_before(span.start_ns, latched, on_missing)
+
+    def during() -> Iterable[Message]:
+        return recording.messages(topics, on_missing, (span.start_ns, span.end_ns))
+
+    return entries(before, during, span, loop=loop)
+
 
 def entries(
-    read: Callable[[], Iterable[Message]],
+    before: Callable[[], Iterable[Message]],
+    during: Callable[[], Iterable[Message]],
     span: Span,
-    latched: Mapping[str, int],
     *,
     loop: bool = False,
 ) -> Iterator[Entry]:
-    """What to send, in order; `read` is called for each pass and yields by log time.
+    """What to send, in order; `before` and `during` are called for each pass.
 
-    Of the topics in `latched` the last messages before the span, as many as the mapping says,
-    come first of all: a subscriber that came late would have had them, too.
+    `before` gives what was latched when the span begins, and that comes first: a subscriber that
+    came late would have had it, too. `during` gives the span's own messages by log time.
     """
     begin_ns = 0
     while True:
-        yield from _one_pass(read(), span, latched, begin_ns)
+        for message in before():
+            yield begin_ns, message.topic, message.data
+        for message in during():
+            yield begin_ns + message.log_ns - span.start_ns, message.topic, message.data
         if not loop:
             return
-        begin_ns += max(span.length_ns, MIN_PASS_NS)
-
-
-def _one_pass(
-    messages: Iterable[Message], span: Span, latched: Mapping[str, int], begin_ns: int
-) -> Iterator[Entry]:
-    before = {topic: deque[bytes](maxlen=depth) for topic, depth in latched.items()}
-    start_ns, end_ns = span.start_ns, span.end_ns
-    started = False
-    for message in messages:
-        log_ns = message.log_ns
-        if log_ns < start_ns:
-            if message.topic in before:
-                before[message.topic].append(message.data)
-            continue
-        if log_ns > end_ns:
-            break
-        if not started:
-            started = True
-            yield from _held(before, begin_ns)
-        yield begin_ns + log_ns - start_ns, message.topic, message.data
-    if not started:
-        yield from _held(before, begin_ns)
-
-
-def _held(before: Mapping[str, Iterable[bytes]], at_ns: int) -> Iterator[Entry]:
-    for topic, messages in before.items():
-        for data in messages:
-            yield at_ns, topic, data
+        begin_ns += span.pass_ns

@@ -14,9 +14,9 @@ from geometry_msgs.msg import Twist as TwistMessage
 from nav_msgs.msg import Odometry as OdometryMessage
 from rclpy.serialization import deserialize_message, serialize_message
 
-from robotctl.kernel.geometry import Pose
+from robotctl.kernel.geometry import Pose, yaw_of
 from robotctl.kernel.types import Odometry, Twist
-from robotctl.ros.convert import NS_PER_S, to_odometry, to_twist, yaw_of
+from robotctl.ros.convert import NS_PER_S, to_odometry, to_twist
 
 _LITTLE_ENDIAN = b"\x00\x01"
 _ENCAPSULATION = b"\x00\x01\x00\x00"

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from math import atan2, nan
+from math import nan
 from typing import Any
 
 from sensor_msgs.msg import BatteryState
 
-from robotctl.kernel.geometry import Pose
+from robotctl.kernel.geometry import Pose, yaw_of
 from robotctl.kernel.types import Odometry, Twist
 
 NS_PER_S = 1_000_000_000
-
-
-def yaw_of(x: float, y: float, z: float, w: float) -> float:
-    """Return the rotation about the vertical [rad] of a quaternion."""
-    return atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
 def to_odometry(message: Any) -> Odometry:

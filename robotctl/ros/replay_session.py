@@ -11,34 +11,37 @@ from types import TracebackType
 from typing import Any, Final, Self
 
 from ament_index_python.resources import has_resource
+from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import HistoryPolicy, ReliabilityPolicy
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from robotctl.domains import is_deserted
+from robotctl.ros.discovery import wait_until_all_known
 from robotctl.ros.message_types import message_class
 from robotctl.ros.recorded_qos import replay_qos
+from robotctl.ros.replay_senders import RequestSender, clock_sender, patient_sender, sender
+from robotctl.ros.type_definition import type_hash_of
 
 NODE_NAME: Final = "robotctl_replay"
 DAEMON_TYPE: Final = "robot_controller/msg/JournalEntry"
 """What every daemon publishes, and nobody else but replays of it."""
 
 SETTLE_S: Final = 3.5
-"""Announcements get lost, and are repeated every 3 s: only then everybody is known."""
+"""Announcements get lost, and are repeated every 3 s: only then everybody is known for sure."""
 
 MATCH_S: Final = 2.0
 KNOWN_S: Final = 0.3
 """A publisher knows its subscribers before they know it, and what it sends until then is lost."""
 
+CLOCK_TYPE: Final = "rosgraph_msgs/msg/Clock"
+
 ACKNOWLEDGE_S: Final = 7.0
 """A message that was lost is asked for at the next heartbeat, which may be due only after 3 s."""
-
-BLOCKED_S: Final = 5.0
-"""How long a subscriber that reads nothing may hold up a replay at full speed."""
 
 _POLL_S: Final = 0.02
 _TYPE_NAME = re.compile(r"([a-z][a-z0-9_]*)/(?:msg|srv|action)/[A-Za-z][A-Za-z0-9_]*")
@@ -49,9 +52,10 @@ class Unpublishable(Exception):
 
 
 class ReplaySession:
-    """A node in a ROS domain, for the `with` block."""
+    """A node in a ROS domain, for the `with` block; once `stopped`, nothing waits any more."""
 
-    def __init__(self, domain_id: int) -> None:
+    def __init__(self, domain_id: int, stopped: threading.Event) -> None:
+        self._domain_id = domain_id
         self._is_alone = is_deserted(domain_id)
         self._joined = time.monotonic()
         self._context = Context()
@@ -63,7 +67,8 @@ class ReplaySession:
             enable_rosout=False,
         )
         self._publishers: list[Publisher] = []
-        self._stopped = threading.Event()
+        self._clients: list[Client] = []
+        self._stopped = stopped
 
     def __enter__(self) -> Self:
         """The session itself."""
@@ -80,18 +85,28 @@ class ReplaySession:
         self._context.try_shutdown()
         self._context.destroy()
 
-    def stop(self) -> None:
-        """Wait for nobody any more; callable from any thread."""
-        self._stopped.set()
-
     def settle(self) -> None:
         """Return when everybody in the domain is known; at once where there is nobody."""
-        if not self._is_alone:
-            self._stopped.wait(max(self._joined + SETTLE_S - time.monotonic(), 0.0))
+        if self._is_alone:
+            return
+        until_s = self._joined + SETTLE_S
+        wait_until_all_known(self._node, self._domain_id, until_s, self._stopped)
 
     def count_subscribers(self, topic: str) -> int:
         """How many subscribe to the topic, in the whole domain."""
         return int(self._node.count_subscribers(topic))
+
+    def count_servers(self, service: str) -> int:
+        """How many serve the service, in the whole domain."""
+        return int(self._node.count_services(service))
+
+    def publishers_of(self, topic: str) -> list[str]:
+        """The full names of the other nodes that publish the topic."""
+        return sorted(
+            f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+            for info in self._node.get_publishers_info_by_topic(topic)
+            if info.node_name != NODE_NAME
+        )
 
     def robots_with_daemon(self) -> list[str]:
         """The names of the robots whose daemons are in this domain, whoever runs them."""
@@ -106,6 +121,11 @@ class ReplaySession:
     def check_type(self, type_name: str) -> None:
         """Raise Unpublishable unless the type is installed."""
         _installed_class(type_name)
+
+    def is_same_type(self, type_name: str, type_hash: str) -> bool:
+        """Whether the installed type has the recorded hash, or one of both is not known."""
+        installed = type_hash_of(type_name)
+        return not (installed and type_hash) or installed == type_hash
 
     def open(
         self, topic: str, type_name: str, offered_qos: str, *, keep_all: bool
@@ -124,19 +144,57 @@ class ReplaySession:
             raise Unpublishable(f"cannot be published here: {str(error).splitlines()[0]}") from None
         self._publishers.append(publisher)
         if publisher.qos_profile.history is not HistoryPolicy.KEEP_ALL:
-            return _sender(publisher)
-        return _patient_sender(publisher, self._stopped)
+            return sender(publisher)
+        return patient_sender(publisher, self._stopped)
+
+    def open_requests(self, service: str, event_type: str) -> Callable[[bytes], bool | None]:
+        """Make a client; returns what sends the request of a serialized introspection event.
+
+        Raises Unpublishable.
+        """
+        event_class = _installed_class(event_type)
+        service_class = _installed_class(event_type.removesuffix("_Event"))
+        try:
+            client = self._node.create_client(service_class, service)
+        except InvalidTopicNameException:
+            raise Unpublishable("has a name that ROS does not allow") from None
+        self._clients.append(client)
+        return RequestSender(client, event_class)
+
+    def open_clock(self, topic: str) -> Callable[[int], bool]:
+        """Make a publisher of the time; returns what sends one in ns."""
+        qos = QoSProfile(depth=10)  # reliable: whoever asks for less gets it, too
+        publisher = self._node.create_publisher(_installed_class(CLOCK_TYPE), topic, qos)
+        return clock_sender(publisher)
+
+    def count_matched(self) -> int:
+        """How many subscribers have matched, over all topics."""
+        return sum(publisher.get_subscription_count() for publisher in self._publishers)
+
+    def wait_for_subscribers(self, expected: int, tell: Callable[[int], object]) -> None:
+        """Return when so many subscribers have matched, over all topics; `tell` hears how many."""
+        matched = -1
+        while not self._stopped.wait(_POLL_S):
+            if self.count_matched() != matched:
+                matched = self.count_matched()
+                tell(matched)
+            if matched >= expected:
+                self._is_alone = False
+                return
 
     def wait_for_matches(self) -> None:
-        """Return when the subscribers that are known would get a message, or after 2 s."""
-        if not self._is_alone:
-            self._stopped.wait(KNOWN_S)
+        """Return when the subscribers and servers that are known have matched and know it.
+
+        Waits for 2 s at most, and not at all where nobody is there.
+        """
+        if self._is_alone:
+            return
         until = time.monotonic() + MATCH_S
+        matched, since = -1, time.monotonic()
         while time.monotonic() < until and not self._stopped.wait(_POLL_S):
-            if all(
-                publisher.get_subscription_count() >= self.count_subscribers(publisher.topic_name)
-                for publisher in self._publishers
-            ):
+            if self.count_matched() != matched:
+                matched, since = self.count_matched(), time.monotonic()
+            if time.monotonic() - since > KNOWN_S and self._all_matched():
                 return
 
     def wait_until_received(self) -> None:
@@ -148,6 +206,15 @@ class ReplaySession:
                     if publisher.wait_for_all_acked(Duration(seconds=0.1)):
                         break
 
+    def _all_matched(self) -> bool:
+        return all(
+            publisher.get_subscription_count() >= self.count_subscribers(publisher.topic_name)
+            for publisher in self._publishers
+        ) and all(
+            client.service_is_ready() or not self.count_servers(client.service_name)
+            for client in self._clients
+        )
+
 
 def _installed_class(type_name: str) -> Any:
     match = _TYPE_NAME.fullmatch(type_name)
@@ -158,32 +225,3 @@ def _installed_class(type_name: str) -> Any:
         return message_class(type_name)
     except ImportError:
         raise Unpublishable(f"has type {type_name}, which is not installed") from None
-
-
-def _sender(publisher: Publisher) -> Callable[[bytes], bool]:
-    publish = publisher.publish
-
-    def send(data: bytes) -> bool:
-        try:
-            publish(data)
-        except _rclpy.RCLError:
-            return False
-        return True
-
-    return send
-
-
-def _patient_sender(publisher: Publisher, stopped: threading.Event) -> Callable[[bytes], bool]:
-    """Sending that tries again while the queue is full: rcl gives up after 0.1 s."""
-    send_once = _sender(publisher)
-
-    def send(data: bytes) -> bool:
-        if send_once(data):
-            return True
-        until = time.monotonic() + BLOCKED_S
-        while time.monotonic() < until and not stopped.is_set():
-            if send_once(data):
-                return True
-        return False
-
-    return send

@@ -37,6 +37,7 @@ class Line:
     data: bytes
     qos: str = VOLATILE
     encoding: str = "cdr"
+    type_hash: str = ""
 
 
 def text(content: str) -> bytes:
@@ -65,7 +66,7 @@ def write_bag(path: Path, lines: Iterable[Line], *, chunk_bytes: int = 1 << 20) 
             key = line.topic, line.type_name
             if key not in channels:
                 schema = writer.register_schema(line.type_name, "ros2msg", b"")
-                metadata = {"offered_qos_profiles": line.qos}
+                metadata = {"offered_qos_profiles": line.qos, "topic_type_hash": line.type_hash}
                 channels[key] = writer.register_channel(line.topic, line.encoding, schema, metadata)
             at_ns = START_NS + round(line.at_ms * 1e6)
             writer.add_message(channels[key], at_ns, line.data, at_ns, number)

@@ -27,8 +27,7 @@ from robotctl.ipc.server import ControlServer, Identity, Method
 from robotctl.paths import make_private, runtime_folder, socket_path
 from robotctl.ros import AsyncioExecutor, RawTap
 
-REPOSITORY = Path(__file__).parents[2]
-DEADLINE_S, UNTIL_S = 60.0, 20.0
+DEADLINE_S, UNTIL_S = 60.0, 30.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +52,6 @@ class Running:
         program = "from robotctl.cli.app import main; main()"
         self._process = subprocess.Popen(
             [sys.executable, "-c", program, "replay", *arguments],
-            cwd=REPOSITORY,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -71,7 +69,7 @@ class Running:
         """End it, if it has not ended."""
         if self._process.returncode is None:
             self._process.kill()
-            self._process.communicate()
+            self._process.communicate(timeout=DEADLINE_S)
 
     async def end(self) -> Ran:
         """Wait for it."""

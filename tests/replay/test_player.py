@@ -123,26 +123,26 @@ def message(at_ms: int, topic: str = "/a") -> Message:
 
 def test_the_timeline_begins_with_the_span_and_ends_with_it() -> None:
     recorded = [message(at) for at in (1, 2, 3, 4)]
-    assert list(entries(lambda: recorded, Span(2 * MS, 3 * MS), {})) == [
+    assert list(entries(list, lambda: recorded[1:3], Span(2 * MS, 3 * MS))) == [
         (0, "/a", b"2"),
         (1 * MS, "/a", b"3"),
     ]
 
 
-@pytest.mark.parametrize("end_ms", [3, 9])
-def test_latched_messages_from_before_the_span_come_first(end_ms: int) -> None:
-    recorded = [message(at, topic) for at in (1, 2, 3) for topic in ("/a", "/map")]
-    recorded += [message(9)]
-    found = list(entries(lambda: recorded, Span(4 * MS, end_ms * MS), {"/map": 2}))
-    expected = [(0, "/map", b"2"), (0, "/map", b"3")]
-    assert found == expected + [(5 * MS, "/a", b"9")] * (end_ms == 9)
+def test_what_was_latched_before_comes_first_in_every_pass() -> None:
+    held, recorded = [message(1, "/map"), message(3, "/map")], [message(9)]
+    looping = entries(lambda: held, lambda: recorded, Span(4 * MS, 204 * MS), loop=True)
+    one_pass = [(0, "/map", b"1"), (0, "/map", b"3"), (5 * MS, "/a", b"9")]
+    assert [next(looping) for _ in range(6)] == one_pass + [
+        (at_ns + 200 * MS, topic, data) for at_ns, topic, data in one_pass
+    ]
 
 
 def test_a_loop_goes_on_where_the_pass_before_ended() -> None:
     recorded = [message(at) for at in (0, 300)]
-    looping = entries(lambda: recorded, Span(0, 300 * MS), {}, loop=True)
+    looping = entries(list, lambda: recorded, Span(0, 300 * MS), loop=True)
     assert [next(looping)[0] for _ in range(4)] == [0, 300 * MS, 300 * MS, 600 * MS]
-    single = entries(lambda: recorded[:1], Span(0, 0), {}, loop=True)
+    single = entries(list, lambda: recorded[:1], Span(0, 0), loop=True)
     assert [next(single)[0] for _ in range(3)] == [0, MIN_PASS_NS, 2 * MIN_PASS_NS]
 
 
@@ -176,6 +176,34 @@ def test_what_reading_raises_comes_after_what_was_read() -> None:
         assert next(batches) == [(0, "/a", b"1")]
         with pytest.raises(OSError, match="the disk is gone"):
             next(batches)
+
+
+def test_what_is_due_and_not_sent_is_counted() -> None:
+    timeline = [(number * MS, "/a", b"") for number in range(1000)]
+    with ReadAhead(timeline, ahead=500) as ahead:
+        batches = iter(ahead)
+        first = next(batches)
+        next(batches)
+        begin = len(first) * MS
+        assert ahead.count(begin, begin + 100 * MS) == 100
+        assert ahead.count(begin + 100 * MS, begin) <= 0
+
+
+def test_no_more_is_read_ahead_than_was_asked_for() -> None:
+    taken = 0
+
+    def numbered() -> Iterator[Entry]:
+        nonlocal taken
+        for number in range(100):
+            taken = number + 1
+            yield number, "/a", b""
+
+    with ReadAhead(numbered(), ahead=5) as ahead:
+        seen = 0
+        for batch in ahead:
+            seen += len(batch)
+            assert taken - seen <= 5 + 5 + 1
+    assert seen == 100
 
 
 def test_reading_ahead_ends_while_it_waits_for_room() -> None:

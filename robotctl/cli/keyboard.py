@@ -1,0 +1,85 @@
+"""Single keys from the terminal, which gets its own settings back on every way out."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import termios
+from collections.abc import Callable
+from types import FrameType, TracebackType
+from typing import Any, Self
+
+from robotctl.cli.text import is_terminal
+
+_LOCAL_FLAGS = 3
+"""Their place in what tcgetattr returns."""
+
+
+class Keyboard:
+    """While the block lasts keys come one by one and unseen; Ctrl-C and Ctrl-Z do what they do.
+
+    Around a Ctrl-Z `suspend` is called before the process stops, and `resume` when it goes on.
+    Without a terminal, and in the background of a shell, there are no keys.
+    """
+
+    def __init__(self, suspend: Callable[[], object], resume: Callable[[], object]) -> None:
+        self._suspend = suspend
+        self._resume = resume
+        self._file = sys.stdin.fileno() if sys.stdin is not None and sys.stdin.isatty() else -1
+        self._saved: list[Any] | None = None
+        self._previous: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> Self:
+        """Take the keys over."""
+        if self._file >= 0 and is_terminal():
+            self._previous = {
+                signal.SIGTSTP: signal.signal(signal.SIGTSTP, self._stop),
+                signal.SIGCONT: signal.signal(signal.SIGCONT, self._go_on),
+            }
+            self._take()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Give them back."""
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)
+        self._give_back()
+
+    @property
+    def sources(self) -> list[int]:
+        """What to wait for: the terminal, or nothing while there are no keys."""
+        return [] if self._saved is None else [self._file]
+
+    def read(self) -> str:
+        """The keys that were pressed; call it when the source is ready."""
+        return os.read(self._file, 64).decode(errors="ignore")
+
+    def _take(self) -> None:
+        if self._saved is None and os.tcgetpgrp(self._file) == os.getpgrp():
+            self._saved = termios.tcgetattr(self._file)
+            unseen = termios.tcgetattr(self._file)
+            unseen[_LOCAL_FLAGS] &= ~(termios.ICANON | termios.ECHO)
+            termios.tcsetattr(self._file, termios.TCSADRAIN, unseen)
+
+    def _give_back(self) -> None:
+        if self._saved is not None:
+            termios.tcsetattr(self._file, termios.TCSADRAIN, self._saved)
+            self._saved = None
+
+    def _stop(self, number: int, frame: FrameType | None) -> None:
+        self._suspend()
+        self._give_back()
+        signal.signal(signal.SIGTSTP, signal.SIG_DFL)
+        os.kill(os.getpid(), signal.SIGTSTP)  # stands here until the shell lets it go on
+        signal.signal(signal.SIGTSTP, self._stop)
+        self._take()
+        self._resume()
+
+    def _go_on(self, number: int, frame: FrameType | None) -> None:
+        self._take()  # it may have gone on in the background before

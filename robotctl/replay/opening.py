@@ -1,0 +1,104 @@
+"""Opens what a replay publishes: each topic that can be played here, and the clock."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Final
+
+from robotctl.errors import Refused
+from robotctl.recording.reader import TopicInfo
+from robotctl.replay import plan
+from robotctl.replay.job import Job
+from robotctl.replay.plan import Route
+from robotctl.replay.player import Send, Ticks
+from robotctl.replay.record import Record
+from robotctl.replay.timeline import Span
+from robotctl.ros.replay_session import ReplaySession, Unpublishable
+
+CLOCK: Final = "/clock"
+
+
+def playable(routes: Sequence[Route], ros: ReplaySession, job: Job, record: Record) -> list[Route]:
+    """The routes whose types are installed; the others are skipped.
+
+    Raises:
+        Refused: A type has another definition than when it was recorded; not with --force.
+    """
+    reasons = plan.unplayable(route.topic for route in routes)
+    if job.clock_hz is not None:
+        reasons[CLOCK] = "is published by --clock instead"
+    found = []
+    for route in routes:
+        topic = route.topic
+        try:
+            if topic.name not in reasons:
+                ros.check_type(topic.type_name)
+                found.append(route)
+        except Unpublishable as error:
+            reasons[topic.name] = str(error)
+    for name in sorted(reasons.keys() & {route.topic.name for route in routes}):
+        record.skip(name, reasons[name])
+    _check_definitions([route.topic for route in found], ros, job, record)
+    return found
+
+
+def open_routes(
+    routes: Sequence[Route], ros: ReplaySession, job: Job, record: Record
+) -> tuple[list[Route], dict[str, Send]]:
+    """The routes that could be opened, and what sends each topic's messages; others are skipped."""
+    opened: list[Route] = []
+    sends: dict[str, Send] = {}
+    for route in routes:
+        topic = route.topic
+        try:
+            if route.requests:
+                sends[topic.name] = ros.open_requests(route.name, topic.type_name)
+            else:
+                sends[topic.name] = ros.open(
+                    route.name, topic.type_name, topic.offered_qos, keep_all=job.rate is None
+                )
+            opened.append(route)
+        except Unpublishable as error:
+            record.skip(topic.name, str(error))
+    return opened, sends
+
+
+def open_clock(prefix: str, ros: ReplaySession, job: Job, span: Span) -> Ticks | None:
+    """What publishes the time, None where nobody wants it. Raises Refused beside another clock.
+
+    The time is that of the recording; a loop turns it back.
+    """
+    if job.clock_hz is None:
+        return None
+    name = f"{prefix}{CLOCK}"
+    others = ros.publishers_of(name)
+    if others:
+        raise Refused(
+            f"--clock is refused: {', '.join(others)} publishes {name} already, and time would "
+            "jump to and fro (end it, or take another domain: --domain-id)"
+        )
+    send = ros.open_clock(name)
+
+    def tell(position_ns: int) -> None:
+        send(span.start_ns + (position_ns % span.pass_ns if job.loop else position_ns))
+
+    return Ticks(round(1e9 / job.clock_hz), tell)
+
+
+def _check_definitions(
+    topics: Iterable[TopicInfo], ros: ReplaySession, job: Job, record: Record
+) -> None:
+    others = [
+        f"{topic.name} ({topic.type_name})"
+        for topic in topics
+        if topic.message_count and not ros.is_same_type(topic.type_name, topic.type_hash)
+    ]
+    if not others:
+        return
+    what = f"recorded with another definition than the installed one: {', '.join(others)}"
+    if not job.force:
+        raise Refused(
+            f"{what}; subscribers would misread it "
+            "(leave it out: --exclude NAME; play it all the same: --force)"
+        )
+    record.note(f"{what}; --force plays it all the same")

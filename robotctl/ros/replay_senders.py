@@ -1,0 +1,106 @@
+# mypy: disallow-untyped-calls=False
+"""What sends the messages of a replay: through a publisher, as a service call, or as /clock."""
+
+from __future__ import annotations
+
+import struct
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Callable
+from typing import Any, Final
+
+from rclpy.client import Client
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from rclpy.publisher import Publisher
+from rclpy.serialization import deserialize_message
+from service_msgs.msg import ServiceEventInfo
+
+BLOCKED_S: Final = 5.0
+"""How long a subscriber that reads nothing may hold up a replay at full speed."""
+
+MAX_OPEN_REQUESTS: Final = 10_000
+"""Requests of which the second of two reports may still come."""
+
+_CLOCK = struct.Struct("<4siI")
+"""rosgraph_msgs/Clock: encapsulation (CDR, little endian), seconds, nanoseconds."""
+
+_ENCAPSULATION = b"\x00\x01\x00\x00"
+
+
+def sender(publisher: Publisher) -> Callable[[bytes], bool]:
+    """Sending that answers whether the middleware took the message."""
+    publish = publisher.publish
+
+    def send(data: bytes) -> bool:
+        try:
+            publish(data)
+        except _rclpy.RCLError:
+            return False
+        return True
+
+    return send
+
+
+def patient_sender(publisher: Publisher, stopped: threading.Event) -> Callable[[bytes], bool]:
+    """Sending that tries again while the queue is full: rcl gives up after 0.1 s."""
+    send_once = sender(publisher)
+
+    def send(data: bytes) -> bool:
+        if send_once(data):
+            return True
+        until = time.monotonic() + BLOCKED_S
+        while time.monotonic() < until and not stopped.is_set():
+            if send_once(data):
+                return True
+        return False
+
+    return send
+
+
+def clock_sender(publisher: Publisher) -> Callable[[int], bool]:
+    """Sending of a time in ns."""
+    send_once = sender(publisher)
+
+    def send(time_ns: int) -> bool:
+        return send_once(_CLOCK.pack(_ENCAPSULATION, *divmod(time_ns, 1_000_000_000)))
+
+    return send
+
+
+class RequestSender:
+    """Sends the request that an introspection event holds; called with the serialized event.
+
+    Client and server may both have told of a request, under identities of their own: what one of
+    them told is not sent again when the other does. Answers are not waited for.
+    """
+
+    def __init__(self, client: Client, event_type: Any) -> None:
+        self._client = client
+        self._event_type = event_type
+        self._told: OrderedDict[tuple[int, str], int] = OrderedDict()
+        """How many more reports of a request came from clients than from servers."""
+
+    def __call__(self, data: bytes) -> bool | None:
+        """Whether the request was sent; None where there is none, or it was sent before."""
+        try:
+            event = deserialize_message(data, self._event_type)
+        except _rclpy.RCLError:
+            return False
+        if not event.request or self._was_sent(event):
+            return None
+        if not self._client.service_is_ready():
+            return False
+        with self._client.handle:
+            self._client.handle.send_request(event.request[0])
+        return True
+
+    def _was_sent(self, event: Any) -> bool:
+        key = (event.info.sequence_number, repr(event.request[0]))  # bytes differ in their padding
+        balance = self._told.pop(key, 0)
+        change = 1 if event.info.event_type == ServiceEventInfo.REQUEST_SENT else -1
+        if balance + change:
+            self._told[key] = balance + change
+        if len(self._told) > MAX_OPEN_REQUESTS:
+            self._told.popitem(last=False)
+        return balance * change < 0
