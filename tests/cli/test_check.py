@@ -74,7 +74,7 @@ def test_a_divergence_is_told_with_what_led_to_it(cli: Cli, written: list[Writte
     assert ran.exit_code == 7
     told = " ".join(ran.out.split())
     assert "before MOVING, driving a square, command 0." in told
-    assert 'event Tick {"t_ns":6' in told
+    assert 'event Tick {"t_ns":' in told
     assert "differs twist.angular: recorded 0.5, decided 0.0" in told
     assert max(map(len, ran.out.splitlines())) <= 80
     found = json.loads(cli("replay", "run", "--check", "--json").out)["recordings"][0]["divergence"]
