@@ -44,7 +44,7 @@ def report_lines(report: dict[str, Any]) -> Iterator[str]:
         yield from row(
             _INDENT,
             f"{duration(report['duration_s'])}: {report['events']} events, "
-            f"{report['effects']} effects {how}, {report['commands']} commands",
+            f"{report['effects']} effects compared {how}, {report['commands']} commands",
         )
     found = report["divergence"]
     if found is not None:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 from robotctl.errors import UnreadableFile
 
@@ -20,8 +20,7 @@ class Kind(IntEnum):
     SNAPSHOT = 2
 
 
-@dataclass(frozen=True, slots=True)
-class JournalEntry:
+class JournalEntry(NamedTuple):
     """One entry: `seq` counts from 0 without a gap, `t_ns` is steady, `data` is JSON."""
 
     seq: int
@@ -30,6 +29,8 @@ class JournalEntry:
     name: str
     data: str
 
+
+_KINDS = tuple(Kind)
 
 _HEAD = struct.Struct("<4sQqBxxxI")
 """Encapsulation (CDR, little endian), then seq, t_ns, kind, padding, length of name."""
@@ -52,6 +53,8 @@ def decode(serialized: bytes) -> JournalEntry:
         encapsulation, seq, t_ns, kind, name_size = _HEAD.unpack_from(serialized)
         if encapsulation[:2] != _ENCAPSULATION[:2]:
             raise ValueError("not little-endian CDR")
+        if kind >= len(_KINDS):
+            raise ValueError(f"{kind} is no kind of entry")
         start = _HEAD.size
         name = serialized[start : start + name_size - 1].decode()
         start += name_size + -name_size % 4
@@ -60,6 +63,6 @@ def decode(serialized: bytes) -> JournalEntry:
         if len(serialized) < start + data_size:
             raise ValueError("cut short")
         data = serialized[start : start + data_size - 1].decode()
-        return JournalEntry(seq, t_ns, Kind(kind), name, data)
+        return JournalEntry(seq, t_ns, _KINDS[kind], name, data)
     except (struct.error, ValueError) as error:
         raise UnreadableFile(f"a journal entry is damaged: {error}") from None

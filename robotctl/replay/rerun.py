@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from robotctl.errors import UnreadableFile
 from robotctl.kernel.codec import to_json
@@ -12,7 +12,7 @@ from robotctl.kernel.kernel import Kernel, State
 from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.types import Effect, Event
 from robotctl.recording.journal import JournalEntry
-from robotctl.replay.comparison import Comparison
+from robotctl.replay.comparison import DECISIONS, Comparison
 from robotctl.replay.steps import Gap, Step, steps
 from robotctl.replay.values import read_event, read_snapshot, text_of
 
@@ -35,8 +35,7 @@ class Divergence:
     differences: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Decided:
+class Decided(NamedTuple):
     """A step decided again; `effects` are None where there is nothing to compare them with."""
 
     event: Event
@@ -53,7 +52,7 @@ class Rerun:
     def __init__(self, comparison: Comparison) -> None:
         self.comparison = comparison
         self.kernel: Kernel | None = None
-        self._event = ""
+        self._event: JournalEntry | None = None
 
     def stop(self) -> None:
         """Events are missing from here on."""
@@ -70,7 +69,7 @@ class Rerun:
         if not self.comparison.same_version or self.comparison.same(entry.data, mine):
             return snapshot, None  # as texts, for no nan equals another
         before = kernel.state if kernel else None
-        return snapshot, self._divergence(self._event, entry, mine, before)
+        return snapshot, self._divergence(entry, mine, before)
 
     def step(self, step: Step) -> Decided:
         """Decide on the step's event again. Raises UnreadableFile where the entry is not ours."""
@@ -78,32 +77,27 @@ class Rerun:
         event = read_event(entry)
         if kernel is None:
             return Decided(event)
-        self._event = _text(entry)
+        self._event = entry
         before = kernel.state
         if not self._is_untouched(entry, event):
-            return self._stop(event, self._divergence(self._event, entry, event, before))
-        decided = kernel.step(event)
-        mine = [effect for effect in decided if self._compares(type(effect).__name__)]
-        theirs = [effect for effect in step.effects if self._compares(effect.name)]
+            return self._diverged(event, entry, event, before)
+        decided = mine = kernel.step(event)
+        theirs = step.effects
+        if not self.comparison.same_version:
+            theirs = [effect for effect in theirs if effect.name in DECISIONS]
+            mine = tuple(effect for effect in mine if type(effect).__name__ in DECISIONS)
         for recorded, effect in zip(theirs, mine, strict=False):
             if (
-                recorded.name != type(effect).__name__
-                or recorded.t_ns != entry.t_ns
+                recorded.t_ns != entry.t_ns
+                or recorded.name != type(effect).__name__
                 or not self.comparison.same(recorded.data, effect)
             ):
-                found = self._divergence(self._event, recorded, effect, before)
-                return self._stop(event, found)
+                return self._diverged(event, recorded, effect, before)
         if len(theirs) > len(mine):
-            found = self._divergence(self._event, theirs[len(mine)], None, before)
-            return self._stop(event, found)
-        if len(mine) > len(theirs) and not step.cut:
-            text = text_of(mine[len(theirs)])
-            at = theirs[-1] if theirs else entry
-            return self._stop(event, Divergence(at.seq, at.t_ns, self._event, "", text, before))
+            return self._diverged(event, theirs[len(mine)], None, before)
+        if len(theirs) < len(mine) and not step.cut:
+            return self._diverged(event, None, mine[len(theirs)], before)
         return Decided(event, decided)
-
-    def _compares(self, name: str) -> bool:
-        return self.comparison.compares(name)
 
     def _is_untouched(self, entry: JournalEntry, event: Event) -> bool:
         """Whether the entry is exactly what was written for this event."""
@@ -111,24 +105,29 @@ class Rerun:
             return True
         return entry.t_ns == event.t_ns and self.comparison.same(entry.data, event)
 
-    def _stop(self, event: Event, divergence: Divergence) -> Decided:
+    def _diverged(
+        self, event: Event, recorded: JournalEntry | None, mine: Any, before: State
+    ) -> Decided:
         self.kernel = None
-        return Decided(event, None, divergence)
+        return Decided(event, None, self._divergence(recorded, mine, before))
 
     def _divergence(
-        self, event: str, recorded: JournalEntry, mine: Any, before: State | None
+        self, recorded: JournalEntry | None, mine: Any, before: State | None
     ) -> Divergence:
+        """The difference between an entry and what stands, or does not, in its place."""
+        at = recorded or self._event
+        assert at is not None
         differences: list[str] = []
-        if mine is not None and recorded.name == type(mine).__name__:
+        if recorded is not None and mine is not None and recorded.name == type(mine).__name__:
             differences = self.comparison.differences(recorded.data, to_json(mine))
         return Divergence(
-            recorded.seq,
-            recorded.t_ns,
-            event,
-            _text(recorded),
-            "" if mine is None else text_of(mine),
-            before,
-            tuple(differences),
+            seq=at.seq,
+            t_ns=at.t_ns,
+            event="" if self._event is None else _text(self._event),
+            recorded="" if recorded is None else _text(recorded),
+            decided="" if mine is None else text_of(mine),
+            before=before,
+            differences=tuple(differences),
         )
 
 

@@ -6,7 +6,6 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +32,7 @@ def diverging(written: list[Written]) -> list[Written]:
     )
     entry = changed[position]
     assert isinstance(entry, JournalEntry)
-    changed[position] = replace(entry, data=entry.data.replace('"angular":0.0', '"angular":0.5'))
+    changed[position] = entry._replace(data=entry.data.replace('"angular":0.0', '"angular":0.5'))
     return changed
 
 

@@ -30,7 +30,7 @@ def altered(written: list[Written], name: str, old: str, new: str) -> tuple[list
     for position in range(len(changed) - 1, -1, -1):
         each = changed[position]
         if isinstance(each, JournalEntry) and each.name == name and old in each.data:
-            changed[position] = replace(each, data=each.data.replace(old, new, 1))
+            changed[position] = each._replace(data=each.data.replace(old, new, 1))
             return changed, each.seq
     raise AssertionError(f"no {name} holds {old}")
 
@@ -119,7 +119,7 @@ def test_a_flipped_bit_in_an_event_is_found_and_named(
     flipped = chr(ord(entry.data[digit]) ^ 1)
     data = entry.data[:digit] + flipped + entry.data[digit + 1 :]
     changed = [*drive_of_3_s]
-    changed[position] = replace(entry, data=data)
+    changed[position] = entry._replace(data=data)
     report = checked(tmp_path, changed)
     assert report.verdict is Verdict.DIVERGED
     assert report.divergence is not None

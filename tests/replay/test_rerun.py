@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 
 import pytest
 
@@ -71,7 +70,7 @@ def test_a_last_bit_that_differs_is_found() -> None:
     journal = a_journal()
     at = next(i for i, entry in enumerate(journal) if '"linear":0.3' in entry.data)
     last_digit = journal[at].data.replace('"linear":0.3', '"linear":0.30000000000000004')
-    journal[at] = replace(journal[at], data=last_digit)
+    journal[at] = journal[at]._replace(data=last_digit)
     found = rerun(journal)
     assert found is not None
     assert found.seq == at
@@ -88,7 +87,7 @@ def test_an_effect_too_few_or_too_many_is_found(change: str) -> None:
         del journal[at]
     else:
         journal.insert(at, journal[at])
-    journal = [replace(entry, seq=seq) for seq, entry in enumerate(journal)]
+    journal = [entry._replace(seq=seq) for seq, entry in enumerate(journal)]
     found = rerun(journal)
     assert found is not None
     assert (found.recorded == "", found.decided == "") == (change == "missing", change == "added")
@@ -97,7 +96,7 @@ def test_an_effect_too_few_or_too_many_is_found(change: str) -> None:
 def test_a_snapshot_that_differs_is_found() -> None:
     journal = a_journal()
     at = [entry.kind for entry in journal].index(Kind.SNAPSHOT, 1)
-    journal[at] = replace(journal[at], data=journal[at].data.replace('"speed":', '"speed":1', 1))
+    journal[at] = journal[at]._replace(data=journal[at].data.replace('"speed":', '"speed":1', 1))
     found = rerun(journal)
     assert found is not None
     assert found.seq == at
@@ -119,7 +118,7 @@ def test_a_gap_is_no_divergence_but_named() -> None:
 def test_an_event_of_another_version_is_named() -> None:
     journal = a_journal()
     at = next(i for i, entry in enumerate(journal) if entry.name == "Tick")
-    journal[at] = replace(journal[at], name="Tock")
+    journal[at] = journal[at]._replace(name="Tock")
     with pytest.raises(UnreadableFile, match=f"journal entry {at} is not ours: no event is called"):
         rerun(journal)
 
