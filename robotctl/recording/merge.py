@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
 from heapq import heapify, heappop, heappush
-from operator import itemgetter
 from typing import Final
 
 from robotctl.recording.mcap_input import Damaged
@@ -57,11 +56,10 @@ def in_order_written(
     done, total = 0, sum(file.file.size for file in files)
     for file in files:
         for source in sources([file], topics, ALWAYS):
-            _load(source, MAX_OPEN_BYTES, on_missing)
-            source.entries.sort(key=itemgetter(1))
-            while source.next < len(source.entries):
-                yield source.take()
-            source.unload()
+            try:
+                yield from source.as_written()
+            except Damaged as damage:
+                on_missing(source.loss(damage))
             on_progress(done + source.place.offset + source.place.length, total)
         done += file.file.size
         on_progress(done, total)

@@ -18,6 +18,10 @@ Window = tuple[int, int]
 ALWAYS: Final[Window] = (0, (1 << 64) - 1)
 
 
+_Fields = tuple[int, int, int, int]
+"""Of a message: channel, sequence, log and publish time."""
+
+
 class Message(NamedTuple):
     """One recorded message; times in nanoseconds since the epoch, `data` as it was received."""
 
@@ -72,33 +76,49 @@ class Source:
         self.loaded = True
         data = self._data = self.place.read(self.file.file)
         self.size = len(data)
-        unknown = 0
         first_ns, last_ns = self.window
+        try:
+            for start, end, (_, _, log_ns, _) in self._wanted(data):
+                if first_ns <= log_ns <= last_ns:
+                    self.entries.append((log_ns, start, end))
+        finally:
+            self.entries.sort()
+
+    def take(self) -> Message:
+        """The next message."""
+        _, start, end = self.entries[self.next]
+        self.next += 1
+        return self._message(self._data, start, end, MESSAGE_FIELDS.unpack_from(self._data, start))
+
+    def as_written(self) -> Iterator[Message]:
+        """All messages in the order of the file, without `load`. Raises Damaged behind the last."""
+        data = self.place.read(self.file.file)
+        for start, end, fields in self._wanted(data):
+            yield self._message(data, start, end, fields)
+
+    def _wanted(self, data: bytes) -> Iterator[tuple[int, int, _Fields]]:
+        """Start, end and fields of the messages of wanted channels. Raises Damaged at last."""
+        unknown = 0
+        names, unpack = self._names, MESSAGE_FIELDS.unpack_from
         try:
             for opcode, start, end in walk_records(data):
                 if opcode == Opcode.MESSAGE:
-                    channel, _, log_ns, _ = MESSAGE_FIELDS.unpack_from(data, start)
-                    if channel in self._names:
-                        if first_ns <= log_ns <= last_ns:
-                            self.entries.append((log_ns, start, end))
-                    elif channel not in self.file.index.channels:
+                    fields = unpack(data, start)
+                    if fields[0] in names:
+                        yield start, end, fields
+                    elif fields[0] not in self.file.index.channels:
                         unknown += 1
         except Damaged:
             if self.place.kind is not PlaceKind.TORN_CHUNK:  # where the tear was told before
                 raise
-        finally:
-            self.entries.sort()
         if unknown:
             raise Damaged(f"{unknown} messages belong to no channel")
 
-    def take(self) -> Message:
-        """The next message."""
-        log_ns, start, end = self.entries[self.next]
-        self.next += 1
-        channel, sequence, _, publish_ns = MESSAGE_FIELDS.unpack_from(self._data, start)
+    def _message(self, data: bytes, start: int, end: int, fields: _Fields) -> Message:
+        channel, sequence, log_ns, publish_ns = fields
         topic, type_name = self._names[channel]
-        data = self._data[start + MESSAGE_FIELDS.size : end]
-        return Message(topic, type_name, data, log_ns, publish_ns, sequence)
+        content = data[start + MESSAGE_FIELDS.size : end]
+        return Message(topic, type_name, content, log_ns, publish_ns, sequence)
 
     def loss(self, damage: Damaged) -> str:
         """What to say where the place cannot be read."""

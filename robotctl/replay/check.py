@@ -51,6 +51,7 @@ class _Check:
         self._traffic = CommandTraffic()
         self._rerun: Rerun | None = None
         self._before_snapshot = 0
+        self._end_ns = 0
 
     def run(self) -> None:
         """Fill the report. Raises UnreadableFile."""
@@ -85,7 +86,7 @@ class _Check:
                 entry = journal.decode(message.data)
                 if not report.begin_log_ns:
                     report.begin_ns, report.begin_log_ns = entry.t_ns, message.log_ns
-                report.duration_s = (entry.t_ns - report.begin_ns) / 1e9
+                self._end_ns = entry.t_ns
                 yield entry
             elif self._traffic.seen or message.publish_ns >= report.begin_log_ns > 0:
                 self._traffic.message(message.data)  # before that, another file has the decision
@@ -116,14 +117,15 @@ class _Check:
                 self._traffic.step(tuple(map(read_effect, step.effects)))
                 return
             decided = self._rerun.step(step)
-            self._note(decided.divergence)
             effects = decided.effects
             if effects is None:
+                self._note(decided.divergence)
                 effects = tuple(map(read_effect, step.effects))
         except UnreadableFile as error:
             self._interrupt(str(error))
             return
-        self._traffic.step(effects)
+        if effects:
+            self._traffic.step(effects)
         self._invariants.step(step.event.seq, decided.event, effects)
 
     def _note(self, divergence: Divergence | None) -> None:
@@ -139,6 +141,7 @@ class _Check:
 
     def _end(self) -> None:
         report, invariants = self._report, self._invariants
+        report.duration_s = (self._end_ns - report.begin_ns) / 1e9
         if self._rerun is None:
             report.miss("its journal holds no snapshot of the kernel to begin from")
             return

@@ -22,6 +22,7 @@ from robotctl.kernel.types import (
     LatchEmergencyStop,
     ModeChanged,
     ModeRequested,
+    OdomReceived,
     PublishTwist,
     ReleaseEmergencyStop,
     Reply,
@@ -80,7 +81,7 @@ class Invariants:
 
     def step(self, seq: int, event: Event, effects: tuple[Effect, ...]) -> None:
         """Check one event and what came of it."""
-        if self.mode is None:
+        if self.mode is None or (not effects and isinstance(event, OdomReceived)):
             return
         self._at = seq, event.t_ns
         if isinstance(event, _REQUESTS):

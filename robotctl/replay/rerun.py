@@ -16,6 +16,9 @@ from robotctl.replay.comparison import DECISIONS, Comparison
 from robotctl.replay.steps import Gap, Step, steps
 from robotctl.replay.values import read_event, read_snapshot, text_of
 
+MAX_SHAPES = 4096
+"""A number may have a sign, a point and an exponent; a source may be any text."""
+
 
 @dataclass(frozen=True, slots=True)
 class Divergence:
@@ -53,6 +56,7 @@ class Rerun:
         self.comparison = comparison
         self.kernel: Kernel | None = None
         self._event: JournalEntry | None = None
+        self._shapes: set[bytes] = set()
 
     def stop(self) -> None:
         """Events are missing from here on."""
@@ -100,10 +104,20 @@ class Rerun:
         return Decided(event, decided)
 
     def _is_untouched(self, entry: JournalEntry, event: Event) -> bool:
-        """Whether the entry is exactly what was written for this event."""
+        """Whether the entry is what was written for this event, and nobody has changed it.
+
+        Its text without the digits is compared with those that were right: the digits themselves
+        are the event.
+        """
         if not self.comparison.same_version:
             return True
-        return entry.t_ns == event.t_ns and self.comparison.same(entry.data, event)
+        shape = entry.data.encode().translate(None, b"0123456789")
+        if shape not in self._shapes:
+            if not self.comparison.same(entry.data, event):
+                return False
+            if len(self._shapes) < MAX_SHAPES:
+                self._shapes.add(shape)
+        return entry.t_ns == event.t_ns
 
     def _diverged(
         self, event: Event, recorded: JournalEntry | None, mine: Any, before: State

@@ -17,8 +17,8 @@ TYPES = frozenset({"geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"})
 MAX_WAITING = 512
 """Commands that were decided and not seen yet, or seen and not decided yet."""
 
-STILL_STEPS = 1000
-"""After so many steps without motion no command is on its way any more."""
+STILL_STEPS = 500
+"""After so many steps with effects but without motion no command is on its way any more."""
 
 _NUMBERS = struct.Struct("<6d")
 _BIG_ENDIAN_NUMBERS = struct.Struct(">6d")
