@@ -56,6 +56,7 @@ class Rerun:
         self.comparison = comparison
         self.kernel: Kernel | None = None
         self._event: JournalEntry | None = None
+        self._same_version = comparison.same_version
         self._shapes: set[bytes] = set()
 
     def stop(self) -> None:
@@ -70,7 +71,7 @@ class Rerun:
         snapshot = read_snapshot(entry)
         kernel, self.kernel = self.kernel, snapshot.kernel()
         mine = Snapshot(snapshot.made_by, kernel.params, kernel.state) if kernel else snapshot
-        if not self.comparison.same_version or self.comparison.same(entry.data, mine):
+        if not self._same_version or self.comparison.same(entry.data, mine):
             return snapshot, None  # as texts, for no nan equals another
         before = kernel.state if kernel else None
         return snapshot, self._divergence(entry, mine, before)
@@ -87,7 +88,7 @@ class Rerun:
             return self._diverged(event, entry, event, before)
         decided = mine = kernel.step(event)
         theirs = step.effects
-        if not self.comparison.same_version:
+        if not self._same_version:
             theirs = [effect for effect in theirs if effect.name in DECISIONS]
             mine = tuple(effect for effect in mine if type(effect).__name__ in DECISIONS)
         for recorded, effect in zip(theirs, mine, strict=False):
@@ -109,7 +110,7 @@ class Rerun:
         Its text without the digits is compared with those that were right: the digits themselves
         are the event.
         """
-        if not self.comparison.same_version:
+        if not self._same_version:
             return True
         shape = entry.data.encode().translate(None, b"0123456789")
         if shape not in self._shapes:

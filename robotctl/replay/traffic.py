@@ -65,11 +65,13 @@ class CommandTraffic:
         """A message of the command topic."""
         self.seen += 1
         numbers = _numbers(data)
-        if numbers == _STILL or not any(_NUMBERS.unpack(numbers)):  # also -0.0
+        if numbers == _STILL:
             return
         try:
             self._decided.remove(numbers)
         except ValueError:
+            if not any(_NUMBERS.unpack(numbers)):  # a negative zero
+                return
             self._published.append(numbers)
             if len(self._published) > MAX_WAITING:
                 self._give_up()

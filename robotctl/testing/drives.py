@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import struct
+import time
+from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import chain
 from pathlib import Path
 
 from robotctl import __version__
@@ -16,15 +17,21 @@ from robotctl.kernel.types import DriveRequested, Effect, Event, PublishTwist, T
 from robotctl.recording.journal import TYPE_NAME, JournalEntry, decode, encode
 from robotctl.recording.recorder import Recorder, RecorderOptions, Topic
 from robotctl.replay.closed_loop import closed_loop
-from robotctl.testing.recordings import GID, START_NS, TWIST
+from robotctl.testing.recordings import GID, ODOMETRY, START_NS, TWIST
 
 BEGIN_NS = 5_000_000_000
 """Steady time at which drives begin."""
 
+Step = tuple[Event, tuple[Effect, ...]]
+"""An event, and what the kernel decided on it."""
+
 JOURNAL = Topic("/robotctl/journal", TYPE_NAME)
 
-Written = JournalEntry | Twist
-"""What a recording is made of: journal entries, and commands as they were published."""
+MAX_QUEUED = 20_000
+"""Messages that a recorder may still have to write; it would drop what comes too fast."""
+
+Written = JournalEntry | Twist | bytes
+"""Journal entries, commands as they were published, and odometry, serialized."""
 
 
 def drive_requested(after_s: float = 0.1, laps: int = 0) -> DriveRequested:
@@ -46,30 +53,43 @@ def drive(
     `requests` may be any events; those in `then` come when the robot is gone.
     """
     config = config or Config()
+    asked = [drive_requested()] if requests is None else requests
     kernel = Kernel(config.kernel)
+    snapshots_ns = [BEGIN_NS + round(after_s * 1e9) for after_s in snapshots_s]
+    return list(journaled(kernel, _steps(kernel, config, asked, seconds, then), snapshots_ns))
+
+
+def journaled(
+    kernel: Kernel, steps: Iterable[Step], snapshots_ns: Iterable[int] = (BEGIN_NS,)
+) -> Iterator[Written]:
+    """What a daemon writes of the kernel's steps, with a snapshot at each of these times."""
     written: list[Written] = []
     journal = Journal(lambda serialized, seq: written.append(decode(serialized)))
-    snapshots_ns = [BEGIN_NS + round(after_s * 1e9) for after_s in snapshots_s]
-    asked = [drive_requested()] if requests is None else requests
-    end_ns = BEGIN_NS + round(seconds * 1e9)
-
-    def steps() -> Iterator[tuple[Event, tuple[Effect, ...]]]:
-        for event, effects in closed_loop(kernel, config.sim, asked, BEGIN_NS):
-            yield event, effects
-            if event.t_ns >= end_ns:
-                return
-
-    if snapshots_ns[:1] == [BEGIN_NS]:
-        journal.snapshot(snapshots_ns.pop(0), kernel)
-    for event, effects in chain(steps(), ((event, kernel.step(event)) for event in then)):
+    due_ns = deque(snapshots_ns)
+    if due_ns and due_ns[0] == BEGIN_NS:
+        journal.snapshot(due_ns.popleft(), kernel)
+    for event, effects in steps:
         journal.event(event)
         for effect in effects:
             if isinstance(effect, PublishTwist):
                 written.append(effect.twist)
             journal.effect(event.t_ns, effect)
-        if snapshots_ns and event.t_ns >= snapshots_ns[0]:
-            journal.snapshot(snapshots_ns.pop(0), kernel)
-    return written
+        if due_ns and event.t_ns >= due_ns[0]:
+            journal.snapshot(due_ns.popleft(), kernel)
+        yield from written
+        written.clear()
+
+
+def _steps(
+    kernel: Kernel, config: Config, asked: Iterable[Event], seconds: float, then: Iterable[Event]
+) -> Iterator[Step]:
+    end_ns = BEGIN_NS + round(seconds * 1e9)
+    for event, effects in closed_loop(kernel, config.sim, asked, BEGIN_NS):
+        yield event, effects
+        if event.t_ns >= end_ns:
+            break
+    for event in then:
+        yield event, kernel.step(event)
 
 
 def record(
@@ -79,25 +99,31 @@ def record(
     config: Config | None = None,
     robot: str = "robot",
     version: str = __version__,
+    options: RecorderOptions | None = None,
 ) -> Path:
     """Make a recording in `folder`; times follow those of the journal."""
     parameters = {f"parameter.{key}": str(v) for key, v in flat(config or Config()).items()}
     recorder = Recorder(
         folder,
-        RecorderOptions(chunk_bytes=1 << 14),
+        options or RecorderOptions(chunk_bytes=1 << 14),
         metadata=lambda: {"robotctl": version, "robot": robot, **parameters},
         on_failure=_fail,
     )
     journal, commands = recorder.add_topic(JOURNAL), recorder.add_topic(TWIST)
+    odometry = recorder.add_topic(ODOMETRY)
     log_ns, published = START_NS, 0
-    for each in written:
+    for number, each in enumerate(written, 1):
         if isinstance(each, JournalEntry):
             log_ns = max(log_ns, START_NS + each.t_ns)
             recorder.write(journal, encode(each), log_ns, log_ns, each.seq + 1, GID)
-        else:
+        elif isinstance(each, Twist):
             published += 1
             recorder.write(commands, serialized(each), log_ns + 9, log_ns + 1, published, GID)
+        else:
+            recorder.write(odometry, each, log_ns, log_ns, 0, GID)
         log_ns += 10
+        while number % MAX_QUEUED == 0 and recorder.stats().queued > MAX_QUEUED:
+            time.sleep(0.001)
     recorder.close()
     return folder
 

@@ -1,0 +1,156 @@
+"""`robotctl replay --check`: how much faster than real time, on how many cores, in what memory.
+
+    python benchmarks/check.py                       5 rounds, less than two minutes
+    python benchmarks/check.py --rounds 1 --gigabyte 1   memory over a file of 1 GB: minutes
+
+The recordings are made here, by the recorder's own writer: journal, velocity commands and odometry
+of a simulated drive at 100 Hz. One is MOVING all the time, which costs most, one stands. CPU time
+is that of the process, so that other people's work counts little; the time of many recordings is
+that of the clock on the wall.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from recording.figures import Figure, Round, table
+
+from robotctl.config import Config, with_setting
+from robotctl.kernel.kernel import Kernel
+from robotctl.kernel.types import DriveRequested
+from robotctl.recording.journal import JournalEntry
+from robotctl.recording.recorder import Compression, RecorderOptions
+from robotctl.replay.check import check
+from robotctl.replay.check_many import check_many
+from robotctl.replay.closed_loop import closed_loop
+from robotctl.replay.report import Verdict
+from robotctl.testing.drives import BEGIN_NS, Written, drive_requested, journaled, record
+
+RATE_HZ = 100.0
+SECONDS = 60.0
+FILES = 8
+ODOMETRY_BYTES = bytes(724)
+BYTES_PER_S = 138_000
+"""Of such a recording, not compressed."""
+
+MEMORY = """
+import sys
+from pathlib import Path
+from robotctl.replay.check import check
+report = check(Path(sys.argv[1]))
+assert report.verdict == "same", report
+status = Path("/proc/self/status").read_text()
+print(int(status.split("VmHWM:")[1].split()[0]) / 1024)
+"""
+
+
+def config() -> Config:
+    """The default at RATE_HZ."""
+    return with_setting(with_setting(Config(), "rate_hz", RATE_HZ), "sim.odometry_rate_hz", RATE_HZ)
+
+
+def traffic(seconds: float, requests: Iterable[DriveRequested]) -> Iterator[Written]:
+    """What a recording holds."""
+    kernel = Kernel(config().kernel)
+    end_ns = BEGIN_NS + round(seconds * 1e9)
+    for each in journaled(kernel, closed_loop(kernel, config().sim, requests, BEGIN_NS)):
+        yield each
+        if isinstance(each, JournalEntry):
+            if each.name == "OdomReceived":
+                yield ODOMETRY_BYTES
+            if each.t_ns > end_ns and each.name == "PublishTwist":
+                return
+
+
+def make(folder: Path, seconds: float, *, moving: bool, compression: Compression) -> Path:
+    """A recording of that length, in one file."""
+    options = RecorderOptions(compression=compression, split_bytes=1 << 40, split_s=1e9)
+    requests = [drive_requested()] if moving else []
+    return record(folder, traffic(seconds, requests), config=config(), options=options)
+
+
+def times_real_time(path: Path) -> float:
+    """Recorded seconds per second of CPU time."""
+    began = time.process_time()
+    report = check(path)
+    took_s = time.process_time() - began
+    assert report.verdict is Verdict.SAME, report
+    return report.duration_s / took_s
+
+
+def many(paths: list[Path]) -> float:
+    """Recorded seconds per second on the wall, over all recordings."""
+    began = time.perf_counter()
+    reports = check_many(paths)
+    took_s = time.perf_counter() - began
+    assert all(report["verdict"] == "same" for report in reports), reports
+    return sum(report["duration_s"] for report in reports) / took_s
+
+
+def peak_mb(path: Path) -> float:
+    """The most memory that a process has had that checked it."""
+    ran = subprocess.run(
+        [sys.executable, "-c", MEMORY, str(path)], stdout=subprocess.PIPE, check=True
+    )
+    return float(ran.stdout)
+
+
+def one_round(moving: Path, standing: Path, copies: list[Path], large: Path) -> Round:
+    """Every figure once."""
+    alone = times_real_time(moving)
+    together = many(copies)
+    small_mb, large_mb = peak_mb(moving), peak_mb(large)
+    return {
+        "MOVING at 100 Hz, times real time per core": alone,
+        "standing at 100 Hz, times real time per core": times_real_time(standing),
+        f"{FILES} recordings at once, times real time": together,
+        "of it per core that there is": together / len(os.sched_getaffinity(0)),
+        "peak memory, 1 minute [MB]": small_mb,
+        "peak memory, the large file beyond that [MB]": large_mb - small_mb,
+    }
+
+
+FIGURES = (
+    Figure("MOVING at 100 Hz, times real time per core", 200.0, at_least=True, digits=".0f"),
+    Figure("standing at 100 Hz, times real time per core", 200.0, at_least=True, digits=".0f"),
+    Figure(f"{FILES} recordings at once, times real time", digits=".0f"),
+    Figure("of it per core that there is", digits=".0f"),
+    Figure("peak memory, 1 minute [MB]", digits=".1f"),
+    Figure("peak memory, the large file beyond that [MB]", 5.0, digits=".1f"),
+)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--gigabyte", type=float, default=0.05, help="size of the large file")
+    arguments = parser.parse_args()
+    rounds = []
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        moving = make(folder / "moving", SECONDS, moving=True, compression=Compression.ZSTD)
+        standing = make(folder / "standing", SECONDS, moving=False, compression=Compression.ZSTD)
+        large_s = arguments.gigabyte * 1e9 / BYTES_PER_S
+        large = make(folder / "large", large_s, moving=True, compression=Compression.NONE)
+        size = sum(file.stat().st_size for file in large.glob("*.mcap"))
+        print(f"the large file: {size / 1e6:.0f} MB, {large_s:.0f} s", file=sys.stderr)
+        for number in range(1, arguments.rounds + 1):
+            print(f"round {number} of {arguments.rounds}", file=sys.stderr)
+            rounds.append(one_round(moving, standing, [moving, standing] * (FILES // 2), large))
+    lines, missed = table(FIGURES, rounds)
+    print("| figure | to reach | measured | |\n|---|---|---|---|")
+    print(*lines, sep="\n")
+    return 1 if missed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
