@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
+from robotctl.domains import reserved_domain
 from robotctl.environment import prepare
-from robotctl.testing.domain import reserved_domain
 
 # The same examples in each run, and no limits on how long one takes: they depend on the machine.
 settings.register_profile(

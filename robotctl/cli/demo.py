@@ -23,7 +23,7 @@ from robotctl.cli.process import interrupted_by
 from robotctl.cli.screen import TOPIC_HEADER, topic_row
 from robotctl.cli.text import is_terminal, json_text, number, printable, short_path, size
 from robotctl.cli.watch import POLL_S, polled, show
-from robotctl.domains import free_domain
+from robotctl.domains import reserved_domain
 from robotctl.errors import NoDaemon, RobotctlError
 from robotctl.ipc.client import call, command_for
 
@@ -81,13 +81,14 @@ def demo(
     """
     from concurrent.futures import ThreadPoolExecutor
 
-    robot, domain_id = f"demo_{os.getpid()}", free_domain()
-    options = StartOptions(robot, recordings=recordings, sim=True, domain_id=domain_id)
-    if not as_json:
-        print(f"starting a simulated robot: {robot}, ROS domain {domain_id}", flush=True)
-    # The pool outside: leaving it waits for the drive, which ends when the daemon does.
-    with ThreadPoolExecutor(max_workers=1) as pool, _daemon(options, keep=keep):
-        outcome = _drive_one_lap(robot, pool, quiet=as_json)
+    robot = f"demo_{os.getpid()}"
+    with reserved_domain() as domain_id:
+        options = StartOptions(robot, recordings=recordings, sim=True, domain_id=domain_id)
+        if not as_json:
+            print(f"starting a simulated robot: {robot}, ROS domain {domain_id}", flush=True)
+        # The pool outside: leaving it waits for the drive, which ends when the daemon does.
+        with ThreadPoolExecutor(max_workers=1) as pool, _daemon(options, keep=keep):
+            outcome = _drive_one_lap(robot, pool, quiet=as_json)
     png = outcome.folder / "path.png"
     write_png(png, outcome.wanted, outcome.driven, _title(robot, outcome.drive))
     if as_json:

@@ -20,11 +20,11 @@ from pathlib import Path
 from shutil import rmtree
 from typing import Any
 
+from robotctl.domains import reserved_domain
 from robotctl.recording.catalog import CLIPS_FOLDER
 from robotctl.recording.journal import JournalEntry, decode
 from robotctl.replay.check import check
 from robotctl.replay.report import Verdict
-from robotctl.testing.domain import reserved_domain
 from robotctl.testing.lines import Told
 from robotctl.testing.waiting import DEADLINE_S, until
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shlex
 import signal
-import socket
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -13,9 +12,6 @@ from typing import Any
 
 import pytest
 
-from robotctl import domains
-from robotctl.domains import DOMAINS, free_domain
-from robotctl.errors import Refused
 from robotctl.ipc.client import call
 from robotctl.recording.reader import read_info
 
@@ -115,27 +111,3 @@ def test_a_daemon_that_does_not_start_is_reported(
     ran = cli("demo")
     assert ran.exit_code == 2
     assert ran.err == "robotctl: robot.yaml: speed: nan is not allowed\n"
-
-
-# The domain
-
-
-def test_a_domain_with_a_bound_port_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
-        taken.bind(("127.0.0.1", 0))
-        in_use = (taken.getsockname()[1] - 7400) // 250
-        never = 65536 // 250  # there is no such port
-        monkeypatch.setattr(domains, "DOMAINS", (in_use, never))
-        assert {free_domain() for _ in range(20)} == {never}
-
-
-def test_the_domain_of_the_environment_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("ROS_DOMAIN_ID", "52")
-    monkeypatch.setattr(domains, "DOMAINS", range(52, 53))
-    with pytest.raises(Refused, match="every ROS domain"):
-        free_domain()
-
-
-def test_domain_0_is_left_to_those_who_did_not_choose() -> None:
-    assert 0 not in DOMAINS
-    assert max(DOMAINS) == 101

@@ -17,7 +17,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.testing.domain import reserved_domain
+from robotctl.domains import reserved_domain
 from robotctl.testing.lines import Told
 from robotctl.testing.waiting import DEADLINE_S
 

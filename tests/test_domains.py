@@ -1,0 +1,91 @@
+"""Which ROS domains are in use on this machine, and how one is reserved."""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from robotctl import domains
+from robotctl.domains import DOMAINS, is_deserted, participants_here, reserved_domain
+from robotctl.errors import Refused
+
+NEVER = 65536 // 250
+"""A domain of which no port exists."""
+
+OURS = 215 + 2 * (os.getpid() % 9)
+OTHER = OURS + 1
+"""Domains that nothing else uses: not given to anybody, and above the ephemeral ports of Linux."""
+
+
+@pytest.fixture(autouse=True)
+def two_domains(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let there be no other domains."""
+    monkeypatch.setattr(domains, "DOMAINS", (OURS, OTHER))
+
+
+@contextmanager
+def somebody_in(domain_id: int) -> Iterator[None]:
+    """Bind the first port that a process of the domain would have for itself."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 7400 + 250 * domain_id + 10))
+        yield
+
+
+def test_a_domain_is_given_to_one_at_a_time() -> None:
+    with reserved_domain() as first, reserved_domain() as second:
+        assert {first, second} == {OURS, OTHER}
+        with pytest.raises(Refused, match="every ROS domain"), reserved_domain():
+            pass
+    with reserved_domain() as again:
+        assert again in (first, second)
+
+
+def test_whoever_loses_the_race_for_a_domain_is_given_another(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    offered = [OURS, OURS, OTHER]
+    monkeypatch.setattr(domains, "_free_domain", lambda: offered.pop(0))
+    with reserved_domain() as winner, reserved_domain() as loser:
+        assert (winner, loser) == (OURS, OTHER)
+
+
+def test_a_domain_that_somebody_is_in_is_not_given() -> None:
+    with somebody_in(OURS):
+        for _ in range(20):
+            with reserved_domain() as given:
+                assert given == OTHER
+
+
+def test_a_reserved_domain_is_deserted_until_somebody_joins_it() -> None:
+    with reserved_domain() as ours:
+        assert is_deserted(ours)
+        assert participants_here(ours) == 0
+        with somebody_in(ours):
+            assert not is_deserted(ours)
+            assert participants_here(ours) == 1
+
+
+def test_where_nobody_can_see_who_is_there_no_domain_is_deserted(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert is_deserted(NEVER)
+    with monkeypatch.context() as patch:
+        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
+        assert not is_deserted(NEVER)
+    monkeypatch.setattr(domains, "_TABLES", ("/proc/net/no-such-table",))
+    assert not is_deserted(NEVER)
+
+
+def test_the_domain_of_the_environment_is_not_given(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(OURS))
+    with reserved_domain() as given:
+        assert given == OTHER
+
+
+def test_domain_0_is_left_to_those_who_did_not_choose() -> None:
+    assert 0 not in DOMAINS
+    assert max(DOMAINS) == 101
