@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from robotctl.errors import UnreadableFile
@@ -86,8 +86,13 @@ class Rerun:
         before = kernel.state
         if not self._is_untouched(entry, event):
             return self._diverged(event, entry, event, before)
-        decided = mine = kernel.step(event)
         theirs = step.effects
+        try:
+            decided = mine = kernel.step(event)
+        except AssertionError as error:  # a kernel that breaks its own promises
+            found = self._divergence(theirs[0] if theirs else None, None, before)
+            self.kernel = None
+            return Decided(event, None, replace(found, decided=f"AssertionError {error}"))
         if not self._same_version:
             theirs = [effect for effect in theirs if effect.name in DECISIONS]
             mine = tuple(effect for effect in mine if type(effect).__name__ in DECISIONS)

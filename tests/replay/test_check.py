@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from robotctl import __version__
 from robotctl.kernel import kernel as kernel_module
-from robotctl.kernel.types import Twist
-from robotctl.recording.journal import JournalEntry, Kind
+from robotctl.kernel.types import CommandPublishersSeen, Twist
+from robotctl.recording.identity import MADE_BY
+from robotctl.recording.journal import JournalEntry, Kind, encode
+from robotctl.recording.reader import Recording
+from robotctl.recording.recorder import Recorder, RecorderOptions
 from robotctl.replay.check import check
 from robotctl.replay.report import Report, Verdict
-from robotctl.testing.drives import Written, drive, record
+from robotctl.testing.drives import BEGIN_NS, JOURNAL, Written, drive, record, serialized
+from robotctl.testing.recordings import GID, START_NS, TWIST
+from robotctl.testing.waiting import until
 
 
 @pytest.fixture(scope="module")
@@ -124,3 +131,116 @@ def test_a_flipped_bit_in_an_event_is_found_and_named(
     assert report.verdict is Verdict.DIVERGED
     assert report.divergence is not None
     assert report.divergence.event == f"{name} {data}"
+
+
+@pytest.mark.parametrize(("digits", "same"), [("e-13", True), ("e-7", False)])
+def test_floats_of_another_platform_may_differ_by_a_billionth(
+    tmp_path: Path, drive_of_3_s: list[Written], digits: str, same: bool
+) -> None:
+    changed: list[Written] = []
+    for each in drive_of_3_s:
+        if isinstance(each, JournalEntry) and each.kind is Kind.SNAPSHOT:
+            changed.append(each._replace(data=each.data.replace(MADE_BY, "another")))
+        elif isinstance(each, JournalEntry) and '"linear":0.0,' in each.data and each.seq < 20:
+            data = each.data.replace('"linear":0.0,', f'"linear":1{digits},')
+            changed.append(each._replace(data=data) if each.name == "PublishTwist" else each)
+        else:
+            changed.append(each)
+    report = checked(tmp_path, changed)
+    assert (report.divergence is None) is same
+    assert not report.bitwise
+    assert report.notes[0].startswith("made with another, this is Python ")
+
+
+def test_a_kernel_that_fails_in_itself_diverges(
+    tmp_path: Path, drive_of_3_s: list[Written], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kernel_module, "within", lambda command, limits: command.linear < 0.1)
+    report = checked(tmp_path, drive_of_3_s)
+    assert report.divergence is not None
+    assert report.divergence.decided.startswith("AssertionError")
+
+
+def test_every_file_of_a_recording_can_be_checked_alone(tmp_path: Path) -> None:
+    written = drive(4.0, snapshots_s=(0.0, 2.0))
+    folder = tmp_path / "run"
+    recorder = Recorder(folder, metadata=lambda: {"robotctl": __version__}, on_failure=pytest.fail)
+    journal, commands = recorder.add_topic(JOURNAL), recorder.add_topic(TWIST)
+    for number, each in enumerate(written):
+        log_ns = START_NS + number * 1_000_000
+        if isinstance(each, JournalEntry):
+            if each.kind is Kind.SNAPSHOT and each.seq:
+                recorder.split()
+                until(lambda: len(list(folder.glob("*.mcap"))) == 2)
+            recorder.write(journal, encode(each), log_ns, log_ns, each.seq + 1, GID)
+        elif isinstance(each, Twist):
+            recorder.write(commands, serialized(each), log_ns + 9, log_ns + 1, number, GID)
+    recorder.close()
+    reports = [check(path) for path in (folder, *sorted(folder.glob("*.mcap")))]
+    assert [report.verdict for report in reports] == [Verdict.SAME] * 3
+    assert reports[0].events == reports[1].events + reports[2].events
+
+
+def test_a_recording_that_goes_on_is_checked_as_far_as_it_is(
+    tmp_path: Path, drive_of_3_s: list[Written]
+) -> None:
+    options = RecorderOptions(flush_s=0.01)
+    metadata = {"robotctl": __version__}
+    recorder = Recorder(
+        tmp_path / "run", options, metadata=lambda: metadata, on_failure=pytest.fail
+    )
+    journal = recorder.add_topic(JOURNAL)
+    entries = [each for each in drive_of_3_s if isinstance(each, JournalEntry)]
+    while entries.pop().kind is not Kind.EFFECT:
+        pass  # the effect of the last tick is still to come
+    for each in entries:
+        recorder.write(journal, encode(each), START_NS, START_NS, each.seq + 1, GID)
+    until(lambda: recorder.stats().queued == 0)
+    report = check(tmp_path / "run")
+    recorder.close()
+    assert report.verdict is Verdict.SAME
+    assert report.events == sum(entry.kind is Kind.EVENT for entry in entries)
+    assert "its loss ledger is not there" in report.notes[0]
+
+
+@pytest.mark.parametrize("damage", ["cut", "hole"])
+def test_a_damaged_file_is_never_called_the_same(
+    tmp_path: Path, drive_of_3_s: list[Written], damage: str
+) -> None:
+    (file,) = record(tmp_path / "run", drive_of_3_s).glob("*.mcap")
+    data = bytearray(file.read_bytes())
+    if damage == "cut":
+        del data[len(data) // 2 :]
+    else:
+        with Recording(file) as recording:
+            chunk = recording._files[0].index.places[3]
+        data[chunk.offset + chunk.length // 2] ^= 0xFF
+    file.write_bytes(data)
+    report = check(file)
+    assert report.verdict is Verdict.INCOMPLETE
+    assert report.events > 10
+    assert report.missing
+
+
+def test_the_commands_of_another_node_are_told_and_not_held_against_us(tmp_path: Path) -> None:
+    seen = CommandPublishersSeen(BEGIN_NS + 10_000_000, ("/teleop",))
+    written = drive(1.0, requests=[seen])
+    report = checked(tmp_path, [*written, Twist(0.7, 0.1)])
+    assert report.verdict is Verdict.SAME
+    assert report.notes == [
+        "1 commands that nobody decided on, such as 0.7 m/s, 0.1 rad/s: /teleop published as well"
+    ]
+
+
+def test_memory_does_not_grow_with_the_recording(tmp_path: Path) -> None:
+    def peak_of(seconds: float) -> int:
+        folder = record(tmp_path / f"{seconds}", drive(seconds))
+        tracemalloc.start()
+        try:
+            assert check(folder).verdict is Verdict.SAME
+            return tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+
+    short, long = peak_of(2.0), peak_of(20.0)
+    assert long < short + 1_000_000
