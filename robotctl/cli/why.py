@@ -76,6 +76,7 @@ def why_lines(path: Path, incident: Incident) -> Iterator[str]:
         ("asked for", told.asked),
         *(("went out" if not i else "", text) for i, text in enumerate(told.went_out)),
         ("since", told.since),
+        *(("missing", sentence) for sentence in incident.missing),
     )
     for label, text in rows:
         if text:
@@ -112,6 +113,7 @@ def as_object(path: Path, incident: Incident) -> dict[str, Any]:
         "asked": told.asked,
         "went_out": list(told.went_out),
         "since": told.since,
+        "missing": incident.missing,
     }
 
 

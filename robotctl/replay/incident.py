@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from robotctl.kernel.kernel import Kernel, State
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.types import Effect, Event, ModeChanged, ModeRequested, Phase, Reply
+from robotctl.recording.file_index import note_missing
 from robotctl.recording.journal import JournalEntry, decode
 from robotctl.recording.journal_reader import journal_topic
 from robotctl.recording.reader import Recording
@@ -60,6 +61,8 @@ class Incident:
     """When and by what event a ramp to this stop began."""
 
     next_change: tuple[int, ModeChanged] | None = None
+    missing: list[str] = field(default_factory=list)
+    """What of the journal cannot be read, a sentence each."""
 
 
 def find_incident(
@@ -73,65 +76,80 @@ def find_incident(
         topic = journal_topic(recording.info())
         if topic is None:
             raise UnreadableFile(f"{path} holds no journal of robotctl: it does not say why")
-        incident = _search(recording, topic, at_ns, on_progress)
+        search = _Search(recording, topic, at_ns)
+        incident = search.run(on_progress)
         if incident is None:
-            raise Refused(f"{path}: the robot was not stopped, and nothing was refused")
+            missing = f" (but {'; '.join(search.missing)})" if search.missing else ""
+            raise Refused(f"{path}: the robot was not stopped, and nothing was refused{missing}")
+        incident.missing = search.missing
         _Context(recording, topic, incident).fill()
     return incident
 
 
-def _search(
-    recording: Recording, topic: str, at_ns: int | None, on_progress: Callable[[int, int], None]
-) -> Incident | None:
+class _Search:
     """The first pass: which step it is, and where the mode was before and after."""
-    log_ns = 0
-    best: Incident | None = None
-    best_apart_ns = 0
-    begin_ns: int | None = None
-    snapshot_seq: int | None = None
-    moving_since_ns: int | None = None
 
-    def entries() -> Iterator[JournalEntry]:
-        nonlocal log_ns
-        for message in recording.in_order_written({topic}, _ignore, on_progress):
-            log_ns = message.log_ns
-            yield decode(message.data)
+    def __init__(self, recording: Recording, topic: str, at_ns: int | None) -> None:
+        self._recording = recording
+        self._topic = topic
+        self._at_ns = at_ns
+        self._log_ns = 0
+        self._begin_ns: int | None = None
+        self._snapshot_seq: int | None = None
+        self._moving_since_ns: int | None = None
+        self._best: Incident | None = None
+        self._best_apart_ns = 0
+        self.missing = list(recording.missing)
 
-    for item in steps(entries()):
-        if isinstance(item, Gap):
-            snapshot_seq = moving_since_ns = None
-            continue
-        if isinstance(item, JournalEntry):
-            begin_ns, snapshot_seq = begin_ns or item.t_ns, item.seq
-            continue
-        t_ns = item.event.t_ns
-        begin_ns = begin_ns or t_ns
-        effects = _telling(item)
+    def run(self, on_progress: Callable[[int, int], None]) -> Incident | None:
+        """Read the journal once."""
+        for item in steps(self._entries(on_progress)):
+            if isinstance(item, Gap):
+                self._miss(item.text)
+                self._snapshot_seq = self._moving_since_ns = None
+            elif isinstance(item, Step):
+                try:
+                    self._step(item)
+                except UnreadableFile as error:
+                    self._miss(str(error))
+            else:
+                self._snapshot_seq = item.seq
+        return self._best
+
+    def _entries(self, on_progress: Callable[[int, int], None]) -> Iterator[JournalEntry]:
+        for message in self._recording.in_order_written({self._topic}, self._miss, on_progress):
+            self._log_ns = message.log_ns
+            entry = decode(message.data)
+            if self._begin_ns is None:
+                self._begin_ns = entry.t_ns
+            yield entry
+
+    def _step(self, step: Step) -> None:
+        t_ns, effects = step.event.t_ns, _telling(step)
         for effect in effects:
             if isinstance(effect, ModeChanged):
-                if best is not None and best.next_change is None:
-                    best.next_change = t_ns, effect
+                if self._best is not None and self._best.next_change is None:
+                    self._best.next_change = t_ns, effect
                 if effect.mode is Mode.MOVING:
-                    moving_since_ns = t_ns
-        kind = _kind(item, effects)
-        apart_ns = 0 if at_ns is None else abs(log_ns - at_ns)
-        if kind is not None and (best is None or apart_ns <= best_apart_ns):
-            best_apart_ns = apart_ns
-            best = Incident(
-                kind=kind,
-                seq=item.event.seq,
-                t_ns=t_ns,
-                event=read_event(item.event),
-                effects=tuple(map(read_effect, item.effects)),
-                begin_ns=begin_ns,
-                snapshot_seq=snapshot_seq,
-                moving_since_ns=moving_since_ns,
-            )
-    return best
+                    self._moving_since_ns = t_ns
+        kind = _kind(step, effects)
+        apart_ns = 0 if self._at_ns is None else abs(self._log_ns - self._at_ns)
+        if kind is None or (self._best is not None and apart_ns > self._best_apart_ns):
+            return
+        self._best_apart_ns = apart_ns
+        self._best = Incident(
+            kind=kind,
+            seq=step.event.seq,
+            t_ns=t_ns,
+            event=read_event(step.event),
+            effects=tuple(map(read_effect, step.effects)),
+            begin_ns=self._begin_ns or 0,
+            snapshot_seq=self._snapshot_seq,
+            moving_since_ns=self._moving_since_ns,
+        )
 
-
-def _ignore(sentence: str) -> None:
-    """What is lost leaves gaps in the journal, which are seen."""
+    def _miss(self, sentence: str) -> None:
+        note_missing(self.missing, sentence)
 
 
 def _telling(step: Step) -> list[Effect]:
@@ -167,20 +185,26 @@ class _Context:
         incident = self._incident
         kernel: Kernel | None = None
         for item in steps(self._entries()):
-            if isinstance(item, Gap):
+            try:
+                if isinstance(item, Gap):
+                    kernel = None
+                elif isinstance(item, JournalEntry):
+                    kernel = read_snapshot(item).kernel()
+                elif kernel is not None and item.event.seq <= incident.seq:
+                    self._step(kernel, item.event)
+            except UnreadableFile:  # was told by the first pass, or is a snapshot
                 kernel = None
-            elif isinstance(item, JournalEntry):
-                kernel = read_snapshot(item).kernel()
-            elif kernel is not None and item.event.seq <= incident.seq:
-                before, event = kernel.state, read_event(item.event)
-                kernel.step(event)
-                if item.event.seq == incident.seq:
-                    incident.params = kernel.params
-                    incident.before, incident.after = before, kernel.state
-                elif kernel.state.phase is not Phase.STOPPING:
-                    incident.ramp = None
-                elif before.phase is not Phase.STOPPING:
-                    incident.ramp = event.t_ns, event
+
+    def _step(self, kernel: Kernel, entry: JournalEntry) -> None:
+        incident = self._incident
+        before, event = kernel.state, read_event(entry)
+        kernel.step(event)
+        if entry.seq == incident.seq:
+            incident.params, incident.before, incident.after = kernel.params, before, kernel.state
+        elif kernel.state.phase is not Phase.STOPPING:
+            incident.ramp = None
+        elif before.phase is not Phase.STOPPING:
+            incident.ramp = event.t_ns, event
 
     def _entries(self) -> Iterator[JournalEntry]:
         """The journal up to a little behind the incident."""
@@ -188,7 +212,7 @@ class _Context:
         first = incident.seq if incident.snapshot_seq is None else incident.snapshot_seq
         commands = command_topic(self._recording.info(), self._topic)
         topics = {self._topic} if commands is None else {self._topic, commands}
-        for message in self._recording.in_order_written(topics, _ignore):
+        for message in self._recording.in_order_written(topics, lambda sentence: None):
             if incident.log_ns:
                 self._messages_after += 1
             if message.topic == self._topic:
