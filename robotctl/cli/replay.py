@@ -39,11 +39,15 @@ app = new_app()
 MAX_DOMAIN_ID = 232
 """The last ROS domain whose ports exist (DDSI-RTPS 2.5, 9.6.2.3)."""
 
+_OF_CHECKS = frozenset({"files", "check", "what_if", "resim", "robot", "as_json"})
+"""What --check, --what-if and --resim take."""
+
 MAX_READ_AHEAD = 1_000_000
 
 
 @app.command()
 def replay(
+    context: typer.Context,
     files: Annotated[
         list[Path],
         typer.Argument(metavar="FILE", help="An MCAP file, a recording's folder or name, or last."),
@@ -137,6 +141,8 @@ def replay(
     if check and (what_if or resim):
         raise UsageError("--check takes the recorded parameters: leave --what-if and --resim out")
     robot = check_robot_name(robot)
+    if check or what_if or resim:
+        _refuse_playing_options(context)
     if check:
         from robotctl.cli.check import check_command
 
@@ -212,6 +218,18 @@ def _sight(job: Job) -> Iterator[tuple[Sight, Span]]:
     with Recording(job.file) as recording:
         span = span_of(recording.info(), job)
         yield Sight(recording, span, loop=job.loop), span
+
+
+def _refuse_playing_options(context: typer.Context) -> None:
+    """Raise UsageError for an option that only says how to play."""
+    for parameter in context.command.params:
+        name = parameter.name or ""
+        source = context.get_parameter_source(name)
+        if name not in _OF_CHECKS and source is not None and source.name == "COMMANDLINE":
+            raise UsageError(
+                f"{parameter.opts[0]}: says how to play; leave it out with --check, "
+                "--what-if and --resim"
+            )
 
 
 def _only(files: list[Path]) -> Path:

@@ -9,7 +9,7 @@ from typing import Any
 from robotctl.cli.check import recordings_at
 from robotctl.cli.progress import progress_bar
 from robotctl.cli.text import duration, json_text, number, printable, row, short_path
-from robotctl.errors import UnreadableFile
+from robotctl.errors import UnreadableFile, UsageError
 from robotctl.replay.resim import resim
 from robotctl.replay.settings import check_scope, parse_settings
 from robotctl.replay.whatif import what_if
@@ -36,11 +36,17 @@ def what_if_command(
 ) -> None:
     """Compare recordings with what would come of other parameters.
 
+    What stands among the files, names none and has an equals sign is one more setting.
+
     Raises:
         UsageError: A setting is not allowed, or there is none.
         UnreadableFile: A recording could not be read, or not all of it.
     """
-    parsed = parse_settings(settings)
+    more = [str(file) for file in files if "=" in file.name and not file.exists()]
+    files = [file for file in files if str(file) not in more]
+    if not files:
+        raise UsageError("give a recording: robotctl replay FILE --what-if KEY=VALUE")
+    parsed = parse_settings([*settings, *more])
     check_scope(parsed, closed_loop=closed_loop)
     compare, lines = (resim, resim_lines) if closed_loop else (what_if, what_if_lines)
     found = []

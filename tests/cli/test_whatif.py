@@ -58,3 +58,23 @@ def test_a_gap_is_told_and_no_success(cli: Cli, written: list[Written]) -> None:
     ran = cli("replay", "run", "--what-if", "tracking.k_y=8")
     assert ran.exit_code == 6
     assert "missing: the journal lacks the entries 100 to 102" in ran.out
+
+
+def test_settings_may_stand_one_behind_the_other(cli: Cli, written: list[Written]) -> None:
+    record(Path("run"), written)
+    ran = cli("replay", "run", "--what-if", "tracking.k_y=8", "tracking.k_x=2", "--json")
+    assert ran.exit_code == 0
+    assert set(json.loads(ran.out)["recordings"][0]["settings"]) == {
+        *("tracking.k_y", "tracking.k_x")
+    }
+    assert cli("replay", "--what-if", "tracking.k_y=8", "tracking.k_x=2").exit_code == 2
+
+
+@pytest.mark.parametrize("mode", [["--check"], ["--resim"], ["--what-if", "tracking.k_y=8"]])
+def test_an_option_that_says_how_to_play_is_refused(
+    cli: Cli, written: list[Written], mode: list[str]
+) -> None:
+    record(Path("run"), written)
+    ran = cli("replay", "run", *mode, "--rate", "2")
+    assert ran.exit_code == 2
+    assert "--rate: says how to play" in ran.err
