@@ -272,7 +272,7 @@ async def test_a_stall_while_standing_is_logged_and_ends_in_error(
         answer = await daemon.ask("set_mode", mode=1, source="test")
         assert answer["mode"] == "MOVING"  # the gate is open again
         await daemon.until(is_moving)
-    assert "the loop stalls: no tick for 0." in caplog.text
+    assert "the loop stalls: no tick for " in caplog.text
     assert "in sleep" in caplog.text  # where it stood
     assert max(commands(world))[0] > 0.02
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import ctypes
 import os
+import re
 import struct
 import threading
 import time
@@ -306,6 +307,12 @@ async def test_a_failing_take_is_reported_and_tried_again_later(
 # Callbacks that block.
 
 
+def named_ms(caplog: pytest.LogCaptureFixture, whom: str) -> list[int]:
+    """For how long it is said that a callback held the loop; others may do so on a busy machine."""
+    found = (re.search(r"(.*) held the loop for (\d+) ms", text) for text in caplog.messages)
+    return [int(each[2]) for each in found if each is not None and whom in each[1]]
+
+
 @pytest.mark.parametrize("kind", ["subscription", "tap", "service", "timer", "guard", "task"])
 async def test_a_callback_that_holds_the_loop_is_named_with_its_duration(
     executor: AsyncioExecutor,
@@ -334,9 +341,8 @@ async def test_a_callback_that_holds_the_loop_is_named_with_its_duration(
         case "task":
             executor.create_task(hog)
     node.create_publisher(UInt64, topic, 10).publish(UInt64())
-    await until(lambda: "held the loop for 6" in caplog.text)
+    await until(lambda: any(ms >= 60 for ms in named_ms(caplog, kind)))
     assert ("hog" in caplog.text) or kind == "tap"
-    assert kind in caplog.text
 
 
 async def test_a_callback_that_blocks_again_and_again_is_not_named_every_time(
@@ -354,9 +360,9 @@ async def test_a_callback_that_blocks_again_and_again_is_not_named_every_time(
 
     node.create_timer(0.001, hog)
     await until(lambda: len(called) >= 3)
-    assert caplog.text.count("held the loop") == 1
+    assert len(named_ms(caplog, "hog")) == 1
     monkeypatch.setattr(executor._runtime.slow, "_quiet_until_ns", {})
-    await until(lambda: caplog.text.count("held the loop") == 2)
+    await until(lambda: len(named_ms(caplog, "hog")) == 2)
     assert "times since the last warning" in caplog.text
 
 
@@ -367,16 +373,19 @@ async def test_an_async_callback_that_blocks_between_two_awaits_is_named(
     until: Until,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
+    took_ms: list[float] = []
+
     async def hog(message: UInt64) -> None:
-        await asyncio.sleep(0.06)
-        assert "held the loop" not in caplog.text
+        begun = time.monotonic()
+        await asyncio.sleep(0.2)
         time.sleep(0.06)  # noqa: ASYNC251 - it is to block
+        took_ms.append((time.monotonic() - begun) * 1e3)
         await asyncio.sleep(0)
 
     node.create_subscription(UInt64, topic, hog, 10)
     node.create_publisher(UInt64, topic, 10).publish(UInt64())
-    await until(lambda: "held the loop for 6" in caplog.text)
-    assert "hog" in caplog.text
+    await until(lambda: any(ms >= 60 for ms in named_ms(caplog, "hog")))
+    assert max(named_ms(caplog, "hog")) < took_ms[0]  # the time that it waited does not count
 
 
 # Entities destroyed with something pending.
