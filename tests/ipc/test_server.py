@@ -299,8 +299,8 @@ async def test_an_endless_line_is_refused_and_closed(serve: Any, connect: Any) -
 
 async def test_half_a_request_is_closed_at_its_deadline(serve: Any, connect: Any) -> None:
     async with serve(Limits(request_s=0.05)):
-        peer = await connect()
-        await peer.send(request("status")[:-5])
+        peer = await connect(greet=False)
+        await peer.send(HELLO[:-5])
         assert (await peer.reply())["error"]["code"] == Code.TIMEOUT
         assert await peer.is_closed()
 
