@@ -21,10 +21,10 @@ from robotctl.replay.report import Verdict
 from robotctl.testing.bags import text
 from robotctl.testing.recordings import read_strictly
 from robotctl.testing.waiting import until
-from robotctl.testing.world import Peer, Ran, World, journal_of, new_world, read_back
+from robotctl.testing.world import PATIENT, Peer, Ran, World, journal_of, new_world, read_back
 
 MARK = "the door \x1b[2J opened"
-CONFIG = "recording: {clip_before_s: 2.0, clip_after_s: 0.5}\n"
+CONFIG = f"{PATIENT}recording: {{clip_before_s: 2.0, clip_after_s: 0.5}}\n"
 
 
 @dataclass(frozen=True, slots=True)

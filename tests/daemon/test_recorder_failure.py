@@ -14,6 +14,7 @@ from robotctl.daemon import recordings, statistics
 from robotctl.kernel.patterns import PatternKind
 from robotctl.recording.recorder import RecorderOptions
 from robotctl.testing.mcap_faults import FailingFile
+from robotctl.testing.world import PATIENT
 
 NEVER = 1 << 60
 
@@ -58,7 +59,7 @@ async def test_the_robot_goes_on_when_it_is_only_to_warn(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     config = tmp_path / "config.yaml"
-    config.write_text("on_recorder_failure: warn\n")
+    config.write_text(f"{PATIENT}on_recorder_failure: warn\n")
     async with in_process(config=config, drive=PatternKind.CIRCLE) as daemon:
         await daemon.until(is_moving)
         disk[0].fail_now()

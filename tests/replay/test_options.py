@@ -127,7 +127,7 @@ async def test_recorded_time_is_published_in_place_of_the_recorded_clock(
     assert ran.exit_code == 0, ran.err
     assert set(ran.summary["skipped"]) == {"/clock"}
     heard = listener.heard["/clock"]
-    await until(lambda: len(heard) >= 10)
+    await until(lambda: len(heard) >= 3)
     times = [sec * 1_000_000_000 + ns for _, sec, ns in (struct.unpack("<4siI", d) for d in heard)]
     assert times == sorted(times)
     assert times[0] >= START_NS
