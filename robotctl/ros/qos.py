@@ -35,8 +35,12 @@ SERVICE_EVENTS = QoSProfile(depth=100)
 RECORDING_DEPTH = 10_000
 """RELIABLE with a shallow queue still drops (rmw_fastrtps); the queue is filled by need."""
 
+RECORDING_DEPTH_BULKY = 100
+"""Of images and the like: where they come faster than they are taken, 10,000 of them fill any
+memory, before the recorder's own queue can begin to drop and count."""
 
-def recording(offered: Iterable[QoSProfile]) -> QoSProfile:
+
+def recording(offered: Iterable[QoSProfile], *, bulky: bool) -> QoSProfile:
     """Return what a recorder asks for, so that it matches every publisher and loses least.
 
     As rosbag2 does: reliable only if all publishers are, transient local only if all are.
@@ -47,7 +51,7 @@ def recording(offered: Iterable[QoSProfile]) -> QoSProfile:
         offer.durability is DurabilityPolicy.TRANSIENT_LOCAL for offer in offers
     )
     return QoSProfile(
-        depth=RECORDING_DEPTH,
+        depth=RECORDING_DEPTH_BULKY if bulky else RECORDING_DEPTH,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )

@@ -15,6 +15,7 @@ from robotctl.ros.type_description import texts_of
 
 _SEPARATOR = "=" * 80
 _FIELD = re.compile(r"^\s*([A-Za-z][\w/]*)(?:<=\d+)?(?:\[[^\]]*\])?\s+\w+")
+_BYTES = re.compile(r"^\s*(?:u?int8|byte|char)\[\]\s", re.MULTILINE)
 _BUILT_IN = frozenset(
     {"bool", "byte", "char", "float32", "float64", "string", "wstring"}
     | {f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)}
@@ -42,6 +43,12 @@ def definition_of(type_name: str) -> str:
     (_, own), *others = texts.items()
     parts = [own, *(f"{_SEPARATOR}\nMSG: {name}\n{text}" for name, text in others)]
     return "\n".join(part.rstrip("\n") for part in parts) + "\n"
+
+
+@lru_cache(maxsize=1024)
+def holds_bytes(type_name: str) -> bool:
+    """Whether messages of a type may hold any number of bytes, as images and point clouds do."""
+    return _BYTES.search(definition_of(type_name)) is not None
 
 
 @lru_cache(maxsize=1024)

@@ -12,7 +12,7 @@ from robotctl.ros import qos, tap
 from robotctl.ros.session import Session
 from robotctl.ros.tap import Tap, TappedTopic
 from robotctl.ros.tapped import TappedSubscription
-from robotctl.ros.type_definition import definition_of, type_hash_of
+from robotctl.ros.type_definition import definition_of, holds_bytes, type_hash_of
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 
@@ -167,6 +167,21 @@ async def test_a_second_type_of_a_topic_is_named_until_it_is_gone(
     other.destroy_node()
 
 
+async def test_images_that_come_too_fast_do_not_fill_the_memory(
+    taken: Any, node: Any, topic: str, until: Until
+) -> None:
+    from sensor_msgs.msg import Image
+
+    images, numbers = publisher(node, topic, 1000, Image), publisher(node, topic + "_2", 1000)
+    await until(lambda: images.get_subscription_count() and numbers.get_subscription_count())
+    for value in range(1, 301):  # the loop takes nothing meanwhile
+        images.publish(Image(height=value))
+        numbers.publish(number(value))
+    await until(lambda: len(taken.messages[topic + "_2"]) == 300)
+    await until(lambda: taken.messages[topic] and taken.messages[topic][-1][3] == 300)
+    assert len(taken.messages[topic]) == qos.RECORDING_DEPTH_BULKY
+
+
 # What describes a topic
 
 
@@ -191,6 +206,22 @@ def test_a_definition_holds_its_dependencies_once_in_rosbag2s_form() -> None:
 @pytest.mark.parametrize("name", ["nope/msg/Nope", "std_msgs/msg/Nope", "std_srvs/srv/Nope", "x"])
 def test_what_has_no_definition_has_none(name: str) -> None:
     assert (definition_of(name), type_hash_of(name)) == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("name", "bulky"),
+    [
+        ("sensor_msgs/msg/CompressedImage", True),
+        ("nav_msgs/msg/OccupancyGrid", True),
+        ("stereo_msgs/msg/DisparityImage", True),
+        ("nav_msgs/msg/Odometry", False),
+        ("sensor_msgs/msg/LaserScan", False),
+    ],
+)
+def test_what_holds_any_number_of_bytes_is_known_from_its_definition(
+    name: str, bulky: bool
+) -> None:
+    assert holds_bytes(name) is bulky
 
 
 def test_the_qos_is_written_as_rosbag2_writes_it() -> None:
