@@ -1,0 +1,218 @@
+"""Whoever ends an executor: callbacks are ended in order, and whoever waits is told."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import threading
+from collections.abc import Awaitable, Callable
+from subprocess import CompletedProcess
+from typing import Any
+
+import pytest
+from rclpy.executors import ShutdownException
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import UInt64
+from std_srvs.srv import SetBool
+
+from robotctl.ros import AsyncioExecutor
+from robotctl.testing.entities import populate
+from robotctl.testing.waiting import DEADLINE_S
+
+Until = Callable[[Callable[[], object]], Awaitable[None]]
+RunPython = Callable[..., CompletedProcess[str]]
+
+
+class SlowToEnd:
+    """An async callback that waits for ever, and cleans up when it is cancelled."""
+
+    def __init__(self) -> None:
+        self.events: list[str] = []
+
+    async def __call__(self, message: UInt64) -> None:
+        self.events.append("running")
+        try:
+            await asyncio.sleep(DEADLINE_S)
+        finally:
+            await asyncio.sleep(0.02)
+            self.events.append("cleaned up")
+
+
+async def test_serve_ends_when_a_callback_shuts_down_and_no_callback_runs_after_it(
+    context: Any, node: Node, topic: str
+) -> None:
+    got: list[int] = []
+
+    def on_message(message: UInt64) -> None:
+        got.append(message.data)
+        executor.shutdown()
+
+    publisher = populate(node, topic, on_message)
+    executor = AsyncioExecutor(context)
+    async with asyncio.timeout(DEADLINE_S), executor:
+        executor.add_node(node)
+        await asyncio.sleep(0.01)  # Attached, and idle.
+        for value in range(10):
+            publisher.publish(UInt64(data=value))
+        await executor.serve()
+        await asyncio.sleep(0.02)
+    assert got == [0]
+    assert node.executor is None
+
+
+async def test_shutdown_from_an_async_callback_lets_it_run_to_its_next_await(
+    context: Any, node: Node, topic: str
+) -> None:
+    done: list[bool] = []
+
+    async def on_message(message: UInt64) -> None:
+        await asyncio.sleep(0.001)
+        executor.shutdown()
+        done.append(True)
+        await asyncio.sleep(DEADLINE_S)
+        done.append(False)
+
+    publisher = populate(node, topic, on_message)
+    executor = AsyncioExecutor(context)
+    async with asyncio.timeout(DEADLINE_S), executor:
+        executor.add_node(node)
+        publisher.publish(UInt64())
+        await executor.serve()
+    assert done == [True]
+
+
+async def test_shutdown_from_another_thread_waits_for_running_callbacks(
+    context: Any, node: Node, topic: str, until: Until
+) -> None:
+    slow = SlowToEnd()
+    publisher = populate(node, topic, slow)
+    async with asyncio.timeout(DEADLINE_S), AsyncioExecutor(context) as executor:
+        executor.add_node(node)
+        publisher.publish(UInt64())
+        await until(lambda: slow.events == ["running"])
+        assert await asyncio.to_thread(executor.shutdown, 0.0) is False
+        assert await asyncio.to_thread(executor.shutdown) is True
+        assert slow.events == ["running", "cleaned up"]
+        await executor.serve()
+
+
+async def test_leaving_the_block_cancels_async_callbacks_and_waits_for_their_cleanup(
+    context: Any, node: Node, topic: str, until: Until
+) -> None:
+    slow = SlowToEnd()
+    publisher = populate(node, topic, slow)
+    async with AsyncioExecutor(context) as executor:
+        executor.add_node(node)
+        publisher.publish(UInt64())
+        await until(lambda: slow.events)
+    assert slow.events == ["running", "cleaned up"]
+
+
+async def test_a_call_that_waits_when_the_executor_shuts_down_is_told(
+    context: Any, node: Node, topic: str
+) -> None:
+    async with asyncio.timeout(DEADLINE_S), AsyncioExecutor(context) as executor:
+        executor.add_node(node)
+        client = node.create_client(SetBool, topic)
+        call = asyncio.create_task(executor.call(client, SetBool.Request(), timeout_s=None))
+        plain = client.call_async(SetBool.Request())
+        await asyncio.sleep(0.01)
+        executor.shutdown()
+        with pytest.raises(ShutdownException, match="shut down while a call waited"):
+            await call
+        assert isinstance(plain.exception(), ShutdownException)
+
+
+async def test_a_call_whose_client_is_destroyed_is_told(
+    executor: AsyncioExecutor, node: Node, topic: str
+) -> None:
+    client = node.create_client(SetBool, topic)
+    call = asyncio.create_task(executor.call(client, SetBool.Request(), timeout_s=None))
+    await asyncio.sleep(0.01)
+    node.destroy_client(client)
+    async with asyncio.timeout(DEADLINE_S):
+        with pytest.raises(ShutdownException, match="destroyed while a call waited"):
+            await call
+
+
+async def test_serve_ends_when_the_context_is_shut_down_by_another_thread(
+    new_context: Callable[[], Any], topic: str
+) -> None:
+    context = new_context()
+    node = Node("tested", context=context)
+    populate(node, topic, lambda _: None)
+    async with asyncio.timeout(DEADLINE_S), AsyncioExecutor(context) as executor:
+        executor.add_node(node)
+        threading.Timer(0.05, context.shutdown).start()
+        await executor.serve()
+    node.destroy_node()
+
+
+SERVE_UNTIL_SIGNAL = """
+import asyncio, os, signal, sys, rclpy
+from rclpy.signals import SignalHandlerOptions
+from robotctl.ros import AsyncioExecutor
+
+how, number = sys.argv[1], int(sys.argv[2])
+
+async def main():
+    loop = asyncio.get_running_loop()
+    options = SignalHandlerOptions.ALL if how == "rclpy" else SignalHandlerOptions.NO
+    rclpy.init(args=[], signal_handler_options=options)
+    node = rclpy.create_node("tested")
+    node.create_guard_condition(lambda: None)
+    async with AsyncioExecutor() as executor:
+        executor.add_node(node)
+        node.create_timer(0.001, lambda: None)
+        if how == "loop":
+            loop.add_signal_handler(number, executor.shutdown)
+        elif how == "plain":
+            signal.signal(number, lambda *_: executor.shutdown())
+        loop.call_later(0.1, os.kill, os.getpid(), number)
+        await executor.serve()
+    print("served")
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+try:
+    asyncio.run(main())
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+
+
+@pytest.mark.parametrize(
+    ("how", "number", "said"),
+    [
+        ("loop", signal.SIGTERM, "served\n"),
+        ("plain", signal.SIGTERM, "served\n"),
+        ("rclpy", signal.SIGTERM, "served\n"),
+        ("python", signal.SIGINT, "interrupted\n"),
+    ],
+)
+def test_a_signal_ends_serve_whoever_handles_it(
+    run_python: RunPython, how: str, number: int, said: str
+) -> None:
+    ended = run_python(SERVE_UNTIL_SIGNAL, how, int(number), timeout_s=DEADLINE_S)
+    assert (ended.returncode, ended.stdout) == (0, said), ended.stderr
+
+
+async def test_a_shutdown_that_follows_its_signal_with_a_delay_is_noticed(
+    new_context: Callable[[], Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # As rclpy's own handler of SIGTERM does it: wake the executors, then shut the context down
+    # in C++, where no callback tells Python.
+    monkeypatch.setattr(
+        "robotctl.ros.executor.get_current_signal_handlers_options",
+        lambda: SignalHandlerOptions.ALL,
+    )
+    context = new_context()
+    async with asyncio.timeout(DEADLINE_S), AsyncioExecutor(context) as executor:
+        signals: Any = executor._wait_set._signals
+        signals.trigger()
+        await asyncio.sleep(0.05)
+        assert not executor._is_shutdown
+        with context.handle:
+            context.handle.shutdown()
+        await executor.serve()
