@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import threading
 import time
 from collections.abc import Sequence
@@ -23,6 +24,7 @@ from robotctl.replay.record import Record, Tell
 from robotctl.replay.safety import Safety, check_still
 from robotctl.replay.summary import progress, summary
 from robotctl.replay.timeline import Span, recorded, span_of
+from robotctl.ros.realtime import FifoScheduling
 from robotctl.ros.recorded_qos import latched_depth
 from robotctl.ros.replay_session import ReplaySession
 
@@ -33,6 +35,9 @@ GUARD_S: Final = 0.5
 """How often it is made sure that no daemon has come, or begun to move its robot."""
 
 JOIN_S: Final = 10.0
+
+PRIORITY: Final = 1
+"""The lowest of SCHED_FIFO, where that is permitted: enough to wake up in time."""
 
 
 class Replay:
@@ -170,12 +175,17 @@ class Replay:
     ) -> None:
         """Let the player run in a thread, tell how far it is, and watch over safety."""
         failures: list[BaseException] = []
+        scheduling: list[FifoScheduling] = []
 
         def run() -> None:
             try:
+                if self._job.rate is not None:  # what never waits would leave a core to nobody else
+                    scheduling.append(FifoScheduling(PRIORITY))
                 player.run()
             except BaseException as failure:  # noqa: BLE001 - raised again in the main thread
                 failures.append(failure)
+
+        gc.freeze()  # a full collection would hold up a message
 
         if self._stopped.is_set():  # while it was waited for somebody: nothing is sent any more
             player.stop()
@@ -184,7 +194,10 @@ class Replay:
         guard_at = time.monotonic() + GUARD_S
         try:
             while thread.is_alive() and not self._stopped.wait(PROGRESS_S):
-                self._tell({"progress": progress(player, ahead, time.monotonic_ns())})
+                said = progress(player, ahead, time.monotonic_ns())
+                self._tell({"progress": said})
+                if said["behind"] and scheduling:  # nor does what cannot keep up wait
+                    scheduling[0].restore()
                 self._withhold_unsafe(player, safety, routes)
                 if time.monotonic() >= guard_at:
                     safety.check()
