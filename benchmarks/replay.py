@@ -1,0 +1,483 @@
+"""How exactly, how fast and how soon a recording is played to ROS.
+
+    python benchmarks/replay.py                                       about 15 minutes
+    python benchmarks/replay.py --figures pacing,max --rounds 3 --seconds 3
+
+pacing   1 kHz, inter-arrival error where messages are handed to the middleware: this player against
+         absolute asyncio.sleep and against a player that waits on a condition variable for each
+         message, as rosbag2's does. All three take turns within a round, publish the same recording
+         through the same publisher to one subscriber in another process; ratios within a round.
+arrival  `robotctl replay` of 100 Hz, and of a real drive (`robotctl demo`), as another process gets
+         it: inter-arrival error by the middleware's `received_timestamp`, and what is lost.
+max      `--rate max`, 724 B, one reliable subscriber.
+first    from the command to the first message at a subscriber that waits for it, 1 GB file, from
+         its beginning and from its middle; and the share that is reading.
+
+Shown are medians over the rounds, and the lowest and highest in brackets.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import gc
+import io
+import json
+import os
+import statistics
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from robotctl import environment
+from robotctl.domains import reserved_domain
+from robotctl.recording.reader import Recording, read_info, read_messages
+from robotctl.recording.recorder import Compression, Recorder, RecorderOptions, Topic
+
+ODOMETRY = "nav_msgs/msg/Odometry"
+ODOMETRY_BYTES = 724
+QOS = """\
+- history: keep_last
+  depth: 10
+  reliability: reliable
+  durability: volatile
+"""
+START_NS = 1_700_000_000_000_000_000
+READ_AHEAD = 1000
+CONTENDERS = ("robotctl", "asyncio", "condition")
+DEADLINE_S = 120.0
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Inter-arrival errors [us]."""
+
+    p50: float
+    p99: float
+    worst: float
+
+    @classmethod
+    def of(cls, times_ns: Sequence[int], recorded_ns: Sequence[int]) -> Errors:
+        """By how much the gaps between messages differ from those in the recording."""
+        gaps = zip(pairwise(times_ns), pairwise(recorded_ns), strict=True)
+        found = sorted(abs((b - a) - (d - c)) / 1e3 for (a, b), (c, d) in gaps)
+        return cls(found[len(found) // 2], found[int(len(found) * 0.99)], found[-1])
+
+
+# What is played
+
+
+def write_steady(folder: Path, rate_hz: float, count: int) -> Path:
+    """A recording of 724 B messages at a steady rate; not compressed, so as large as it looks."""
+    options = RecorderOptions(split_s=1e9, split_bytes=1 << 40, compression=Compression.NONE)
+    recorder = Recorder(folder, options, on_failure=print)
+    channel = recorder.add_topic(Topic("/odom", ODOMETRY, "", "", QOS))
+    data = odometry()
+    for number in range(count):
+        at_ns = START_NS + round(number / rate_hz * 1e9)
+        recorder.write(channel, data, at_ns, at_ns, number, b"publisher-number")
+        if number % 20_000 == 0:
+            time.sleep(0.05)  # the writer's thread keeps up, and nothing is dropped
+    recorder.close()
+    return folder
+
+
+def odometry() -> bytes:
+    """A serialized message of ODOMETRY_BYTES."""
+    names = struct.pack("<I8sI12s", 5, b"odom", 10, b"base_link")
+    head = b"\0\1\0\0" + struct.pack("<iI", 1, 2) + names
+    return (head + bytes(ODOMETRY_BYTES))[:ODOMETRY_BYTES]
+
+
+@contextmanager
+def a_drive(scratch: Path) -> Iterator[Path]:
+    """The recording of a real drive."""
+    with tempfile.TemporaryDirectory(dir=scratch) as folder:
+        command = [*ROBOTCTL, "demo", "--json", "--recordings", folder]
+        ran = subprocess.run(command, capture_output=True, text=True, check=True)
+        yield Path(json.loads(ran.stdout)["recording"])
+
+
+# Who plays it
+
+ROBOTCTL = [sys.executable, "-P", "-c", "from robotctl.cli.app import main; main()"]
+
+
+def play_with_robotctl(file: Path, domain_id: int) -> list[int]:
+    """The player's own process, with a note of the time before each message is handed over."""
+    from robotctl.replay import __main__ as process
+    from robotctl.replay.job import Job
+    from robotctl.ros.replay_session import ReplaySession
+
+    stamps: list[int] = []
+    opened = ReplaySession.open
+
+    def noted(self: Any, *arguments: Any, **options: Any) -> Callable[[bytes], bool]:
+        send, note, now = opened(self, *arguments, **options), stamps.append, time.monotonic_ns
+
+        def sending(data: bytes) -> bool:
+            note(now())
+            return send(data)
+
+        return sending
+
+    ReplaySession.open = noted  # type: ignore[method-assign]
+    read_fd, write_fd = os.pipe()
+    os.write(write_fd, f"{Job(file, 'robot', domain_id).to_json()}\n".encode())
+    os.dup2(read_fd, 0)
+    sys.stdin = io.TextIOWrapper(os.fdopen(os.dup(0), "rb"))
+    out = os.dup(1)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    process.main()
+    os.dup2(out, 1)
+    return stamps
+
+
+@contextmanager
+def opened(domain_id: int) -> Iterator[Callable[[bytes], bool]]:
+    """The same publisher for the others."""
+    from robotctl.ros.replay_session import ReplaySession
+
+    with ReplaySession(domain_id, threading.Event()) as ros:
+        ros.settle()
+        send = ros.open("/odom", ODOMETRY, QOS, keep_all=False)
+        ros.wait_for_matches()
+        gc.freeze()
+        yield send
+        ros.wait_until_received()
+
+
+def play_with_asyncio(file: Path, domain_id: int) -> list[int]:
+    """Each message after an asyncio.sleep until its absolute moment."""
+    stamps: list[int] = []
+    messages = list(read_messages(file))
+
+    async def run(send: Callable[[bytes], bool]) -> None:
+        loop = asyncio.get_running_loop()
+        start = loop.time() + 0.02
+        for message in messages:
+            await asyncio.sleep(start + (message.log_ns - START_NS) / 1e9 - loop.time())
+            stamps.append(time.monotonic_ns())
+            send(message.data)
+
+    with opened(domain_id) as send:
+        asyncio.run(run(send))
+    return stamps
+
+
+def play_with_condition(file: Path, domain_id: int) -> list[int]:
+    """As rosbag2: a thread fills a queue, and each message waits on a condition variable."""
+    stamps: list[int] = []
+    queue: deque[Any] = deque()
+    room = threading.Condition()
+    changed = threading.Condition()
+
+    def read() -> None:
+        for message in read_messages(file):
+            with room:
+                room.wait_for(lambda: len(queue) < READ_AHEAD)
+                queue.append(message)
+
+    with opened(domain_id) as send:
+        threading.Thread(target=read, daemon=True).start()
+        time.sleep(0.2)
+        start = time.monotonic() + 0.02
+        while queue:
+            with room:
+                message = queue.popleft()
+                room.notify()
+            due = start + (message.log_ns - START_NS) / 1e9
+            with changed:
+                while (left := due - time.monotonic()) > 0:
+                    changed.wait(left)
+            stamps.append(time.monotonic_ns())
+            send(message.data)
+    return stamps
+
+
+PLAYERS = {
+    "robotctl": play_with_robotctl,
+    "asyncio": play_with_asyncio,
+    "condition": play_with_condition,
+}
+
+
+# Who listens
+
+
+def listen(topics: list[list[str]]) -> None:
+    """Subscribe, then tell what came since for each line of stdin: (topic, received, sequence)."""
+    from rclpy.context import Context
+    from rclpy.node import Node
+
+    from robotctl.ros import AsyncioExecutor, RawTap
+    from robotctl.ros.message_types import message_class
+    from robotctl.ros.recorded_qos import replay_qos
+
+    heard: list[tuple[int, int]] = []
+
+    async def run() -> None:
+        context = Context()
+        context.init(args=[])
+        node = Node("listener", context=context)
+        async with AsyncioExecutor(context) as executor:
+            executor.add_node(node)
+            for number, (name, type_name, offered) in enumerate(topics):
+
+                def take(data: bytes, received_ns: int, *_: object, number: int = number) -> None:
+                    heard.append((number, received_ns))
+
+                qos = replay_qos(offered)
+                qos.depth = 100_000
+                node.create_subscription(
+                    message_class(type_name), name, RawTap(take), qos, raw=True
+                )
+            print("ready", flush=True)
+            while await asyncio.to_thread(sys.stdin.readline):
+                print(json.dumps(heard), flush=True)
+                heard.clear()
+        node.destroy_node()
+        context.try_shutdown()
+
+    asyncio.run(run())
+
+
+class Listener:
+    """The listening process."""
+
+    def __init__(self, topics: list[list[str]]) -> None:
+        self._process = subject("--listen", json.dumps(topics), stdin=subprocess.PIPE)
+        assert self._process.stdout is not None
+        assert self._process.stdout.readline() == "ready\n"
+
+    def heard(self, expected: int, patience_s: float = 3.0) -> list[list[int]]:
+        """What has come since the last call: topic and time of receipt."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        found: list[list[int]] = []
+        until = time.monotonic() + patience_s
+        while len(found) < expected and time.monotonic() < until:
+            self._process.stdin.write("\n")
+            self._process.stdin.flush()
+            found += json.loads(self._process.stdout.readline())
+            time.sleep(0.05)
+        return found
+
+    def close(self) -> None:
+        """End it."""
+        self._process.communicate(timeout=DEADLINE_S)
+
+
+@contextmanager
+def listening(topics: list[list[str]]) -> Iterator[Listener]:
+    """A listener for the block."""
+    listener = Listener(topics)
+    try:
+        yield listener
+    finally:
+        listener.close()
+
+
+def subject(*arguments: str, stdin: int = subprocess.DEVNULL) -> subprocess.Popen[str]:
+    """This script in another process."""
+    command = [sys.executable, __file__, *arguments]
+    return subprocess.Popen(command, stdin=stdin, stdout=subprocess.PIPE, text=True)
+
+
+def replay(file: Path, *arguments: str) -> tuple[dict[str, Any], float]:
+    """`robotctl replay --json`: its summary, and the wall-clock time [s] of its start."""
+    begin = time.time()
+    command = [*ROBOTCTL, "replay", str(file), "--json", *arguments]
+    ran = subprocess.run(command, capture_output=True, text=True, check=True)
+    found: dict[str, Any] = json.loads(ran.stdout)
+    return found, begin
+
+
+# The figures
+
+
+def spread(values: Sequence[float], form: str = ".0f") -> str:
+    """Median, lowest and highest."""
+    low, middle, high = min(values), statistics.median(values), max(values)
+    return f"{middle:{form}} [{low:{form}} .. {high:{form}}]"
+
+
+class Table:
+    """Prints what was measured, and remembers what was not reached."""
+
+    def __init__(self) -> None:
+        self.missed: list[str] = []
+
+    def row(self, name: str, value: str, target: str = "", reached: bool = True) -> None:
+        """One line; with a target also whether it is reached."""
+        verdict = "" if not target else f"   to reach: {target}   {'yes' if reached else 'NO'}"
+        print(f"  {name:34} {value:30}{verdict}", flush=True)
+        if not reached:
+            self.missed.append(f"{name}: {value} (to reach: {target})")
+
+
+def pacing(table: Table, rounds: int, seconds: float, scratch: Path) -> None:
+    """Inter-arrival error where messages are handed over, 1 kHz."""
+    print("pacing: inter-arrival error at publish, 1 kHz [us]")
+    found: dict[str, list[Errors]] = {name: [] for name in CONTENDERS}
+    with tempfile.TemporaryDirectory(dir=scratch) as folder:
+        file = write_steady(Path(folder) / "steady", 1000.0, round(seconds * 1000))
+        recorded = [message.log_ns for message in read_messages(file)]
+        with listening([["/odom", ODOMETRY, QOS]]):
+            for number in range(rounds):
+                for name in CONTENDERS[number % 3 :] + CONTENDERS[: number % 3]:
+                    process = subject("--play", name, str(file))
+                    out, _ = process.communicate(timeout=DEADLINE_S + seconds)
+                    found[name].append(Errors.of(json.loads(out), recorded))
+    for name, errors in found.items():
+        for share in ("p50", "p99", "worst"):
+            table.row(f"{name} {share}", spread([getattr(each, share) for each in errors], ".1f"))
+    for other, target in (("asyncio", 1 / 20), ("condition", 1 / 4)):
+        for share in ("p50", "p99"):
+            ratios = [
+                getattr(ours, share) / getattr(theirs, share)
+                for ours, theirs in zip(found["robotctl"], found[other], strict=True)
+            ]
+            reached = statistics.median(ratios) <= target
+            table.row(
+                f"{share} / {other}", spread(ratios, ".3f"), f"<= 1/{round(1 / target)}", reached
+            )
+
+
+def arrival(table: Table, runs: int, seconds: float, scratch: Path) -> None:
+    """Inter-arrival error at the receiver, and losses."""
+    with tempfile.TemporaryDirectory(dir=scratch) as folder:
+        file = write_steady(Path(folder) / "steady", 100.0, round(seconds * 100))
+        _arrival(table, "100 Hz", file, runs, seconds)
+    with a_drive(scratch) as file:
+        _arrival(table, "a drive", file, runs, seconds)
+
+
+def _arrival(table: Table, name: str, file: Path, runs: int, seconds: float) -> None:
+    print(f"arrival: {name}, inter-arrival error by received_timestamp [ms], {runs} runs")
+    topics = [topic for topic in read_info(file).topics if topic.message_count]
+    with Recording(file) as recording:
+        start_ns = recording.info().start_ns
+        window = (start_ns, start_ns + round(seconds * 1e9))
+        messages = list(recording.messages(None, print, window))
+    recorded = [[m.log_ns for m in messages if m.topic == topic.name] for topic in topics]
+    wanted = [[f"/{t.name.lstrip('/')}", t.type_name, t.offered_qos] for t in topics]
+    found: dict[str, list[Errors]] = {topic.name: [] for topic in topics}
+    lost = sent = 0
+    commands = ",".join(topic.name for topic in topics)
+    for _ in range(runs):
+        with listening(wanted) as listener:
+            replay(file, "--duration", str(seconds), "--topics", commands)
+            heard = listener.heard(len(messages))
+        sent += len(messages)
+        lost += len(messages) - len(heard)
+        for number, topic in enumerate(topics):
+            times = [at_ns for which, at_ns in heard if which == number]
+            if len(times) == len(recorded[number]) and len(times) > 100:
+                found[topic.name].append(Errors.of(times, recorded[number]))
+    for topic_name, errors in found.items():
+        if errors:
+            p50s, p99s = [e.p50 / 1e3 for e in errors], [e.p99 / 1e3 for e in errors]
+            table.row(f"{topic_name[-26:]} p50", spread(p50s, ".3f"))
+            reached = statistics.median(p99s) <= 0.3
+            table.row(f"{topic_name[-26:]} p99", spread(p99s, ".3f"), "<= 0.3", reached)
+            table.row(f"{topic_name[-26:]} at most", spread([e.worst / 1e3 for e in errors], ".3f"))
+    table.row("lost", f"{lost} of {sent}", "0", lost == 0)
+
+
+def full_speed(table: Table, rounds: int, _: float, scratch: Path) -> None:
+    """--rate max."""
+    count = 200_000
+    print(f"max: {count} messages of {ODOMETRY_BYTES} B to one reliable subscriber")
+    rates, lost = [], 0
+    with tempfile.TemporaryDirectory(dir=scratch) as folder:
+        file = write_steady(Path(folder) / "steady", 1000.0, count)
+        for _round in range(rounds):
+            with listening([["/odom", ODOMETRY, QOS]]) as listener:
+                replay(file, "--rate", "max")
+                heard = listener.heard(count, patience_s=10.0)
+            lost += count - len(heard)
+            times = [at_ns for _number, at_ns in heard]
+            rates.append(len(times) / (max(times) - min(times)) * 1e9)
+    table.row("messages/s", spread(rates), ">= 20000", statistics.median(rates) >= 20_000)
+    table.row("lost", f"{lost} of {count * rounds}", "0", lost == 0)
+
+
+def first(table: Table, rounds: int, _: float, scratch: Path) -> None:
+    """Time to the first message of a 1 GB file."""
+    count = 1_380_000
+    with tempfile.TemporaryDirectory(dir=scratch) as folder:
+        file = write_steady(Path(folder) / "large", 1000.0, count)
+        size = sum(path.stat().st_size for path in file.glob("*.mcap"))
+        print(f"first: {size / 1e9:.2f} GB, {count} messages [s]")
+        for name, offset in (("from its beginning", "0"), ("from its middle", "690")):
+            reading, taken = [], []
+            for _round in range(rounds):
+                begin = time.monotonic()
+                with Recording(file) as recording:
+                    start_ns = recording.info().start_ns + int(offset) * 1_000_000_000
+                    next(recording.messages(None, print, (start_ns, 1 << 63)))
+                reading.append(time.monotonic() - begin)
+                with listening([["/odom", ODOMETRY, QOS]]) as listener:
+                    _, begun = replay(file, "--start-offset", offset, "--duration", "0.5")
+                    heard = listener.heard(400)
+                taken.append(min(at_ns for _number, at_ns in heard) / 1e9 - begun)
+            reached = statistics.median(reading) <= 1.0
+            table.row(f"{name}, reading", spread(reading, ".3f"), "<= 1", reached)
+            reached = statistics.median(taken) <= 1.0
+            table.row(f"{name}, command to message", spread(taken, ".2f"), "<= 1", reached)
+
+
+FIGURES: dict[str, Callable[[Table, int, float, Path], None]] = {
+    "pacing": pacing,
+    "arrival": arrival,
+    "max": full_speed,
+    "first": first,
+}
+
+
+def main() -> None:
+    """Run it all, or one subject of it."""
+    environment.prepare()
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--figures", default=",".join(FIGURES), help="which, with commas")
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--runs", type=int, default=20, help="of each recording in `arrival`")
+    parser.add_argument("--seconds", type=float, default=5.0, help="of one measurement")
+    parser.add_argument("--scratch", type=Path, default=Path(tempfile.gettempdir()))
+    parser.add_argument("--play", nargs=2, help=argparse.SUPPRESS)
+    parser.add_argument("--listen", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.play:
+        name, file = options.play
+        stamps = PLAYERS[name](Path(file), int(os.environ["ROS_DOMAIN_ID"]))
+        print(json.dumps(stamps), flush=True)
+        return
+    if options.listen:
+        listen(json.loads(options.listen))
+        return
+    with tempfile.TemporaryDirectory() as private, reserved_domain() as domain_id:
+        os.environ["ROS_DOMAIN_ID"] = str(domain_id)
+        os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+        os.environ["XDG_RUNTIME_DIR"] = os.environ["XDG_STATE_HOME"] = private
+        table = Table()
+        for name in options.figures.split(","):
+            rounds = options.runs if name == "arrival" else options.rounds
+            FIGURES[name](table, rounds, options.seconds, options.scratch)
+    print("\nNot reached:" if table.missed else "\nAll reached.")
+    for line in table.missed:
+        print(f"  {line}")
+
+
+if __name__ == "__main__":
+    main()
