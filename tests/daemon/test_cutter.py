@@ -107,9 +107,12 @@ async def test_each_is_cut_when_its_time_has_come_and_none_twice(
     box = BlackBox(RecordingParams(clip_before_s=1.0, clip_after_s=600.0), Path("/nowhere"))
     running = asyncio.create_task(box.run())
     box.note(RecordedEvent(EventKind.ERROR, 0, "long ago"))
-    await asyncio.to_thread(until, lambda: log.exists() and log.read_text() == "cut\n")
+    await asyncio.to_thread(until, lambda: box._cutting is not None and box._cutting.done())
+    assert log.read_text() == "cut\n"
     box.note(RecordedEvent(EventKind.EMERGENCY_STOP, time.time_ns(), "now"))
-    await asyncio.sleep(0)
+    for _ in range(5):
+        await asyncio.sleep(0)
+    assert len(box._waiting) == 1
     running.cancel()
     await asyncio.wait({running})
     await box.finish()

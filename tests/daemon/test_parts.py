@@ -26,7 +26,7 @@ from robotctl.kernel.types import (
     ResetRequested,
     Tick,
 )
-from robotctl.recording.journal import JournalEntry, decode
+from robotctl.recording.journal import JournalEntry, Kind, decode
 from robotctl.replay.rerun import rerun
 
 # Dispatch
@@ -63,6 +63,15 @@ def test_an_effect_is_journaled_after_it_was_carried_out() -> None:
     bench.control.dispatch(Tick(1))
     assert bench.names == ["Snapshot", "Tick", "PublishTwist"]
     assert seen == [2]
+
+
+def test_a_snapshot_stands_in_the_journal_every_10_s() -> None:
+    bench = Bench()
+    for tick in range(1, 121):
+        bench.control.dispatch(Tick(tick * 250_000_000))
+    at_s = [entry.t_ns / 1e9 for entry in bench.entries if entry.kind is Kind.SNAPSHOT]
+    assert at_s == [0.0, 10.0, 20.0, 30.0]
+    assert rerun(bench.entries) is None
 
 
 def test_what_an_effect_dispatches_waits_its_turn() -> None:
