@@ -131,7 +131,8 @@ async def test_recorded_time_is_published_in_place_of_the_recorded_clock(
     times = [sec * 1_000_000_000 + ns for _, sec, ns in (struct.unpack("<4siI", d) for d in heard)]
     assert times == sorted(times)
     assert times[0] >= START_NS
-    assert times[-1] <= START_NS + 500_000_000
+    late_ns = round(ran.summary["timing_error_us"]["max"] * 1e3)
+    assert times[-1] <= START_NS + 500_000_000 + late_ns  # it goes on until the last one is sent
 
 
 async def test_a_second_clock_is_refused(tmp_path: Path, listener: Any, replay: Any) -> None:
