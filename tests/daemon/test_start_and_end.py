@@ -349,6 +349,23 @@ def test_a_waited_drive_that_a_fault_ends_is_an_error(world: World) -> None:
     world.ok("stop")
 
 
+def test_why_is_told_while_the_daemon_runs_and_the_recording_proves_it(world: World) -> None:
+    world.ok("start", "--sim")
+    world.ok("drive", "square")
+    until(lambda: world.status()["velocity"]["linear"] > 0.05)
+    world.ok("estop")
+    until(lambda: world.robotctl("why").exit_code == 0)  # the file shows it a moment later
+    told = world.answer("why")
+    assert (told["kind"], told["mode"]) == ("stop", "EMERGENCY_STOP")
+    assert "a request for EMERGENCY_STOP by robotctl estop" in told["came_in"]
+    assert "a square: robotctl drive" in told["asked"]
+    assert told["zero_after_ms"] >= 0.0
+    world.ok("stop")
+    (report,) = world.answer("replay", "last", "--check")["recordings"]
+    assert (report["verdict"], report["notes"]) == ("same", [])
+    assert report["commands"] > 0
+
+
 def test_a_drive_while_moving_is_refused_unless_it_replaces(world: World) -> None:
     world.ok("start", "--sim", "--drive", "circle")
     refused = world.robotctl("drive", "square")
