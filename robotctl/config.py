@@ -121,6 +121,13 @@ def with_setting(config: Config, key: str, value: object) -> Config:
     return replaced
 
 
+def check_all(config: Config) -> None:
+    """Raise ConfigError where a value is not allowed; for what did not come through `load`."""
+    for key, value in flat(config).items():
+        with_setting(config, key, value)
+    check_together(config.kernel)
+
+
 def with_text(config: Config, key: str, text: str) -> Config:
     """As `with_setting`, with the value as it is typed on a command line. Raises ConfigError."""
     kind = type(flat(config).get(key))

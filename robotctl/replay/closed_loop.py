@@ -15,6 +15,7 @@ from robotctl.kernel.types import (
     PublishTwist,
     Tick,
 )
+from robotctl.replay.values import decide
 from robotctl.sim.robot import Robot, SimParams
 
 TICK_AFTER_ODOMETRY_NS = 1_000_000
@@ -27,7 +28,7 @@ def closed_loop(
     """Every event with its effects, without end, from `begin_ns` (steady) on.
 
     `requests`, in the order of their time, come when their `t_ns` has come. The robot stands where
-    the kernel's last odometry was.
+    the kernel's last odometry was. Raises UnreadableFile where the kernel cannot go on.
     """
     robot = Robot(sim)
     health = kernel.state.health
@@ -55,7 +56,7 @@ def closed_loop(
         else:
             next_tick_ns += tick_ns
             event = Tick(t_ns)
-        effects = kernel.step(event)
+        effects = decide(kernel, event)
         for effect in effects:
             if isinstance(effect, PublishTwist):
                 robot.command(effect.twist)

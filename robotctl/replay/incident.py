@@ -18,7 +18,7 @@ from robotctl.recording.journal_reader import journal_topic
 from robotctl.recording.reader import Recording
 from robotctl.replay.steps import Gap, Step, steps
 from robotctl.replay.traffic import command_topic, is_still
-from robotctl.replay.values import read_effect, read_event, read_snapshot
+from robotctl.replay.values import decide, read_effect, read_event, read_snapshot
 
 MAX_MESSAGES_AFTER = 2000
 """Among which the first zero command after a stop is looked for."""
@@ -198,7 +198,7 @@ class _Context:
     def _step(self, kernel: Kernel, entry: JournalEntry) -> None:
         incident = self._incident
         before, event = kernel.state, read_event(entry)
-        kernel.step(event)
+        decide(kernel, event)
         if entry.seq == incident.seq:
             incident.params, incident.before, incident.after = kernel.params, before, kernel.state
         elif kernel.state.phase is not Phase.STOPPING:

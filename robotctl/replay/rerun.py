@@ -14,7 +14,7 @@ from robotctl.kernel.types import Effect, Event
 from robotctl.recording.journal import JournalEntry
 from robotctl.replay.comparison import DECISIONS, Comparison
 from robotctl.replay.steps import Gap, Step, steps
-from robotctl.replay.values import read_event, read_snapshot, text_of
+from robotctl.replay.values import KERNEL_FAILURES, read_event, read_snapshot, text_of
 
 MAX_SHAPES = 4096
 """A number may have a sign, a point and an exponent; a source may be any text."""
@@ -89,10 +89,10 @@ class Rerun:
         theirs = step.effects
         try:
             decided = mine = kernel.step(event)
-        except AssertionError as error:  # a kernel that breaks its own promises
+        except KERNEL_FAILURES as error:
             found = self._divergence(theirs[0] if theirs else None, None, before)
             self.kernel = None
-            return Decided(event, None, replace(found, decided=f"AssertionError {error}"))
+            return Decided(event, None, replace(found, decided=f"{type(error).__name__} {error}"))
         if not self._same_version:
             theirs = [effect for effect in theirs if effect.name in DECISIONS]
             mine = tuple(effect for effect in mine if type(effect).__name__ in DECISIONS)

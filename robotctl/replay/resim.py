@@ -35,6 +35,9 @@ from robotctl.replay.values import read_effect, read_event, read_snapshot
 MAX_REQUESTS = 100_000
 """More are not asked again, and that is said."""
 
+MAX_SPAN_NS = 7 * 86_400 * NS_PER_S
+"""Of a recording that is simulated."""
+
 LONGEST = 10
 """A drive that goes on at the end of the recording is simulated for so many times its length."""
 
@@ -85,6 +88,8 @@ def resim(
                 _take(recorded, entry)
     if snapshot is None:
         raise UnreadableFile(f"{path}: its journal holds no snapshot of the kernel to begin from")
+    if not 0 <= recorded.end_ns - recorded.begin_ns <= MAX_SPAN_NS:
+        raise UnreadableFile(f"{path}: its journal claims to be longer than a week, or runs back")
     if len(recorded.requests) > MAX_REQUESTS:
         note_missing(missing, f"only the first {MAX_REQUESTS} requests are asked again")
     config, unknown = simulated(Config(kernel=snapshot.params), info)

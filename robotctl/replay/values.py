@@ -8,8 +8,10 @@ from typing import Any, get_args
 
 import msgspec
 
-from robotctl.errors import UnreadableFile
+from robotctl.config import Config, check_all
+from robotctl.errors import ConfigError, UnreadableFile
 from robotctl.kernel.codec import from_json, to_json
+from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.types import Effect, Event
 from robotctl.recording.journal import JournalEntry
@@ -25,6 +27,9 @@ _DECODERS: Mapping[Any, msgspec.json.Decoder[Any]] = MappingProxyType(
         for kind in kinds.values()
     }
 )
+
+KERNEL_FAILURES = (AssertionError, ArithmeticError, LookupError, ValueError, TypeError)
+"""What a kernel may raise in a state that no kernel has come to by itself."""
 
 
 def read_event(entry: JournalEntry) -> Event:
@@ -42,7 +47,21 @@ def read_effect(entry: JournalEntry) -> Effect:
 def read_snapshot(entry: JournalEntry) -> Snapshot:
     """The snapshot in an entry; raises UnreadableFile where it is none of this version."""
     snapshot: Snapshot = _read(_SNAPSHOT, "snapshot", entry)
+    try:
+        check_all(Config(kernel=snapshot.params))
+    except ConfigError as error:
+        raise UnreadableFile(f"journal entry {entry.seq} is not ours: {error}") from None
     return snapshot
+
+
+def decide(kernel: Kernel, event: Event) -> tuple[Effect, ...]:
+    """Step a kernel whose state came from a file; raises UnreadableFile where it cannot."""
+    try:
+        return kernel.step(event)
+    except KERNEL_FAILURES as error:
+        raise UnreadableFile(
+            f"the kernel cannot go on from this journal: {type(error).__name__}: {error}"[:200]
+        ) from None
 
 
 def text_of(value: Event | Effect | Snapshot) -> str:

@@ -24,7 +24,7 @@ from robotctl.recording.journal_reader import read_journal
 from robotctl.recording.reader import Recording
 from robotctl.replay.settings import Settings, changed
 from robotctl.replay.steps import Gap, Step, steps
-from robotctl.replay.values import read_event, read_snapshot, text_of
+from robotctl.replay.values import decide, read_event, read_snapshot, text_of
 
 MAX_ANSWERS = 20
 """Requests that were answered otherwise: so many are told, all are counted."""
@@ -94,7 +94,7 @@ class _Side:
 
     def step(self, kernel: Kernel, event: Event, elapsed_ns: int) -> tuple[Effect, ...]:
         self.in_mode_ns[kernel.state.mode] += elapsed_ns
-        effects = kernel.step(event)
+        effects = decide(kernel, event)
         for effect in effects:
             if isinstance(effect, Reply):
                 self.answers[effect.request_id] = effect

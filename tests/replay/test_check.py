@@ -3,21 +3,35 @@
 from __future__ import annotations
 
 import tracemalloc
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from robotctl import __version__
+from robotctl.errors import UnreadableFile
 from robotctl.kernel import kernel as kernel_module
-from robotctl.kernel.types import CommandPublishersSeen, Twist
+from robotctl.kernel.types import CommandPublishersSeen, ModeRequested, Twist
 from robotctl.recording.identity import MADE_BY
 from robotctl.recording.journal import JournalEntry, Kind, encode
 from robotctl.recording.reader import Recording
 from robotctl.recording.recorder import Recorder, RecorderOptions
 from robotctl.replay.check import check
+from robotctl.replay.incident import find_incident
 from robotctl.replay.report import Report, Verdict
-from robotctl.testing.drives import BEGIN_NS, JOURNAL, Written, drive, record, serialized
+from robotctl.replay.resim import resim
+from robotctl.replay.whatif import what_if
+from robotctl.replay.why import explain
+from robotctl.testing.drives import (
+    BEGIN_NS,
+    JOURNAL,
+    Written,
+    drive,
+    drive_requested,
+    record,
+    serialized,
+)
 from robotctl.testing.recordings import GID, START_NS, TWIST
 from robotctl.testing.waiting import until
 
@@ -244,3 +258,41 @@ def test_memory_does_not_grow_with_the_recording(tmp_path: Path) -> None:
 
     short, long = peak_of(2.0), peak_of(20.0)
     assert long < short + 1_000_000
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('"rate_hz":50.0', '"rate_hz":0.0'),
+        ('"rate_hz":50.0', '"rate_hz":-1'),
+        ('"linear_mps":0.6', '"linear_mps":"nan"'),
+        ('"size_m":1.0', '"size_m":"inf"'),
+        ('"segment":0', '"segment":99'),
+        ('"kind":"square"', '"kind":"spiral"'),
+        ('"command":{"linear":', '"command":{"linear":9'),
+        ('"tick_t_ns":', '"tick_t_ns":-'),
+    ],
+)
+def test_a_snapshot_that_cannot_be_is_told_by_whatever_begins_from_it(
+    tmp_path: Path, old: str, new: str
+) -> None:
+    stop = ModeRequested(BEGIN_NS + 1_500_000_000, 2, 3, "somebody")
+    written = drive(2.0, requests=[drive_requested(), stop], snapshots_s=(1.0,))
+    begin = next(i for i, each in enumerate(written) if "Snapshot" in str(each))
+    snapshot = written[begin]
+    assert isinstance(snapshot, JournalEntry)
+    assert old in snapshot.data
+    changed = snapshot._replace(data=snapshot.data.replace(old, new))
+    folder = record(tmp_path / "run", [changed, *written[begin + 1 :]])
+    assert check(folder).verdict is not Verdict.SAME
+    for look in (
+        lambda: what_if(folder, {"tracking.k_y": "8"}, silent),
+        lambda: resim(folder, {}, silent),
+        lambda: explain(find_incident(folder, None, silent)),
+    ):
+        with suppress(UnreadableFile):
+            look()
+
+
+def silent(done: int, total: int) -> None:
+    """Progress that nobody looks at."""
