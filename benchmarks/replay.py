@@ -8,7 +8,8 @@ pacing   1 kHz, inter-arrival error where messages are handed to the middleware:
          message, as rosbag2's does. All three take turns within a round, publish the same recording
          through the same publisher to one subscriber in another process; ratios within a round.
 arrival  `robotctl replay` of 100 Hz, and of a real drive (`robotctl demo`), as another process gets
-         it: inter-arrival error by the middleware's `received_timestamp`, and what is lost.
+         it: inter-arrival error by the middleware's `received_timestamp`, and what is lost. That
+         process runs under SCHED_FIFO where permitted: that it is woken late is not our doing.
 max      `--rate max`, 724 B, one reliable subscriber.
 first    from the command to the first message at a subscriber that waits for it, 1 GB file, from
          its beginning and from its middle; and the share that is reading.
@@ -33,7 +34,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -215,8 +216,11 @@ PLAYERS = {
 # Who listens
 
 
-def listen(topics: list[list[str]]) -> None:
-    """Subscribe, then tell what came since for each line of stdin: (topic, received, sequence)."""
+def listen(topics: list[list[str]], *, urgent: bool) -> None:
+    """Subscribe, then tell for each line of stdin what came since: topic and time of receipt."""
+    if urgent:
+        with suppress(PermissionError):  # the threads of the middleware inherit it
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
     from rclpy.context import Context
     from rclpy.node import Node
 
@@ -255,8 +259,9 @@ def listen(topics: list[list[str]]) -> None:
 class Listener:
     """The listening process."""
 
-    def __init__(self, topics: list[list[str]]) -> None:
-        self._process = subject("--listen", json.dumps(topics), stdin=subprocess.PIPE)
+    def __init__(self, topics: list[list[str]], *, urgent: bool) -> None:
+        urgency = ["--urgent"] * urgent
+        self._process = subject("--listen", json.dumps(topics), *urgency, stdin=subprocess.PIPE)
         assert self._process.stdout is not None
         assert self._process.stdout.readline() == "ready\n"
 
@@ -279,9 +284,9 @@ class Listener:
 
 
 @contextmanager
-def listening(topics: list[list[str]]) -> Iterator[Listener]:
+def listening(topics: list[list[str]], *, urgent: bool = False) -> Iterator[Listener]:
     """A listener for the block."""
-    listener = Listener(topics)
+    listener = Listener(topics, urgent=urgent)
     try:
         yield listener
     finally:
@@ -376,7 +381,7 @@ def _arrival(table: Table, name: str, file: Path, runs: int, seconds: float) -> 
     lost = sent = 0
     commands = ",".join(topic.name for topic in topics)
     for _ in range(runs):
-        with listening(wanted) as listener:
+        with listening(wanted, urgent=True) as listener:
             replay(file, "--duration", str(seconds), "--topics", commands)
             heard = listener.heard(len(messages))
         sent += len(messages)
@@ -457,6 +462,7 @@ def main() -> None:
     parser.add_argument("--scratch", type=Path, default=Path(tempfile.gettempdir()))
     parser.add_argument("--play", nargs=2, help=argparse.SUPPRESS)
     parser.add_argument("--listen", help=argparse.SUPPRESS)
+    parser.add_argument("--urgent", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.play:
         name, file = options.play
@@ -464,7 +470,7 @@ def main() -> None:
         print(json.dumps(stamps), flush=True)
         return
     if options.listen:
-        listen(json.loads(options.listen))
+        listen(json.loads(options.listen), urgent=options.urgent)
         return
     with tempfile.TemporaryDirectory() as private, reserved_domain() as domain_id:
         os.environ["ROS_DOMAIN_ID"] = str(domain_id)
