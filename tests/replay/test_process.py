@@ -1,0 +1,91 @@
+"""The process that plays obeys lines on stdin, and ends with them."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Awaitable, Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robotctl.replay.controls import Command
+from robotctl.replay.job import Job
+from robotctl.testing.bags import STRING, Line, text, write_bag
+
+Until = Callable[[Callable[[], object]], Awaitable[None]]
+DEADLINE_S = 30.0
+
+
+class Child:
+    """The process, spoken to as the command line does."""
+
+    def __init__(self, job: Job) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "robotctl.replay"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        )
+        self.write(f"{job.to_json()}\n".encode())
+
+    def tell(self, *commands: Command) -> None:
+        self.write(b"".join(command.line() for command in commands))
+
+    def end(self) -> tuple[int, dict[str, Any]]:
+        """End stdin; returns exit code and summary."""
+        out, _ = self._process.communicate(timeout=DEADLINE_S)
+        said = [json.loads(line) for line in out.splitlines()]
+        return self._process.returncode, next(each["summary"] for each in said if "summary" in each)
+
+    def close(self) -> None:
+        self._process.kill()
+        self._process.communicate()
+
+    def write(self, data: bytes) -> None:
+        assert self._process.stdin is not None
+        self._process.stdin.write(data)
+        self._process.stdin.flush()
+
+
+@pytest.fixture
+def child(domain_id: int, own_sockets: None) -> Iterator[Callable[[Job], Child]]:
+    started: list[Child] = []
+
+    def start(job: Job) -> Child:
+        started.append(Child(job))
+        return started[-1]
+
+    yield start
+    for each in started:
+        each.close()
+
+
+async def test_steps_and_rates_reach_the_player_also_those_that_were_asked_for_early(
+    tmp_path: Path, listener: Any, child: Any, domain_id: int, until: Until
+) -> None:
+    lines = [Line("/alpha", STRING, n * 3_600_000.0, text(f"{n}")) for n in range(4)]
+    file = write_bag(tmp_path / "run.mcap", lines)
+    listener.listen("/alpha", STRING)
+    heard = listener.heard["/alpha"]
+    playing = child(Job(file, "robot", domain_id))
+    playing.tell(Command.PAUSE, Command.NEXT, Command.NEXT)
+    await until(lambda: len(heard) == 2)
+    playing.tell(Command.FASTER, Command.NEXT)
+    await until(lambda: len(heard) == 3)
+    exit_code, summary = playing.end()
+    assert (exit_code, summary["sent"], summary["interrupted"]) == (0, 3, True)
+    assert heard == [line.data for line in lines[:3]]
+
+
+async def test_what_is_no_command_stops_nothing(
+    tmp_path: Path, listener: Any, child: Any, domain_id: int, until: Until
+) -> None:
+    lines = [Line("/alpha", STRING, n * 10.0, text(f"{n}")) for n in range(5)]
+    file = write_bag(tmp_path / "run.mcap", lines)
+    listener.listen("/alpha", STRING)
+    playing = child(Job(file, "robot", domain_id, paused=True))
+    playing.write(b"nonsense\n\xff\n{}\n")
+    playing.tell(Command.RESUME)
+    await until(lambda: len(listener.heard["/alpha"]) == 5)
