@@ -14,8 +14,7 @@ from robotctl.recording.journal_reader import journal_topic
 from robotctl.recording.ledger_record import read_ledger
 from robotctl.recording.reader import Recording, RecordingInfo, read_info
 from robotctl.replay.comparison import Comparison
-from robotctl.replay.invariants import Invariants
-from robotctl.replay.ledger import unbalanced
+from robotctl.replay.invariants import Invariants, unbalanced
 from robotctl.replay.report import Report
 from robotctl.replay.rerun import Divergence, Rerun
 from robotctl.replay.steps import Gap, Step, steps

@@ -6,6 +6,7 @@ changes nothing.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from robotctl.kernel.modes import Mode
@@ -163,6 +164,22 @@ class Invariants:
         if self.mode is not None and reply.mode is not self.mode:
             self.violate(
                 f"request {reply.request_id} was told {reply.mode.name} in {self.mode.name}"
+            )
+
+
+def unbalanced(ledger: Mapping[str, Mapping[str, int]], *, finished: bool) -> Iterator[str]:
+    """What does not add up in the ledger of a file, a sentence each.
+
+    received = written + dropped at the end of a recording that was `finished`; at the end of an
+    earlier file messages may be queued for the next.
+    """
+    for topic, counts in ledger.items():
+        received, written, dropped = (counts.get(n, 0) for n in ("received", "written", "dropped"))
+        accounted = written + dropped
+        if received < accounted or (finished and received != accounted):
+            yield (
+                f"{topic}: {received} messages received, but {written} written "
+                f"and {dropped} dropped"
             )
 
 

@@ -10,27 +10,21 @@ from robotctl.config import Config, flat
 from robotctl.kernel.kernel import State
 from robotctl.kernel.modes import REQUESTS, TRANSITIONS, Guard, Mode, Trigger
 from robotctl.kernel.params import KernelParams
-from robotctl.kernel.safety import NS_PER_S, RULE_OF, Rule, failed_start_condition, uncleared
+from robotctl.kernel.safety import RULE_OF, Rule, failed_start_condition, uncleared
 from robotctl.kernel.types import (
-    BatteryReceived,
     Cause,
-    CommandPublishersSeen,
     DriveEnded,
     DriveRequested,
-    Event,
-    FaultCleared,
-    FaultReported,
     LatchEmergencyStop,
     ModeChanged,
     ModeRequested,
-    OdomReceived,
     PublishTwist,
     ReleaseEmergencyStop,
     Reply,
     ResetRequested,
-    Tick,
 )
 from robotctl.replay.incident import Incident, IncidentKind
+from robotctl.replay.sentences import sentence_of, span
 
 _MEASURES: Mapping[Cause, tuple[str, ...]] = MappingProxyType(
     {
@@ -105,39 +99,9 @@ def _refusal(incident: Incident) -> Reply | None:
 
 def _came_in(incident: Incident) -> str:
     if incident.ramp is None:
-        return _sentence(incident.event)
+        return sentence_of(incident.event)
     t_ns, event = incident.ramp
-    return f"{_sentence(event)}, {_span(incident.t_ns - t_ns)} before the robot stood"
-
-
-def _sentence(event: Event) -> str:
-    """The event as somebody would say it."""
-    match event:
-        case Tick():
-            missed = f", {event.missed} were missed before it" if event.missed else ""
-            return f"a control tick{missed}"
-        case OdomReceived():
-            pose = event.odometry.pose
-            return f"odometry: x {pose.x:.3f} m, y {pose.y:.3f} m, theta {pose.theta:.3f} rad"
-        case BatteryReceived():
-            return f"a battery level of {event.level:.1%}"
-        case ModeRequested():
-            return f"a request for {_mode_name(event.requested)} by {event.source}"
-        case ResetRequested():
-            return f"a reset by {event.source}"
-        case DriveRequested():
-            return f"a request to drive a {event.pattern.kind.value} by {event.source}"
-        case CommandPublishersSeen():
-            names = ", ".join(event.names) or "nobody else"
-            return f"{names} publishes velocity commands, too"
-        case FaultReported():
-            return f"a report of the daemon, {event.cause.value}: {event.detail}"
-        case FaultCleared():
-            return f"a report of the daemon, {event.cause.value}: works again"
-
-
-def _mode_name(number: int) -> str:
-    return Mode(number).name if number in list(Mode) else f"mode {number}"
+    return f"{sentence_of(event)}, {span(incident.t_ns - t_ns)} before the robot stood"
 
 
 def _known(incident: Incident) -> str:
@@ -149,7 +113,7 @@ def _known(incident: Incident) -> str:
     if health.odometry is None:
         facts.append("no odometry yet")
     else:
-        facts.append(f"odometry {_span(incident.t_ns - health.odometry_t_ns)} old")
+        facts.append(f"odometry {span(incident.t_ns - health.odometry_t_ns)} old")
     if incident.params.battery.topic:
         level = health.battery_level
         facts.append("battery unknown" if level is None else f"battery {level:.0%}")
@@ -220,7 +184,7 @@ def _asked(incident: Incident) -> str:
     what = f"a {before.drive.pattern.kind.value}" if before.drive else "to move"
     if incident.moving_since_ns is None:
         return f"{what}: {who}"
-    return f"{what}: {who}, {_span(incident.t_ns - incident.moving_since_ns)} before"
+    return f"{what}: {who}, {span(incident.t_ns - incident.moving_since_ns)} before"
 
 
 def _went_out(incident: Incident) -> Iterator[str]:
@@ -248,7 +212,7 @@ def _went_out(incident: Incident) -> Iterator[str]:
 def _zero(incident: Incident) -> str:
     ramp = ""
     if incident.ramp is not None:
-        ramp = f"ramped down in {_span(incident.t_ns - incident.ramp[0])}, then "
+        ramp = f"ramped down in {span(incident.t_ns - incident.ramp[0])}, then "
     if incident.zero_ns is None:
         return f"{ramp}zero velocity; the recording does not hold the message"
     after_ms = (incident.zero_ns - incident.log_ns) / 1e6
@@ -258,16 +222,8 @@ def _zero(incident: Incident) -> str:
 def _since(incident: Incident) -> str:
     if incident.next_change is not None:
         t_ns, change = incident.next_change
-        after = _span(t_ns - incident.t_ns)
+        after = span(t_ns - incident.t_ns)
         return f"{after} later {change.previous.name} -> {change.mode.name}: {change.reason}"
     if incident.after is None:
         return ""
     return f"{incident.after.mode.name} to the end of the recording"
-
-
-def _span(duration_ns: int) -> str:
-    """A span of time, as exactly as it matters."""
-    seconds = duration_ns / NS_PER_S
-    if abs(seconds) < 1.0:
-        return f"{seconds * 1e3:.0f} ms"
-    return f"{seconds:.1f} s" if abs(seconds) < 120.0 else f"{seconds / 60.0:.0f} min"

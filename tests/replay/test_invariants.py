@@ -27,8 +27,7 @@ from robotctl.kernel.types import (
     Tick,
     Twist,
 )
-from robotctl.replay.invariants import MAX_VIOLATIONS, Invariants
-from robotctl.replay.ledger import unbalanced
+from robotctl.replay.invariants import MAX_VIOLATIONS, Invariants, unbalanced
 from robotctl.replay.traffic import MAX_WAITING, STILL_STEPS, CommandTraffic
 from robotctl.testing.drives import serialized
 

@@ -1,0 +1,56 @@
+"""Events and spans of time as somebody would say them."""
+
+from __future__ import annotations
+
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.safety import NS_PER_S
+from robotctl.kernel.types import (
+    BatteryReceived,
+    CommandPublishersSeen,
+    DriveRequested,
+    Event,
+    FaultCleared,
+    FaultReported,
+    ModeRequested,
+    OdomReceived,
+    ResetRequested,
+    Tick,
+)
+
+
+def sentence_of(event: Event) -> str:
+    """The event as somebody would say it."""
+    match event:
+        case Tick():
+            missed = f", {event.missed} were missed before it" if event.missed else ""
+            return f"a control tick{missed}"
+        case OdomReceived():
+            pose = event.odometry.pose
+            return f"odometry: x {pose.x:.3f} m, y {pose.y:.3f} m, theta {pose.theta:.3f} rad"
+        case BatteryReceived():
+            return f"a battery level of {event.level:.1%}"
+        case ModeRequested():
+            return f"a request for {_mode_name(event.requested)} by {event.source}"
+        case ResetRequested():
+            return f"a reset by {event.source}"
+        case DriveRequested():
+            return f"a request to drive a {event.pattern.kind.value} by {event.source}"
+        case CommandPublishersSeen():
+            names = ", ".join(event.names) or "nobody else"
+            return f"{names} publishes velocity commands, too"
+        case FaultReported():
+            return f"a report of the daemon, {event.cause.value}: {event.detail}"
+        case FaultCleared():
+            return f"a report of the daemon, {event.cause.value}: works again"
+
+
+def _mode_name(number: int) -> str:
+    return Mode(number).name if number in list(Mode) else f"mode {number}"
+
+
+def span(duration_ns: int) -> str:
+    """A span of time, as exactly as it matters."""
+    seconds = duration_ns / NS_PER_S
+    if abs(seconds) < 1.0:
+        return f"{seconds * 1e3:.0f} ms"
+    return f"{seconds:.1f} s" if abs(seconds) < 120.0 else f"{seconds / 60.0:.0f} min"
