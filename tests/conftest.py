@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Awaitable, Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -12,6 +12,7 @@ from hypothesis import HealthCheck, settings
 
 from robotctl.domains import reserved_domain
 from robotctl.environment import prepare
+from robotctl.testing.waiting import loop_until
 
 # The same examples in each run, and no limits on how long one takes: they depend on the machine.
 settings.register_profile(
@@ -69,3 +70,9 @@ def domain_id(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     with reserved_domain() as number:
         monkeypatch.setenv("ROS_DOMAIN_ID", str(number))
         yield number
+
+
+@pytest.fixture
+def until() -> Callable[[Callable[[], object]], Awaitable[None]]:
+    """Wait for a condition while the loop of an asynchronous test turns."""
+    return loop_until

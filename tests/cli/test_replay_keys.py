@@ -27,8 +27,8 @@ from robotctl.recording.reader import Recording
 from robotctl.replay.sight import Sight
 from robotctl.replay.timeline import Span
 from robotctl.testing.bags import LATCHED, START_NS, Line, write_bag
+from robotctl.testing.waiting import DEADLINE_S
 
-DEADLINE_S = 30.0
 ODOMETRY, STATUS = "nav_msgs/msg/Odometry", "robot_controller/msg/RobotStatus"
 ECHO_FLAGS = 3
 CODE = "from robotctl.cli.app import main; main()"

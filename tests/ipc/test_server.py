@@ -10,7 +10,6 @@ import resource
 import socket
 import stat
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from robotctl.errors import UsageError
 from robotctl.ipc import connection
 from robotctl.ipc.protocol import MAX_REQUEST_BYTES, Code, encode_request
 from robotctl.ipc.server import ControlServer, Identity, Limits
-from robotctl.testing.waiting import DEADLINE_S
+from robotctl.testing.waiting import DEADLINE_S, loop_until
 
 IDENTITY = Identity("robot", "0.1.0", 1)
 
@@ -35,12 +34,6 @@ ESTOP = request("set_mode", mode=3, source="test")
 
 def open_fds() -> int:
     return len(os.listdir("/proc/self/fd"))
-
-
-async def until(condition: Callable[[], bool]) -> None:
-    async with asyncio.timeout(DEADLINE_S):
-        while not condition():  # noqa: ASYNC110 - what it waits for has no event
-            await asyncio.sleep(0.001)
 
 
 # Who may come in
@@ -315,7 +308,7 @@ async def test_a_client_that_takes_no_reply_does_not_hold_up_others(
             slow.sendall(HELLO + request("flood"))
             peer = await connect()
             assert "result" in await peer.call("status")
-            await until(lambda: open_fds() == fds + 3)  # slow, and both ends of peer
+            await loop_until(lambda: open_fds() == fds + 3)  # slow, and both ends of peer
 
 
 async def test_a_call_ends_at_its_deadline(serve: Any, connect: Any, robot: Any) -> None:
@@ -416,7 +409,7 @@ async def test_a_place_is_free_again_when_its_client_leaves(serve: Any, connect:
         fds = open_fds()
         first = await connect()
         first.writer.close()
-        await until(lambda: open_fds() == fds)
+        await loop_until(lambda: open_fds() == fds)
         assert "result" in await (await connect()).call("status")
 
 
@@ -452,7 +445,7 @@ async def test_1000_clients_at_once_are_all_answered_or_told_busy(
                 client.close()
         assert answered + busy == count
         assert answered >= Limits().clients
-    await until(lambda: open_fds() == fds)
+    await loop_until(lambda: open_fds() == fds)
 
 
 @pytest.mark.parametrize("rounds", [500, pytest.param(10_000, marks=pytest.mark.slow)])
@@ -473,7 +466,7 @@ async def test_no_file_descriptor_is_left_behind(rounds: int, serve: Any, path: 
                 client.sendall(endings[turn % len(endings)])
             if turn % 50 == 0:
                 await asyncio.sleep(0)
-        await until(lambda: open_fds() == fds)
+        await loop_until(lambda: open_fds() == fds)
 
 
 async def test_running_out_of_descriptors_is_survived(

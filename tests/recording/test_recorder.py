@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -37,6 +36,7 @@ from robotctl.testing.recordings import (
     read_strictly,
     write_numbered,
 )
+from robotctl.testing.waiting import until
 
 OpenRecorder = Callable[..., Recorder]
 MIB = 1 << 20
@@ -62,13 +62,6 @@ def open_recorder(folder: Path) -> Iterator[OpenRecorder]:
     for recorder in recorders:
         recorder.close()
     assert not failures
-
-
-def wait_until(condition: Callable[[], bool], deadline_s: float = 20.0) -> None:
-    end = time.monotonic() + deadline_s
-    while not condition():
-        assert time.monotonic() < end, "the condition did not become true"
-        time.sleep(0.005)
 
 
 def assert_accounted(stats: RecorderStats) -> None:
@@ -153,7 +146,7 @@ def test_the_file_is_whole_while_it_grows(open_recorder: OpenRecorder) -> None:
     channel = recorder.add_topic(TWIST)
     for batch in range(10):
         write_numbered(recorder, channel, range(batch * 100 + 1, batch * 100 + 101))
-        wait_until(lambda: recorder.stats().queued == 0)
+        until(lambda: recorder.stats().queued == 0)
         assert len(read_strictly(recorder.stats().file)) == (batch + 1) * 100
 
 
@@ -163,7 +156,7 @@ def test_a_last_message_reaches_the_file_though_no_other_follows(
     recorder = open_recorder()
     channel = recorder.add_topic(TWIST)
     write_numbered(recorder, channel, range(1, 2))
-    wait_until(lambda: recorder.stats().written == 1)
+    until(lambda: recorder.stats().written == 1)
     assert len(read_strictly(recorder.stats().file)) == 1
 
 
@@ -180,7 +173,7 @@ def test_a_topic_without_messages_is_in_the_growing_file(open_recorder: OpenReco
     assert topics() == set()
     recorder.add_topic(TWIST)
     size = file.stat().st_size
-    wait_until(lambda: file.stat().st_size != size)
+    until(lambda: file.stat().st_size != size)
     assert topics() == {"/cmd_vel"}
 
 
@@ -462,7 +455,7 @@ def test_a_message_that_is_being_packed_while_closing_is_counted(
     writing.start()
     assert slow.reached.wait(20)
     closing.start()
-    wait_until(lambda: recorder.stats().state is RecorderState.CLOSED)
+    until(lambda: recorder.stats().state is RecorderState.CLOSED)
     closing.join(0.1)
     assert closing.is_alive()  # it waits for the message
     slow.go_on.set()

@@ -8,7 +8,6 @@ import random
 import signal
 import threading
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing import get_context
 from multiprocessing.context import ForkServerContext
@@ -39,6 +38,7 @@ from robotctl.testing.recordings import (
     record_up_to_file_size,
     write_numbered,
 )
+from robotctl.testing.waiting import until
 
 KIB = 1 << 10
 
@@ -49,13 +49,6 @@ def fork() -> ForkServerContext:
     context = get_context("forkserver")
     context.set_forkserver_preload(["robotctl.testing.recordings"])
     return context
-
-
-def wait_until(condition: Callable[[], bool], deadline_s: float = 20.0) -> None:
-    end = time.monotonic() + deadline_s
-    while not condition():
-        assert time.monotonic() < end, "the condition did not become true"
-        time.sleep(0.005)
 
 
 def assert_accounted(stats: RecorderStats, received: int) -> None:
@@ -158,7 +151,7 @@ def test_an_error_at_any_write_keeps_what_was_written_before(
         recorder = Recorder(tmp_path / f"run{fail_at}", options, on_failure=failures.append)
         channel = recorder.add_topic(TWIST)
         write_numbered(recorder, channel, range(1, 2001))
-        wait_until(lambda recorder=recorder: recorder.stats().failure != "")
+        until(lambda recorder=recorder: recorder.stats().failure != "")
         write_numbered(recorder, channel, range(2001, 2101))
         stats = recorder.close()
         assert len(failures) == 1
@@ -185,7 +178,7 @@ def test_an_error_while_closing_keeps_every_message(tmp_path: Path) -> None:
         tmp_path / "run", RecorderOptions(open_file=FailsAtClose), on_failure=failures.append
     )
     write_numbered(recorder, recorder.add_topic(TWIST), range(1, 101))
-    wait_until(lambda: recorder.stats().written == 100)
+    until(lambda: recorder.stats().written == 100)
     files[0].fail_now()
     stats = recorder.close()
     assert len(failures) == 1
@@ -252,7 +245,7 @@ def test_a_slow_disk_fills_the_queue_and_then_counts_drops(tmp_path: Path, size:
     assert_accounted(stuck, number)
     assert stuck.queued * (MESSAGE_HEAD.size + size + INDEX_ENTRY_BYTES) <= (256 + 16) * KIB
     gate.set()
-    wait_until(lambda: recorder.stats().queued == 0)
+    until(lambda: recorder.stats().queued == 0)
     write_numbered(recorder, channel, range(number + 1, number + 4), size)
     stats = recorder.close()
     assert_accounted(stats, number + 3)
@@ -276,7 +269,7 @@ def test_the_memory_of_a_burst_is_given_back(tmp_path: Path) -> None:
         gate.clear()
         write_numbered(recorder, channel, range(burst * 6000 + 1, burst * 6000 + 6001))
         gate.set()
-        wait_until(lambda: recorder.stats().queued == 0)
+        until(lambda: recorder.stats().queued == 0)
         assert len(recorder._drain.spare) <= 2
     stats = recorder.close()
     assert (stats.written, stats.dropped) == (18_000, 0)

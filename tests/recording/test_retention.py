@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -17,6 +15,7 @@ from robotctl.recording.reader import read_info
 from robotctl.recording.recorder import Recorder, RecorderOptions
 from robotctl.recording.retention import DAY_S, RetentionPolicy, enforce
 from robotctl.testing.recordings import TWIST, read_strictly, write_numbered
+from robotctl.testing.waiting import until
 
 NOW_S = 2_000_000_000.0
 
@@ -29,20 +28,13 @@ def recorded(folder: Path, age_s: float, splits: int = 0) -> int:
     write_numbered(recorder, channel, range(1, 11))
     for split in range(splits):
         recorder.split()
-        wait_until(lambda split=split: len(begun) > split)
+        until(lambda split=split: len(begun) > split)
         write_numbered(recorder, channel, range(11, 21))
     recorder.close()
     files = sorted(folder.glob("*.mcap"))
     for number, path in enumerate(files):
         os.utime(path, (NOW_S - age_s + number, NOW_S - age_s + number))
     return sum(path.stat().st_size for path in files)
-
-
-def wait_until(condition: Callable[[], bool], deadline_s: float = 20.0) -> None:
-    end = time.monotonic() + deadline_s
-    while not condition():
-        assert time.monotonic() < end, "the condition did not become true"
-        time.sleep(0.005)
 
 
 def names(folder: Path) -> list[str]:
@@ -126,7 +118,7 @@ def test_the_file_being_written_stays_and_its_bag_forgets_the_removed(tmp_path: 
     channel = recorder.add_topic(TWIST)
     write_numbered(recorder, channel, range(1, 11))
     recorder.split()
-    wait_until(lambda: bool(begun))
+    until(lambda: bool(begun))
     write_numbered(recorder, channel, range(11, 21))
     removed = enforce(tmp_path, RetentionPolicy(max_bytes=0), NOW_S)
     assert [each.path.name for each in removed] == ["run_0.mcap"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -33,6 +32,7 @@ from robotctl.testing.recordings import (
     read_strictly,
     write_numbered,
 )
+from robotctl.testing.waiting import until
 
 LATCHED = Topic(
     "/robot_status",
@@ -41,13 +41,6 @@ LATCHED = Topic(
     "RIHS01_ef",
     QOS.replace("volatile", "transient_local"),
 )
-
-
-def wait_until(condition: Callable[[], bool], deadline_s: float = 20.0) -> None:
-    end = time.monotonic() + deadline_s
-    while not condition():
-        assert time.monotonic() < end, "the condition did not become true"
-        time.sleep(0.005)
 
 
 def files_of(folder: Path) -> list[Path]:
@@ -65,7 +58,7 @@ def test_fifty_splits_by_size_lose_nothing(tmp_path: Path) -> None:
     while len(begun) < 50:
         write_numbered(recorder, channel, range(number + 1, number + 501))
         number += 500
-        wait_until(lambda: recorder.stats().queued == 0)
+        until(lambda: recorder.stats().queued == 0)
         assert number < 50_000
     stats = recorder.close()
     files = files_of(tmp_path / "run")
@@ -119,7 +112,7 @@ def test_a_split_on_demand_puts_what_came_before_it_into_the_old_file(tmp_path: 
     channel = recorder.add_topic(TWIST)
     write_numbered(recorder, channel, range(1, 11))
     recorder.split()
-    wait_until(lambda: bool(begun))
+    until(lambda: bool(begun))
     write_numbered(recorder, channel, range(11, 16))
     recorder.close()
     first, second = files_of(tmp_path / "run")
@@ -141,7 +134,7 @@ def test_each_file_stands_alone(tmp_path: Path) -> None:
     recorder.write(latched, b"tf", START_NS + 2, -5, 3, b"b")
     write_numbered(recorder, twist, range(1, 11))
     recorder.split()
-    wait_until(lambda: bool(begun))
+    until(lambda: bool(begun))
     write_numbered(recorder, twist, range(11, 16))
     stats = recorder.close()
     second = files_of(tmp_path / "run")[1]
@@ -177,7 +170,7 @@ def test_a_split_that_finds_the_disk_full_keeps_what_was_written(tmp_path: Path)
     recorder = Recorder(tmp_path / "run", options, on_failure=failures.append)
     channel = recorder.add_topic(TWIST)
     write_numbered(recorder, channel, range(1, 2001))
-    wait_until(lambda: bool(failures))
+    until(lambda: bool(failures))
     stats = recorder.close()
     assert stats.state is RecorderState.FAILED
     assert stats.received == stats.written + stats.dropped == 2000
@@ -209,11 +202,11 @@ def test_a_disk_that_gets_full_is_told_before_and_stops_the_recording_in_time(
     write_numbered(recorder, channel, range(1, 11))
     assert recorder.stats().warning == ""
     free[0] = 1_000_000_000
-    wait_until(lambda: recorder.stats().warning != "")
+    until(lambda: recorder.stats().warning != "")
     assert recorder.stats().warning == "1000 MB left on the disk; recording stops at 500 MB"
     assert recorder.stats().state is RecorderState.RECORDING
     free[0] = 400_000_000
-    wait_until(lambda: bool(failures))
+    until(lambda: bool(failures))
     assert "only 400 MB left on the disk, 500 MB stay free" in failures[0]
     stats = recorder.close()
     assert len(read_strictly(stats.file)) == stats.written == 10
@@ -230,7 +223,7 @@ def test_only_the_current_file_is_marked_as_being_written(tmp_path: Path) -> Non
     begun: list[Path] = []
     recorder = Recorder(tmp_path / "run", on_failure=pytest.fail, on_split=begun.append)
     recorder.split()
-    wait_until(lambda: bool(begun))
+    until(lambda: bool(begun))
     assert [is_being_written(path) for path in files_of(tmp_path / "run")] == [False, True]
     recorder.close()
     assert not is_being_written(begun[0])

@@ -26,8 +26,7 @@ from robotctl.ipc.params import NoParams
 from robotctl.ipc.server import ControlServer, Identity, Method
 from robotctl.paths import make_private, runtime_folder, socket_path
 from robotctl.ros import AsyncioExecutor, RawTap
-
-DEADLINE_S, UNTIL_S = 60.0, 30.0
+from robotctl.testing.waiting import DEADLINE_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,11 +68,11 @@ class Running:
         """End it, if it has not ended."""
         if self._process.returncode is None:
             self._process.kill()
-            self._process.communicate(timeout=DEADLINE_S)
+            self._process.communicate(timeout=2 * DEADLINE_S)
 
     async def end(self) -> Ran:
         """Wait for it."""
-        out, err = await asyncio.to_thread(self._process.communicate, timeout=DEADLINE_S)
+        out, err = await asyncio.to_thread(self._process.communicate, timeout=2 * DEADLINE_S)
         return Ran(self._process.returncode, out, err)
 
 
@@ -146,18 +145,6 @@ async def listener(domain_id: int) -> AsyncIterator[Listener]:
         node.destroy_node()
         context.try_shutdown()
         context.destroy()
-
-
-@pytest.fixture
-def until() -> Callable[[Callable[[], object]], Awaitable[None]]:
-    """Wait in the loop for a condition, with a deadline far beyond what it should take."""
-
-    async def wait(condition: Callable[[], object]) -> None:
-        async with asyncio.timeout(UNTIL_S):
-            while not condition():  # noqa: ASYNC110 - whatever the condition is
-                await asyncio.sleep(0.01)
-
-    return wait
 
 
 class FakeDaemon:

@@ -19,7 +19,6 @@ import pytest
 
 from robotctl.domains import reserved_domain
 from robotctl.testing.lines import Told
-from robotctl.testing.waiting import DEADLINE_S
 
 # Inherited by every process that a test starts.
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
@@ -91,18 +90,6 @@ async def executor(context: Any, node: Any) -> AsyncIterator[Any]:
         made.add_node(node)
         yield made
     assert raised == []
-
-
-@pytest.fixture
-def until() -> Callable[[Callable[[], object]], Awaitable[None]]:
-    """Wait in the loop for a condition, with a deadline far beyond what it should take."""
-
-    async def wait(condition: Callable[[], object]) -> None:
-        async with asyncio.timeout(DEADLINE_S):
-            while not condition():  # noqa: ASYNC110 - whatever the condition is
-                await asyncio.sleep(0.005)
-
-    return wait
 
 
 @pytest.fixture
