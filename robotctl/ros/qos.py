@@ -57,6 +57,16 @@ def recording(offered: Iterable[QoSProfile], *, bulky: bool) -> QoSProfile:
     )
 
 
+def recording_latched(offered: Iterable[QoSProfile], *, bulky: bool) -> QoSProfile | None:
+    """Return what a recorder asks for besides, to get what some of the publishers have latched.
+
+    None where `recording` gets it already, or nobody latches anything.
+    """
+    offers = list(offered)
+    latched = [each for each in offers if each.durability is DurabilityPolicy.TRANSIENT_LOCAL]
+    return recording(latched, bulky=bulky) if 0 < len(latched) < len(offers) else None
+
+
 def to_yaml(offered: Iterable[QoSProfile]) -> str:
     """Return the profiles as rosbag2 (metadata version 9) writes `offered_qos_profiles`."""
     return "\n".join(_one_yaml(offer) for offer in offered)

@@ -18,7 +18,7 @@ from robotctl.ros.message_types import message_class
 from robotctl.ros.raw import Sink
 from robotctl.ros.session import Session
 from robotctl.ros.tapped import TappedSubscription
-from robotctl.ros.type_definition import definition_of, holds_bytes, type_hash_of
+from robotctl.ros.type_definition import definition_of, type_hash_of
 
 _log = logging.getLogger(__name__)
 
@@ -155,7 +155,7 @@ class Tap:
         offered = self._offered(topic)
         if tapped.type_name in offered:
             tapped.abandoned_since = None
-            tapped.adapt(_requested(tapped.type_name, offered[tapped.type_name]))
+            tapped.adapt(offered[tapped.type_name])
         elif topic not in self._own and (offered or _is_abandoned(tapped)):
             self._tapped.pop(topic).close()  # what came back as something else is tapped anew
             return
@@ -183,9 +183,7 @@ class Tap:
         definition, type_hash = definition_of(type_name), type_hash_of(type_name)
         described = TappedTopic(topic, type_name, definition, type_hash, qos.to_yaml(offered))
         sink = self._open_sink(described)
-        self._tapped[topic] = TappedSubscription(
-            self._node, topic, type_name, sink, _requested(type_name, offered)
-        )
+        self._tapped[topic] = TappedSubscription(self._node, topic, type_name, sink, offered)
 
     def _offered(self, topic: str) -> dict[str, list[QoSProfile]]:
         """What the publishers of a topic offer, by its types; the one with most comes first."""
@@ -193,10 +191,6 @@ class Tap:
         for info in self._node.get_publishers_info_by_topic(topic):
             found.setdefault(info.topic_type, []).append(info.qos_profile)
         return dict(sorted(found.items(), key=lambda entry: (-len(entry[1]), entry[0])))
-
-
-def _requested(type_name: str, offered: list[QoSProfile]) -> QoSProfile:
-    return qos.recording(offered, bulky=holds_bytes(type_name))
 
 
 def _is_abandoned(tapped: TappedSubscription) -> bool:

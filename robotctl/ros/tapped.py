@@ -2,26 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile
 
+from robotctl.ros import qos
+from robotctl.ros.latched_merge import LatchedMerge
 from robotctl.ros.message_types import message_class
 from robotctl.ros.raw import RawTap, Sink
+from robotctl.ros.type_definition import holds_bytes
 
 LATENCY_S = 0.05
 """How long messages may wait to be taken together: waking costs more than taking. Their times
 are the middleware's, so nothing shows in the recording."""
+
+Requests = tuple[QoSProfile, QoSProfile | None]
+"""What is asked for all messages and, besides, for the latched ones."""
 
 
 class TappedSubscription:
     """Hands the messages of a topic to its sink until it is closed."""
 
     def __init__(
-        self, node: Node, topic: str, type_name: str, sink: Sink, requested: QoSProfile
+        self, node: Node, topic: str, type_name: str, sink: Sink, offered: Sequence[QoSProfile]
     ) -> None:
+        """Subscribe to publishers that offer this."""
         self.topic = topic
         self.type_name = type_name
         self.publishers = 0
@@ -32,28 +40,46 @@ class TappedSubscription:
 
         self._node = node
         self._sink = sink
-        self._requested = requested
-        self._subscription = self._create()
+        self._merge = LatchedMerge(sink)
+        self._requests = self._requests_for(offered)
+        self._subscriptions = list(self._subscribe())
 
-    def adapt(self, requested: QoSProfile) -> None:
-        """Ask for something else, if it is; what is sent meanwhile is lost and counted so."""
-        if requested != self._requested:
+    def adapt(self, offered: Sequence[QoSProfile]) -> None:
+        """Ask for what the publishers can give; what is sent meanwhile is lost and counted so."""
+        requests = self._requests_for(offered)
+        if requests != self._requests:
             self.close()
-            self._requested = requested
-            self._subscription = self._create()
+            self._requests = requests
+            self._subscriptions = list(self._subscribe())
 
     def close(self) -> None:
         """Subscribe no more."""
-        self._node.destroy_subscription(self._subscription)
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
 
-    def _create(self) -> Any:
+    def _subscribe(self) -> Iterator[Any]:
+        requested, latched = self._requests
+        self._merge.subscribe_anew()
+        if latched is not None:
+            yield self._create(self._merge.live, requested)
+            yield self._create(self._merge.latched, latched)
+        elif requested.durability is DurabilityPolicy.TRANSIENT_LOCAL:
+            yield self._create(self._merge.latched, requested)
+        else:
+            yield self._create(self._sink, requested)
+
+    def _requests_for(self, offered: Sequence[QoSProfile]) -> Requests:
+        bulky = holds_bytes(self.type_name)
+        return qos.recording(offered, bulky=bulky), qos.recording_latched(offered, bulky=bulky)
+
+    def _create(self, sink: Sink, requested: QoSProfile) -> Any:
         # rclpy's own types know a callback of one argument only.
-        tap: Any = RawTap(self._sink, latency_s=LATENCY_S)
+        tap: Any = RawTap(sink, latency_s=LATENCY_S)
         return self._node.create_subscription(
             message_class(self.type_name),
             self.topic,
             tap,
-            self._requested,
+            requested,
             # No events: each would take a file of its own, and what they tell is seen in the graph.
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
             raw=True,

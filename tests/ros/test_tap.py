@@ -133,10 +133,10 @@ async def test_a_subscription_that_fails_is_named_and_the_others_go_on(
 ) -> None:
     create = TappedSubscription._create
 
-    def failing(self: TappedSubscription) -> Any:
+    def failing(self: TappedSubscription, sink: Any, requested: Any) -> Any:
         if self.topic.endswith("_bad"):
             raise RuntimeError("injected")
-        return create(self)
+        return create(self, sink, requested)
 
     monkeypatch.setattr(TappedSubscription, "_create", failing)
     publisher(node, f"{topic}_bad")

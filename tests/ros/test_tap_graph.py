@@ -203,6 +203,20 @@ async def test_a_publisher_that_is_replaced_by_one_that_offers_less_is_taken_as_
     await until(lambda: 7 in taken.values(topic))
 
 
+async def test_what_one_publisher_has_latched_is_taken_though_another_latches_nothing(
+    taken: Any, node: Any, other: Any, topic: str, until: Until
+) -> None:
+    latching, plain = publisher(node, topic, qos.LATCHED), publisher(other, topic)
+    latching.publish(number(1))
+    await until(lambda: topic in taken.topics and 1 in taken.values(topic))
+    await until(lambda: plain.get_subscription_count() == 1)
+    await until(lambda: latching.get_subscription_count() == 2)
+    plain.publish(number(2))
+    latching.publish(number(3))
+    await until(lambda: {2, 3} <= set(taken.values(topic)))
+    assert sorted(taken.values(topic)) == [1, 2, 3]
+
+
 async def test_hundreds_of_topics_take_one_file_each(
     taken: Any, other: Any, topic: str, until: Until
 ) -> None:
