@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 from robotctl import __version__
@@ -100,8 +100,9 @@ def record(
     robot: str = "robot",
     version: str = __version__,
     options: RecorderOptions | None = None,
+    clock: Callable[[int], int] = lambda time_ns: time_ns,
 ) -> Path:
-    """Make a recording in `folder`; times follow those of the journal."""
+    """Make a recording in `folder`; times follow those of the journal, as `clock` shows them."""
     parameters = {f"parameter.{key}": str(v) for key, v in flat(config or Config()).items()}
     recorder = Recorder(
         folder,
@@ -111,17 +112,19 @@ def record(
     )
     journal, commands = recorder.add_topic(JOURNAL), recorder.add_topic(TWIST)
     odometry = recorder.add_topic(ODOMETRY)
-    log_ns, published = START_NS, 0
+    time_ns, published = START_NS, 0
     for number, each in enumerate(written, 1):
         if isinstance(each, JournalEntry):
-            log_ns = max(log_ns, START_NS + each.t_ns)
-            recorder.write(journal, encode(each), log_ns, log_ns, each.seq + 1, GID)
+            time_ns = max(time_ns, START_NS + each.t_ns)
+            now_ns = clock(time_ns)
+            recorder.write(journal, encode(each), now_ns, now_ns, each.seq + 1, GID)
         elif isinstance(each, Twist):
             published += 1
-            recorder.write(commands, serialized(each), log_ns + 9, log_ns + 1, published, GID)
+            now_ns = clock(time_ns)
+            recorder.write(commands, serialized(each), now_ns + 9, now_ns + 1, published, GID)
         else:
-            recorder.write(odometry, each, log_ns, log_ns, 0, GID)
-        log_ns += 10
+            recorder.write(odometry, each, clock(time_ns), clock(time_ns), 0, GID)
+        time_ns += 10
         while number % MAX_QUEUED == 0 and recorder.stats().queued > MAX_QUEUED:
             time.sleep(0.001)
     recorder.close()

@@ -236,6 +236,25 @@ def test_a_damaged_file_is_never_called_the_same(
     assert report.missing
 
 
+def test_a_clock_that_is_set_meanwhile_changes_nothing(
+    tmp_path: Path, drive_of_3_s: list[Written]
+) -> None:
+    moment_ns = START_NS + BEGIN_NS + 1_000_000_000
+    back = record(
+        tmp_path / "back",
+        drive_of_3_s,
+        clock=lambda now_ns: now_ns - 3_600_000_000_000 * (now_ns > moment_ns),
+    )
+    ahead = record(
+        tmp_path / "ahead",
+        drive_of_3_s,
+        clock=lambda now_ns: now_ns + 3_600_000_000_000 * (now_ns > moment_ns),
+    )
+    for report in (check(back), check(ahead)):
+        assert (report.verdict, report.notes) == (Verdict.SAME, [])
+        assert report.commands > 100
+
+
 def test_the_commands_of_another_node_are_told_and_not_held_against_us(tmp_path: Path) -> None:
     seen = CommandPublishersSeen(BEGIN_NS + 10_000_000, ("/teleop",))
     written = drive(1.0, requests=[seen])
