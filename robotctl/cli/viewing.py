@@ -55,8 +55,9 @@ class _Viewer:
         self.quit = self.quit or key == QUIT
         if key in KEYS:
             carry_out(KEYS[key], self.steering)
-        if self._sight.next_ns is not None:
-            self.steering.takes_step(self._sight.next_ns)
+        next_ns = self._sight.next_ns
+        if next_ns is not None and self.steering.takes_step(next_ns):
+            self._sight.advance(next_ns)
 
     def suspend(self) -> None:
         self._resumes = not self.steering.schedule.paused

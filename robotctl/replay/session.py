@@ -6,7 +6,7 @@ import gc
 import threading
 import time
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from typing import Final
 
 from robotctl.errors import UnreadableFile
@@ -38,6 +38,9 @@ JOIN_S: Final = 10.0
 
 PRIORITY: Final = 1
 """The lowest of SCHED_FIFO, where that is permitted: enough to wake up in time."""
+
+OVERLOADED_S: Final = 1.0
+"""What is behind schedule for so long does not wait any more, and shares its core from then on."""
 
 
 class Replay:
@@ -176,6 +179,7 @@ class Replay:
         """Let the player run in a thread, tell how far it is, and watch over safety."""
         failures: list[BaseException] = []
         scheduling: list[FifoScheduling] = []
+        behind = 0
 
         def run() -> None:
             try:
@@ -186,7 +190,6 @@ class Replay:
                 failures.append(failure)
 
         gc.freeze()  # a full collection would hold up a message
-
         if self._stopped.is_set():  # while it was waited for somebody: nothing is sent any more
             player.stop()
         thread = threading.Thread(target=run, name="player", daemon=True)
@@ -196,8 +199,10 @@ class Replay:
             while thread.is_alive() and not self._stopped.wait(PROGRESS_S):
                 said = progress(player, ahead, time.monotonic_ns())
                 self._tell({"progress": said})
-                if said["behind"] and scheduling:  # nor does what cannot keep up wait
-                    scheduling[0].restore()
+                behind = behind + 1 if said["behind"] else 0
+                if behind * PROGRESS_S >= OVERLOADED_S and scheduling:
+                    with suppress(ProcessLookupError):  # the thread has just ended
+                        scheduling[0].restore()
                 self._withhold_unsafe(player, safety, routes)
                 if time.monotonic() >= guard_at:
                     safety.check()
