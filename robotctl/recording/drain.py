@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from collections import deque
@@ -18,6 +19,10 @@ from robotctl.recording.options import RecorderOptions
 
 SPARE_BUFFERS = 2
 """Empty buffers kept for the loop: one to change to, one for a burst; the rest is given back."""
+
+NICE = 5
+"""How far the thread ranks below the loop: where all cores are busy, compressing a chunk would
+otherwise keep the loop waiting for a whole time slice of the kernel."""
 
 _SETTLE_S = 1.0
 """How long `stop` waits for a message that is being packed; packing takes a microsecond."""
@@ -67,6 +72,7 @@ class Drain:
         self._thread.join()
 
     def _run(self) -> None:
+        os.nice(NICE)  # of this thread alone, on Linux
         options = self._options
         next_flush = time.monotonic() + options.flush_s
         next_sync = time.monotonic() + options.sync_s

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -17,6 +18,7 @@ from rosbags.rosbag2 import Reader as RosbagsReader
 
 from robotctl.errors import Refused
 from robotctl.recording import recorder as recorder_module
+from robotctl.recording.drain import NICE
 from robotctl.recording.recorder import (
     Compression,
     Recorder,
@@ -344,6 +346,16 @@ def test_a_message_larger_than_the_queue_is_dropped_and_counted(
     stats = recorder.close()
     assert [message.sequence for message in read_strictly(stats.file)] == [1, 3]
     assert (stats.received, stats.written, stats.dropped, stats.lost) == (3, 2, 1, 0)
+
+
+def test_the_writer_thread_ranks_below_the_loop(open_recorder: OpenRecorder) -> None:
+    ours = os.getpriority(os.PRIO_PROCESS, 0)
+    recorder = open_recorder()
+    writer = recorder._drain._thread.native_id
+    assert writer is not None
+    until(lambda: os.getpriority(os.PRIO_PROCESS, writer) == min(ours + NICE, 19))
+    assert os.getpriority(os.PRIO_PROCESS, 0) == ours
+    recorder.close()
 
 
 def test_a_clock_that_steps_back_is_recorded_as_it_is(open_recorder: OpenRecorder) -> None:
