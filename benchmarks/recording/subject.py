@@ -27,6 +27,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
+from robotctl import environment
+
 DOMAIN_ID = 96
 START_TIMEOUT_S = 60.0
 WARM_UP_S = 1.0
@@ -253,6 +255,8 @@ async def measure(contender: str, topic: str, seconds: float, ticks: bool, folde
 def main() -> None:
     """Run with: contender - topic - seconds - whether to tick (0 or 1) - folder."""
     contender, topic, seconds, ticks, folder = sys.argv[1:]
+    if contender in TAPPED:
+        environment.prepare()  # as the daemon does
     asyncio.run(measure(contender, topic, float(seconds), ticks == "1", Path(folder)))
 
 
