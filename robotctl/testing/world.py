@@ -100,6 +100,7 @@ class World:
         }
         self._mark = f"XDG_RUNTIME_DIR={folder / 'run'}\0".encode()
         self._killed = False
+        self._memory_before = set(self.shared_memory())  # of others in the domain, who were killed
         self._spawned: list[subprocess.Popen[str]] = []
         (folder / "run").mkdir(mode=0o700)
 
@@ -212,7 +213,8 @@ class World:
                 pass
         left += [f"socket {path}" for path in self.sockets()]
         if not self._killed:  # whoever is killed leaves its ports, and those of its neighbours
-            left += [f"memory {path}" for path in self.shared_memory()]
+            ours = [path for path in self.shared_memory() if path not in self._memory_before]
+            left += [f"memory {path}" for path in ours]
         for path in self.shared_memory():
             path.unlink(missing_ok=True)
         left += self._contradictions()
