@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -40,7 +41,21 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.setattr(launch, "DAEMON", (sys.executable, str(FAKE_DAEMON)))
     (tmp_path / "cwd").mkdir()
     monkeypatch.chdir(tmp_path / "cwd")
+    started: list[int] = []
+    spawn = launch._spawn
+
+    def spawn_child(command: list[str], log: Path) -> tuple[int, int]:
+        pid, ready = spawn(command, log)
+        started.append(pid)
+        return pid, ready
+
+    monkeypatch.setattr(launch, "_spawn", spawn_child)
     yield tmp_path
+    for pid in started:
+        with suppress(ChildProcessError):  # it has been waited for: the number may be another's now
+            if os.waitpid(pid, os.WNOHANG) == (0, 0):
+                os.kill(pid, signal.SIGKILL)
+                os.waitpid(pid, 0)
     for socket in (tmp_path / "run" / "robotctl").glob("*.sock"):
         try:
             with Client(socket.stem) as client:
