@@ -15,6 +15,7 @@ compiler. Needs the `dev` extra (foxglove-sdk).
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
@@ -24,6 +25,8 @@ from pathlib import Path
 from recording import footer, live, memory, publisher, writers
 from recording.figures import Figure, Round, table
 from recording.live import Bench
+
+from robotctl.domains import reserved_domain
 
 
 @dataclass(frozen=True)
@@ -49,13 +52,14 @@ SLOW_PARTS = {"soak": Part(memory.soak_figures, memory.soak)}
 
 def main() -> int:
     arguments = parse()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit("told to end"))  # and end what was started
     parts = {name: {**PARTS, **SLOW_PARTS}[name] for name in arguments.parts}
     results: dict[str, list[Round]] = {name: [] for name in parts}
-    with tempfile.TemporaryDirectory(dir=arguments.scratch) as scratch:
+    with tempfile.TemporaryDirectory(dir=arguments.scratch) as scratch, reserved_domain() as domain:
         library = publisher.build(Path(scratch))
         if not library:
             print("no C++ compiler: the load comes from Python and is slower", file=sys.stderr)
-        bench = Bench(library, arguments.seconds, Path(scratch))
+        bench = Bench(library, arguments.seconds, Path(scratch), domain)
         for number in range(1, arguments.rounds + 1):
             for name, part in parts.items():
                 print(f"round {number} of {arguments.rounds}: {name}", file=sys.stderr)

@@ -38,6 +38,7 @@ class Bench:
     library: str
     seconds: float
     scratch: Path
+    domain_id: int
 
     def run(self, contender: str, load: Load, *, ticks: bool = False) -> tuple[Measured, float]:
         """What the contender measured, and how many messages a second were really sent."""
@@ -61,8 +62,8 @@ class Bench:
             sending += [load.type_name, load.size, load.rate]
             processes: list[subprocess.Popen[str]] = []
             try:
-                processes.append(_start(taking))
-                processes.append(_start(sending))
+                processes.append(_start(taking, self.domain_id))
+                processes.append(_start(sending, self.domain_id))
                 yield processes[0], processes[1]
                 _end(processes[1])
                 _end(processes[0])
@@ -72,7 +73,7 @@ class Bench:
                     process.wait()
 
 
-def _start(command: list[object]) -> subprocess.Popen[str]:
+def _start(command: list[object], domain_id: int) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [sys.executable, *map(str, command)],
         stdin=subprocess.PIPE,
@@ -80,7 +81,7 @@ def _start(command: list[object]) -> subprocess.Popen[str]:
         text=True,
         env={
             **os.environ,
-            "ROS_DOMAIN_ID": str(subject.DOMAIN_ID),
+            "ROS_DOMAIN_ID": str(domain_id),
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         },
     )

@@ -16,6 +16,7 @@ import asyncio
 import gc
 import json
 import math
+import os
 import resource
 import sys
 import threading
@@ -29,7 +30,6 @@ from typing import Any, Protocol
 
 from robotctl import environment
 
-DOMAIN_ID = 96
 START_TIMEOUT_S = 60.0
 WARM_UP_S = 1.0
 TICK_HZ = 1000.0
@@ -142,7 +142,7 @@ async def tapped(contender: str, topic: str, folder: Path) -> AsyncIterator[Take
     from robotctl.ros.tap import Tap
 
     with TAPPED[contender](folder) as (taker, open_sink):
-        async with ros_session(domain_id=DOMAIN_ID, namespace="") as session:
+        async with ros_session(domain_id=domain_id(), namespace="") as session:
             running = asyncio.create_task(Tap(session, open_sink).run())
             yield taker
             running.cancel()
@@ -159,7 +159,7 @@ async def classic(topic: str, folder: Path) -> AsyncIterator[Taker]:
 
     from robotctl.ros.message_types import message_class
 
-    rclpy.init(args=[], domain_id=DOMAIN_ID)
+    rclpy.init(args=[], domain_id=domain_id())
     node = rclpy.create_node("recorder")
     executor = SingleThreadedExecutor()
     executor.add_node(node)
@@ -193,6 +193,11 @@ async def classic(topic: str, folder: Path) -> AsyncIterator[Taker]:
         thread.join()
         writer.finish()
     rclpy.shutdown()
+
+
+def domain_id() -> int:
+    """The ROS domain that this benchmark has for itself: a tap takes whatever is in it."""
+    return int(os.environ["ROS_DOMAIN_ID"])
 
 
 def cpu_s() -> float:
