@@ -9,11 +9,13 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
+from robotctl.cli.background import Background
 from robotctl.cli.control import source, stop_daemon
 from robotctl.cli.drive import tracking_lines
 from robotctl.cli.launch import INTERRUPTIONS, StartOptions, launch
@@ -26,9 +28,6 @@ from robotctl.cli.watch import POLL_S, polled, show
 from robotctl.domains import reserved_domain
 from robotctl.errors import NoDaemon, RobotctlError
 from robotctl.ipc.client import call, command_for
-
-if TYPE_CHECKING:
-    from concurrent.futures import Future, ThreadPoolExecutor
 
 app = new_app()
 
@@ -79,16 +78,13 @@ def demo(
       robotctl demo
       robotctl demo --keep --recordings /tmp/demo
     """
-    from concurrent.futures import ThreadPoolExecutor
-
     robot = f"demo_{os.getpid()}"
     with reserved_domain() as domain_id:
         options = StartOptions(robot, recordings=recordings, sim=True, domain_id=domain_id)
         if not as_json:
             print(f"starting a simulated robot: {robot}, ROS domain {domain_id}", flush=True)
-        # The pool outside: leaving it waits for the drive, which ends when the daemon does.
-        with ThreadPoolExecutor(max_workers=1) as pool, _daemon(options, keep=keep):
-            outcome = _drive_one_lap(robot, pool, quiet=as_json)
+        with _daemon(options, keep=keep):
+            outcome = _drive_one_lap(robot, quiet=as_json)
     png = outcome.folder / "path.png"
     write_png(png, outcome.wanted, outcome.driven, _title(robot, outcome.drive))
     if as_json:
@@ -115,7 +111,7 @@ def _daemon(options: StartOptions, *, keep: bool) -> Iterator[None]:
             _stop_if_running(options.robot)
 
 
-def _drive_one_lap(robot: str, pool: ThreadPoolExecutor, *, quiet: bool) -> Outcome:
+def _drive_one_lap(robot: str, *, quiet: bool) -> Outcome:
     params = {
         "pattern": "square",
         "side_m": SIDE_M,
@@ -124,7 +120,7 @@ def _drive_one_lap(robot: str, pool: ThreadPoolExecutor, *, quiet: bool) -> Outc
         "source": source("demo"),
     }
     _wait_for_sensors(robot)
-    drive = pool.submit(call, robot, "drive", params, deadline_s=None)
+    drive = Background(partial(call, robot, "drive", params, deadline_s=None))
     if not quiet:
         show(_statuses_until(drive, robot))
     result = drive.result()
@@ -146,10 +142,10 @@ def _wait_for_sensors(robot: str) -> None:
     )
 
 
-def _statuses_until(drive: Future[Any], robot: str) -> Iterator[dict[str, Any]]:
+def _statuses_until(drive: Background, robot: str) -> Iterator[dict[str, Any]]:
     for status in polled(robot):
         yield status
-        if drive.done():
+        if drive.is_done:
             return
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pty
 import re
+import select
 import signal
 from contextlib import suppress
 from pathlib import Path
@@ -13,7 +14,7 @@ import pytest
 
 from robotctl.cli.text import elided
 from robotctl.recording.reader import read_info
-from robotctl.testing.waiting import until
+from robotctl.testing.waiting import DEADLINE_S, until
 from robotctl.testing.world import World, read_back
 
 
@@ -65,10 +66,13 @@ def test_an_interrupted_demo_leaves_a_valid_file_and_no_process(
     os.close(terminal)
     seen = b""
     while b"MOVING" not in seen:
-        seen += os.read(screen, 65536)
+        seen += _drawn(screen)
     demo.send_signal(number)
-    _drain(screen)
-    _, err = demo.communicate(timeout=30)
+    with suppress(OSError):  # how Linux tells that nobody has the terminal open any more
+        while _drawn(screen):
+            pass
+    os.close(screen)
+    _, err = demo.communicate(timeout=DEADLINE_S)
     assert demo.returncode == 130
     assert "recorded until then: recordings/demo_" in err
     until(lambda: not world.processes())
@@ -79,9 +83,7 @@ def test_an_interrupted_demo_leaves_a_valid_file_and_no_process(
     assert info.message_count >= 10
 
 
-def _drain(screen: int) -> None:
-    """Read what the demo still draws, so that it is not held up, until it is gone."""
-    with suppress(OSError):  # how Linux tells that nobody has the terminal open any more
-        while os.read(screen, 65536):
-            pass
-    os.close(screen)
+def _drawn(screen: int) -> bytes:
+    """What the demo draws next, which must be read so that it is not held up."""
+    assert select.select([screen], [], [], DEADLINE_S)[0], "the demo hangs"
+    return os.read(screen, 65536)

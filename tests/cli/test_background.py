@@ -1,0 +1,64 @@
+"""A call beside the main thread ends whatever happens to whoever waits for it."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from itertools import count
+from types import FrameType
+from typing import Any
+
+import pytest
+
+from robotctl.cli.background import Background
+from robotctl.testing.waiting import DEADLINE_S, until
+
+
+def test_what_the_work_returns_or_raises_comes_out() -> None:
+    def fail() -> dict[str, Any]:
+        raise ZeroDivisionError("no")
+
+    assert Background(lambda: {"laps": 1}).result() == {"laps": 1}
+    with pytest.raises(ZeroDivisionError, match="no"):
+        Background(fail).result()
+
+
+def test_an_interruption_at_any_step_of_whoever_asks_does_not_keep_the_work_from_its_end() -> None:
+    for step in count(1):
+        release = threading.Event()
+
+        def work(release: threading.Event = release) -> dict[str, Any]:
+            release.wait()
+            return {}
+
+        working = Background(work)
+        was_interrupted = interrupted_at(step, lambda working=working: working.is_done)
+        release.set()
+        until(lambda working=working: working.is_done)
+        working.join(DEADLINE_S)
+        assert not working.is_alive()
+        if not was_interrupted:
+            return
+
+
+def interrupted_at(step: int, ask: Any) -> bool:
+    """Call `ask` and interrupt it at a line or a return; False if it has fewer."""
+    left = step
+
+    def trace(frame: FrameType, event: str, argument: object) -> Any:
+        nonlocal left
+        left -= event in ("line", "return")
+        if left == 0:
+            left = -1
+            raise KeyboardInterrupt
+        return trace
+
+    before = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        ask()
+    except KeyboardInterrupt:
+        return True
+    finally:
+        sys.settrace(before)
+    return False
