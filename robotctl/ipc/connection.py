@@ -116,6 +116,7 @@ class Connection:
             if line is None:
                 return
             await self._send(await self._answer(line))
+            await asyncio.sleep(0)  # no read or write above waits while a client keeps both full
             if lines_left is not None:
                 lines_left -= 1
 

@@ -368,6 +368,25 @@ async def test_the_end_closes_idle_connections(serve: Any, connect: Any) -> None
     assert await peer.is_closed()
 
 
+async def test_the_loop_turns_between_two_requests_of_one_client(
+    serve: Any, connect: Any, robot: Any
+) -> None:
+    turn, seen, status = 0, [], robot.status
+
+    async def noted(params: Any) -> Any:
+        seen.append(turn)
+        return await status(params)
+
+    robot.status = noted
+    async with serve():
+        peer = await connect()
+        await peer.send(request("status") * 100)
+        while len(seen) < 100:
+            turn += 1
+            await asyncio.sleep(0)
+    assert len(set(seen)) == 100
+
+
 # Too many clients
 
 
