@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import nan, sqrt
+from math import inf, nan, sqrt
 
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.params import VelocityLimits
@@ -41,7 +41,9 @@ class Progress:
 class Score:
     """How well the robot followed so far: sums over the odometry samples.
 
-    `error_m` is how far the last sample was from the reference, along the path and across it.
+    `error_m` is how far the last sample was from the reference, along the path and across it; inf
+    where that is more than the pattern's size: from a robot that stands still, too, the reference
+    of a small circle is never far.
     """
 
     samples: int = 0
@@ -119,11 +121,12 @@ class Drive:
         at, so_far = self.progress, self.score
         path, local = self.path, self.origin.express(pose)
         cross_m = path.distance_to(local, at.segment, at.length)
+        error_m = path.segments[at.segment].pose_at(at.length).distance(local)
         score = Score(
             so_far.samples + 1,
             so_far.squared_error_sum + cross_m * cross_m,
             max(so_far.max_error_m, cross_m),
-            path.segments[at.segment].pose_at(at.length).distance(local),
+            error_m if error_m <= self.pattern.size_m else inf,
             so_far.distance_m + moved_m,
         )
         return Drive(self.request_id, self.pattern, self.laps, self.origin, at, score)

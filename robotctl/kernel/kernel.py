@@ -3,21 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from math import isfinite
 from typing import assert_never
 
 from robotctl.kernel.drive import Drive, Progress
-from robotctl.kernel.geometry import wrap_angle
-from robotctl.kernel.limits import limit, within
+from robotctl.kernel.limits import allowed, limit, within
 from robotctl.kernel.modes import REQUESTS, TRANSITIONS, Guard, Mode, Trigger
-from robotctl.kernel.params import KernelParams, OdometryParams
-from robotctl.kernel.patterns import (
-    MAX_SIZE_M,
-    MAX_SPEED_MPS,
-    MIN_SIZE_M,
-    MIN_SPEED_MPS,
-    Pattern,
-)
+from robotctl.kernel.odometry import is_finite, is_repeated, odometry_fault
+from robotctl.kernel.params import KernelParams
+from robotctl.kernel.patterns import Pattern
 from robotctl.kernel.safety import (
     FAULT_TRIGGERS,
     NS_PER_S,
@@ -43,7 +36,6 @@ from robotctl.kernel.types import (
     LatchEmergencyStop,
     ModeChanged,
     ModeRequested,
-    Odometry,
     OdomReceived,
     Phase,
     PublishTwist,
@@ -98,8 +90,10 @@ class Kernel:
     """Decides mode and command; `state` is replaced as a whole by each step."""
 
     def __init__(self, params: KernelParams, state: State | None = None) -> None:
+        """`state` may come from a kernel with other limits."""
         self.params = params
-        self.state = state or State()
+        state = state or State()
+        self.state = replace(state, command=allowed(state.command, params.limits))
         self._effects: list[Effect] = []
 
     def step(self, event: Event) -> tuple[Effect, ...]:
@@ -138,15 +132,16 @@ class Kernel:
         """Take a sample that can be true; while MOVING, drop any other and count on the next."""
         self._notice_gap(event.t_ns)
         state, odometry, health = self.state, event.odometry, self.state.health
-        fault = _odometry_fault(health, odometry, self.params.odometry)
+        fault = odometry_fault(health, odometry, self.params.odometry)
         drive, error_m, last = state.drive, health.path_error_m, health.odometry
         if drive is not None and last is not None and not fault:
             drive = drive.measured(odometry.pose, last.pose.distance(odometry.pose))
             error_m = drive.score.error_m
-        dropped = fault and (state.mode is Mode.MOVING or not _is_finite(odometry))
+        dropped = fault and (state.mode is Mode.MOVING or not is_finite(odometry))
+        is_news = not fault and not is_repeated(health, odometry)
         health = Health(
             odometry=last if dropped else odometry,
-            odometry_t_ns=health.odometry_t_ns if fault else event.t_ns,
+            odometry_t_ns=event.t_ns if is_news else health.odometry_t_ns,
             odometry_stamp_ns=odometry.stamp_ns,
             odometry_fault=fault,
             battery_level=health.battery_level,
@@ -281,7 +276,7 @@ class Kernel:
 
     def _request_drive(self, event: DriveRequested) -> None:
         state = self.state
-        refusal = _pattern_refusal(event.pattern, event.laps)
+        refusal = event.pattern.refusal() or _laps_refusal(event.laps)
         if not refusal:
             if TRANSITIONS[state.mode, Trigger.REQUEST_MOVING].guard is Guard.NEVER:
                 refusal = self._refusal(Trigger.REQUEST_MOVING)
@@ -298,6 +293,7 @@ class Kernel:
         self._start(event.t_ns, event.request_id, event.pattern, event.laps, reason)
 
     def _start(self, t_ns: int, request_id: int, pattern: Pattern, laps: int, reason: str) -> None:
+        self._notice_gap(t_ns)
         finding = failed_start_condition(self.state.health, self.params, t_ns)
         odometry = self.state.health.odometry
         if finding is not None or odometry is None:
@@ -417,46 +413,7 @@ class Kernel:
         self._effects.append(Reply(request_id, False, message, self.state.mode))
 
 
-def _is_finite(odometry: Odometry) -> bool:
-    pose, velocity = odometry.pose, odometry.velocity
-    return (
-        isfinite(pose.x)
-        and isfinite(pose.y)
-        and isfinite(pose.theta)
-        and isfinite(velocity.linear)
-        and isfinite(velocity.angular)
-    )
-
-
-def _odometry_fault(health: Health, odometry: Odometry, params: OdometryParams) -> str:
-    """Return why this sample cannot be true, "" if it can.
-
-    Stamps are compared with the sample before, true or not: they come from a wall clock, which may
-    be set back once without harm.
-    """
-    last = health.odometry
-    if not _is_finite(odometry):
-        return "odometry is not finite"
-    if last is None:
+def _laps_refusal(laps: int) -> str:
+    if 0 <= laps <= MAX_LAPS:
         return ""
-    if odometry.stamp_ns < health.odometry_stamp_ns:
-        return "odometry went back in time"
-    jump_m = last.pose.distance(odometry.pose)
-    if jump_m > params.max_jump_m:
-        return f"odometry jumped by {jump_m:.2f} m"
-    turned_rad = abs(wrap_angle(odometry.pose.theta - last.pose.theta))
-    if turned_rad > params.max_jump_rad:
-        return f"odometry jumped by {turned_rad:.2f} rad"
-    return ""
-
-
-def _pattern_refusal(pattern: Pattern, laps: int) -> str:
-    if not MIN_SIZE_M <= pattern.size_m <= MAX_SIZE_M:
-        return f"a size of {pattern.size_m:g} m: use {MIN_SIZE_M:g} to {MAX_SIZE_M:g} m"
-    if not MIN_SPEED_MPS <= pattern.speed_mps <= MAX_SPEED_MPS:
-        return (
-            f"a speed of {pattern.speed_mps:g} m/s: use {MIN_SPEED_MPS:g} to {MAX_SPEED_MPS:g} m/s"
-        )
-    if not 0 <= laps <= MAX_LAPS:
-        return f"{laps} laps: use 0 (until stopped) to {MAX_LAPS}"
-    return ""
+    return f"{laps} laps: use 0 (until stopped) to {MAX_LAPS}"

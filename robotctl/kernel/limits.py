@@ -21,19 +21,19 @@ def _approach(current: float, target: float, max_step: float) -> float:
     return current + max_step if target > current else current - max_step
 
 
+def allowed(command: Twist, limits: VelocityLimits) -> Twist:
+    """Return the command nearest to this one that is finite and not too fast."""
+    return Twist(
+        clamp(command.linear, limits.linear_mps), clamp(command.angular, limits.angular_rps)
+    )
+
+
 def limit(current: Twist, target: Twist, dt_s: float, limits: VelocityLimits) -> Twist:
     """Return the command nearest to `target` that `dt_s` after `current` is allowed."""
+    target = allowed(target, limits)
     return Twist(
-        _approach(
-            current.linear,
-            clamp(target.linear, limits.linear_mps),
-            limits.linear_accel_mps2 * dt_s,
-        ),
-        _approach(
-            current.angular,
-            clamp(target.angular, limits.angular_rps),
-            limits.angular_accel_rps2 * dt_s,
-        ),
+        _approach(current.linear, target.linear, limits.linear_accel_mps2 * dt_s),
+        _approach(current.angular, target.angular, limits.angular_accel_rps2 * dt_s),
     )
 
 

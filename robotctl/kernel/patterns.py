@@ -36,6 +36,15 @@ class Pattern:
     size_m: float = bounded(1.0, MIN_SIZE_M, MAX_SIZE_M, "m")
     speed_mps: float = bounded(0.5, MIN_SPEED_MPS, MAX_SPEED_MPS, "m/s")
 
+    def refusal(self) -> str:
+        """Return why nobody drives this, "" if a robot can."""
+        size_m, speed_mps = self.size_m, self.speed_mps
+        if not MIN_SIZE_M <= size_m <= MAX_SIZE_M:
+            return f"a size of {size_m:g} m: use {MIN_SIZE_M:g} to {MAX_SIZE_M:g} m"
+        if not MIN_SPEED_MPS <= speed_mps <= MAX_SPEED_MPS:
+            return f"a speed of {speed_mps:g} m/s: use {MIN_SPEED_MPS:g} to {MAX_SPEED_MPS:g} m/s"
+        return ""
+
 
 class Segment(Protocol):
     """A piece of a path.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from math import inf
 from types import MappingProxyType
 from typing import TypeGuard
 
@@ -116,12 +117,15 @@ def _tracking_lost(health: Health, params: KernelParams, t_ns: int) -> str:
     error_m, limit_m = health.path_error_m, params.tracking.max_error_m
     if error_m <= limit_m:
         return ""
+    if error_m == inf:
+        return "the robot is further from where it should be than the pattern is large"
     return f"the robot is {error_m:.2f} m from where it should be, more than {limit_m:g} m"
 
 
 def _foreign_publisher(health: Health, params: KernelParams, t_ns: int) -> str:
-    names = ", ".join(health.foreign_publishers)
-    return f"{names} also publishes velocity commands" if names else ""
+    if not health.foreign_publishers:
+        return ""
+    return f"{', '.join(health.foreign_publishers)} also publishes velocity commands"
 
 
 def _tick_overrun(health: Health, params: KernelParams, t_ns: int) -> str:
@@ -169,6 +173,13 @@ RULES: tuple[Rule, ...] = (
             (Cause.LOOP_STALLED, "see robotctl logs for what held the process up"),
             (Cause.RECORDER_FAILED, "free disk space, then restart: robotctl stop, robotctl start"),
         )
+    ),
+    _rule(
+        Cause.DAEMON_ENDS,
+        Mode.ERROR,
+        _NEVER,
+        _reported(Cause.DAEMON_ENDS),
+        "start it again: robotctl start",
     ),
     _rule(
         Cause.TICK_OVERRUN,

@@ -41,6 +41,7 @@ class Cause(Enum):
     TASK_DIED = "task died"
     LOOP_STALLED = "loop stalled"
     RECORDER_FAILED = "recorder failed"
+    DAEMON_ENDS = "daemon ends"
     ODOMETRY_WRONG = "odometry wrong"
     ODOMETRY_LOST = "odometry lost"
     TRACKING_LOST = "tracking lost"

@@ -32,7 +32,9 @@ COORDINATE = st.one_of(NEAR, NEAR, ANY_FLOAT, SPECIAL_FLOAT)
 LEVEL = st.one_of(st.floats(0.0, 1.0), st.sampled_from((0.15, 0.2)), ANY_FLOAT, SPECIAL_FLOAT)
 MODE_NUMBER = st.one_of(st.integers(0, 3), st.integers(-1, 260))
 SOURCE = st.text(max_size=8)
-DAEMON_CAUSE = st.sampled_from((Cause.TASK_DIED, Cause.LOOP_STALLED, Cause.RECORDER_FAILED))
+DAEMON_CAUSE = st.sampled_from(
+    (Cause.TASK_DIED, Cause.LOOP_STALLED, Cause.RECORDER_FAILED, Cause.DAEMON_ENDS)
+)
 
 TWIST = st.builds(Twist, COORDINATE, COORDINATE)
 ODOMETRY = st.builds(Odometry, st.builds(Pose, COORDINATE, COORDINATE, COORDINATE), TWIST, INT64)

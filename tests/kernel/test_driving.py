@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from robotctl.kernel.drive import Drive, Progress
 from robotctl.kernel.geometry import ORIGIN, Pose, wrap_angle
 from robotctl.kernel.params import KernelParams, VelocityLimits
-from robotctl.kernel.patterns import Pattern, PatternKind, lap_of
+from robotctl.kernel.patterns import MIN_SIZE_M, Pattern, PatternKind, lap_of
 from robotctl.kernel.tracking import Reference, track
 from robotctl.kernel.types import ZERO, DriveEnded
 from robotctl.sim.robot import SimParams
@@ -77,6 +77,13 @@ def test_a_slower_or_a_quicker_robot_closes_its_lap_as_well(
     assert driven.ended.completed
     assert driven.ended.report.closure_m <= 0.05
     assert driven.ended.report.cross_track_max_m <= 0.06
+
+
+@pytest.mark.parametrize("kind", PatternKind)
+@pytest.mark.parametrize("lag_s", [0.08, 0.3])
+def test_the_smallest_pattern_can_be_driven(kind: PatternKind, lag_s: float) -> None:
+    driven = drive_simulated(Pattern(kind, MIN_SIZE_M), laps=2, sim=SimParams(lag_s=lag_s))
+    assert driven.ended.completed
 
 
 @pytest.mark.parametrize("kind", PatternKind)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import inf, nan
 
 import pytest
 
+from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.limits import clamp, limit, within
 from robotctl.kernel.params import KernelParams, VelocityLimits
 from robotctl.kernel.types import ZERO, Cause, Tick, Twist
@@ -30,6 +32,15 @@ def test_a_command_changes_no_faster_than_allowed() -> None:
 def test_a_command_beyond_the_limits_is_told(command: Twist) -> None:
     assert not within(command, LIMITS)
     assert within(Twist(1.0, -2.0), LIMITS)
+
+
+def test_a_kernel_goes_on_from_a_state_of_other_limits() -> None:
+    state = moving(ticks=30).state
+    limits = VelocityLimits(0.1, 0.2, 0.5, 4.0)
+    assert not within(state.command, limits)
+    kernel = Kernel(replace(KernelParams(), limits=limits), state)
+    assert kernel.state.command.linear == 0.1
+    assert Kernel(KernelParams(), state).state == state
 
 
 def test_a_late_tick_changes_the_command_by_no_more_than_two_periods_allow() -> None:

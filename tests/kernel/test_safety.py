@@ -11,6 +11,7 @@ import pytest
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import BatteryParams, KernelParams
+from robotctl.kernel.patterns import MIN_SIZE_M, Pattern, PatternKind
 from robotctl.kernel.safety import FULLEST_LEVEL, RULE_OF, RULES
 from robotctl.kernel.types import (
     ZERO,
@@ -82,6 +83,7 @@ LIES: dict[str, Callable[[Bench], None]] = {
     "jump": lambda bench: _odometry(bench, Pose(3.0, 0.0, 0.0)),
     "huge": lambda bench: _odometry(bench, Pose(-1e308, 1e308, 0.0)),
     "turned around": lambda bench: _odometry(bench, Pose(0.0, 0.0, 3.0)),
+    "turned beyond measure": lambda bench: _odometry(bench, Pose(0.0, 0.0, 1e308)),
     "back in time": lambda bench: _odometry(bench, Pose(), -bench.t_ns),
 }
 
@@ -134,7 +136,7 @@ def test_no_start_on_odometry_that_is_never_true(lie: str) -> None:
     bench = ready()
     for number in range(60):
         # As if two robots reported, or a stamp ran backwards.
-        if number % 2 or lie not in ("jump", "huge", "turned around"):
+        if number % 2 or lie not in ("jump", "huge", "turned around", "turned beyond measure"):
             LIES[lie](bench)
         else:
             bench.odometry(Pose())
@@ -154,19 +156,57 @@ def test_after_a_jump_the_robot_starts_from_where_it_is_now() -> None:
         bench.tick()
     for _ in range(2):
         bench.odometry(elsewhere)
-    bench.battery(1.0)
-    bench.tick()
+        bench.battery(1.0)
+        bench.tick()
     assert reset(bench)
     assert not start(bench)
     assert bench.state.drive is not None
     assert bench.state.drive.origin == elsewhere
 
 
+@pytest.mark.parametrize("stamp_ns", [1, 10**18])
+def test_odometry_that_is_only_repeated_means_zero_within_its_timeout_and_one_tick(
+    stamp_ns: int,
+) -> None:
+    bench = moving()
+    bench.odometry(Pose(), stamp_ns)
+    bench.odometry(Pose(), stamp_ns)
+    last_ns = bench.t_ns
+    for _ in while_moving(bench):
+        bench.odometry(Pose(), stamp_ns)
+        bench.battery(1.0)
+        bench.tick()
+    assert stopped_by(bench, Cause.ODOMETRY_LOST, Mode.ERROR)
+    assert bench.t_ns - last_ns <= 500_000_000 + TICK_NS
+
+
+@pytest.mark.parametrize("moves", [True, False])
+def test_odometry_without_stamps_and_with_coarse_ones_is_news(moves: bool) -> None:
+    bench = moving()
+    for number in range(40):
+        bench.odometry(Pose(number * 1e-4, 0.0, 0.0) if moves else Pose(), 7 if moves else 0)
+        bench.battery(1.0)
+        bench.tick()
+    assert bench.state.mode is Mode.MOVING
+
+
 def test_a_robot_that_does_not_follow_is_stopped() -> None:
     bench = moving(ticks=0)
     bench.run(150)  # at the same pose
     assert stopped_by(bench, Cause.TRACKING_LOST, Mode.ERROR)
-    assert "from where it should be" in bench.state.reason
+    assert "m from where it should be, more than 0.5 m" in bench.state.reason
+
+
+@pytest.mark.parametrize("kind", PatternKind)
+def test_a_robot_that_stands_still_is_stopped_on_the_smallest_pattern_too(
+    kind: PatternKind,
+) -> None:
+    bench = ready()
+    bench.drive(Pattern(kind, MIN_SIZE_M))
+    for _ in while_moving(bench):
+        bench.run(1)
+    assert stopped_by(bench, Cause.TRACKING_LOST, Mode.ERROR)
+    assert "than the pattern is large" in bench.state.reason
 
 
 # Battery
@@ -265,6 +305,14 @@ def test_a_gap_between_ticks_is_the_cause_and_not_the_stale_odometry_it_leaves(
     assert stopped_by(bench, Cause.TICK_OVERRUN, Mode.ERROR)
 
 
+def test_no_start_in_a_gap_between_ticks() -> None:
+    bench = ready()
+    bench.t_ns += 400_000_000  # the odometry is fresh still
+    assert "no control tick for 0.40 s" in start(bench)
+    bench.run(2)
+    assert not start(bench)
+
+
 @pytest.mark.parametrize("jump_ns", [-(10**18), -1_000_000_000, 10**18])
 def test_steady_time_that_jumps_stops_a_moving_robot_and_no_more(jump_ns: int) -> None:
     bench = moving()
@@ -329,6 +377,27 @@ def test_the_gravest_of_two_faults_names_the_stop() -> None:
     bench.t_ns += 600_000_000
     bench.give(FaultReported(bench.t_ns, Cause.LOOP_STALLED, "stalled"))
     assert bench.state.cause is Cause.LOOP_STALLED
+
+
+def test_a_daemon_that_ends_lets_no_motion_begin() -> None:
+    bench = ready()
+    assert bench.give(FaultReported(bench.t_ns, Cause.DAEMON_ENDS, "told to stop")) == ()
+    assert bench.state.mode is Mode.IDLE
+    assert "told to stop" in start(bench)
+
+
+def test_a_daemon_that_ends_lets_a_motion_ramp_down() -> None:
+    bench = moving()
+    bench.give(FaultReported(bench.t_ns, Cause.DAEMON_ENDS, "told to stop"))
+    assert bench.state.mode is Mode.MOVING
+    bench.drive(replacing=True)
+    assert "told to stop" in bench.replies[-1].message
+
+
+def test_somebody_without_a_name_who_commands_stops_the_robot_all_the_same() -> None:
+    bench = moving()
+    bench.give(CommandPublishersSeen(bench.t_ns, ("",)))
+    assert stopped_by(bench, Cause.FOREIGN_PUBLISHER, Mode.ERROR)
 
 
 def test_somebody_else_who_commands_is_named() -> None:
