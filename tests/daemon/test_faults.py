@@ -19,7 +19,7 @@ from robotctl.daemon.options import DaemonOptions
 from robotctl.daemon.recorder_report import RecorderReport
 from robotctl.daemon.watchdog import Watchdog
 from robotctl.errors import Refused
-from robotctl.ipc.server import ControlServer
+from robotctl.ipc.listener import Listener
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.patterns import PatternKind
 from robotctl.kernel.types import ModeRequested
@@ -71,7 +71,7 @@ def commands(world: World) -> list[tuple[float, float]]:
         (VelocityPublisher, "count_publishers", "the publisher watch task failed"),
         (RecorderReport, "sample", "the recorder's statistics task failed"),
         (ModeService, "publish", "the status task failed"),
-        (ControlServer, "_accept", "the socket task failed"),
+        (Listener, "accept", "the socket task failed"),
         (Inputs, "odometry", "the callback of "),
         (VelocityPublisher, "publish", "PublishTwist failed"),
     ],

@@ -4,24 +4,19 @@ from __future__ import annotations
 
 import asyncio
 import json
-import logging
 import os
 import resource
 import socket
-import stat
 import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from robotctl.errors import UsageError
 from robotctl.ipc import connection
 from robotctl.ipc.protocol import MAX_REQUEST_BYTES, Code, encode_request
-from robotctl.ipc.server import ControlServer, Identity, Limits
+from robotctl.ipc.server import Limits
 from robotctl.testing.waiting import DEADLINE_S, loop_until
-
-IDENTITY = Identity("robot", "0.1.0", 1)
 
 
 def request(method: str, **params: object) -> bytes:
@@ -37,48 +32,6 @@ def open_fds() -> int:
 
 
 # Who may come in
-
-
-def test_the_socket_is_private_whatever_the_umask(path: Path) -> None:
-    previous = os.umask(0)
-    try:
-        with ControlServer(path, {}, IDENTITY):
-            assert stat.S_IMODE(path.stat().st_mode) == 0o600
-            assert stat.S_IMODE(path.parent.stat().st_mode) == 0o700
-        assert os.umask(0) == 0
-    finally:
-        os.umask(previous)
-
-
-def test_a_dead_daemons_socket_is_replaced(path: Path) -> None:
-    with ControlServer(path, {}, IDENTITY):
-        dead = path.with_suffix(".dead")
-        path.rename(dead)
-    dead.rename(path)
-    with ControlServer(path, {}, IDENTITY), socket.socket(socket.AF_UNIX) as client:
-        client.connect(str(path))
-
-
-def test_a_file_at_the_sockets_path_is_left_alone(path: Path) -> None:
-    path.parent.mkdir()
-    path.write_text("precious")
-    with pytest.raises(UsageError, match="is not a socket"), ControlServer(path, {}, IDENTITY):
-        pass
-    assert path.read_text() == "precious"
-
-
-def test_the_socket_is_gone_at_the_end(path: Path) -> None:
-    with ControlServer(path, {}, IDENTITY):
-        assert path.is_socket()
-    assert not path.exists()
-
-
-def test_another_servers_socket_survives_our_end(path: Path) -> None:
-    with ControlServer(path, {}, IDENTITY):
-        path.unlink()
-        with socket.socket(socket.AF_UNIX) as other:
-            other.bind(str(path))
-    assert path.is_socket()
 
 
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can become somebody else")
@@ -486,21 +439,3 @@ async def test_no_file_descriptor_is_left_behind(rounds: int, serve: Any, path: 
             if turn % 50 == 0:
                 await asyncio.sleep(0)
         await loop_until(lambda: open_fds() == fds)
-
-
-async def test_running_out_of_descriptors_is_survived(
-    serve: Any, connect: Any, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    loop = asyncio.get_running_loop()
-    accept, failures = loop.sock_accept, iter([OSError(24, "too many open files")])
-
-    async def fail_once(listener: socket.socket) -> tuple[socket.socket, Any]:
-        for failure in failures:
-            raise failure
-        return await accept(listener)
-
-    monkeypatch.setattr(loop, "sock_accept", fail_once)
-    with caplog.at_level(logging.WARNING):
-        async with serve():
-            assert "result" in await (await connect()).call("status")
-    assert "no connection can be accepted" in caplog.text

@@ -1,0 +1,117 @@
+"""The socket file: private, of one owner, and made anew where somebody removes it."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import logging
+import os
+import socket
+import stat
+from contextlib import suppress
+from pathlib import Path
+
+from robotctl.errors import AlreadyRunning, RobotctlError, UsageError
+from robotctl.ipc.peer import peer_of
+from robotctl.paths import make_private
+
+_log = logging.getLogger(__name__)
+
+BACKLOG = 1024
+"""Clients that may wait to be accepted. With a full backlog asyncio's own connect hands out a
+socket that is not connected, so the backlog takes the largest burst that is promised."""
+
+LOOK_S = 1.0
+"""How often a listener looks whether its file is still there."""
+
+_OUT_OF_RESOURCES = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
+_RETRY_ACCEPT_S = 0.1
+
+
+class Listener:
+    """Listens at `path` from `open` to `close`, which removes the file if it is ours."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._inode = 0
+        self._sock: socket.socket
+
+    def open(self) -> None:
+        """Bind and listen: from here on clients wait instead of failing.
+
+        Raises:
+            UsageError: The folder is another user's, or something else lies at the path.
+            AlreadyRunning: Somebody answers there.
+        """
+        make_private(self._path.parent)
+        _remove_stale(self._path)
+        self._sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            previous = os.umask(0o177)  # a chmod after bind would leave a moment open to everybody
+            try:
+                self._sock.bind(str(self._path))
+            finally:
+                os.umask(previous)
+            self._inode = self._path.stat().st_ino
+            self._sock.listen(BACKLOG)
+            self._sock.setblocking(False)
+        except BaseException:
+            self._sock.close()
+            raise
+
+    def close(self) -> None:
+        """Leave nothing behind."""
+        self._sock.close()
+        if self._is_in_place():
+            self._path.unlink(missing_ok=True)
+
+    async def accept(self) -> socket.socket:
+        """Return the next client; where the system has no more to give, wait until it has."""
+        loop = asyncio.get_running_loop()
+        while True:
+            try:
+                return (await loop.sock_accept(self._sock))[0]
+            except OSError as error:
+                if error.errno in _OUT_OF_RESOURCES:
+                    _log.warning("no connection can be accepted: %s", error)
+                    await asyncio.sleep(_RETRY_ACCEPT_S)
+                elif error.errno != errno.ECONNABORTED:
+                    raise
+
+    async def removed(self) -> None:
+        """Wait until the file is gone: of a user who logs out, or too old for a folder's tidier."""
+        while self._is_in_place():  # noqa: ASYNC110 - nothing announces it
+            await asyncio.sleep(LOOK_S)
+
+    async def reopen(self) -> None:
+        """Listen at the path once more, as soon as that is possible."""
+        self._sock.close()
+        said = ""
+        while True:
+            try:
+                return self.open()
+            except (OSError, RobotctlError) as error:
+                if str(error) != said:
+                    said = str(error)
+                    _log.error("nobody can reach this daemon any more: %s", said)
+            await asyncio.sleep(LOOK_S)
+
+    def _is_in_place(self) -> bool:
+        with suppress(OSError):
+            return self._path.stat().st_ino == self._inode
+        return False
+
+
+def _remove_stale(path: Path) -> None:
+    with suppress(FileNotFoundError):
+        if not stat.S_ISSOCK(path.lstat().st_mode):
+            raise UsageError(f"{path} is not a socket: remove it, then start again")
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+            probe.setblocking(False)
+            try:
+                probe.connect(str(path))
+            except ConnectionRefusedError:
+                return path.unlink()
+            except BlockingIOError:  # it listens, and has many clients
+                raise AlreadyRunning(f"{path} is in use") from None
+            raise AlreadyRunning(f"pid {peer_of(probe).pid} answers at {path} already")

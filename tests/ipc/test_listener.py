@@ -1,0 +1,132 @@
+"""Whose the socket file is, and what becomes of it."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import socket
+import stat
+from contextlib import suppress
+from pathlib import Path
+from shutil import rmtree
+from typing import Any
+
+import pytest
+
+from robotctl.errors import AlreadyRunning, UsageError
+from robotctl.ipc import listener
+from robotctl.ipc.server import ControlServer, Identity
+from robotctl.testing.waiting import loop_until
+
+IDENTITY = Identity("robot", "0.1.0", 1)
+
+
+def test_the_socket_is_private_whatever_the_umask(path: Path) -> None:
+    previous = os.umask(0)
+    try:
+        with ControlServer(path, {}, IDENTITY):
+            assert stat.S_IMODE(path.stat().st_mode) == 0o600
+            assert stat.S_IMODE(path.parent.stat().st_mode) == 0o700
+        assert os.umask(0) == 0
+    finally:
+        os.umask(previous)
+
+
+def test_a_dead_daemons_socket_is_replaced(path: Path) -> None:
+    with ControlServer(path, {}, IDENTITY):
+        dead = path.with_suffix(".dead")
+        path.rename(dead)
+    dead.rename(path)
+    with ControlServer(path, {}, IDENTITY), socket.socket(socket.AF_UNIX) as client:
+        client.connect(str(path))
+
+
+def test_a_file_at_the_sockets_path_is_left_alone(path: Path) -> None:
+    path.parent.mkdir()
+    path.write_text("precious")
+    with pytest.raises(UsageError, match="is not a socket"), ControlServer(path, {}, IDENTITY):
+        pass
+    assert path.read_text() == "precious"
+
+
+def test_the_socket_is_gone_at_the_end(path: Path) -> None:
+    with ControlServer(path, {}, IDENTITY):
+        assert path.is_socket()
+    assert not path.exists()
+
+
+def test_another_servers_socket_survives_our_end(path: Path) -> None:
+    with ControlServer(path, {}, IDENTITY):
+        path.unlink()
+        with socket.socket(socket.AF_UNIX) as other:
+            other.bind(str(path))
+    assert path.is_socket()
+
+
+@pytest.mark.parametrize("waiting", [0, 2])
+def test_a_living_daemons_socket_is_left_alone(
+    path: Path, waiting: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(listener, "BACKLOG", 0)
+    with ControlServer(path, {}, IDENTITY):
+        clients = [socket.socket(socket.AF_UNIX) for _ in range(waiting)]
+        for client in clients:
+            client.setblocking(False)
+            with suppress(BlockingIOError):
+                client.connect(str(path))
+        said = "is in use" if waiting else f"pid {os.getpid()} answers at"
+        with pytest.raises(AlreadyRunning, match=said), ControlServer(path, {}, IDENTITY):
+            pass
+        assert path.is_socket()
+        for client in clients:
+            client.close()
+
+
+async def test_a_socket_that_is_removed_is_made_anew(
+    path: Path, serve: Any, connect: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(listener, "LOOK_S", 0.01)
+    async with serve():
+        before = await connect()
+        rmtree(path.parent)
+        await loop_until(path.exists)
+        assert "result" in await (await connect()).call("status")
+        assert "result" in await before.call("status")
+
+
+async def test_a_socket_that_cannot_be_made_anew_is_told_once_and_made_as_soon_as_it_can(
+    path: Path,
+    serve: Any,
+    connect: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    monkeypatch.setattr(listener, "LOOK_S", 0.01)
+    async with serve():
+        rmtree(path.parent)
+        path.parent.write_text("in the way")
+        await loop_until(lambda: "nobody can reach this daemon" in caplog.text)
+        await asyncio.sleep(0.05)  # several more attempts
+        path.parent.unlink()
+        await loop_until(path.exists)
+        assert "result" in await (await connect()).call("status")
+    assert caplog.text.count("nobody can reach this daemon") == 1
+
+
+async def test_running_out_of_descriptors_is_survived(
+    serve: Any, connect: Any, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    loop = asyncio.get_running_loop()
+    accept, failures = loop.sock_accept, iter([OSError(24, "too many open files")])
+
+    async def fail_once(listener: socket.socket) -> tuple[socket.socket, Any]:
+        for failure in failures:
+            raise failure
+        return await accept(listener)
+
+    monkeypatch.setattr(loop, "sock_accept", fail_once)
+    with caplog.at_level(logging.WARNING):
+        async with serve():
+            assert "result" in await (await connect()).call("status")
+    assert "no connection can be accepted" in caplog.text
