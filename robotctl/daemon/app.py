@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 import gc
 import os
-import signal
 from contextlib import AsyncExitStack
 
 from robotctl import __version__
 from robotctl.config import Config, load
 from robotctl.daemon.driver import Driver
+from robotctl.daemon.ending import told_to_end
 from robotctl.daemon.host import Daemon, Host, Ready
 from robotctl.daemon.observer import Observer
 from robotctl.daemon.options import DaemonOptions
@@ -27,15 +27,12 @@ async def serve(options: DaemonOptions, notes: list[str], on_ready: Ready) -> No
 
     The caller owns the robot's lock. Raises RobotctlError where it cannot start.
     """
-    loop = asyncio.get_running_loop()
-    stop = asyncio.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, stop.set)
+    stop = told_to_end()
     config = options.applied_to(load(options.config) if options.config else Config())
     address = socket_path(options.robot)
     alone = is_deserted(options.domain_id)
     supervisor = Supervisor()
-    loop.set_exception_handler(supervisor.loop_failed)
+    asyncio.get_running_loop().set_exception_handler(supervisor.loop_failed)
     async with (
         AsyncExitStack() as last,
         ros_session(

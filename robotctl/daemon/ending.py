@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import signal
 import time
 from collections.abc import Callable
 
 from robotctl.daemon.control import Control
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.types import ModeRequested, Tick
+from robotctl.kernel.types import Cause, FaultReported, ModeRequested, Tick
 
 _log = logging.getLogger(__name__)
 
@@ -19,8 +20,22 @@ RAMP_DOWN_S = 3.0
 POLL_S = 0.01
 
 
+def told_to_end() -> asyncio.Event:
+    """Return an event that SIGINT and SIGTERM set, and SIGHUP where nobody ignores it (nohup)."""
+    loop, told = asyncio.get_running_loop(), asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is not signal.SIG_IGN or number != signal.SIGHUP:
+            loop.add_signal_handler(number, told.set)
+    return told
+
+
 async def stand_still(control: Control) -> None:
-    """Ramp down, or cut the command where that takes too long; then send one more zero."""
+    """Ramp down, or cut the command where that takes too long; then send one more zero.
+
+    No motion begins any more.
+    """
+    detail = "the daemon is stopping"
+    control.dispatch(FaultReported(time.monotonic_ns(), Cause.DAEMON_ENDS, detail))
     for mode in (Mode.IDLE, Mode.ERROR):
         if control.state.mode is Mode.MOVING:
             request = ModeRequested(

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-import signal
 from collections.abc import Callable
 
 from robotctl.config import Config
+from robotctl.daemon.ending import told_to_end
 from robotctl.ros.session import ros_session
 from robotctl.ros.simulated_robot import SimulatedRobot
 
@@ -14,11 +14,8 @@ from robotctl.ros.simulated_robot import SimulatedRobot
 async def simulate(
     config: Config, *, domain_id: int, namespace: str, on_ready: Callable[[], None]
 ) -> None:
-    """Run the robot until SIGINT or SIGTERM."""
-    loop = asyncio.get_running_loop()
-    stop = asyncio.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, stop.set)
+    """Run the robot until it is told to end."""
+    stop = told_to_end()
     topics = config.kernel
     async with ros_session(domain_id=domain_id, namespace=namespace) as session:
         robot = SimulatedRobot(

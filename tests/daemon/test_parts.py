@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import pytest
 
 from robotctl.daemon.control import Control
+from robotctl.daemon.ending import stand_still
 from robotctl.daemon.journal import Journal
 from robotctl.daemon.latch import Latch
 from robotctl.daemon.lock import owned
@@ -226,3 +228,16 @@ def test_a_lock_is_free_after_an_owner_failed(tmp_path: Path) -> None:
         fail()
     with owned(path, "robot"):
         pass
+
+
+# The end
+
+
+async def test_no_motion_begins_while_the_daemon_ends() -> None:
+    bench = Bench()
+    bench.do = lambda effect: bench.requests.answer(effect) if type(effect) is Reply else None
+    await stand_still(bench.control)
+    reply = await bench.control.request(ModeRequested(time.monotonic_ns(), 1, 1, "test"))
+    assert not reply.ok
+    assert "the daemon is stopping" in reply.message
+    assert rerun(bench.entries) is None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import subprocess
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -13,10 +14,13 @@ import pytest
 from robotctl.daemon import recordings, statistics
 from robotctl.kernel.patterns import PatternKind
 from robotctl.recording.recorder import RecorderOptions
+from robotctl.replay.rerun import rerun
 from robotctl.testing.mcap_faults import FailingFile
-from robotctl.testing.world import PATIENT
+from robotctl.testing.waiting import until
+from robotctl.testing.world import PATIENT, ROBOTCTL, World, journal_of, read_back
 
 NEVER = 1 << 60
+LIMITED = ("prlimit", "--fsize=60000", ROBOTCTL)
 
 
 @pytest.fixture
@@ -100,3 +104,25 @@ async def test_a_heavy_topic_is_named_once_with_the_filter_that_leaves_it_out(
         sampled = status["uptime_s"] + 3.0
         await daemon.until(lambda status: status["uptime_s"] > sampled)
     assert caplog.text.count(told) == 1
+
+
+def test_a_recorder_that_fails_stops_the_robot(world: World) -> None:
+    limited = subprocess.run(
+        [*LIMITED, "start", "--sim", "--drive", "circle", "--config", str(world.patient)],
+        cwd=world.folder,
+        env=world.environment,
+        capture_output=True,
+        text=True,
+    )
+    assert limited.returncode == 0, limited.stderr
+    until(lambda: world.status()["mode"] == "ERROR")
+    status = world.status()
+    assert status["recorder"]["state"] == "failed"
+    assert "File too large" in status["mode_reason"]
+    refused = world.robotctl("reset")
+    assert refused.exit_code == 4
+    recorder = world.status()["recorder"]
+    assert recorder["received"] == recorder["written"] + recorder["queued"] + recorder["dropped"]
+    world.ok("stop")
+    journal = journal_of(read_back(next(world.recordings.iterdir()))["/robotctl/journal"])
+    assert rerun(journal) is None

@@ -1,0 +1,61 @@
+"""Command lines that come and go while the daemon runs, also several at once."""
+
+from __future__ import annotations
+
+from robotctl.testing.waiting import DEADLINE_S, until
+from robotctl.testing.world import World
+
+
+def test_a_client_that_hangs_up_changes_nothing_and_a_waiting_one_is_told_of_the_end(
+    world: World,
+) -> None:
+    world.ok("start", "--sim")
+    first = world.spawn("drive", "square", "--wait")
+    until(lambda: world.status()["mode"] == "MOVING")
+    first.kill()
+    first.communicate()
+    assert world.status()["mode"] == "MOVING"
+    second = world.spawn("drive", "circle", "--wait", "--replace")
+    until(lambda: "drive ended: replaced" in world.log())
+    world.ok("stop")
+    _, err = second.communicate(timeout=DEADLINE_S)
+    assert second.returncode == 4
+    assert "the drive ended after 0 laps: requested by the daemon's end" in err
+
+
+def test_a_waited_drive_that_a_fault_ends_is_an_error(world: World) -> None:
+    world.ok("start", "--sim")
+    drive = world.spawn("drive", "square", "--wait")
+    until(lambda: world.status()["mode"] == "MOVING")
+    world.ok("estop")
+    _, err = drive.communicate(timeout=DEADLINE_S)
+    assert drive.returncode == 4
+    assert "the drive ended after 0 laps: requested by robotctl estop" in err
+    world.ok("stop")
+
+
+def test_why_is_told_while_the_daemon_runs_and_the_recording_proves_it(world: World) -> None:
+    world.ok("start", "--sim")
+    world.ok("drive", "square")
+    until(lambda: world.status()["velocity"]["linear"] > 0.05)
+    world.ok("estop")
+    until(lambda: world.robotctl("why").exit_code == 0)  # the file shows it a moment later
+    told = world.answer("why")
+    assert (told["kind"], told["mode"]) == ("stop", "EMERGENCY_STOP")
+    assert "a request for EMERGENCY_STOP by robotctl estop" in told["came_in"]
+    assert "a square: robotctl drive" in told["asked"]
+    assert told["zero_after_ms"] >= 0.0
+    world.ok("stop")
+    (report,) = world.answer("replay", "last", "--check")["recordings"]
+    assert (report["verdict"], report["notes"]) == ("same", [])
+    assert report["commands"] > 0
+
+
+def test_a_drive_while_moving_is_refused_unless_it_replaces(world: World) -> None:
+    world.ok("start", "--sim", "--drive", "circle")
+    refused = world.robotctl("drive", "square")
+    assert refused.exit_code == 4
+    assert "--replace" in refused.err
+    world.ok("drive", "square", "--replace")
+    assert world.status()["mode"] == "MOVING"
+    world.ok("stop")

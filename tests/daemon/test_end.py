@@ -1,0 +1,161 @@
+"""Ending by every means: the robot stands, the recording is whole, the latch is kept."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+from pathlib import Path
+
+import pytest
+
+from robotctl.kernel.types import ModeChanged
+from robotctl.replay.rerun import rerun
+from robotctl.testing.waiting import DEADLINE_S, until
+from robotctl.testing.world import World, journal_of, read_back
+
+
+def pid_of(world: World, robot: str = "robot") -> int:
+    return int(world.status(robot)["pid"])
+
+
+def last_command(folder: Path) -> bytes:
+    """The velocities of the last recorded command, as serialized."""
+    return bytes(read_back(folder)["/cmd_vel"][-1].data[4:])
+
+
+STILL = bytes(48)
+
+
+# The emergency stop outlives the process
+
+
+def test_an_emergency_stop_is_left_by_reset_only(world: World) -> None:
+    latch = world.folder / "state" / "robotctl" / "robot" / "emergency-stop"
+    world.ok("start", "--sim")
+    assert "release it with: robotctl reset" in world.ok("estop")
+    assert latch.exists()
+    refused = world.robotctl("set-mode", "moving")
+    assert refused.exit_code == 4
+    assert "EMERGENCY_STOP" in refused.err
+    assert "robotctl reset" in refused.err
+    world.ok("stop")
+    # after a stop
+    assert "still latched from before" in world.ok("start", "--sim")
+    assert world.status()["mode"] == "EMERGENCY_STOP"
+    # after a kill
+    world.kill(pid_of(world))
+    world.ok("start", "--sim")
+    assert world.status()["mode"] == "EMERGENCY_STOP"
+    assert "requested by robotctl estop" in world.status()["mode_reason"]
+    assert "released" in world.ok("reset")
+    assert not latch.exists()
+    world.ok("stop")
+    assert "mode        IDLE" in world.ok("start", "--sim")
+    world.ok("stop")
+
+
+def test_a_latch_that_cannot_be_written_is_told_and_the_robot_stops_all_the_same(
+    world: World,
+) -> None:
+    world.ok("start", "--sim")
+    partial = world.folder / "state" / "robotctl" / "robot" / "emergency-stop.new"
+    partial.mkdir()  # where the latch would be written first
+    out = world.ok("estop")
+    assert "Mode changed to EMERGENCY_STOP" in out
+    assert "could not be saved" in out
+    assert world.status()["mode"] == "EMERGENCY_STOP"
+    world.ok("stop")
+
+
+# Killed
+
+
+def test_after_a_kill_the_next_start_cleans_up_and_repairs(world: World) -> None:
+    world.ok("start", "--sim", "--drive", "circle")
+    until(lambda: world.status()["recorder"]["written"] > 100)
+    world.kill(pid_of(world))
+    assert world.sockets() != []
+    assert world.robotctl("status").exit_code == 3
+    killed = next(world.recordings.iterdir())
+    out = world.ok("start", "--sim")
+    assert world.status()["mode"] == "IDLE"
+    assert f"{killed.name}_0.mcap" in out  # what was repaired
+    world.ok("stop")
+    journal = journal_of(read_back(killed)["/robotctl/journal"])
+    assert any(entry.name == ModeChanged.__name__ for entry in journal)
+    assert rerun(journal) is None
+
+
+@pytest.mark.slow
+def test_fifty_kills_are_followed_by_fifty_starts(world: World) -> None:
+    for _ in range(50):
+        world.ok("start", "--sim", "--drive", "circle")
+        world.kill(pid_of(world))
+    world.ok("start", "--sim")
+    world.ok("stop")
+    for folder in world.recordings.iterdir():
+        # Killed within its first 0.3 s, a recording is valid and empty.
+        assert rerun(journal_of(read_back(folder).get("/robotctl/journal", []))) is None
+
+
+# Ended by a signal
+
+
+def test_start_with_drive_moves_at_once(world: World) -> None:
+    out = world.ok("start", "--sim", "--drive", "circle")
+    assert "mode        MOVING" in out
+    assert world.status()["mode"] == "MOVING"
+    world.ok("stop")
+    assert last_command(next(world.recordings.iterdir())) == STILL
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_while_moving_ends_with_zero_and_a_closed_recording(
+    world: World, number: signal.Signals
+) -> None:
+    world.ok("start", "--sim", "--drive", "circle")
+    until(lambda: world.status()["velocity"]["linear"] > 0.05)
+    pid = pid_of(world)
+    os.kill(pid, number)
+    until(lambda: pid not in world.processes())
+    assert last_command(next(world.recordings.iterdir())) == STILL
+    assert "0 dropped, 0 lost" in world.log()
+    assert world.sockets() == []
+
+
+def test_a_signal_during_the_start_ends_it(world: World) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as somebody:
+        # Where somebody seems to be, a start listens for a robot that is there, for seconds.
+        somebody.bind(("127.0.0.1", 7400 + 250 * world.domain_id + 249))
+        start = world.spawn("start")
+        until(lambda: world.recordings.exists() or start.poll() is not None)
+        for pid, command in world.processes().items():
+            if "robotctl.daemon" in command:
+                os.kill(pid, signal.SIGTERM)
+        _, err = start.communicate(timeout=DEADLINE_S)
+    assert start.returncode != 0
+    assert "told to stop before it was ready" in err
+    until(lambda: not world.processes())
+
+
+def test_the_daemon_runs_in_the_foreground(world: World) -> None:
+    process = world.spawn("start", "--foreground", "--sim")
+    assert process.stdout is not None
+    ready = json.loads(process.stdout.readline())
+    assert (ready["ready"], ready["pid"]) == (True, process.pid)
+    assert pid_of(world) == process.pid
+    process.send_signal(signal.SIGINT)
+    assert process.wait(DEADLINE_S) == 0
+    process.communicate()
+
+
+def test_two_stops_at_once_both_succeed(world: World) -> None:
+    world.ok("start", "--sim")
+    stops = [world.spawn("stop") for _ in range(2)]
+    for process in stops:
+        _, err = process.communicate(timeout=DEADLINE_S)
+        assert process.returncode in (0, 3), err
+    assert world.robotctl("status").exit_code == 3
+    assert world.robotctl("stop").exit_code == 3

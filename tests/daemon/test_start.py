@@ -1,0 +1,179 @@
+"""Starting twice, starting wrong, starting without a robot: nothing half-done is left."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from shutil import rmtree
+
+import pytest
+
+from robotctl.testing.waiting import until
+from robotctl.testing.world import Peer, World
+
+
+def pid_of(world: World, robot: str = "robot") -> int:
+    return int(world.status(robot)["pid"])
+
+
+# Starting twice
+
+
+def test_a_second_start_names_the_running_pid(world: World) -> None:
+    world.ok("start", "--sim")
+    pid = pid_of(world)
+    second = world.robotctl("start", "--sim")
+    assert (second.exit_code, second.out) == (5, "")
+    assert f"robot 'robot' is running already, pid {pid}" in second.err
+    assert len(list(world.recordings.iterdir())) == 1
+    world.ok("stop")
+
+
+def test_of_ten_starts_at_once_one_wins_and_the_others_name_it(world: World) -> None:
+    race(world)
+
+
+@pytest.mark.slow
+def test_fifty_races_have_one_winner_each(world: World) -> None:
+    for _ in range(50):
+        race(world)
+
+
+def race(world: World) -> None:
+    recorded = len(list(world.recordings.glob("*")))
+    starts = [world.spawn("start", "--sim") for _ in range(10)]
+    ended = [(*process.communicate(), process.returncode) for process in starts]
+    pid = pid_of(world)
+    assert sorted(exit_code for *_, exit_code in ended) == [0] + 9 * [5]
+    assert all(f"pid {pid}" in err for _, err, exit_code in ended if exit_code == 5)
+    assert len(list(world.recordings.iterdir())) == recorded + 1
+    world.ok("stop")
+
+
+def test_two_robots_live_side_by_side(world: World, new_peer: Callable[[World], Peer]) -> None:
+    peer = new_peer(world)
+    for robot in ("left", "right"):
+        world.ok("start", "--sim", "--robot", robot)
+    nodes = peer("nodes")
+    until(lambda: len(peer("nodes")) >= 14)
+    nodes = peer("nodes")
+    for robot in ("left", "right"):
+        for node in ("velocity_publisher", "odom_subscriber", "mode_service", "simulated_robot"):
+            assert f"/{robot}/{node}" in nodes
+    answer = peer("set_mode", mode=3, namespace="/left")
+    assert answer["success"] is True
+    assert world.status("left")["mode"] == "EMERGENCY_STOP"
+    assert world.status("right")["mode"] == "IDLE"
+    assert {topic["name"] for topic in world.status("right")["topics"]} >= {"/right/cmd_vel"}
+    for robot in ("left", "right"):
+        world.ok("stop", "--robot", robot)
+
+
+def test_a_daemon_whose_socket_and_lock_are_removed_is_found_again_and_keeps_its_robot(
+    world: World,
+) -> None:
+    world.ok("start", "--sim", "--drive", "circle")
+    pid = pid_of(world)
+    rmtree(world.folder / "run" / "robotctl")  # as when the user logs out
+    until(lambda: world.sockets() != [])
+    second = world.robotctl("start", "--sim")
+    assert second.exit_code == 5
+    assert f"pid {pid} answers" in second.err
+    assert world.status()["mode"] == "MOVING"
+    world.ok("stop")
+    assert len(list(world.recordings.iterdir())) == 1
+
+
+def test_a_start_in_a_shell_with_another_ros_drops_it_and_says_so(world: World) -> None:
+    world.source_another_ros()
+    out = world.ok("start", "--sim")
+    assert "note: dropped another ROS (humble) from PYTHONPATH, LD_LIBRARY_PATH, AMENT" in out
+    world.ok("stop")
+
+
+# Starting wrong
+
+
+def test_a_wrong_configuration_starts_nothing(world: World) -> None:
+    config = world.folder / "robot.yaml"
+    config.write_text("limits.linear_mps: -1")
+    ran = world.robotctl("start", "--config", str(config))
+    assert (ran.exit_code, ran.out) == (2, "")
+    assert f"{config}: limits.linear_mps: -1 is not allowed: use 0.01 to 10 m/s" in ran.err
+    assert ran.err.count("\n") == 1
+    assert not world.recordings.exists()
+
+
+def test_a_socket_path_that_is_too_long_starts_nothing(world: World) -> None:
+    world.environment["XDG_RUNTIME_DIR"] = str(world.folder / "run" / ("long" * 25))
+    ran = world.robotctl("start", "--sim")
+    assert ran.exit_code == 2
+    assert "longer than 107 bytes: set XDG_RUNTIME_DIR to a shorter folder" in ran.err
+    assert not world.recordings.exists()
+
+
+def test_something_else_in_the_place_of_the_socket_starts_nothing(world: World) -> None:
+    (world.folder / "run" / "robotctl").mkdir(mode=0o700)
+    in_the_way = world.folder / "run" / "robotctl" / "robot.sock"
+    in_the_way.write_text("mine")
+    ran = world.robotctl("start", "--sim")
+    assert ran.exit_code == 2
+    assert f"{in_the_way} is not a socket" in ran.err
+    assert list(world.recordings.iterdir()) == []
+    assert in_the_way.read_text() == "mine"
+    in_the_way.unlink()
+
+
+def test_a_file_in_the_place_of_the_runtime_folder_is_named(world: World) -> None:
+    in_the_way = world.folder / "run" / "robotctl"
+    in_the_way.write_text("")
+    ran = world.robotctl("start", "--sim")
+    assert ran.exit_code != 0
+    assert str(in_the_way) in ran.err
+    assert ran.err.count("\n") == 1
+
+
+def test_a_file_in_the_place_of_the_recordings_folder_is_named(world: World) -> None:
+    world.recordings.write_text("mine")
+    ran = world.robotctl("start", "--sim")
+    assert ran.exit_code == 4
+    assert f"cannot record into {world.recordings}" in ran.err
+    assert "--recordings" in ran.err
+    assert world.recordings.read_text() == "mine"
+
+
+def test_a_ros_domain_that_does_not_exist_starts_nothing(world: World) -> None:
+    world.environment["ROS_DOMAIN_ID"] = "233"
+    ran = world.robotctl("start", "--sim")
+    assert ran.exit_code == 2
+    assert "ROS_DOMAIN_ID is '233': use 0 to 232" in ran.err
+    assert not world.recordings.exists()
+
+
+def test_a_failed_start_in_the_foreground_says_why_in_one_line(world: World) -> None:
+    world.recordings.write_text("")
+    ran = world.robotctl("start", "--foreground", "--sim")
+    assert (ran.exit_code, ran.out) == (4, "")
+    assert ran.err.startswith("robotctl: cannot record into ")
+    assert ran.err.count("\n") == 1
+
+
+# Without a robot
+
+
+def test_moving_without_odometry_is_refused_with_the_cure(world: World) -> None:
+    world.ok("start", "--no-sim")
+    status = world.status()
+    assert (status["sim"], status["pose"], status["battery"]) == (False, None, None)
+    refused = world.robotctl("set-mode", "moving")
+    assert (refused.exit_code, refused.out) == (4, "")
+    assert "no odometry was received on odom yet" in refused.err
+    assert "check that the robot publishes odometry" in refused.err
+    assert world.status()["mode"] == "IDLE"
+    world.ok("stop")
+
+
+def test_a_drive_at_the_start_that_is_refused_says_so(world: World) -> None:
+    out = world.ok("start", "--no-sim", "--drive", "square")
+    assert "no odometry was received on odom yet" in out
+    assert world.status()["mode"] == "IDLE"
+    world.ok("stop")
