@@ -11,10 +11,10 @@ from rclpy.action.client import ActionClient
 from rclpy.action.server import ActionServer
 from rclpy.executors import ShutdownException
 
-from robotctl.ros.entities import EventFdSource
 from robotctl.ros.futures import CallbacksNow, fail_pending
 from robotctl.ros.rcl import Signal
 from robotctl.ros.runtime import Runtime
+from robotctl.ros.sources import EventFdSource
 
 EXPIRY_POLL_S = 1.0
 """How often finished goals are looked at: rcl keeps their expiry in a timer of its own."""

@@ -17,57 +17,30 @@ callback may await a call whose client is in the callback's own group.
 from __future__ import annotations
 
 import asyncio
-import inspect
 import threading
-import time
-from collections.abc import Callable, Coroutine, Iterator
 from contextlib import suppress
-from itertools import chain
 from types import TracebackType
 from typing import Any, NoReturn, Self
 
 from rclpy.action.client import ActionClient
-from rclpy.action.server import ActionServer
 from rclpy.client import Client
 from rclpy.context import Context
-from rclpy.event_handler import EventHandler
-from rclpy.exceptions import InvalidHandle
-from rclpy.guard_condition import GuardCondition
 from rclpy.node import Node
-from rclpy.service import Service
 from rclpy.signals import SignalHandlerOptions, get_current_signal_handlers_options
-from rclpy.subscription import Subscription
 from rclpy.task import Future
-from rclpy.timer import Timer
 from rclpy.utilities import get_default_context
 
 from robotctl.ros import futures
-from robotctl.ros.actions import ActionClientSource, ActionServerSource
-from robotctl.ros.entities import ClientSource, QosEventSource, ServiceSource, Source
+from robotctl.ros.attachments import Attachments
+from robotctl.ros.loop_thread import LoopThread
+from robotctl.ros.nodes import Nodes
 from robotctl.ros.proof import prove
-from robotctl.ros.raw import RawTap
 from robotctl.ros.realtime import FifoScheduling, check_priority
 from robotctl.ros.runtime import ExceptionHandler, Runtime, log
-from robotctl.ros.subscriptions import RawTapSource, SubscriptionSource
-from robotctl.ros.timers import TimerSource
-from robotctl.ros.waitset import GuardSource, WaitableSource, WaitSetThread
+from robotctl.ros.tasks import Tasks
+from robotctl.ros.waitset import WaitSetThread
 
 SERVICE_POLL_S = 0.02
-
-
-class ExecutorTask(Future):
-    """What `create_task` returns: an rclpy Future whose `cancel` reaches the running coroutine."""
-
-    def __init__(self, executor: AsyncioExecutor) -> None:
-        super().__init__(executor=executor)
-        self._owner = executor
-        self._asyncio_task: asyncio.Task[None] | None = None
-
-    def cancel(self) -> None:
-        """Cancel the future, and the coroutine behind it; from any thread."""
-        super().cancel()
-        if self._asyncio_task is not None:
-            self._owner._in_loop(self._asyncio_task.cancel)
 
 
 class AsyncioExecutor:
@@ -102,16 +75,18 @@ class AsyncioExecutor:
         self._on_exception = on_exception
         self._fifo_priority = fifo_priority
         self._fifo: FifoScheduling | None = None
-        self._nodes: dict[Node, None] = {}
-        self._sources: dict[Any, Source] = {}
-        self._broken: set[Any] = set()
+        self._loop_thread = LoopThread()
+        self._nodes = Nodes(self)
+        self._tasks = Tasks(self, self._loop_thread)
         self._runtime: Runtime | None = None
-        self._thread_id: int | None = None
         self._wait_set: WaitSetThread | None = None
-        self._waiting_tasks: list[Callable[[], object]] = []
+        self._attachments: Attachments | None = None
         self._sync_scheduled = False
+        self._opened = False
         self._is_shutdown = False
+        """Asked to end: no callback begins any more. rclpy's executors call it the same."""
         self._closed = False
+        """Everything has been let go of."""
         self._served = asyncio.Event()
         self._finished = threading.Event()
 
@@ -120,35 +95,26 @@ class AsyncioExecutor:
     async def __aenter__(self) -> Self:
         """Begin to run callbacks in the running loop.
 
+        Where that fails the executor is closed, and its nodes are free for another one.
+
         Raises:
             UnsupportedPlatform: eventfds do not work here.
-            RuntimeError: the executor is open or was closed, or its context is not initialized.
+            RuntimeError: the executor is open, was closed or is shut down while it opens, or its
+                context is not initialized.
         """
         self._refuse_closed()
-        if self._runtime is not None:
+        if self._opened:
             raise RuntimeError("this executor is open already; an executor serves one loop, once")
         if not self._context.ok():
             raise RuntimeError("the executor's context is not initialized; call rclpy.init() first")
-        loop = asyncio.get_running_loop()
-        await prove(self._context)
-        self._runtime = Runtime(loop, self._sync, self._on_exception)
-        self._thread_id = threading.get_ident()
-        self._wait_set = WaitSetThread(self._runtime, self._context, self._close)
-        futures.open_bridge(loop)
+        self._opened = True
         try:
-            if self._fifo_priority is not None:
-                self._fifo = FifoScheduling(self._fifo_priority)
-                log.info("the loop's thread runs under %s", self._fifo.description)
-            self._context.on_shutdown(self._on_context_shutdown)
-            if get_current_signal_handlers_options() != SignalHandlerOptions.NO:
-                self._wait_set.watch_signals()
-            self._sync()
+            await prove(self._context)
+            self._refuse_closed()
+            self._open(asyncio.get_running_loop())
         except BaseException:
             self._close()
             raise
-        waiting, self._waiting_tasks = self._waiting_tasks, []
-        for start in waiting:
-            start()
         return self
 
     async def __aexit__(
@@ -188,10 +154,11 @@ class AsyncioExecutor:
             self._close()
             return runtime is None or not runtime.tasks
         self._is_shutdown = True
+        self._tasks.close()
         runtime.stale = True
         # Not at once: a signal handler may run in the midst of what would be torn down.
         runtime.loop.call_soon_threadsafe(self._close)
-        if self._in_loop_thread():
+        if self._loop_thread.is_current():
             return not runtime.tasks
         return self._finished.wait(None if timeout_sec is None or timeout_sec < 0 else timeout_sec)
 
@@ -217,28 +184,16 @@ class AsyncioExecutor:
             RuntimeError: the executor was shut down, or another live executor has the node.
         """
         self._refuse_closed()
-        if node in self._nodes:
+        if not self._nodes.add(node):
             return False
-        other = _executor_of(node)
-        if other is not None and other is not self and not getattr(other, "_is_shutdown", False):
-            raise RuntimeError(
-                f"node {node.get_fully_qualified_name()} belongs to another executor; "
-                "call its remove_node first"
-            )
-        # First, because the setter calls this method again.
-        self._nodes[node] = None
-        _set_executor(node, self)
         self.wake()
         return True
 
     def remove_node(self, node: Node) -> None:
         """Run the node's callbacks no more; a node that is not here is ignored."""
-        if node not in self._nodes:
+        if not self._nodes.remove(node):
             return
-        del self._nodes[node]
-        if _executor_of(node) is self:
-            _set_executor(node, None)
-        if self._in_loop_thread():
+        if self._loop_thread.is_current():
             self._sync()
         else:
             self.wake()
@@ -257,12 +212,7 @@ class AsyncioExecutor:
             RuntimeError: the executor was shut down.
         """
         self._refuse_closed()
-        task = ExecutorTask(self)
-        if inspect.iscoroutine(callback):
-            self._in_loop(lambda: self._start_coroutine(task, callback))
-        else:
-            self._in_loop(lambda: self._start_function(task, callback, args, kwargs))
-        return task
+        return self._tasks.create(callback, args, kwargs)
 
     def wake(self) -> None:
         """Look at the nodes again: an entity was created or destroyed. rclpy calls this."""
@@ -270,7 +220,7 @@ class AsyncioExecutor:
         if runtime is None or self._is_shutdown:
             return
         runtime.stale = True
-        if not self._in_loop_thread():
+        if not self._loop_thread.is_current():
             with suppress(RuntimeError):  # The loop is closed: nothing is left to look at.
                 runtime.loop.call_soon_threadsafe(self._sync_if_stale)
         elif not self._sync_scheduled:
@@ -304,7 +254,7 @@ class AsyncioExecutor:
         runtime = self._running()
         if runtime.stale:
             self._sync()
-        if client not in self._sources:
+        if self._attachments is None or client not in self._attachments:
             raise RuntimeError(
                 f"the client of {client.srv_name} belongs to no node of this executor: "
                 "nobody would take the response; call add_node first"
@@ -366,72 +316,21 @@ class AsyncioExecutor:
             raise RuntimeError("this executor runs in another event loop; give each loop its own")
         return self._runtime
 
-    def _in_loop_thread(self) -> bool:
-        return threading.get_ident() == self._thread_id
-
-    def _in_loop(self, callback: Callable[[], object]) -> None:
-        if self._runtime is None:
-            self._waiting_tasks.append(callback)
-        elif self._in_loop_thread():
-            self._runtime.loop.call_soon(callback)
-        else:
-            self._runtime.loop.call_soon_threadsafe(callback)
-
-    def _start_function(
-        self, task: ExecutorTask, function: Any, args: tuple[Any, ...], kwargs: dict[str, Any]
-    ) -> None:
-        if task.cancelled() or self._is_shutdown:
-            self._resolve(task, lambda: Future.cancel(task))
-            return
-        assert self._runtime is not None
-        begun = time.monotonic_ns()
-        try:
-            result = function(*args, **kwargs)
-        except Exception as error:  # noqa: BLE001 - in the future, and reported
-            self._fail(task, error, _name(function))
-            return
-        finally:
-            self._runtime.slow.check(f"task {_name(function)}", time.monotonic_ns() - begun)
-        if inspect.iscoroutine(result):
-            self._start_coroutine(task, result)
-        else:
-            self._resolve(task, lambda: task.set_result(result))
-
-    def _start_coroutine(self, task: ExecutorTask, coroutine: Coroutine[Any, Any, Any]) -> None:
-        async def run() -> None:
-            try:
-                result = await coroutine
-            except Exception as error:  # noqa: BLE001 - in the future, and reported
-                self._fail(task, error, _name(coroutine))
-            else:
-                self._resolve(task, lambda: task.set_result(result))
-
-        def finished() -> None:
-            coroutine.close()
-            if not task.done():
-                self._resolve(task, lambda: Future.cancel(task))
-
-        if task.cancelled() or self._is_shutdown:
-            finished()
-            return
-        assert self._runtime is not None
-        task._asyncio_task = self._runtime.spawn(run(), f"task {_name(coroutine)}", finished)
-
-    def _fail(self, task: ExecutorTask, error: Exception, name: str) -> None:
-        somebody_listens = bool(task._callbacks)
-        self._resolve(task, lambda: task.set_exception(error))
-        if not somebody_listens:
-            task.exception()  # Reported here: rclpy need not print it as well.
-            self._report(error, f"task {name}")
-
-    def _resolve(self, task: ExecutorTask, settle: Callable[[], None]) -> None:
-        later = None if self._is_shutdown else self
-        with futures.callbacks_at_once(task, futures.CallbacksNow(self._report), later):
-            settle()
-
-    def _report(self, error: Exception, where: str) -> None:
-        if self._runtime is not None:
-            self._runtime.report(error, where)
+    def _open(self, loop: asyncio.AbstractEventLoop) -> None:
+        runtime = Runtime(loop, self._sync, self._on_exception)
+        self._wait_set = WaitSetThread(runtime, self._context, self._close)
+        self._attachments = Attachments(runtime, self._wait_set, self)
+        self._runtime = runtime
+        futures.open_bridge(loop)
+        if self._fifo_priority is not None:
+            self._fifo = FifoScheduling(self._fifo_priority)
+            log.info("the loop's thread runs under %s", self._fifo.description)
+        self._tasks.open(runtime)
+        self._loop_thread.open(loop)
+        self._context.on_shutdown(self._on_context_shutdown)
+        if get_current_signal_handlers_options() != SignalHandlerOptions.NO:
+            self._wait_set.watch_signals()
+        self._sync()
 
     def _sync_if_stale(self) -> None:
         self._sync_scheduled = False
@@ -440,108 +339,38 @@ class AsyncioExecutor:
 
     def _sync(self) -> None:
         """Attach what is new on the nodes, detach what is gone."""
-        runtime = self._runtime
-        if runtime is None:
+        if self._runtime is None or self._attachments is None:
             return
         if self._is_shutdown:
             self._close()
             return
-        runtime.stale = False
-        present: dict[Any, Node] = {}
-        for node in list(self._nodes):
-            if _is_destroyed(node.handle):
-                del self._nodes[node]
-            else:
-                present.update(dict.fromkeys(_entities_of(node), node))
-        for entity in [entity for entity in self._sources if entity not in present]:
-            source = self._sources.pop(entity)
-            if _is_destroyed(source.handle):
-                _fail_pending(source, "destroyed while a call waited for its response")
-            source.detach()
-        self._broken.intersection_update(present)
-        for entity, node in present.items():
-            if entity not in self._sources and entity not in self._broken:
-                self._attach(entity, node, runtime)
-
-    def _attach(self, entity: Any, node: Node, runtime: Runtime) -> None:
-        try:
-            source = self._make(entity, node, runtime)
-            source.attach()
-        except InvalidHandle:
-            return  # Destroyed between its node's list and here.
-        except Exception as error:  # noqa: BLE001 - handed to the one handler
-            self._broken.add(entity)
-            runtime.report(error, f"{type(entity).__name__}, which therefore stays silent")
-            return
-        self._sources[entity] = source
-        log.debug("%s comes by %s", source.where, source.path)
-
-    def _make(self, entity: Any, node: Node, runtime: Runtime) -> Source:
-        """The source for an entity of the node: which path it takes is decided here."""
-        wait_set = self._wait_set
-        assert wait_set is not None
-        name = node.get_fully_qualified_name()
-        match entity:
-            case Subscription(raw=True, callback=RawTap()):
-                return RawTapSource(runtime, entity, f"{name}: tap of {entity.topic_name}")
-            case Subscription():
-                where = f"{name}: subscription {entity.topic_name} ({_name(entity.callback)})"
-                return SubscriptionSource(runtime, entity, where)
-            case Service():
-                where = f"{name}: service {entity.service_name} ({_name(entity.callback)})"
-                return ServiceSource(runtime, entity, where)
-            case Client():
-                return ClientSource(runtime, entity, f"{name}: client {entity.service_name}", self)
-            case Timer():
-                period_s = entity.timer_period_ns / 1e9
-                where = f"{name}: timer of {period_s:g} s ({_name(entity.callback)})"
-                return TimerSource(runtime, entity, where)
-            case GuardCondition():
-                where = f"{name}: guard condition ({_name(entity.callback)})"
-                return GuardSource(runtime, entity, where, wait_set)
-            case EventHandler():
-                where = f"{name}: event {entity.event_type.name} ({_name(entity.callback)})"
-                return QosEventSource(runtime, entity, where)
-            case ActionServer():
-                where = f"{name}: action server ({_name(entity._execute_callback)})"
-                return ActionServerSource(runtime, entity, where, self)
-            case ActionClient():
-                where = f"{name}: action client {entity._action_name}"
-                return ActionClientSource(runtime, entity, where, self)
-            case _:
-                where = f"{name}: {type(entity).__name__}"
-                return WaitableSource(runtime, entity, where, wait_set, self)
+        self._runtime.stale = False
+        self._attachments.follow(self._nodes.entities())
 
     def _on_context_shutdown(self) -> None:
         # In any thread, with the context's lock held: only ask the loop.
         if not self._is_shutdown:
             with suppress(RuntimeError):  # The loop is closed: nothing is left to let go of.
-                self._in_loop(self._close)
+                self._loop_thread.call_soon(self._close)
 
     def _close(self) -> None:
         self._is_shutdown = True
         if self._closed:
             return
         self._closed = True
+        self._tasks.close()
         self._served.set()
-        nodes, self._nodes = self._nodes, {}
-        for node in nodes:
-            if _executor_of(node) is self:
-                _set_executor(node, None)
-        waiting, self._waiting_tasks = self._waiting_tasks, []
-        for start in waiting:
-            start()
+        self._nodes.clear()
+        self._loop_thread.release_waiting()
         if self._runtime is None:
             self._finished.set()
         else:
             self._tear_down(self._runtime)
 
     def _tear_down(self, runtime: Runtime) -> None:
-        sources, self._sources = self._sources, {}
-        for source in sources.values():
-            _fail_pending(source, "the executor was shut down while a call waited")
-            source.detach()
+        assert self._attachments is not None
         assert self._wait_set is not None
+        self._attachments.detach_all()
         self._wait_set.stop()
         runtime.close_pools()
         futures.close_bridge(runtime.loop)
@@ -550,42 +379,3 @@ class AsyncioExecutor:
         for task in runtime.tasks:
             task.cancel()
         runtime.on_idle(self._finished.set)
-
-
-def _entities_of(node: Node) -> Iterator[Any]:
-    return chain(
-        node.subscriptions,
-        node.timers,
-        node.clients,
-        node.services,
-        node.guards,
-        node.waitables,
-    )
-
-
-def _executor_of(node: Node) -> Any:
-    # rclpy's types know its own executors only.
-    return node.executor
-
-
-def _set_executor(node: Any, executor: AsyncioExecutor | None) -> None:
-    node.executor = executor
-
-
-def _name(callback: Any) -> str:
-    """What a log calls a callback."""
-    name = getattr(callback, "__qualname__", None)
-    return name if isinstance(name, str) else repr(callback)
-
-
-def _is_destroyed(handle: Any) -> bool:
-    try:
-        with handle:
-            return False
-    except InvalidHandle:
-        return True
-
-
-def _fail_pending(source: Source, reason: str) -> None:
-    if isinstance(source, ClientSource | ActionClientSource):
-        source.fail_pending(reason)

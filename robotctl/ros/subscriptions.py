@@ -14,9 +14,9 @@ from rclpy.subscription import Subscription
 
 from robotctl.ros import rcl
 from robotctl.ros.decoder import decoder_of
-from robotctl.ros.entities import EventFdSource, TakeFailed, rest_of
 from robotctl.ros.rcl import Signal
 from robotctl.ros.runtime import Runtime
+from robotctl.ros.sources import EventFdSource, TakeFailed, rest_of
 from robotctl.ros.timing import (
     CALM_VERDICT_NS,
     FASTEST_TOPIC_HZ,

@@ -10,9 +10,9 @@ from rclpy.duration import Duration
 from rclpy.timer import Timer
 
 from robotctl.ros import rcl
-from robotctl.ros.entities import Source
 from robotctl.ros.rcl import Signal
 from robotctl.ros.runtime import Runtime
+from robotctl.ros.sources import Source
 from robotctl.ros.timerfd import TimerFd
 
 # Every step of a clock counts: rcl's on-reset callback is silent when /clock moves.

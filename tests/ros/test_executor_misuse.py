@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
-from subprocess import CompletedProcess
 from typing import Any
 
 import pytest
@@ -19,7 +18,6 @@ from robotctl.testing.entities import populate
 from robotctl.testing.waiting import DEADLINE_S
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
-RunPython = Callable[..., CompletedProcess[str]]
 
 
 async def test_a_node_added_twice_answers_false(executor: AsyncioExecutor, node: Node) -> None:
@@ -52,7 +50,7 @@ async def test_a_removed_node_is_left_alone_and_may_come_back(
     node.create_subscription(UInt64, topic, lambda m: got.append(m.data), 10)
     publisher = node.create_publisher(UInt64, topic, 10)
     executor.remove_node(node)
-    assert executor._sources == {}
+    assert executor._attachments.sources == {}
     executor.remove_node(node)
     publisher.publish(UInt64(data=1))
     await asyncio.sleep(0.02)
@@ -70,7 +68,9 @@ async def test_a_destroyed_node_leaves_the_executor(
     await asyncio.sleep(0.01)
     short_lived.destroy_node()
     await until(lambda: short_lived not in executor.get_nodes())
-    assert not [source for source in executor._sources.values() if "short_lived" in source.where]
+    assert not [
+        source for source in executor._attachments.sources.values() if "short_lived" in source.where
+    ]
 
 
 async def test_a_closed_executor_says_that_it_is_closed(
@@ -106,6 +106,19 @@ async def test_an_executor_that_is_not_open_or_is_open_already_says_so(context: 
             await executor.__aenter__()
     with pytest.raises(RuntimeError, match="an AsyncioExecutor does not spin"):
         executor.spin_once(timeout_sec=0.0)
+
+
+async def test_two_tasks_that_open_one_executor_at_once_open_it_once(
+    context: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("robotctl.ros.proof._proven", False)
+    executor = AsyncioExecutor(context)
+    first = asyncio.create_task(executor.__aenter__())
+    await asyncio.sleep(0)
+    with pytest.raises(RuntimeError, match="open already"):
+        await executor.__aenter__()
+    assert await first is executor
+    await executor.__aexit__(None, None, None)
 
 
 async def test_another_loop_is_refused(executor: AsyncioExecutor, node: Node, topic: str) -> None:

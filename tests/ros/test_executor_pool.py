@@ -49,7 +49,7 @@ async def test_a_tap_takes_what_collected_in_one_look(
     )
     publisher = node.create_publisher(UInt64, topic, 1000)
     await asyncio.sleep(0.01)
-    (source,) = (s for s in executor._sources.values() if "tap" in s.where)
+    (source,) = (s for s in executor._attachments.sources.values() if "tap" in s.where)
     looks = 0
     look = source.look
 
@@ -106,7 +106,7 @@ async def test_a_tap_without_latency_is_looked_at_for_every_message(
     subscription = node.create_subscription(UInt64, topic, tap, 1000, raw=True)
     node.create_publisher(UInt64, topic, 10).publish(UInt64())
     await until(lambda: got)
-    assert executor._sources[subscription].pool is None
+    assert executor._attachments.sources[subscription].pool is None
 
 
 async def test_taps_that_get_nothing_do_not_turn_the_loop(
@@ -132,7 +132,7 @@ async def test_a_flooded_subscription_collects_until_it_is_calm_and_loses_nothin
     subscription = node.create_subscription(UInt64, topic, lambda m: got.append(m.data), 10_000)
     publisher = node.create_publisher(UInt64, topic, 10_000)
     await asyncio.sleep(0)
-    source: Any = executor._sources[subscription]
+    source: Any = executor._attachments.sources[subscription]
     sent = 0
 
     async def publish(pause_s: float) -> None:
@@ -161,7 +161,7 @@ async def test_a_subscription_whose_queue_is_short_never_collects(
     subscription = node.create_subscription(UInt64, topic, lambda m: got.append(m.data), 10)
     publisher = node.create_publisher(UInt64, topic, 10)
     await asyncio.sleep(0)
-    source: Any = executor._sources[subscription]
+    source: Any = executor._attachments.sources[subscription]
     async with asyncio.timeout(DEADLINE_S):
         while len(got) < 500:
             publisher.publish(UInt64(data=len(got)))

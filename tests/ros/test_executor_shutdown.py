@@ -13,10 +13,12 @@ import pytest
 from rclpy.executors import ShutdownException
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
 from std_msgs.msg import UInt64
 from std_srvs.srv import SetBool
 
 from robotctl.ros import AsyncioExecutor
+from robotctl.testing.descriptors import loop_descriptors
 from robotctl.testing.entities import populate
 from robotctl.testing.waiting import DEADLINE_S
 
@@ -109,6 +111,24 @@ async def test_leaving_the_block_cancels_async_callbacks_and_waits_for_their_cle
     assert slow.events == ["running", "cleaned up"]
 
 
+async def test_an_executor_that_is_shut_down_while_it_opens_lets_go_of_everything(
+    context: Any, node: Node, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("robotctl.ros.proof._proven", False)
+    before = (loop_descriptors(), threading.active_count(), Future.__await__)
+    executor = AsyncioExecutor(context)
+    executor.add_node(node)
+    never_begun = executor.create_task(lambda: None)
+    opening = asyncio.create_task(executor.__aenter__())
+    await asyncio.sleep(0)
+    assert executor.shutdown() is True
+    with pytest.raises(RuntimeError, match="was shut down; create a new one"):
+        await opening
+    assert (loop_descriptors(), threading.active_count(), Future.__await__) == before
+    assert node.executor is None
+    assert never_begun.cancelled()
+
+
 async def test_a_call_that_waits_when_the_executor_shuts_down_is_told(
     context: Any, node: Node, topic: str
 ) -> None:
@@ -152,6 +172,7 @@ async def test_serve_ends_when_the_context_is_shut_down_by_another_thread(
 SERVE_UNTIL_SIGNAL = """
 import asyncio, os, signal, sys, rclpy
 from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
 from robotctl.ros import AsyncioExecutor
 
 how, number = sys.argv[1], int(sys.argv[2])

@@ -6,7 +6,6 @@ import asyncio
 import threading
 import time
 from collections.abc import Awaitable, Callable
-from subprocess import CompletedProcess
 from typing import Any
 
 import pytest
@@ -20,7 +19,6 @@ from robotctl.testing.entities import populate
 from robotctl.testing.waiting import DEADLINE_S
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
-RunPython = Callable[..., CompletedProcess[str]]
 
 
 # Cancellation.
@@ -172,6 +170,58 @@ async def test_cancelling_a_task_cancels_its_coroutine(
     task.cancel()
     await until(lambda: events == ["running", "cancelled"])
     assert task.cancelled()
+
+
+def test_a_task_may_be_cancelled_after_its_loop_has_gone(context: Any) -> None:
+    tasks: list[Future] = []
+
+    async def live() -> None:
+        async with AsyncioExecutor(context) as executor:
+            tasks.append(executor.create_task(asyncio.sleep, 0))
+            tasks.append(executor.create_task(asyncio.sleep, DEADLINE_S))
+            await tasks[0]
+
+    asyncio.run(live())
+    for task in tasks:
+        task.cancel()
+    assert [task.cancelled() for task in tasks] == [False, True]
+
+
+async def test_no_task_is_lost_that_another_thread_creates_while_the_executor_opens(
+    context: Any, until: Until
+) -> None:
+    ran: list[int] = []
+    created = 0
+    stop = threading.Event()
+
+    def create() -> None:
+        nonlocal created
+        while not stop.is_set():
+            executor.create_task(ran.append, created)
+            created += 1
+
+    executor = AsyncioExecutor(context)
+    thread = threading.Thread(target=create)
+    thread.start()
+    await until(lambda: created)
+    async with executor:
+        await until(lambda: ran)
+        stop.set()
+        await asyncio.to_thread(thread.join)
+        await until(lambda: len(ran) == created)
+    assert ran == list(range(created))
+
+
+def test_what_a_listener_of_a_task_that_never_began_raises_is_said(
+    context: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    def listen(task: Future) -> None:
+        raise ValueError("no")
+
+    executor = AsyncioExecutor(context)
+    executor.create_task(print).add_done_callback(listen)
+    executor.shutdown()
+    assert "exception in the done callback of a future" in caplog.text
 
 
 # The bridge from rclpy's futures.

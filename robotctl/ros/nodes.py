@@ -1,0 +1,97 @@
+"""The nodes of one executor, and the entities that they have now."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import chain
+from typing import Any
+
+from rclpy.exceptions import InvalidHandle
+from rclpy.node import Node
+
+
+class Nodes:
+    """The nodes of one executor; each of them knows whose it is, as in rclpy."""
+
+    def __init__(self, executor: Any) -> None:
+        self._executor = executor
+        self._nodes: dict[Node, None] = {}
+
+    def __iter__(self) -> Iterator[Node]:
+        return iter(list(self._nodes))
+
+    def add(self, node: Node) -> bool:
+        """Take the node in; False where it is here already.
+
+        Raises:
+            RuntimeError: another live executor has the node.
+        """
+        if node in self._nodes:
+            return False
+        other = _executor_of(node)
+        if (
+            other is not None
+            and other is not self._executor
+            and not getattr(other, "_is_shutdown", False)
+        ):
+            raise RuntimeError(
+                f"node {node.get_fully_qualified_name()} belongs to another executor; "
+                "call its remove_node first"
+            )
+        # First, because the setter calls the executor's `add_node` again.
+        self._nodes[node] = None
+        _set_executor(node, self._executor)
+        return True
+
+    def remove(self, node: Node) -> bool:
+        """Let the node go; False where it is not here."""
+        if node not in self._nodes:
+            return False
+        del self._nodes[node]
+        if _executor_of(node) is self._executor:
+            _set_executor(node, None)
+        return True
+
+    def clear(self) -> None:
+        """Let all of them go."""
+        for node in self:
+            self.remove(node)
+
+    def entities(self) -> dict[Any, Node]:
+        """Every entity, with its node; a node that was destroyed is forgotten."""
+        found: dict[Any, Node] = {}
+        for node in self:
+            if is_destroyed(node.handle):
+                del self._nodes[node]
+            else:
+                found.update(dict.fromkeys(_entities_of(node), node))
+        return found
+
+
+def is_destroyed(handle: Any) -> bool:
+    """Whether rclpy has given up what is behind the handle."""
+    try:
+        with handle:
+            return False
+    except InvalidHandle:
+        return True
+
+
+def _entities_of(node: Node) -> Iterator[Any]:
+    return chain(
+        node.subscriptions,
+        node.timers,
+        node.clients,
+        node.services,
+        node.guards,
+        node.waitables,
+    )
+
+
+def _executor_of(node: Node) -> Any:
+    # rclpy's types know its own executors only.
+    return node.executor
+
+
+def _set_executor(node: Any, executor: Any) -> None:
+    node.executor = executor

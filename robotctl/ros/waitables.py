@@ -1,0 +1,139 @@
+# mypy: disallow-untyped-calls=False
+"""What has no callback in rcl and is waited for in the wait-set thread."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from rclpy.guard_condition import GuardCondition
+from rclpy.waitable import Waitable
+
+from robotctl.ros.runtime import Runtime
+from robotctl.ros.sources import Source
+
+if TYPE_CHECKING:
+    from robotctl.ros.waitset import WaitSetThread
+
+
+class WaitSetSource(Source):
+    """An entity that is waited for in the thread."""
+
+    path = "wait-set thread"
+
+    def __init__(
+        self, runtime: Runtime, entity: Any, handle: Any, where: str, thread: WaitSetThread
+    ) -> None:
+        super().__init__(runtime, entity, handle, where)
+        self._thread = thread
+        self.parked = False
+
+    def attach(self) -> None:
+        self.handle.__enter__()
+        self._thread.add(self)
+
+    def detach(self) -> None:
+        if self.closed:
+            return
+        self.closed = True
+        self._thread.remove(self)
+
+    def release(self) -> None:
+        """The thread waits for it no more: the entity may be destroyed."""
+        self.handle.__exit__(None, None, None)
+
+    def counts(self) -> tuple[int, int, int, int, int, int]:
+        """How many subscriptions, guards, timers, clients, services and events it waits for."""
+        raise NotImplementedError
+
+    def fill(self, wait_set: Any) -> None:
+        """Add them to a wait set."""
+        raise NotImplementedError
+
+    def fire(self, wait_set: Any) -> None:
+        """In the loop: run the callback if the wait set says so."""
+        raise NotImplementedError
+
+
+class GuardSource(WaitSetSource):
+    """A guard condition."""
+
+    _triggered = False
+
+    def __init__(
+        self, runtime: Runtime, guard: GuardCondition, where: str, thread: WaitSetThread
+    ) -> None:
+        super().__init__(runtime, guard, guard.handle, where, thread)
+
+    def counts(self) -> tuple[int, int, int, int, int, int]:
+        return (0, 1, 0, 0, 0, 0)
+
+    def fill(self, wait_set: Any) -> None:
+        wait_set.add_guard_condition(self.handle)
+
+    def fire(self, wait_set: Any) -> None:
+        if self.handle.pointer in wait_set.get_ready_entities("guard_condition"):
+            self._call()
+
+    def resume(self) -> None:
+        # Waiting has reset the condition: only we know that it was triggered.
+        if self._triggered and not self.closed:
+            self._call()
+
+    def _call(self) -> None:
+        if self.entity.callback is not None:
+            self._triggered = self.blocked() or not self.call_back(self.entity.callback)
+
+
+class WaitableSource(WaitSetSource):
+    """A Waitable that is none of rclpy's own."""
+
+    def __init__(
+        self,
+        runtime: Runtime,
+        waitable: Waitable,
+        where: str,
+        thread: WaitSetThread,
+        executor: Any,
+    ) -> None:
+        super().__init__(runtime, waitable, waitable, where, thread)
+        self._executor = executor
+        self._ready = False
+
+    def counts(self) -> tuple[int, int, int, int, int, int]:
+        number = self.entity.get_num_entities()
+        return (
+            number.num_subscriptions,
+            number.num_guard_conditions,
+            number.num_timers,
+            number.num_clients,
+            number.num_services,
+            number.num_events,
+        )
+
+    def fill(self, wait_set: Any) -> None:
+        self.entity.add_to_wait_set(wait_set)
+
+    def fire(self, wait_set: Any) -> None:
+        self._ready = self.entity.is_ready(wait_set)
+        if self._ready:
+            self._execute()
+
+    def resume(self) -> None:
+        if self._ready and not self.closed:
+            self._execute()
+
+    def _execute(self) -> None:
+        # While parked it may stay ready: waiting for it would turn the thread.
+        self.parked = self.blocked()
+        if self.parked:
+            return
+        self._ready = False
+        waitable = self.entity
+        try:
+            data = waitable.take_data()
+            for future in waitable._futures:
+                future._set_executor(self._executor)
+            self.run_async(waitable.execute(data))
+        except Exception as error:  # noqa: BLE001 - handed to the one handler
+            self.runtime.report(error, self.where)
+        self._thread.refresh()

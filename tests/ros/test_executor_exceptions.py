@@ -1,0 +1,167 @@
+"""An exception reaches one handler, and the executor goes on."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from std_msgs.msg import UInt64
+from std_srvs.srv import SetBool
+
+from robotctl.ros import AsyncioExecutor, RawTap, rcl
+
+Until = Callable[[Callable[[], object]], Awaitable[None]]
+Peer = Callable[..., Awaitable[Any]]
+
+
+@pytest.fixture
+async def reported(context: Any, node: Node) -> Any:
+    """What an executor that has the node reports, as (exception text, where)."""
+    told: list[tuple[str, str]] = []
+    async with AsyncioExecutor(
+        context, on_exception=lambda error, where: told.append((str(error), where))
+    ) as executor:
+        executor.add_node(node)
+        yield told
+
+
+async def test_an_exception_in_any_callback_reaches_the_handler_and_the_next_one_runs(
+    reported: list[tuple[str, str]],
+    node: Node,
+    peer: Peer,
+    topic: str,
+    until: Until,
+) -> None:
+    def fail(*_: Any) -> None:
+        raise ValueError("no")
+
+    async def fail_later(*_: Any) -> None:
+        await asyncio.sleep(0)
+        raise ValueError("no")
+
+    def fail_with_info(message: UInt64, info: Any) -> None:
+        fail()
+
+    def fail_alone(message: UInt64) -> None:
+        fail()
+
+    async def fail_slowly(message: UInt64) -> None:
+        await fail_later()
+
+    callbacks = SubscriptionEventCallbacks(matched=fail)
+    node.create_subscription(UInt64, topic, fail_alone, 10, event_callbacks=callbacks)
+    node.create_subscription(UInt64, topic, fail_with_info, 10)
+    node.create_subscription(UInt64, topic, fail_slowly, 10)
+    node.create_subscription(UInt64, topic, RawTap(fail), 10, raw=True)
+    node.create_service(SetBool, topic, fail)
+    node.create_service(SetBool, f"{topic}/later", fail_later)
+    node.create_timer(0.01, fail)
+    guard = node.create_guard_condition(fail)
+    client = node.create_client(SetBool, topic)
+    later = node.create_client(SetBool, f"{topic}/later")
+    publisher = node.create_publisher(UInt64, topic, 10)
+
+    def times(what: str) -> int:
+        return sum(what in where for _, where in reported)
+
+    subscriptions = ("fail_alone", "fail_with_info", "fail_slowly")
+    kinds = (*subscriptions, "tap", "service", "/later", "timer", "guard", "MATCHED")
+    for count in (1, 2):
+        publisher.publish(UInt64())
+        client.call_async(SetBool.Request())
+        later.call_async(SetBool.Request())
+        guard.trigger()
+        await peer("open", topic=topic)
+        await until(lambda count=count: all(times(kind) >= count for kind in kinds[:-1]))
+        await until(lambda: times("MATCHED"))
+    assert {text for text, _ in reported} == {"no"}
+
+
+async def test_without_a_handler_the_loops_own_is_told(
+    context: Any, node: Node, until: Until
+) -> None:
+    told: list[dict[str, Any]] = []
+    asyncio.get_running_loop().set_exception_handler(lambda _, report: told.append(report))
+
+    def fail() -> None:
+        raise ValueError("no")
+
+    async with AsyncioExecutor(context) as executor:
+        executor.add_node(node)
+        node.create_timer(0.005, fail)
+        await until(lambda: len(told) >= 2)
+    assert isinstance(told[0]["exception"], ValueError)
+    assert "/tested: timer of 0.005 s" in told[0]["message"]
+
+
+async def test_a_handler_that_raises_itself_is_reported_to_the_loop(
+    context: Any, node: Node, until: Until
+) -> None:
+    told: list[dict[str, Any]] = []
+    asyncio.get_running_loop().set_exception_handler(lambda _, report: told.append(report))
+
+    def fail() -> None:
+        raise ValueError("first")
+
+    def handle(error: Exception, where: str) -> None:
+        raise KeyError("second")
+
+    async with AsyncioExecutor(context, on_exception=handle) as executor:
+        executor.add_node(node)
+        node.create_timer(0.005, fail)
+        await until(lambda: len(told) >= 2)
+    assert isinstance(told[0]["exception"], KeyError)
+    assert isinstance(told[0]["exception"].__context__, ValueError)
+
+
+async def test_a_service_that_returns_no_response_is_reported_and_serves_on(
+    reported: list[tuple[str, str]], node: Node, peer: Peer, topic: str, until: Until
+) -> None:
+    answers: list[Any] = [None, "text"]
+
+    def answer(request: Any, response: Any) -> Any:
+        return answers.pop(0) if answers else response
+
+    node.create_service(SetBool, topic, answer)
+    client = node.create_client(SetBool, topic)
+    client.call_async(SetBool.Request())
+    client.call_async(SetBool.Request())
+    await until(lambda: len(reported) == 2)
+    assert await peer("call", service=topic, data=True) == [[False, ""]]
+
+
+async def test_a_failing_take_is_reported_and_tried_again_later(
+    context: Any, node: Node, topic: str, until: Until, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("robotctl.ros.sources.RETRY_AFTER_FAILED_TAKE_S", 0.01)
+    told: list[str] = []
+    got: list[int] = []
+    tapped: list[bytes] = []
+    async with AsyncioExecutor(
+        context, on_exception=lambda error, where: told.append(str(error))
+    ) as executor:
+        executor.add_node(node)
+        typed = node.create_subscription(UInt64, topic, lambda m: got.append(m.data), 10)
+        tap = RawTap(lambda data, *_: tapped.append(data))
+        raw = node.create_subscription(UInt64, topic, tap, 10, raw=True)
+        await asyncio.sleep(0)
+        sources: Any = executor._attachments.sources
+        takers = {each: sources[each]._taker for each in (typed, raw)}
+
+        def fail(*_: Any) -> None:
+            raise rcl.RclCallFailed("cannot take")
+
+        for each, taker in takers.items():
+            sources[each]._taker = SimpleNamespace(take=fail, close=taker.close, info=taker.info)
+        node.create_publisher(UInt64, topic, 10).publish(UInt64(data=3))
+        await until(lambda: len(told) >= 4)
+        assert got == tapped == []
+        for each, taker in takers.items():
+            sources[each]._taker = taker
+        await until(lambda: got == [3] and len(tapped) == 1)
+    assert set(told) == {"cannot take"}

@@ -1,0 +1,137 @@
+"""Where the way from the middleware into the loop does not work, an executor says so."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import struct
+from collections.abc import Callable
+from enum import Enum
+from subprocess import CompletedProcess
+from typing import Any
+
+import pytest
+
+from robotctl.ros import AsyncioExecutor, rcl
+from robotctl.testing.waiting import DEADLINE_S
+
+
+@pytest.fixture
+def unproven(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("robotctl.ros.proof._proven", False)
+
+
+async def open_and_close(context: Any) -> None:
+    async with AsyncioExecutor(context):
+        pass
+
+
+async def test_the_path_is_proven_by_a_message_before_the_executor_opens(
+    context: Any, unproven: None
+) -> None:
+    await open_and_close(context)
+    from robotctl.ros import proof
+
+    assert proof._proven
+
+
+async def test_a_platform_without_eventfd_is_refused(
+    context: Any, unproven: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delattr(os, "eventfd")
+    with pytest.raises(rcl.UnsupportedPlatform, match="needs Linux with eventfd"):
+        await open_and_close(context)
+
+
+async def test_a_32_bit_platform_is_refused(
+    context: Any, unproven: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rcl.ctypes, "sizeof", lambda _: 4)
+    with pytest.raises(rcl.UnsupportedPlatform, match="needs a 64-bit Python"):
+        await open_and_close(context)
+
+
+async def test_a_middleware_without_callbacks_is_refused(
+    context: Any, unproven: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    unsupported = 3
+    monkeypatch.setattr(rcl, "_setter", lambda _: lambda *_: unsupported)
+    with pytest.raises(rcl.UnsupportedPlatform, match="set RMW_IMPLEMENTATION=rmw_fastrtps_cpp"):
+        await open_and_close(context)
+
+
+async def test_a_middleware_whose_callback_never_comes_is_refused(
+    context: Any, unproven: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    harmless = ctypes.cast(ctypes.CDLL(None).getpid, ctypes.c_void_p).value
+    monkeypatch.setattr(rcl, "_eventfd_write", lambda: harmless)
+    monkeypatch.setattr("robotctl.ros.proof.PROOF_TIMEOUT_S", 0.1)
+    with pytest.raises(rcl.UnsupportedPlatform, match="did not announce a message to itself"):
+        await open_and_close(context)
+
+
+async def test_message_structures_of_another_ros_are_refused(
+    context: Any, unproven: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # As if there were a field less at the front.
+    monkeypatch.setattr(rcl, "_MESSAGE_INFO", struct.Struct("@8xqqQQQ8s"))
+    with pytest.raises(rcl.UnsupportedPlatform, match="not those of ROS 2 Jazzy"):
+        await open_and_close(context)
+
+
+def test_a_ros_without_the_function_is_named() -> None:
+    class Newer(Enum):
+        SIGNAL = ("librcl.so", "rcl_no_such_function")
+
+    with pytest.raises(rcl.UnsupportedPlatform, match="this ROS has no rcl_no_such_function"):
+        rcl.watch(Newer.SIGNAL, 0, 0)
+
+
+NO_FILES = """
+import asyncio, os, resource, rclpy
+from contextlib import suppress
+from std_msgs.msg import UInt64
+from robotctl.ros import AsyncioExecutor
+
+async def main():
+    rclpy.init(args=[])
+    reported = []
+    async with AsyncioExecutor(on_exception=lambda e, w: reported.append((e, w))) as executor:
+        node = rclpy.create_node("tested")
+        executor.add_node(node)
+        got = []
+        node.create_subscription(UInt64, "early", lambda m: got.append(m.data), 10)
+        publisher = node.create_publisher(UInt64, "early", 10)
+        await asyncio.sleep(0)
+        limit = max(map(int, os.listdir("/proc/self/fd"))) + 1
+        hard = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
+        resource.setrlimit(resource.RLIMIT_NOFILE, (limit, hard))
+        filled = []
+        with suppress(OSError):
+            while True:
+                filled.append(os.open(os.devnull, os.O_RDONLY))
+        timer = node.create_timer(0.001, lambda: got.append("timer"))
+        async with asyncio.timeout(30):
+            while not reported:
+                await asyncio.sleep(0.001)
+        executor.wake()
+        await asyncio.sleep(0.05)
+        assert len(reported) == 1, reported
+        assert isinstance(reported[0][0], OSError), reported
+        assert "Timer" in reported[0][1], reported
+        publisher.publish(UInt64(data=4))
+        while got != [4]:
+            await asyncio.sleep(0.001)
+    node.destroy_node()
+    rclpy.shutdown()
+    print("survived")
+
+asyncio.run(main())
+"""
+
+
+def test_an_entity_that_gets_no_descriptor_is_reported_and_the_others_go_on(
+    run_python: Callable[..., CompletedProcess[str]],
+) -> None:
+    ended = run_python(NO_FILES, timeout_s=DEADLINE_S)
+    assert ended.stdout == "survived\n", ended.stderr
