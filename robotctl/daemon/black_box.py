@@ -60,8 +60,9 @@ class BlackBox:
         while True:
             self._came.clear()
             while self._waiting:
-                due_ns = self._waiting[0].log_ns + round(self._params.clip_after_s * 1e9)
-                await asyncio.sleep(max(due_ns - time.time_ns(), 0) / 1e9)
+                since_s = (time.time_ns() - self._waiting[0].log_ns) / 1e9
+                after_s = self._params.clip_after_s
+                await asyncio.sleep(min(after_s - since_s, after_s))  # the clock may be set back
                 await self._cut_next(CUT_DEADLINE_S)
             await self._came.wait()
 

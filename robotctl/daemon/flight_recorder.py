@@ -7,16 +7,18 @@ import logging
 import time
 from collections import Counter
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from shutil import rmtree
+from typing import TypeVar
 
 from robotctl.config import Config
 from robotctl.daemon.black_box import BlackBox
 from robotctl.daemon.handover import in_loop
 from robotctl.daemon.options import DaemonOptions
 from robotctl.daemon.recorder_report import RecorderReport
-from robotctl.daemon.recordings import open_recorder
+from robotctl.daemon.recordings import open_recorder, remove_oldest
 from robotctl.daemon.supervisor import Work
 from robotctl.recording.events import EventKind, RecordedEvent
 from robotctl.recording.recorder import Topic
@@ -30,6 +32,8 @@ from robotctl.ros.session import Session
 from robotctl.ros.tap import Tap, TappedTopic
 
 _log = logging.getLogger(__name__)
+
+T = TypeVar("T")
 
 SAMPLE_PERIOD_S = 1.0
 
@@ -53,11 +57,16 @@ class FlightRecorder:
         """Begin to record.
 
         `mode` is asked from any thread. In the loop, `on_failure(detail)` is told where nothing is
-        recorded any more and the configuration wants the robot to stop then, `on_file` of each
-        later file, which is to stand alone. Raises Refused where nothing can be written.
+        recorded any more and the configuration wants the robot to stop then; `on_file` is called
+        for what each later file is to begin with, so that it stands alone. Raises Refused where
+        nothing can be written.
         """
         self._on_failure = on_failure
         self._on_file = on_file
+        self._file_finished = asyncio.Event()
+        self._disk_work = ThreadPoolExecutor(1)  # what is removed and the end do not overlap
+        self._recordings = options.recordings
+        self._params = config.recording
         self._must_record = config.on_recorder_failure == "stop"
         self._recorder = open_recorder(
             options.recordings,
@@ -66,6 +75,7 @@ class FlightRecorder:
             mode,
             in_loop(self._failed),
             in_loop(self._file_begun),
+            in_loop(self._file_full),
         )
         topics = (config.kernel.command.topic, config.kernel.odometry.topic)
         proof = map(session.resolve, (*topics, "robot_status", "robotctl/journal"))
@@ -84,6 +94,7 @@ class FlightRecorder:
             "recorder": self.tap.run,
             "recorder's statistics": self._keep_statistics,
             "black box": self._black_box.run,
+            "retention": self._remove_oldest,
         }
 
     def open_journal(self, publisher: JournalPublisher) -> Callable[[bytes, int], None]:
@@ -119,6 +130,7 @@ class FlightRecorder:
     def split(self) -> None:
         """Go on in a new file, without a gap; returns before that is done."""
         self._recorder.split()
+        self._on_file()
 
     def received(self) -> dict[str, int]:
         """Return how many messages of each topic were received."""
@@ -129,7 +141,7 @@ class FlightRecorder:
 
     async def close(self) -> None:
         """Finish the recording; the disk is not waited for in the loop."""
-        stats = await asyncio.to_thread(self._recorder.close)
+        stats = await self._work_on_disk(self._recorder.close)
         _log.info(
             "recorded %d messages in %s, %d dropped, %d lost",
             stats.written,
@@ -141,22 +153,38 @@ class FlightRecorder:
 
     async def discard(self) -> None:
         """Leave nothing behind of a start that failed before anything ran."""
-        stats = await asyncio.to_thread(self._recorder.close)
-        await asyncio.to_thread(rmtree, stats.file.parent, ignore_errors=True)
+        stats = await self._work_on_disk(self._recorder.close)
+        await self._work_on_disk(partial(rmtree, stats.file.parent, ignore_errors=True))
 
     async def _keep_statistics(self) -> None:
         while True:
             self.report.sample()
             await asyncio.sleep(SAMPLE_PERIOD_S)
 
+    async def _remove_oldest(self) -> None:
+        """Keep to the limits also while it runs for weeks."""
+        while True:
+            await self._file_finished.wait()
+            self._file_finished.clear()
+            for sentence in await self._work_on_disk(
+                partial(remove_oldest, self._recordings, self._params)
+            ):
+                _log.info("%s", sentence)
+
+    def _work_on_disk(self, work: Callable[[], T]) -> asyncio.Future[T]:
+        return asyncio.get_running_loop().run_in_executor(self._disk_work, work)
+
     def _failed(self, detail: str) -> None:
         _log.error("%s", detail)
         if self._must_record:
             self._on_failure(detail)
 
+    def _file_full(self, _: Path) -> None:
+        self.split()
+
     def _file_begun(self, path: Path) -> None:
         _log.info("recording goes on in %s", path)
-        self._on_file()
+        self._file_finished.set()
 
     def _open_sink(self, topic: TappedTopic) -> Sink:
         described = Topic(

@@ -23,13 +23,29 @@ def tidy(recordings: Path, params: RecordingParams) -> list[str]:
     """
     if not recordings.is_dir():
         return []
+    repaired = _attempt(
+        recordings, lambda: [f"repaired: {sentence}" for sentence in repair(recordings)]
+    )
+    return [*repaired, *remove_oldest(recordings, params)]
+
+
+def remove_oldest(recordings: Path, params: RecordingParams) -> list[str]:
+    """Remove what is too old or too much; a sentence for each file. Blocks."""
+    policy = RetentionPolicy(
+        round(params.max_total_gb * 1e9) or None, params.max_age_days * DAY_S or None
+    )
+    return _attempt(
+        recordings,
+        lambda: [
+            f"removed for its age or the space: {removed.path}"
+            for removed in enforce(recordings, policy, time.time())
+        ],
+    )
+
+
+def _attempt(recordings: Path, tidy_up: Callable[[], list[str]]) -> list[str]:
     try:
-        done = [f"repaired: {sentence}" for sentence in repair(recordings)]
-        policy = RetentionPolicy(
-            round(params.max_total_gb * 1e9) or None, params.max_age_days * DAY_S or None
-        )
-        removed = enforce(recordings, policy, time.time())
-        return [*done, *(f"removed for its age or the space: {item.path}" for item in removed)]
+        return tidy_up()
     except Exception as error:  # noqa: BLE001 - files of any origin; ours to read, not to trust
         return [f"{recordings} could not be tidied: {type(error).__name__}: {error}"]
 
@@ -54,10 +70,12 @@ def open_recorder(
     mode: Callable[[], str],
     on_failure: Callable[[str], None],
     on_split: Callable[[Path], None],
+    on_full: Callable[[Path], None],
 ) -> Recorder:
     """Begin the recording ROBOT_DATE_TIME; raises Refused where nothing can be written.
 
-    `mode` is asked when a file begins; like the listeners, from any thread.
+    `mode` is asked when a file begins; like the listeners, from any thread. `on_full` is to see
+    that the recorder's `split` is called.
     """
     compression = Compression.ZSTD if config.recording.compression == "zstd" else Compression.NONE
     parameters = {f"parameter.{key}": str(value) for key, value in flat(config).items()}
@@ -68,6 +86,7 @@ def open_recorder(
         metadata=lambda: {"mode": mode(), **described},
         on_failure=on_failure,
         on_split=on_split,
+        on_full=on_full,
     )
 
 

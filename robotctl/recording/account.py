@@ -47,9 +47,10 @@ class Topic:
 
 
 class LatchedMessage(NamedTuple):
-    """The last message of a publisher; `publish_ns` in nanoseconds since the epoch."""
+    """The last message of a publisher; times in nanoseconds since the epoch."""
 
     data: bytes
+    log_ns: int
     publish_ns: int
     sequence: int
 
@@ -111,12 +112,18 @@ class TopicAccount:
         self.expected = self.ledger.expected
         self.latched = {} if self.topic.latched else None
 
-    def keep_latched(self, gid: bytes, data: bytes, publish_ns: int, sequence: int) -> None:
+    def keep_latched(
+        self, gid: bytes, data: bytes, log_ns: int, publish_ns: int, sequence: int
+    ) -> None:
         """Remember the last message of publisher `gid`."""
-        if self.latched is None or len(data) > MAX_LATCHED_BYTES:
+        if self.latched is None:
             return
+        if len(data) > MAX_LATCHED_BYTES:
+            self.latched.pop(gid, None)
+            return
+        log_ns = min(max(log_ns, 0), MAX_TIME_NS)
         publish_ns = min(max(publish_ns, 0), MAX_TIME_NS)
-        self.latched[gid] = LatchedMessage(data, publish_ns, sequence & MAX_SEQUENCE)
+        self.latched[gid] = LatchedMessage(data, log_ns, publish_ns, sequence & MAX_SEQUENCE)
         if len(self.latched) > MAX_LATCHED:
             del self.latched[next(iter(self.latched))]
 

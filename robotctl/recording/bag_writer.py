@@ -33,18 +33,25 @@ class BagWriter:
         metadata: Callable[[], Mapping[str, str]],
         accounts: Sequence[TopicAccount],
         on_split: Callable[[Path], None] = lambda path: None,
+        on_full: Callable[[Path], None] | None = None,
     ) -> None:
         """Create the first file in `folder`, which exists; `on_split` gets each later one.
 
-        `metadata` is asked when a file begins, for what is kept in it.
+        `metadata` is asked when a file begins, for what is kept in it. A full file is followed by
+        the next one, or, where there is `on_full`, that is called with it, once.
         """
         self._folder = folder
         self._options = options
         self._metadata = metadata
         self._accounts = accounts
         self._on_split = on_split
+        self._on_full = on_full
+        self._told_full = False
         self._finished: list[BagFile] = []
         self._finished_bytes = 0
+        self._newest_ns = 0
+        """Highest log time in the last chunk; not in all: the clock may have been set back."""
+
         self.warning = ""
         """What the operator should know before it becomes an error."""
 
@@ -66,9 +73,9 @@ class BagWriter:
 
     def write(self, taken: Taken) -> None:
         """Write `taken` as a chunk, and count its messages as written."""
-        if self._is_full():
-            self.split()
+        self._replace_full()
         self._file.write(taken)
+        self._newest_ns = taken.end_ns
         for channel, index in taken.indexes.items():
             self._accounts[channel].written += len(index) // 2
 
@@ -78,8 +85,7 @@ class BagWriter:
 
     def write_event(self, event: RecordedEvent) -> None:
         """Name `event` in the current file."""
-        if self._file.event_count >= MAX_EVENTS:
-            self.split()
+        self._replace_full()
         self._file.write_event(event)
 
     def sync(self) -> None:
@@ -89,7 +95,6 @@ class BagWriter:
     def split(self) -> None:
         """Finish the current file and go on in the next one, which repeats latched messages."""
         successor = self._new_file()
-        now_ns = self._file.describe().end_ns
         try:
             self._file.finish()
         except OSError:
@@ -100,7 +105,8 @@ class BagWriter:
         self._finished_bytes += self._file.size
         self._file = successor
         self._begun = time.monotonic()
-        self._repeat_latched(now_ns)
+        self._told_full = False
+        self._repeat_latched()
         self._write_metadata()
         with suppress(Exception):  # a listener that is gone must not stop the recording
             self._on_split(successor.path)
@@ -115,6 +121,11 @@ class BagWriter:
         if free < warn:
             self.warning = f"{_mb(free)} left on the disk; recording stops at {_mb(stop)}"
 
+    def forget_removed(self) -> None:
+        """Have `metadata.yaml` not name what retention removed, which begins with the oldest."""
+        if self._finished and not self._is_there(self._finished[0]):
+            self._write_metadata()
+
     def close(self) -> None:
         """Finish the file and the folder."""
         self._file.finish()
@@ -126,7 +137,18 @@ class BagWriter:
         with suppress(OSError):  # on a full disk: the one written before stays
             self._write_metadata()
 
+    def _replace_full(self) -> None:
+        if self._told_full or not self._is_full():
+            return
+        if self._on_full is None:
+            self.split()
+        else:
+            self._told_full = True
+            self._on_full(self._file.path)
+
     def _is_full(self) -> bool:
+        if self._file.event_count >= MAX_EVENTS:
+            return True
         if not self._file.holds_messages:
             return False
         age_s = time.monotonic() - self._begun
@@ -137,10 +159,16 @@ class BagWriter:
         self._files_begun += 1
         return RecordingFile(path, self._options, self._metadata(), self._accounts)
 
-    def _repeat_latched(self, log_ns: int) -> None:
-        """Write the last latched message of each publisher again, as if received at `log_ns`."""
+    def _repeat_latched(self) -> None:
+        """Write the last latched message of each publisher again, as if it came just now."""
         messages = [
-            (channel, message.data, log_ns, message.publish_ns, message.sequence)
+            (
+                channel,
+                message.data,
+                self._newest_ns or message.log_ns,
+                message.publish_ns,
+                message.sequence,
+            )
             for channel, account in enumerate(self._accounts)
             for message in account.latched_messages()
         ]
@@ -149,9 +177,11 @@ class BagWriter:
 
     def _write_metadata(self) -> None:
         topics = [account.topic for account in list(self._accounts)]
-        # Retention may have removed the oldest files meanwhile.
-        finished = [file for file in self._finished if (self._folder / file.name).exists()]
-        write_metadata(self._folder, topics, [*finished, self._file.describe()])
+        self._finished = [file for file in self._finished if self._is_there(file)]
+        write_metadata(self._folder, topics, [*self._finished, self._file.describe()])
+
+    def _is_there(self, file: BagFile) -> bool:
+        return (self._folder / file.name).exists()
 
 
 def _mb(size: int) -> str:

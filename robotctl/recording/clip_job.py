@@ -91,7 +91,9 @@ def make_clip(job: ClipJob, on_progress: Progress = lambda done, total: None) ->
 
 
 def _wait_for_end(job: ClipJob) -> None:
-    while time.time_ns() < job.end_ns + PATIENCE_S * 1e9:
+    due_s = min((job.end_ns - time.time_ns()) / 1e9, job.after_s)  # the clock may be set back
+    deadline = time.monotonic() + due_s + PATIENCE_S
+    while time.monotonic() < deadline:
         listed = list_recording(job.source)
         if not listed.live or listed.end_ns >= job.end_ns:
             return

@@ -63,6 +63,9 @@ class Drain:
         self._accounts = accounts
         self._active = active
         self._on_failure = on_failure
+        self._stopping = False
+        self._next_flush = time.monotonic() + options.flush_s
+        self._next_sync = time.monotonic() + options.sync_s
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
@@ -73,28 +76,27 @@ class Drain:
 
     def _run(self) -> None:
         os.nice(NICE)  # of this thread alone, on Linux
-        options = self._options
-        next_flush = time.monotonic() + options.flush_s
-        next_sync = time.monotonic() + options.sync_s
-        while True:
-            wait = max(min(next_flush, next_sync) - time.monotonic(), 0.0)
+        while not self._stopping:
             try:
-                item = self.queue.get(timeout=wait)
-            except Empty:
-                pass
-            else:
-                if item is Request.STOP:
-                    break
-                self._handle(item)
-            now = time.monotonic()
-            if now >= next_flush:
-                self._flush_active()
-                next_flush = now + options.flush_s
-            if now >= next_sync:
-                self._attempt(self._writer.sync)
-                self._attempt(self._writer.check_space)
-                next_sync = time.monotonic() + options.sync_s
+                self._turn()
+            except Exception as error:  # noqa: BLE001  # a thread that dies tells nobody
+                self._fail(error)
         self._finish()
+
+    def _turn(self) -> None:
+        """Take what is queued, and do in time what is due."""
+        wait = max(min(self._next_flush, self._next_sync) - time.monotonic(), 0.0)
+        with suppress(Empty):
+            self._handle(self.queue.get(timeout=wait))
+        now = time.monotonic()
+        if now >= self._next_flush:
+            self._next_flush = now + self._options.flush_s
+            self._flush_active()
+        if now >= self._next_sync:
+            self._attempt(self._writer.sync)
+            self._attempt(self._writer.check_space)
+            self._attempt(self._writer.forget_removed)
+            self._next_sync = time.monotonic() + self._options.sync_s
 
     def _finish(self) -> None:
         deadline = time.monotonic() + _SETTLE_S
@@ -121,8 +123,9 @@ class Drain:
     def _handle(self, item: PackBuffer | LargeMessage | RecordedEvent | Request) -> None:
         if isinstance(item, Request):
             if item is Request.SPLIT:
-                self._flush_active()
                 self._attempt(self._writer.split)
+            else:
+                self._stopping = True
             return
         if isinstance(item, RecordedEvent):
             event = item
@@ -154,6 +157,8 @@ class Drain:
         return True
 
     def _fail(self, error: Exception) -> None:
+        if self.failure:
+            return
         text = f"recording stopped: {_reason(error)} ({self._writer.path})"
         try:
             self._writer.abandon()

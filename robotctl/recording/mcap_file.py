@@ -68,6 +68,10 @@ def record_bytes(record: McapRecord) -> bytes:
     return data
 
 
+def _utf8(text: str) -> str:
+    return text.encode(errors="backslashreplace").decode()
+
+
 @dataclass(frozen=True, slots=True)
 class Chunk:
     """Messages to be written as one MCAP chunk.
@@ -194,8 +198,9 @@ class McapFile:
         self._channel_count += 1
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Add a named map of strings."""
-        data = record_bytes(Metadata(name=name, metadata=dict(values)))
+        """Add a named map of strings; what is no UTF-8, as in a file's name, is escaped."""
+        plain = {_utf8(key): _utf8(value) for key, value in values.items()}
+        data = record_bytes(Metadata(name=name, metadata=plain))
         offset = self._data_end + len(self._pending)
         index = MetadataIndex(offset=offset, length=len(data), name=name)
         self._pending += data

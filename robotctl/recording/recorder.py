@@ -84,7 +84,7 @@ class RecorderStats:
 class Recorder:
     """Records into one folder, in rosbag2's layout.
 
-    `add_topic` and `write` belong to one thread, the event loop's; `stats` and `close` may be
+    `add_topic`, `write` and `split` belong to one thread, the event loop's; the others may be
     called from any.
     """
 
@@ -96,13 +96,15 @@ class Recorder:
         metadata: Callable[[], Mapping[str, str]] = dict,
         on_failure: Callable[[str], None],
         on_split: Callable[[Path], None] = lambda path: None,
+        on_full: Callable[[Path], None] | None = None,
     ) -> None:
         """Create `folder` with its first file in it, and start the writer thread.
 
         `metadata` is asked when a file begins, for what is kept in it; `on_failure` is called
         at most once, with a sentence for the operator; `on_split` with each later file once it
-        is begun. All are called from the writer thread, `metadata` for the first file from here.
-        Raises Refused where nothing can be written.
+        is begun. A full file is followed by the next one by itself, or `on_full` is called with
+        it, once, and is to see that `split` is called. All are called from the writer thread,
+        `metadata` for the first file from here. Raises Refused where nothing can be written.
         """
         options = options or RecorderOptions()
         self._accounts: list[TopicAccount] = []
@@ -112,7 +114,7 @@ class Recorder:
         self._queue_bytes = options.queue_bytes
         self._buffer = PackBuffer(options.chunk_bytes)
         self._acquired = self._buffer.size
-        self._writer = _open_folder(folder, options, metadata, self._accounts, on_split)
+        self._writer = _open_folder(folder, options, metadata, self._accounts, on_split, on_full)
         self._drain = Drain(self._writer, options, self._accounts, lambda: self._buffer, on_failure)
 
     def add_topic(self, topic: Topic) -> int:
@@ -146,7 +148,7 @@ class Recorder:
         else:
             account.ledger.note(gid, sequence)
         if account.latched is not None:
-            account.keep_latched(gid, data, publish_ns, sequence)
+            account.keep_latched(gid, data, log_ns, publish_ns, sequence)
         buffer = self._buffer
         if log_ns < account.newest_ns:
             buffer.unordered.add(channel)
@@ -167,7 +169,12 @@ class Recorder:
         self._write_carefully(channel, data, log_ns, publish_ns, sequence)
 
     def split(self) -> None:
-        """Go on in a new file, without a gap. Returns at once; `on_split` is told."""
+        """Go on in a new file, without a gap: what is written from now on is in that.
+
+        Returns at once; `on_split` is told when it is begun.
+        """
+        if self._buffer.end and self._has_memory(self._chunk_bytes):
+            self._change_buffer()
         self._drain.queue.put(Request.SPLIT)
 
     def note(self, event: RecordedEvent) -> None:
@@ -281,12 +288,13 @@ def _open_folder(
     metadata: Callable[[], Mapping[str, str]],
     accounts: list[TopicAccount],
     on_split: Callable[[Path], None],
+    on_full: Callable[[Path], None] | None,
 ) -> BagWriter:
     created = False
     try:
         folder.mkdir(parents=True)
         created = True
-        return BagWriter(folder, options, metadata, accounts, on_split)
+        return BagWriter(folder, options, metadata, accounts, on_split, on_full)
     except OSError as error:
         if created:
             rmtree(folder, ignore_errors=True)

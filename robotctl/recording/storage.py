@@ -29,7 +29,7 @@ class Storage(Protocol):
         """Cut the file to `size` bytes."""
 
     def sync(self) -> None:
-        """Return when everything written so far would survive a power cut."""
+        """Return when everything written so far would survive a power cut; it has a name then."""
 
     def close(self) -> None:
         """Give the file back to the system."""
@@ -67,6 +67,17 @@ def _lock(fd: int) -> None:
             return
 
 
+def _sync_folder(folder: Path) -> None:
+    fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        os.fsync(fd)
+    except OSError as error:
+        if error.errno != errno.EINVAL:  # some network file systems cannot
+            raise
+    finally:
+        os.close(fd)
+
+
 class DiskFile:
     """A new file on disk, locked while it is open.
 
@@ -79,12 +90,12 @@ class DiskFile:
         if new:
             flags |= os.O_CREAT | os.O_EXCL
         self._fd = os.open(path, flags, 0o644)
-        _lock(self._fd)
-        folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         try:
-            os.fsync(folder)  # the name itself must survive a power cut, too
-        finally:
-            os.close(folder)
+            _lock(self._fd)
+            _sync_folder(path.parent)  # the name itself must survive a power cut, too
+        except OSError:
+            os.close(self._fd)
+            raise
 
     def write_at(self, parts: Sequence[Buffer], offset: int) -> None:
         """Write all of `parts` at `offset`. Raises OSError."""
@@ -104,8 +115,10 @@ class DiskFile:
         os.ftruncate(self._fd, size)
 
     def sync(self) -> None:
-        """Force the data to the disk. Raises OSError."""
+        """Force the data to the disk. Raises OSError, also where somebody has removed the file."""
         os.fdatasync(self._fd)
+        if os.fstat(self._fd).st_nlink == 0:
+            raise OSError(errno.ENOENT, "somebody has removed the file")
 
     def close(self) -> None:
         """Close the descriptor. Raises OSError."""

@@ -119,6 +119,20 @@ async def test_each_is_cut_when_its_time_has_come_and_none_twice(
     assert log.read_text() == "cut\ncut\n"
 
 
+async def test_a_clock_that_is_set_back_does_not_hold_up_a_clip(
+    cutter: Callable[[str], Path],
+) -> None:
+    log = cutter("log.write('cut\\n')")
+    box = BlackBox(RecordingParams(clip_before_s=1.0, clip_after_s=0.1), Path("/nowhere"))
+    in_an_hour_ns = time.time_ns() + 3600 * 10**9
+    box.note(RecordedEvent(EventKind.ERROR, in_an_hour_ns, "before the clock was set back"))
+    running = asyncio.create_task(box.run())
+    await asyncio.to_thread(until, lambda: log.exists() and log.read_text() == "cut\n")
+    running.cancel()
+    await asyncio.wait({running})
+    await box.finish()
+
+
 async def test_a_cutter_that_hangs_is_ended(
     cutter: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

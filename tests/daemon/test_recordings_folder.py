@@ -72,7 +72,7 @@ def test_a_link_with_the_name_of_the_new_recording_is_not_followed(
     (recordings / "robot_20260101_120000").symlink_to(elsewhere)
     (recordings / "robot_20260101_120000-2").symlink_to(tmp_path / "nowhere")
     recorder = open_recorder(
-        recordings, "robot", Config(), lambda: "IDLE", lambda detail: None, lambda path: None
+        recordings, "robot", Config(), lambda: "IDLE", pytest.fail, pytest.fail, pytest.fail
     )
     assert recorder.close().file.parent == recordings / "robot_20260101_120000-3"
     assert list(elsewhere.iterdir()) == []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -173,6 +174,16 @@ def test_recordings_of_others_are_cut_without_a_journal(tmp_path: Path) -> None:
         text("map"),
         *(text(str(n)) for n in range(10, 21)),
     ]
+
+
+def test_names_that_are_no_text_are_written_escaped(tmp_path: Path) -> None:
+    lines = [Line("/talk", STRING, 100.0 * n, text(str(n)), VOLATILE) for n in range(1, 5)]
+    source = write_bag(tmp_path / os.fsdecode(b"caf\xe9.mcap"), lines)
+    target = tmp_path / os.fsdecode(b"clip-caf\xe9.mcap")
+    with Recording(source) as recording:
+        made = cut(recording, Moment(recording.info().start_ns), (0, 1 << 63), target)
+    assert len(read_strictly(made.target)) == 4
+    assert read_info(target).metadata["robotctl.clip"]["of"] == r"caf\udce9.mcap"
 
 
 def test_a_time_without_messages_is_refused(recording: Path, tmp_path: Path) -> None:

@@ -69,6 +69,20 @@ def test_a_recording_that_has_fallen_silent_is_not_waited_for_without_end(
         recorder.close()
 
 
+def test_a_clock_that_was_set_back_is_not_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(clip_job, "PATIENCE_S", 0.2)
+    in_an_hour_ns = time.time_ns() + 3600 * 10**9
+    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
+    try:
+        recorder.write(recorder.add_topic(TWIST), numbered(0), in_an_hour_ns, 0, 0, GID)
+        job = ClipJob(tmp_path / "run", Moment(in_an_hour_ns), before_s=5.0, after_s=0.3)
+        assert make_clip(job).message_count == 1
+    finally:
+        recorder.close()
+
+
 def test_a_clip_without_a_name_finds_a_free_one(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
     recorder.write(recorder.add_topic(TWIST), numbered(0), 10**18, 0, 0, GID)

@@ -12,6 +12,7 @@ from contextlib import suppress
 from multiprocessing import get_context
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
+from shutil import rmtree
 
 import pytest
 
@@ -206,6 +207,43 @@ def test_a_file_that_cannot_be_repaired_says_so(tmp_path: Path) -> None:
     assert "could not be repaired" in failures[0]
     assert_accounted(stats, 100)
     assert (stats.written, stats.dropped) == (0, 100)
+
+
+@pytest.mark.parametrize("what", ["file", "folder"])
+def test_a_recording_that_somebody_removes_has_failed(tmp_path: Path, what: str) -> None:
+    failures: list[str] = []
+    options = RecorderOptions(flush_s=0.005, sync_s=0.01)
+    recorder = Recorder(tmp_path / "run", options, on_failure=failures.append)
+    channel = recorder.add_topic(TWIST)
+    write_numbered(recorder, channel, range(1, 11))
+    until(lambda: recorder.stats().queued == 0)
+    recorder.stats().file.unlink()
+    if what == "folder":
+        rmtree(tmp_path / "run")
+    write_numbered(recorder, channel, range(11, 21))
+    until(lambda: bool(failures))
+    stats = recorder.close()
+    assert "recording stopped: " in stats.failure
+    assert "removed the file" in stats.failure or what == "folder"
+    assert_accounted(stats, 20)
+
+
+def test_the_thread_that_writes_survives_what_nobody_thought_of(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def take(buffer: PackBuffer) -> None:
+        monkeypatch.undo()
+        raise MemoryError
+
+    monkeypatch.setattr(PackBuffer, "take", take)
+    failures: list[str] = []
+    recorder = Recorder(tmp_path / "run", on_failure=failures.append)
+    channel = recorder.add_topic(TWIST)
+    until(lambda: bool(failures))
+    write_numbered(recorder, channel, range(1, 11))
+    stats = recorder.close()
+    assert "MemoryError" in stats.failure
+    assert (stats.state, stats.dropped, stats.queued) == (RecorderState.FAILED, 10, 0)
 
 
 def test_a_listener_that_raises_does_not_stop_the_counting(tmp_path: Path) -> None:

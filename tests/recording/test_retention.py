@@ -122,6 +122,7 @@ def test_the_file_being_written_stays_and_its_bag_forgets_the_removed(tmp_path: 
     write_numbered(recorder, channel, range(11, 21))
     removed = enforce(tmp_path, RetentionPolicy(max_bytes=0), NOW_S)
     assert [each.path.name for each in removed] == ["run_0.mcap"]
+    until(lambda: read_info(tmp_path / "run").missing == ())  # also while it goes on
     stats = recorder.close()
     assert [m.sequence for m in read_strictly(stats.file)] == list(range(11, 21))
     with RosbagsReader(tmp_path / "run") as bag:

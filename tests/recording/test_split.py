@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +22,7 @@ from robotctl.recording.recorder import (
     Topic,
 )
 from robotctl.recording.storage import DiskFile, is_being_written
-from robotctl.testing.mcap_faults import FailingFile
+from robotctl.testing.mcap_faults import FailingFile, GatedFile
 from robotctl.testing.recordings import (
     GID,
     ODOMETRY,
@@ -118,6 +119,74 @@ def test_a_split_on_demand_puts_what_came_before_it_into_the_old_file(tmp_path: 
     first, second = files_of(tmp_path / "run")
     assert [m.sequence for m in read_strictly(first)] == list(range(1, 11))
     assert [m.sequence for m in read_strictly(second)] == list(range(11, 16))
+
+
+def test_what_comes_after_a_split_is_in_the_new_file_however_slow_the_disk(tmp_path: Path) -> None:
+    gate = threading.Event()
+    gate.set()
+    options = RecorderOptions(open_file=lambda path: GatedFile(path, gate.wait))
+    recorder = Recorder(tmp_path / "run", options, on_failure=pytest.fail)
+    channel = recorder.add_topic(TWIST)
+    gate.clear()
+    for file in range(20):
+        write_numbered(recorder, channel, range(file * 10 + 1, file * 10 + 11))
+        recorder.split()
+    gate.set()
+    recorder.close()
+    found = [[m.sequence for m in read_strictly(path)] for path in files_of(tmp_path / "run")]
+    assert found == [*(list(range(n * 10 + 1, n * 10 + 11)) for n in range(20)), []]
+
+
+def test_a_full_file_is_told_once_and_goes_on_until_it_is_split(tmp_path: Path) -> None:
+    full: list[Path] = []
+    begun: list[Path] = []
+    options = RecorderOptions(chunk_bytes=1024, split_bytes=5000)
+    recorder = Recorder(
+        tmp_path / "run",
+        options,
+        on_failure=pytest.fail,
+        on_split=begun.append,
+        on_full=full.append,
+    )
+    channel = recorder.add_topic(TWIST)
+    for file in range(3):
+        write_numbered(recorder, channel, range(file * 1000 + 1, file * 1000 + 1001))
+        until(lambda: recorder.stats().queued == 0)
+        assert len(full) == file + 1
+        recorder.split()
+        until(lambda file=file: len(begun) > file)
+    recorder.close()
+    assert full == files_of(tmp_path / "run")[:3]
+    found = [[m.sequence for m in read_strictly(path)] for path in files_of(tmp_path / "run")]
+    assert found == [*(list(range(n * 1000 + 1, n * 1000 + 1001)) for n in range(3)), []]
+
+
+def test_what_is_latched_is_repeated_at_the_split_though_the_clock_was_set_back(
+    tmp_path: Path,
+) -> None:
+    hour_ns = 3600 * 10**9
+    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
+    twist, latched = recorder.add_topic(TWIST), recorder.add_topic(LATCHED)
+    recorder.write(latched, b"map", START_NS + hour_ns, START_NS + hour_ns, 1, b"a")
+    until(lambda: recorder.stats().queued == 0)
+    write_numbered(recorder, twist, range(1, 11))
+    recorder.split()
+    write_numbered(recorder, twist, range(11, 21))
+    recorder.split()
+    recorder.close()
+    ends = [START_NS + number * 1_000_000 for number in (10, 20)]
+    for path, end_ns in zip(files_of(tmp_path / "run")[1:], ends, strict=True):
+        assert [m.log_ns for m in read_strictly(path) if m.data == b"map"] == [end_ns]
+
+
+def test_what_is_latched_and_was_dropped_is_repeated_at_its_own_time(tmp_path: Path) -> None:
+    options = RecorderOptions(chunk_bytes=1024, queue_bytes=2048)
+    recorder = Recorder(tmp_path / "run", options, on_failure=pytest.fail)
+    recorder.write(recorder.add_topic(LATCHED), bytes(4096), START_NS, START_NS, 1, b"a")
+    recorder.split()
+    stats = recorder.close()
+    assert (stats.dropped, stats.written) == (1, 0)
+    assert [m.log_ns for m in read_strictly(stats.file)] == [START_NS]
 
 
 def test_each_file_stands_alone(tmp_path: Path) -> None:
@@ -236,4 +305,6 @@ def test_a_large_latched_message_is_not_kept_in_memory(tmp_path: Path) -> None:
     for publisher in range(100):
         recorder.write(channel, b"x", START_NS, START_NS, 1, publisher.to_bytes(2, "big"))
     assert len(recorder._accounts[channel].latched_messages()) == 64
-    assert recorder.close().written == 101
+    recorder.write(channel, bytes(33 << 20), START_NS, START_NS, 2, b"\0\x63")
+    assert len(recorder._accounts[channel].latched_messages()) == 63  # an older one is no more true
+    recorder.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import random
 from collections.abc import Sequence
@@ -57,6 +58,22 @@ def test_an_existing_file_is_never_overwritten(tmp_path: Path) -> None:
             DiskFile(tmp_path / name)
     assert not (tmp_path / "new").exists()
     assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_a_folder_that_cannot_be_synced_is_no_reason_not_to_record(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fsync(fd: int) -> None:
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    code = errno.EINVAL
+    DiskFile(tmp_path / "on_a_network").close()
+    code = errno.EIO
+    open_files = len(os.listdir("/proc/self/fd"))
+    with pytest.raises(OSError, match="Input/output error"):
+        DiskFile(tmp_path / "on_a_broken_disk")
+    assert len(os.listdir("/proc/self/fd")) == open_files
 
 
 def test_a_file_is_being_written_until_it_is_closed(tmp_path: Path) -> None:

@@ -1,0 +1,62 @@
+"""A recording that goes on for long: file after file, and no more of them than are to be kept."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robotctl.daemon import recordings
+from robotctl.kernel.patterns import PatternKind
+from robotctl.recording.journal import Kind, decode
+from robotctl.recording.reader import read_info, read_messages
+from robotctl.recording.recorder import RecorderOptions
+from robotctl.replay.check import check
+from robotctl.replay.report import Verdict
+from robotctl.testing.waiting import loop_until
+from robotctl.testing.world import PATIENT, World
+
+
+@pytest.fixture(autouse=True)
+def short_files(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let each chunk fill a file."""
+    options = partial(RecorderOptions, split_bytes=1)
+    monkeypatch.setattr(recordings, "RecorderOptions", options)
+
+
+def files_of(world: World) -> list[Path]:
+    return sorted(world.recordings.glob("*/*.mcap"), key=lambda path: path.stat().st_mtime_ns)
+
+
+async def test_each_file_begins_with_a_snapshot_and_can_be_decided_again(
+    in_process: Callable[..., Any], world: World
+) -> None:
+    async with in_process(drive=PatternKind.CIRCLE) as daemon:
+        await loop_until(lambda: len(files_of(world)) > 5)
+        for _ in range(3):
+            await daemon.ask("record_split")
+    seqs = []
+    for path in files_of(world):
+        entries = [decode(m.data) for m in read_messages(path, {"/robotctl/journal"})]
+        assert entries[0].kind is Kind.SNAPSHOT
+        seqs += [entry.seq for entry in entries]
+        report = check(path)
+        assert report.verdict is Verdict.SAME
+        assert not any("before the first snapshot" in note for note in report.notes)
+    assert seqs == list(range(len(seqs)))
+
+
+async def test_the_oldest_files_of_the_recording_that_goes_on_are_removed_as_well(
+    in_process: Callable[..., Any], world: World, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    config = tmp_path / "config.yaml"
+    config.write_text(f"{PATIENT}recording: {{max_total_gb: 0.0001}}\n")
+    async with in_process(config=config):
+        await loop_until(lambda: caplog.text.count("removed for its age or the space") >= 3)
+    files = files_of(world)
+    assert sum(path.stat().st_size for path in files) < 1_000_000
+    assert not any(path.name.endswith("_0.mcap") for path in files)
+    assert read_info(files[0].parent).missing == ()
