@@ -15,7 +15,7 @@ from recording.figures import Figure
 
 from robotctl.recording.account import TopicAccount
 from robotctl.recording.buffer import pack
-from robotctl.recording.mcap_file import MESSAGE_HEAD
+from robotctl.recording.mcap_format import MESSAGE_HEAD
 from robotctl.recording.options import RecorderOptions
 from robotctl.recording.recorder import Topic
 from robotctl.recording.recording_file import RecordingFile

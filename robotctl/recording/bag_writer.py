@@ -7,7 +7,9 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
+from shutil import rmtree
 
+from robotctl.errors import Refused
 from robotctl.recording.account import TopicAccount
 from robotctl.recording.buffer import Taken, pack
 from robotctl.recording.events import RecordedEvent
@@ -182,6 +184,29 @@ class BagWriter:
 
     def _is_there(self, file: BagFile) -> bool:
         return (self._folder / file.name).exists()
+
+
+def begin_bag(
+    folder: Path,
+    options: RecorderOptions,
+    metadata: Callable[[], Mapping[str, str]],
+    accounts: Sequence[TopicAccount],
+    on_split: Callable[[Path], None],
+    on_full: Callable[[Path], None] | None,
+) -> BagWriter:
+    """Create `folder` and its writer. Raises Refused where that cannot be, and leaves nothing."""
+    created = False
+    try:
+        folder.mkdir(parents=True)
+        created = True
+        return BagWriter(folder, options, metadata, accounts, on_split, on_full)
+    except OSError as error:
+        if created:
+            rmtree(folder, ignore_errors=True)
+        raise Refused(
+            f"cannot record into {folder}: {error.strerror or error}; "
+            "make room there or choose another folder (--recordings)"
+        ) from error
 
 
 def _mb(size: int) -> str:

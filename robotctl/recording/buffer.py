@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from mcap.opcode import Opcode
 
-from robotctl.recording.mcap_file import MESSAGE_FIELDS_BYTES, MESSAGE_HEAD
+from robotctl.recording.mcap_format import MESSAGE_FIELDS_BYTES, MESSAGE_HEAD
 from robotctl.recording.storage import Buffer
 
 PlainMessage = tuple[int, bytes, int, int, int]

@@ -8,7 +8,7 @@ from isal.isal_zlib import crc32
 from zstandard import ZstdCompressionParameters, ZstdCompressor
 
 from robotctl.recording.buffer import Taken
-from robotctl.recording.mcap_file import Chunk
+from robotctl.recording.mcap_format import Chunk
 from robotctl.recording.options import Compression
 from robotctl.recording.storage import Buffer
 

@@ -123,7 +123,8 @@ class _Copy:
         if self.message_count == before:
             raise Refused(f"{self._recording.path} holds nothing of that time")
         mcap.add_metadata(CLIP_RECORD, self._about())
-        bag_file = BagFile(name, mcap.start_ns, mcap.end_ns, dict(mcap.counts))
+        summary = mcap.summary
+        bag_file = BagFile(name, summary.start_ns, summary.end_ns, dict(summary.counts))
         text = serialized_metadata(self._topics, [bag_file])
         mcap.add_metadata(METADATA_RECORD, {"serialized_metadata": text})
         mcap.commit()

@@ -10,7 +10,7 @@ from isal.isal_zlib import crc32
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
-from robotctl.recording.mcap_file import MAGIC
+from robotctl.recording.mcap_format import MAGIC
 from robotctl.recording.mcap_input import (
     MAX_RECORD_BYTES,
     RECORD_HEAD,

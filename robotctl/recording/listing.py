@@ -15,7 +15,7 @@ from robotctl.recording.file_index import FileIndex
 from robotctl.recording.identity import INFO_RECORD
 from robotctl.recording.indexing import index_of
 from robotctl.recording.mcap_input import Damaged, InputFile
-from robotctl.recording.reader import natural_order
+from robotctl.recording.recording_files import natural_order
 
 GRAVEST_FIRST = (EventKind.EMERGENCY_STOP, EventKind.ERROR)
 

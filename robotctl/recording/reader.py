@@ -6,24 +6,21 @@ it stands in `RecordingInfo.missing`, or ends the iteration over messages with U
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from stat import S_ISDIR, S_ISREG
 from types import TracebackType
 from typing import Self
 
 from mcap.records import Channel, Metadata, Schema
 
 from robotctl.errors import UnreadableFile
-from robotctl.recording import rosbag2
-from robotctl.recording.events import RecordedEvent, events_in
-from robotctl.recording.file_index import FileIndex, note_missing
+from robotctl.recording.file_index import note_missing
 from robotctl.recording.indexing import index_of
 from robotctl.recording.lookback import last_before
 from robotctl.recording.mcap_input import Damaged, InputFile
 from robotctl.recording.merge import in_order_written, merge
+from robotctl.recording.recording_files import absent_files, recording_files
+from robotctl.recording.recording_info import RecordingInfo, TopicInfo, describe, metadata_in
 from robotctl.recording.source import ALWAYS, Message, OpenFile, Window
 
 __all__ = [
@@ -34,52 +31,6 @@ __all__ = [
     "read_info",
     "read_messages",
 ]
-
-_QOS_KEY = "offered_qos_profiles"
-_HASH_KEY = "topic_type_hash"
-
-
-@dataclass(frozen=True, slots=True)
-class TopicInfo:
-    """What a recording says about a topic; `rate_hz` is the mean over the whole recording."""
-
-    name: str
-    type_name: str
-    message_count: int
-    rate_hz: float
-    encoding: str
-    offered_qos: str
-    type_hash: str
-    schema_encoding: str
-    definition: str
-
-
-@dataclass(frozen=True, slots=True)
-class RecordingInfo:
-    """What a recording holds; times in nanoseconds since the epoch, 0 without messages.
-
-    `missing` says, a sentence each, what cannot be read; `indexed` is False where a file had no
-    valid summary, so that it had to be scanned. `metadata` has the last record of each name.
-    """
-
-    path: Path
-    files: tuple[Path, ...]
-    size_bytes: int
-    start_ns: int
-    end_ns: int
-    message_count: int
-    topics: tuple[TopicInfo, ...]
-    profile: str
-    library: str
-    metadata: dict[str, dict[str, str]]
-    events: tuple[RecordedEvent, ...]
-    indexed: bool
-    missing: tuple[str, ...]
-
-    @property
-    def duration_s(self) -> float:
-        """Seconds from the first message to the last."""
-        return (self.end_ns - self.start_ns) / 1e9
 
 
 def read_info(path: Path) -> RecordingInfo:
@@ -154,30 +105,11 @@ class Recording:
 
     def info(self) -> RecordingInfo:
         """What it holds."""
-        indexes = [each.index for each in self._files]
-        with_messages = [index for index in indexes if index.message_count]
-        start_ns = min((index.start_ns for index in with_messages), default=0)
-        end_ns = max((index.end_ns for index in with_messages), default=0)
-        metadata = self.metadata()
-        return RecordingInfo(
-            path=self.path,
-            files=tuple(each.path for each in self._files),
-            size_bytes=sum(each.file.size for each in self._files),
-            start_ns=start_ns,
-            end_ns=end_ns,
-            message_count=sum(index.message_count for index in indexes),
-            topics=_topics(indexes, (end_ns - start_ns) / 1e9),
-            profile=indexes[0].profile,
-            library=indexes[0].library,
-            metadata={record.name: record.metadata for record in metadata},
-            events=tuple(events_in(metadata)),
-            indexed=not any(index.scanned for index in indexes),
-            missing=tuple(self.missing),
-        )
+        return describe(self.path, self._files, self.missing)
 
     def metadata(self) -> list[Metadata]:
         """Every metadata record, in the order of the files."""
-        return [record for each in self._files for record in each.index.metadata]
+        return metadata_in(self._files)
 
     def channels(self) -> dict[tuple[str, str], tuple[Channel, Schema | None]]:
         """Of each topic and type name what the first file says about it."""
@@ -238,56 +170,3 @@ class Recording:
 
     def _give_up(self, path: Path, reason: str, *, only: bool) -> None:
         note_missing(self.missing, reason if only else f"{path.name}: {reason}")
-
-
-def recording_files(path: Path) -> list[Path]:
-    """The MCAP files of a recording in their order. Raises UnreadableFile if there are none."""
-    try:
-        mode = path.stat().st_mode
-        found = sorted(path.glob("*.mcap"), key=natural_order) if S_ISDIR(mode) else [path]
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else None
-        raise UnreadableFile(f"{path} cannot be read: {reason or error}") from error
-    if not (S_ISDIR(mode) or S_ISREG(mode)):
-        raise UnreadableFile(f"{path} is no file: give an MCAP file or a recording's folder")
-    if not found:
-        raise UnreadableFile(f"{path} holds no .mcap file")
-    return found
-
-
-def absent_files(folder: Path, present: list[Path]) -> list[str]:
-    """A sentence for each file that the folder's `metadata.yaml` names beside those present."""
-    names = {path.name for path in present}
-    return [
-        f"{name}: metadata.yaml names it, but it is not there"
-        for name in rosbag2.named_files(folder)
-        if name not in names
-    ]
-
-
-def natural_order(path: Path) -> list[tuple[int, int, str]]:
-    """Sorts `run_10` behind `run_9`."""
-    parts = re.split(r"(\d+)", path.name)
-    return [(1, int(part), "") if part.isdecimal() else (0, 0, part) for part in parts]
-
-
-def _topics(indexes: list[FileIndex], duration_s: float) -> tuple[TopicInfo, ...]:
-    topics: dict[tuple[str, str], TopicInfo] = {}
-    for index in indexes:
-        for channel in index.channels.values():
-            schema = index.schemas.get(channel.schema_id)
-            type_name = schema.name if schema else ""
-            known = topics.get((channel.topic, type_name))
-            count = index.counts.get(channel.id, 0) + (known.message_count if known else 0)
-            topics[channel.topic, type_name] = TopicInfo(
-                name=channel.topic,
-                type_name=type_name,
-                message_count=count,
-                rate_hz=count / duration_s if duration_s > 0 else 0.0,
-                encoding=channel.message_encoding,
-                offered_qos=channel.metadata.get(_QOS_KEY, ""),
-                type_hash=channel.metadata.get(_HASH_KEY, ""),
-                schema_encoding=schema.encoding if schema else "",
-                definition=schema.data.decode(errors="replace") if schema else "",
-            )
-    return tuple(topics[key] for key in sorted(topics))

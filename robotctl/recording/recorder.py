@@ -9,10 +9,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
-from shutil import rmtree
 from typing import Final
 
 from mcap.opcode import Opcode
@@ -27,12 +24,13 @@ from robotctl.recording.account import (
     TopicAccount,
     TopicStats,
 )
-from robotctl.recording.bag_writer import BagWriter
+from robotctl.recording.bag_writer import begin_bag
 from robotctl.recording.buffer import LargeMessage, PackBuffer
 from robotctl.recording.drain import Drain, Request
 from robotctl.recording.events import RecordedEvent
-from robotctl.recording.mcap_file import MESSAGE_FIELDS_BYTES, MESSAGE_HEAD
+from robotctl.recording.mcap_format import MESSAGE_FIELDS_BYTES, MESSAGE_HEAD
 from robotctl.recording.options import Compression, RecorderOptions
+from robotctl.recording.recorder_stats import RecorderState, RecorderStats
 
 __all__ = [
     "Compression",
@@ -49,36 +47,6 @@ MAX_TOPICS: Final = 1 << 16
 
 _PREFIX = struct.Struct("<BQH")
 """What is the same in all messages of a channel and a size: opcode, record length, channel id."""
-
-
-class RecorderState(StrEnum):
-    """What the recorder does with a message: keeps it, or counts it as dropped."""
-
-    RECORDING = "recording"
-    FAILED = "failed"
-    CLOSED = "closed"
-
-
-@dataclass(frozen=True, slots=True)
-class RecorderStats:
-    """The recorder at one instant.
-
-    `file` is the current file, `bytes` what all files have on disk; the counts are the sums over
-    `topics`. `failure` and `warning` are sentences, empty where all is well.
-    """
-
-    state: RecorderState
-    file: Path
-    bytes: int
-    received: int
-    written: int
-    queued: int
-    dropped: int
-    lost: int
-    unseen: int
-    failure: str
-    warning: str
-    topics: tuple[TopicStats, ...]
 
 
 class Recorder:
@@ -114,7 +82,7 @@ class Recorder:
         self._queue_bytes = options.queue_bytes
         self._buffer = PackBuffer(options.chunk_bytes)
         self._acquired = self._buffer.size
-        self._writer = _open_folder(folder, options, metadata, self._accounts, on_split, on_full)
+        self._writer = begin_bag(folder, options, metadata, self._accounts, on_split, on_full)
         self._drain = Drain(self._writer, options, self._accounts, lambda: self._buffer, on_failure)
 
     def add_topic(self, topic: Topic) -> int:
@@ -171,8 +139,10 @@ class Recorder:
     def split(self) -> None:
         """Go on in a new file, without a gap: what is written from now on is in that.
 
-        Returns at once; `on_split` is told when it is begun.
+        Returns at once; `on_split` is told when it is begun. Does nothing once it is closed.
         """
+        if self._closed:
+            return
         if self._buffer.end and self._has_memory(self._chunk_bytes):
             self._change_buffer()
         self._drain.queue.put(Request.SPLIT)
@@ -280,25 +250,3 @@ def _new_packer(account: TopicAccount, channel: int, size: int) -> Packer:
     if len(account.packers) < MAX_PACKERS:
         account.packers[size] = packer
     return packer
-
-
-def _open_folder(
-    folder: Path,
-    options: RecorderOptions,
-    metadata: Callable[[], Mapping[str, str]],
-    accounts: list[TopicAccount],
-    on_split: Callable[[Path], None],
-    on_full: Callable[[Path], None] | None,
-) -> BagWriter:
-    created = False
-    try:
-        folder.mkdir(parents=True)
-        created = True
-        return BagWriter(folder, options, metadata, accounts, on_split, on_full)
-    except OSError as error:
-        if created:
-            rmtree(folder, ignore_errors=True)
-        raise Refused(
-            f"cannot record into {folder}: {error.strerror or error}; "
-            "make room there or choose another folder (--recordings)"
-        ) from error

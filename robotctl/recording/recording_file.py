@@ -57,7 +57,7 @@ class RecordingFile:
     @property
     def holds_messages(self) -> bool:
         """Whether there is any message in it."""
-        return bool(self._mcap.counts)
+        return bool(self._mcap.summary.counts)
 
     @property
     def trailer_bytes(self) -> int:
@@ -108,8 +108,8 @@ class RecordingFile:
 
     def describe(self) -> BagFile:
         """What `metadata.yaml` says about the file."""
-        mcap = self._mcap
-        return BagFile(self.path.name, mcap.start_ns, mcap.end_ns, dict(mcap.counts))
+        summary = self._mcap.summary
+        return BagFile(self.path.name, summary.start_ns, summary.end_ns, dict(summary.counts))
 
     def _announce_topics(self) -> bool:
         """Add schema and channel of each topic that is new to the file; False if none is."""

@@ -10,7 +10,7 @@ from shutil import rmtree
 
 from robotctl.errors import Refused, UnreadableFile
 from robotctl.recording.bag_metadata import rewrite_metadata
-from robotctl.recording.reader import absent_files, recording_files
+from robotctl.recording.recording_files import absent_files, recording_files
 from robotctl.recording.recover import Progress, Salvage, recover
 
 

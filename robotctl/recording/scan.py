@@ -17,7 +17,7 @@ from robotctl.recording.file_index import (
     read_record_head,
 )
 from robotctl.recording.identity import OWN_LIBRARY
-from robotctl.recording.mcap_file import MAGIC
+from robotctl.recording.mcap_format import MAGIC
 from robotctl.recording.mcap_input import (
     MESSAGE_FIELDS,
     RECORD_HEAD,

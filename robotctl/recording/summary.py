@@ -24,8 +24,9 @@ from robotctl.recording.file_index import (
     read_header,
     read_record_head,
 )
-from robotctl.recording.mcap_file import MAGIC, WrittenFile
+from robotctl.recording.mcap_format import MAGIC
 from robotctl.recording.mcap_input import RECORD_HEAD, Damaged, InputFile, parse, walk_records
+from robotctl.recording.trailer import WrittenFile
 
 MAX_SUMMARY_BYTES = 256 << 20
 """Some 600,000 chunks; what claims more is taken for damage, and scanned."""

@@ -9,7 +9,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from robotctl.recording.buffer import PackBuffer, Taken, pack
-from robotctl.recording.mcap_file import MESSAGE_HEAD
+from robotctl.recording.mcap_format import MESSAGE_HEAD
 from robotctl.testing.recordings import number_of, numbered
 
 

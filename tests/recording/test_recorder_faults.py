@@ -20,7 +20,7 @@ from robotctl.errors import Refused
 from robotctl.recording.account import TopicAccount
 from robotctl.recording.bag_writer import BagWriter
 from robotctl.recording.buffer import PackBuffer
-from robotctl.recording.mcap_file import MESSAGE_HEAD
+from robotctl.recording.mcap_format import MESSAGE_HEAD
 from robotctl.recording.reader import read_info, read_messages
 from robotctl.recording.recorder import (
     Compression,

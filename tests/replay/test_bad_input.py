@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.recording.mcap_file import MAGIC
+from robotctl.recording.mcap_format import MAGIC
 from robotctl.testing.bags import STRING, Line, text, write_bag
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]

@@ -1,0 +1,94 @@
+"""The MCAP format as far as it is written: the records, and the bytes of a chunk.
+
+Specification: https://mcap.dev/spec. The records come from the `mcap` package, except for what
+is written per message or per chunk (message, message index, head of a chunk).
+"""
+
+from __future__ import annotations
+
+import struct
+from array import array
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import ChunkIndex, McapRecord
+
+from robotctl.recording.storage import Buffer
+
+MAGIC: Final = b"\x89MCAP0\r\n"
+MESSAGE_HEAD: Final = struct.Struct("<BQHIQQ")
+"""opcode, record length, channel id, sequence, log time [ns], publish time [ns]."""
+
+MESSAGE_FIELDS_BYTES: Final = 22
+"""What the record length of a message counts besides its data."""
+
+_CHUNK_HEAD = struct.Struct("<BQQQQI")
+_MESSAGE_INDEX_HEAD = struct.Struct("<BQHI")
+
+
+def record_bytes(record: McapRecord) -> bytes:
+    """The record as it stands in a file, with opcode and length."""
+    builder = RecordBuilder()
+    record.write(builder)
+    data: bytes = builder.end()  # type: ignore[no-untyped-call]  # the package leaves it untyped
+    return data
+
+
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """Messages to be written as one MCAP chunk.
+
+    `parts` are the chunk's records as they will be stored (compressed or not); `indexes` gives,
+    for each channel in it, an array('Q') of log time [ns] and offset in the uncompressed chunk,
+    alternating; start and end are the lowest and highest log time [ns].
+    """
+
+    parts: Sequence[Buffer]
+    compression: str
+    uncompressed_size: int
+    uncompressed_crc: int
+    start_ns: int
+    end_ns: int
+    indexes: Mapping[int, array[int]]
+
+
+def chunk_bytes(chunk: Chunk, offset: int) -> tuple[list[Buffer], ChunkIndex]:
+    """The chunk and its message indexes as they stand at `offset` of a file; its summary entry."""
+    compression = chunk.compression.encode()
+    stored_size = sum(map(len, chunk.parts))
+    head = (
+        _CHUNK_HEAD.pack(
+            Opcode.CHUNK,
+            _CHUNK_HEAD.size - 9 + 4 + len(compression) + 8 + stored_size,
+            chunk.start_ns,
+            chunk.end_ns,
+            chunk.uncompressed_size,
+            chunk.uncompressed_crc,
+        )
+        + len(compression).to_bytes(4, "little")
+        + compression
+        + stored_size.to_bytes(8, "little")
+    )
+    chunk_length = len(head) + stored_size
+    index_offsets: dict[int, int] = {}
+    indexes = bytearray()
+    for channel, entries in chunk.indexes.items():
+        index_offsets[channel] = offset + chunk_length + len(indexes)
+        size = len(entries) * entries.itemsize
+        indexes += _MESSAGE_INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, size + 6, channel, size)
+        indexes += entries.tobytes()
+    index = ChunkIndex(
+        chunk_length=chunk_length,
+        chunk_start_offset=offset,
+        compression=chunk.compression,
+        compressed_size=stored_size,
+        message_end_time=chunk.end_ns,
+        message_index_length=len(indexes),
+        message_index_offsets=index_offsets,
+        message_start_time=chunk.start_ns,
+        uncompressed_size=chunk.uncompressed_size,
+    )
+    return [head, *chunk.parts, indexes], index

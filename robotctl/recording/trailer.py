@@ -1,0 +1,141 @@
+"""What stands behind the data of an MCAP file: DataEnd, summary, footer, magic."""
+
+from __future__ import annotations
+
+import struct
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Self
+
+from isal.isal_zlib import crc32
+from mcap.opcode import Opcode
+from mcap.records import DataEnd, Footer, Statistics, SummaryOffset
+
+from robotctl.recording.mcap_format import MAGIC, Chunk, record_bytes
+from robotctl.recording.storage import Buffer
+
+_GROUPS = (
+    Opcode.SCHEMA,
+    Opcode.CHANNEL,
+    Opcode.STATISTICS,
+    Opcode.CHUNK_INDEX,
+    Opcode.ATTACHMENT_INDEX,
+    Opcode.METADATA_INDEX,
+)
+_CRC = struct.Struct("<I")
+_CRC_AND_MAGIC_BYTES = _CRC.size + len(MAGIC)
+
+
+@dataclass(frozen=True, slots=True)
+class WrittenFile:
+    """The end of a valid file without attachments, as it was read.
+
+    `data_end` is the offset of its DataEnd record, `data_crc` the checksum therein; `groups`
+    holds the summary's records by their opcode, the way they stand there.
+    """
+
+    data_end: int
+    data_crc: int
+    groups: Mapping[Opcode, bytes]
+    statistics: Statistics
+
+
+@dataclass(frozen=True, slots=True)
+class TrailerState:
+    """What a file held at one moment: enough to make the trailer of then, also later."""
+
+    data_end: int
+    data_crc: int
+    statistics: bytes
+    group_sizes: Mapping[Opcode, int]
+
+
+class Summary:
+    """What the file holds and where; it only grows."""
+
+    def __init__(self) -> None:
+        self.counts: dict[int, int] = {}
+        """Messages per channel id, of channels that have any."""
+
+        self.start_ns = 0
+        """Lowest log time in the file [ns]; 0 while it holds no message."""
+
+        self.end_ns = 0
+        """Highest log time in the file [ns]; 0 while it holds no message."""
+
+        self._groups = {opcode: bytearray() for opcode in _GROUPS}
+        self._numbers: Counter[Opcode] = Counter()
+
+    @classmethod
+    def of(cls, written: WrittenFile) -> Self:
+        """That of a file which is to be continued."""
+        self = cls()
+        for opcode, group in self._groups.items():
+            group += written.groups.get(opcode, b"")
+        statistics = written.statistics
+        self._numbers[Opcode.SCHEMA] = statistics.schema_count
+        self._numbers[Opcode.CHANNEL] = statistics.channel_count
+        self._numbers[Opcode.CHUNK_INDEX] = statistics.chunk_count
+        self._numbers[Opcode.METADATA_INDEX] = statistics.metadata_count
+        self.counts = dict(statistics.channel_message_counts)
+        self.start_ns = statistics.message_start_time
+        self.end_ns = statistics.message_end_time
+        return self
+
+    def add(self, opcode: Opcode, record: bytes) -> None:
+        """Take in a record that stands in the summary."""
+        self._groups[opcode] += record
+        self._numbers[opcode] += 1
+
+    def count(self, chunk: Chunk) -> None:
+        """Count the messages of a chunk, before its index is added."""
+        first = not self._numbers[Opcode.CHUNK_INDEX]
+        self.start_ns = chunk.start_ns if first else min(self.start_ns, chunk.start_ns)
+        self.end_ns = max(self.end_ns, chunk.end_ns)
+        for channel, entries in chunk.indexes.items():
+            self.counts[channel] = self.counts.get(channel, 0) + len(entries) // 2
+
+    def state(self, data_end: int, data_crc: int) -> TrailerState:
+        """The state of now; `data_end` is where the data ends, `data_crc` their checksum."""
+        statistics = Statistics(
+            attachment_count=self._numbers[Opcode.ATTACHMENT_INDEX],
+            channel_count=self._numbers[Opcode.CHANNEL],
+            channel_message_counts=self.counts,
+            chunk_count=self._numbers[Opcode.CHUNK_INDEX],
+            message_count=sum(self.counts.values()),
+            message_end_time=self.end_ns,
+            message_start_time=self.start_ns,
+            metadata_count=self._numbers[Opcode.METADATA_INDEX],
+            schema_count=self._numbers[Opcode.SCHEMA],
+        )
+        return TrailerState(
+            data_end=data_end,
+            data_crc=data_crc,
+            statistics=record_bytes(statistics),
+            group_sizes={opcode: len(group) for opcode, group in self._groups.items()},
+        )
+
+    def trailer(self, state: TrailerState) -> tuple[list[Buffer], int]:
+        """The parts of the trailer that belongs to `state`, and their size in bytes."""
+        data_end = record_bytes(DataEnd(data_section_crc=state.data_crc))
+        summary_start = state.data_end + len(data_end)
+        parts: list[Buffer] = []
+        offsets = bytearray()
+        position = summary_start
+        for opcode, group in self._groups.items():
+            content: Buffer = memoryview(group)[: state.group_sizes[opcode]]
+            if opcode is Opcode.STATISTICS:
+                content = state.statistics
+            if not len(content):
+                continue
+            parts.append(content)
+            offsets += record_bytes(SummaryOffset(opcode, position, len(content)))
+            position += len(content)
+        footer = record_bytes(Footer(summary_start, position, 0))[: -_CRC.size]
+        parts += [offsets, footer]
+        crc = 0
+        for part in parts:
+            crc = crc32(part, crc)
+        parts = [data_end, *parts, _CRC.pack(crc), MAGIC]
+        return parts, position - state.data_end + len(offsets) + len(footer) + _CRC_AND_MAGIC_BYTES
