@@ -20,6 +20,9 @@ from robotctl.recording.rosbag2 import BagFile, write_metadata
 MAX_EVENTS = 1000
 """In one file: each takes room in the summary, which is rewritten four times a second."""
 
+MAX_INDEX_BYTES = 8 << 20
+"""Of chunks, in one file: each adds 10 bytes for each topic in it to what is rewritten."""
+
 
 class BagWriter:
     """Writes chunks of messages into the folder's current file, and begins the next one in time.
@@ -149,7 +152,7 @@ class BagWriter:
             self._on_full(self._file.path)
 
     def _is_full(self) -> bool:
-        if self._file.event_count >= MAX_EVENTS:
+        if self._file.event_count >= MAX_EVENTS or self._file.index_bytes >= MAX_INDEX_BYTES:
             return True
         if not self._file.holds_messages:
             return False
@@ -157,9 +160,11 @@ class BagWriter:
         return self._file.size >= self._options.split_bytes or age_s >= self._options.split_s
 
     def _new_file(self) -> RecordingFile:
-        path = self._folder / f"{self._folder.name}_{self._files_begun}.mcap"
-        self._files_begun += 1
-        return RecordingFile(path, self._options, self._metadata(), self._accounts)
+        while True:
+            path = self._folder / f"{self._folder.name}_{self._files_begun}.mcap"
+            self._files_begun += 1
+            with suppress(FileExistsError):  # somebody's: nothing is overwritten
+                return RecordingFile(path, self._options, self._metadata(), self._accounts)
 
     def _repeat_latched(self) -> None:
         """Write the last latched message of each publisher again, as if it came just now."""

@@ -38,6 +38,7 @@ class RecordingFile:
         self._announced = 0
         self._schemas: dict[tuple[str, str], int] = {}
         self._synced = False
+        self._finished = False
         self.event_count = 0
         self._mcap = McapFile(options.open_file(path), profile=PROFILE, library=LIBRARY)
         try:
@@ -58,6 +59,11 @@ class RecordingFile:
     def holds_messages(self) -> bool:
         """Whether there is any message in it."""
         return bool(self._mcap.summary.counts)
+
+    @property
+    def index_bytes(self) -> int:
+        """Bytes of the summary that grow with the chunks."""
+        return self._mcap.summary.index_bytes
 
     @property
     def trailer_bytes(self) -> int:
@@ -98,9 +104,12 @@ class RecordingFile:
         self._mcap.commit()
         self._mcap.sync()
         self._mcap.close()
+        self._finished = True
 
     def abandon(self) -> None:
         """After an OSError: leave the file as the last good write had left it."""
+        if self._finished:
+            return
         try:
             self._mcap.cut_back()
         finally:

@@ -83,6 +83,11 @@ class Summary:
         self.end_ns = statistics.message_end_time
         return self
 
+    @property
+    def index_bytes(self) -> int:
+        """Bytes that the index of the chunks takes."""
+        return len(self._groups[Opcode.CHUNK_INDEX])
+
     def add(self, opcode: Opcode, record: bytes) -> None:
         """Take in a record that stands in the summary."""
         self._groups[opcode] += record

@@ -187,6 +187,18 @@ def test_an_error_while_closing_keeps_every_message(tmp_path: Path) -> None:
     assert_first_numbers(stats.file, 100)
 
 
+def test_a_folder_in_the_place_of_the_list_costs_no_message(tmp_path: Path) -> None:
+    failures: list[str] = []
+    recorder = Recorder(tmp_path / "run", on_failure=failures.append)
+    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 101))
+    (tmp_path / "run" / "metadata.yaml").unlink()
+    (tmp_path / "run" / "metadata.yaml").mkdir()
+    stats = recorder.close()
+    assert failures == [f"recording stopped: Is a directory ({stats.file})"]
+    assert_accounted(stats, 100)
+    assert_first_numbers(stats.file, 100)
+
+
 def test_a_disk_that_is_full_at_the_start_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
     options = RecorderOptions(open_file=lambda path: FailingFile(path, 1))
     with pytest.raises(Refused, match="No space left on device"):

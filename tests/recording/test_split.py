@@ -13,6 +13,7 @@ from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader as RosbagsReader
 
 from robotctl.errors import Refused
+from robotctl.recording import bag_writer
 from robotctl.recording.reader import read_info, read_messages
 from robotctl.recording.recorder import (
     Compression,
@@ -187,6 +188,36 @@ def test_what_is_latched_and_was_dropped_is_repeated_at_its_own_time(tmp_path: P
     stats = recorder.close()
     assert (stats.dropped, stats.written) == (1, 0)
     assert [m.log_ns for m in read_strictly(stats.file)] == [START_NS]
+
+
+def test_an_index_that_grows_too_large_ends_its_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bag_writer, "MAX_INDEX_BYTES", 2000)
+    recorder = Recorder(tmp_path / "run", RecorderOptions(chunk_bytes=4096), on_failure=pytest.fail)
+    channels = [recorder.add_topic(replace(TWIST, name=f"/topic{n}")) for n in range(20)]
+    for number in range(1, 201):
+        for channel in channels:
+            write_numbered(recorder, channel, range(number, number + 1))
+        until(lambda: recorder.stats().queued < 1000)
+    stats = recorder.close()
+    files = files_of(tmp_path / "run")
+    assert len(files) > 2
+    assert sum(len(read_strictly(path)) for path in files) == stats.written == 4000
+
+
+def test_a_name_that_is_taken_is_passed_over(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
+    channel = recorder.add_topic(TWIST)
+    write_numbered(recorder, channel, range(1, 11))
+    (tmp_path / "run" / "run_1.mcap").mkdir()
+    (tmp_path / "run" / "run_2.mcap").symlink_to(tmp_path / "elsewhere")
+    recorder.split()
+    write_numbered(recorder, channel, range(11, 21))
+    stats = recorder.close()
+    assert stats.file.name == "run_3.mcap"
+    assert [m.sequence for m in read_strictly(stats.file)] == list(range(11, 21))
+    assert not (tmp_path / "elsewhere").exists()
 
 
 def test_each_file_stands_alone(tmp_path: Path) -> None:
