@@ -12,36 +12,59 @@ from robotctl import __version__
 from robotctl.cli.options import new_app
 from robotctl.errors import UsageError
 
-MODULES = {
-    "start": "lifecycle",
-    "stop": "lifecycle",
-    "status": "modes",
-    "watch": "watch",
-    "set-mode": "modes",
-    "estop": "modes",
-    "reset": "modes",
-    "drive": "drive",
-    "logs": "lifecycle",
-    "mark": "record",
-    "record": "record",
-    "recordings": "recordings",
-    "info": "info",
-    "why": "why",
-    "recover": "recover",
-    "clip": "clip",
-    "replay": "replay",
-    "sim": "sim",
-    "demo": "demo",
+GROUPS = {
+    "Without a robot": {
+        "demo": "demo",
+        "sim": "sim",
+    },
+    "The daemon": {
+        "start": "lifecycle",
+        "status": "modes",
+        "watch": "watch",
+        "logs": "lifecycle",
+        "stop": "lifecycle",
+    },
+    "The robot": {
+        "drive": "drive",
+        "set-mode": "modes",
+        "estop": "modes",
+        "reset": "modes",
+    },
+    "Recordings": {
+        "record": "record",
+        "mark": "record",
+        "recordings": "recordings",
+        "info": "info",
+        "clip": "clip",
+        "recover": "recover",
+        "replay": "replay",
+        "why": "why",
+    },
 }
-"""Each command, in the order of the help, and the module of this package that declares it."""
+"""The sections of the help: each command, and the module of this package that declares it."""
+
+MODULES = {name: module for group in GROUPS.values() for name, module in group.items()}
 
 
 class LazyGroup(TyperGroup):
     """Builds no command but the one that is asked for."""
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """Every command, in the order of the table."""
+        """Every command, in the order of the help."""
         return list(MODULES)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """The commands in their sections, each with the first sentence of its help."""
+        width = max(map(len, MODULES))
+        for title, names in GROUPS.items():
+            commands = [self.get_command(ctx, name) for name in names]
+            with formatter.section(title):
+                formatter.write_dl(
+                    [
+                        (f"{command.name:{width}}", command.get_short_help_str(formatter.width))
+                        for command in commands
+                    ]
+                )
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """The command of that name, or None; an unknown name loads all, for a suggestion."""
@@ -63,9 +86,8 @@ app = new_app(LazyGroup)
 
 
 @app.callback(
-    epilog="Try it without a robot: robotctl demo. Exit codes: 0 ok, 2 usage, 3 no daemon, "
-    "4 refused, 5 already running, 6 unreadable file, 7 decided differently, "
-    "8 recovered with loss, 130 interrupted."
+    epilog="Exit codes: 0 ok, 1 internal, 2 usage, 3 no daemon, 4 refused, 5 already running, "
+    "6 unreadable file, 7 decided differently, 8 recovered with loss, 130 interrupted."
 )
 def root(
     version: Annotated[

@@ -22,8 +22,8 @@ from robotctl.cli.launch import INTERRUPTIONS, StartOptions, launch
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.picture import Path2D, braille, write_png
 from robotctl.cli.process import interrupted_by
-from robotctl.cli.screen import TOPIC_HEADER, topic_row
 from robotctl.cli.text import is_terminal, json_text, number, printable, short_path, size
+from robotctl.cli.topic_table import TopicTable
 from robotctl.cli.watch import POLL_S, polled, show
 from robotctl.domains import reserved_domain
 from robotctl.errors import NoDaemon, RobotctlError
@@ -185,12 +185,16 @@ def _report(robot: str, outcome: Outcome, png: Path, *, keep: bool) -> Iterator[
     yield f"  picture     {short_path(png)}"
     yield f"  messages    {found.message_count}, {outcome.missing_messages} lost"
     yield from tracking_lines(outcome.drive)
-    yield f"\n{TOPIC_HEADER}"
-    for topic in found.topics:
-        yield topic_row(topic.name, topic.type_name, topic.message_count, topic.rate_hz)
+    heard = [topic for topic in found.topics if topic.message_count]
+    table = TopicTable(topic.name for topic in heard)
+    yield f"\n{table.header}"
+    for topic in heard:
+        yield table.row(topic.name, topic.type_name, topic.message_count, topic.rate_hz)
+    if len(heard) < len(found.topics):
+        yield f"  and {len(found.topics) - len(heard)} more, without a message yet"
     if "utf" in (sys.stdout.encoding or "").lower():
-        colour = is_terminal() and "NO_COLOR" not in os.environ
-        yield "\n  driven over wanted (dotted)"
+        colour = is_terminal() and not os.environ.get("NO_COLOR")
+        yield "\n  driven (line) over wanted (dots)"
         yield from braille(outcome.wanted, outcome.driven, colour=colour)
     yield "\nnext:"
     yield from (f"  {command}" for command in _next_commands(robot, folder, keep=keep))

@@ -10,8 +10,8 @@ import typer
 
 from robotctl.cli.library import Recordings, find_recording
 from robotctl.cli.options import Json, Robot, new_app
-from robotctl.cli.screen import TOPIC_HEADER, topic_row
 from robotctl.cli.text import duration, json_text, moment, printable, short_path, size
+from robotctl.cli.topic_table import TopicTable
 from robotctl.errors import UnreadableFile
 from robotctl.paths import DEFAULT_ROBOT
 
@@ -46,7 +46,7 @@ def info(
     robot: Robot = DEFAULT_ROBOT,
     as_json: Json = False,
 ) -> None:
-    """Show what a recording holds: topics with their types, counts, rates and QoS; events.
+    """Show what a recording holds: topics, counts, rates, QoS, events.
 
     Reads any MCAP file. Of a damaged one it shows what can be read, says what is missing, and
     exits with 6.
@@ -122,11 +122,12 @@ def info_screen(found: RecordingInfo) -> Iterator[str]:
     if not found.indexed:
         yield "  index      missing: the file was scanned from its beginning"
     yield f"  writer     {printable(found.library)}, profile {printable(found.profile) or 'none'}"
+    table = TopicTable(topic.name for topic in found.topics)
     if found.topics:
         yield ""
-        yield TOPIC_HEADER
+        yield table.header
     for topic in found.topics:
-        yield topic_row(topic.name, topic.type_name, topic.message_count, topic.rate_hz)
+        yield table.row(topic.name, topic.type_name, topic.message_count, topic.rate_hz)
         qos = qos_text(topic.offered_qos)
         if qos:
             yield f"    {printable(qos)}"

@@ -14,7 +14,7 @@ from robotctl import __version__
 from robotctl.cli import control
 from robotctl.cli.drive import Pattern
 from robotctl.cli.launch import StartOptions, launch
-from robotctl.cli.options import Json, Robot, new_app
+from robotctl.cli.options import ConfigFile, DomainId, Json, Robot, new_app
 from robotctl.cli.screen import mode_text
 from robotctl.cli.text import json_text, printable, short_path
 from robotctl.errors import NoDaemon
@@ -29,9 +29,7 @@ _FOLLOW_POLL_S = 0.2
 @app.command()
 def start(
     robot: Robot = DEFAULT_ROBOT,
-    config: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Parameters, as a ROS parameter file.")
-    ] = None,
+    config: ConfigFile = None,
     recordings: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Where to record [default: ./recordings].")
     ] = None,
@@ -60,9 +58,7 @@ def start(
         list[str] | None,
         typer.Option(metavar="PATTERN", help="Do not record these topics; may be repeated."),
     ] = None,
-    domain_id: Annotated[
-        int | None, typer.Option(metavar="N", help="ROS domain [default: ROS_DOMAIN_ID, or 0].")
-    ] = None,
+    domain_id: DomainId = None,
     foreground: Annotated[
         bool, typer.Option("--foreground", help="Stay in the terminal, for systemd and containers.")
     ] = False,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -18,6 +19,16 @@ Robot = Annotated[
         show_envvar=True,
         help="The robot's name; any but 'robot' is its ROS namespace, too.",
     ),
+]
+
+ConfigFile = Annotated[
+    Path | None,
+    typer.Option("--config", metavar="FILE", help="Parameters: YAML, or a ROS parameter file."),
+]
+
+DomainId = Annotated[
+    int | None,
+    typer.Option("--domain-id", metavar="N", help="ROS domain [default: ROS_DOMAIN_ID, or 0]."),
 ]
 
 Json = Annotated[bool, typer.Option("--json", help="Print one line of JSON, for machines.")]

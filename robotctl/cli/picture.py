@@ -88,7 +88,9 @@ def braille(wanted: Path2D, driven: Path2D, *, rows: int = 18, colour: bool = Fa
     ]
     left, right = f"{bounds.left:.2f}", f"{bounds.right:.2f} m"
     gap = " " * max(1, across - len(left) - len(right))
-    return [*lines, " " * 8 + "\u2514" + "\u2500" * across, f"{'':9}{left}{gap}{right}"]
+    scale = f"a dot is {1000 / dots_per_m:.0f} mm"
+    axis = " " * 8 + "\u2514" + "\u2500" * across
+    return [*lines, axis, f"{'':9}{left}{gap}{right}   {scale}"]
 
 
 def write_png(file: Path, wanted: Path2D, driven: Path2D, title: str) -> None:

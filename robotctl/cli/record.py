@@ -37,10 +37,15 @@ def record() -> None:
 
 @group.command()
 def status(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
-    """Show the recording with what was received, written and lost of each topic.
+    """Show what of each topic was received, written and lost.
 
     received = written + queued + dropped; lost were sent between messages that arrived, unseen
     before the first that did.
+
+    \b
+    Examples:
+      robotctl record status
+      robotctl record status --json | jq .recorder.lost
     """
     answer = call(robot, "record_status")
     print(json_text(answer) if as_json else "\n".join(status_lines(answer)))
@@ -48,7 +53,12 @@ def status(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
 
 @group.command()
 def split(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
-    """Finish the current file, and go on in the next one without a gap."""
+    """Finish the current file, and go on in the next one without a gap.
+
+    \b
+    Examples:
+      robotctl record split
+    """
     answer = call(robot, "record_split", deadline_s=SPLIT_DEADLINE_S)
     print(json_text(answer) if as_json else printable(answer.get("message")))
 

@@ -36,7 +36,7 @@ def recordings(
     robot: Robot = DEFAULT_ROBOT,
     as_json: Json = False,
 ) -> None:
-    """List recordings: date, size, duration, laps and the worst that happened.
+    """List recordings with length, laps and the worst that happened.
 
     Those of the running daemon or, where none runs, of the robot's last one. The oldest are
     removed when a daemon starts (see recording.max_total_gb), but for those marked with keep.
@@ -68,14 +68,24 @@ def recordings(
 
 @group.command()
 def keep(name: Name, folder: Recordings = None, robot: Robot = DEFAULT_ROBOT) -> None:
-    """Never remove a recording, whatever its age."""
+    """Never remove a recording, whatever its age.
+
+    \b
+    Examples:
+      robotctl recordings keep last
+    """
     path = _set_kept(name, folder, robot, kept=True)
     print(f"{printable(path.name)} is kept, whatever its age")
 
 
 @group.command()
 def unkeep(name: Name, folder: Recordings = None, robot: Robot = DEFAULT_ROBOT) -> None:
-    """Let a recording be removed again when its time has come."""
+    """Let a recording be removed again when its time has come.
+
+    \b
+    Examples:
+      robotctl recordings unkeep robot_20260101_120000
+    """
     path = _set_kept(name, folder, robot, kept=False)
     print(f"{printable(path.name)} is removed again when its time has come")
 

@@ -36,10 +36,10 @@ def recover(
     robot: Robot = DEFAULT_ROBOT,
     as_json: Json = False,
 ) -> None:
-    """Save what can be read of a broken recording, of any writer, into a new one.
+    """Save what can be read of a broken recording into a new one.
 
-    Nothing is overwritten. Exits with 0 where nothing is lost, 8 where something is, and 6 where
-    nothing can be read.
+    Of any writer. Nothing is overwritten. Exits with 0 where nothing is lost, 8 where something
+    is, and 6 where nothing can be read.
 
     \b
     Examples:

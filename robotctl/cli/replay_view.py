@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import sys
 
 from rich.console import Group, RenderableType
@@ -12,11 +11,10 @@ from rich.text import Text
 
 from robotctl.cli.picture import braille
 from robotctl.cli.screen import pose_text, velocity_text
-from robotctl.cli.text import number, printable
+from robotctl.cli.text import columns, number, printable
 from robotctl.cli.view import coloured_mode
 from robotctl.replay.sight import Sight
 
-_WIDTH = 80
 _PATH_ROWS = 12
 """So that the view and the bar stay within a terminal of 24 lines."""
 
@@ -33,8 +31,7 @@ def recorded_view(sight: Sight) -> RenderableType:
     parts: list[RenderableType] = [facts]
     if sight.path and "utf" in (sys.stdout.encoding or "").lower():
         parts += [Text(), Text("\n".join(braille([], sight.path, rows=_PATH_ROWS)), no_wrap=True)]
-    width = min(_WIDTH, shutil.get_terminal_size().columns)
-    return Panel(Group(*parts), title="recorded", title_align="left", width=width)
+    return Panel(Group(*parts), title="recorded", title_align="left", width=columns())
 
 
 def recorded_line(sight: Sight) -> str:

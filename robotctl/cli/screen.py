@@ -5,19 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from robotctl.cli.text import duration, elided, number, printable, short_path, size
+from robotctl.cli.text import duration, number, printable, short_path, size
+from robotctl.cli.topic_table import TopicTable
 
 _LABEL_WIDTH = 10
-_NAME_WIDTH = 30
-_TYPE_WIDTH = 30
-_RATE_WIDTH = 7
 
 OBSERVING = "observing (records, drives nothing)"
-
-TOPIC_HEADER = (
-    f"  {'topic':{_NAME_WIDTH}} {'type':{_TYPE_WIDTH}} {'count':>8} {'Hz':>{_RATE_WIDTH}}"
-)
-"""Above the lines of topic_row."""
 
 
 def status_screen(status: dict[str, Any]) -> Iterator[str]:
@@ -26,10 +19,11 @@ def status_screen(status: dict[str, Any]) -> Iterator[str]:
     yield from (f"  {label:{_LABEL_WIDTH}} {text}" for label, text in status_rows(status))
     topics = status.get("topics") or []
     if topics:
+        table = TopicTable(topic.get("name") for topic in topics)
         yield ""
-        yield TOPIC_HEADER
-    for topic in topics:
-        yield topic_row(topic.get("name"), topic.get("type"), topic.get("count"), topic.get("rate"))
+        yield table.header
+        for topic in topics:
+            yield table.row(*(topic.get(key) for key in ("name", "type", "count", "rate")))
     for warning in status.get("warnings") or []:
         yield f"warning: {printable(warning)}"
 
@@ -95,15 +89,3 @@ def battery_text(status: dict[str, Any]) -> str:
     """The battery's charge in percent."""
     battery = status.get("battery")
     return "unknown" if battery is None else f"{number(battery, '.0%')}".replace("%", " %")
-
-
-def topic_row(name: object, type_name: object, count: object, rate_hz: object) -> str:
-    """One topic, its type without `/msg` so that it fits."""
-    name_text = elided(name, _NAME_WIDTH)
-    type_text = elided(str(type_name).replace("/msg/", "/"), _TYPE_WIDTH)
-    rate = number(rate_hz, ".1f")
-    if len(rate) > _RATE_WIDTH:
-        rate = number(rate_hz, ".1e")
-    return (
-        f"  {name_text:{_NAME_WIDTH}} {type_text:{_TYPE_WIDTH}} {count!s:>8} {rate:>{_RATE_WIDTH}}"
-    )

@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
-from typing import Annotated
 
-import typer
-
-from robotctl.cli.options import Robot, new_app
+from robotctl.cli.options import ConfigFile, DomainId, Robot, new_app
 from robotctl.paths import DEFAULT_ROBOT, check_robot_name, namespace_of
 
 app = new_app()
@@ -17,12 +13,8 @@ app = new_app()
 @app.command()
 def sim(
     robot: Robot = DEFAULT_ROBOT,
-    config: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Parameters, as a ROS parameter file.")
-    ] = None,
-    domain_id: Annotated[
-        int | None, typer.Option(metavar="N", help="ROS domain [default: ROS_DOMAIN_ID, or 0].")
-    ] = None,
+    config: ConfigFile = None,
+    domain_id: DomainId = None,
 ) -> None:
     """Run the simulated robot in a process of its own, until Ctrl-C.
 

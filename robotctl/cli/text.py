@@ -41,7 +41,7 @@ def row(label: str, text: object) -> Iterator[str]:
     """Text beside its label, wrapped into a column of its own."""
     from textwrap import wrap
 
-    lines = wrap(printable(text), COLUMNS - len(label), break_on_hyphens=False) or [""]
+    lines = wrap(printable(text), columns() - len(label), break_on_hyphens=False) or [""]
     yield f"{label}{lines[0]}"
     yield from (f"{'':{len(label)}}{line}" for line in lines[1:])
 
@@ -54,6 +54,15 @@ def short_path(path: object) -> str:
     except (OSError, ValueError):
         return printable(text)
     return printable(text if relative.startswith("..") else relative)
+
+
+def columns() -> int:
+    """How wide a line may be: 80 columns, or those of the terminal where it has fewer."""
+    try:
+        wide = os.get_terminal_size(sys.stdout.fileno()).columns
+    except (OSError, ValueError):  # no terminal
+        return COLUMNS
+    return min(wide or COLUMNS, COLUMNS)  # 0 where the terminal does not know
 
 
 def is_terminal() -> bool:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-from collections.abc import Iterator
 from typing import Any
 
 from rich.console import Group, RenderableType
@@ -18,7 +16,7 @@ from robotctl.cli.screen import (
     pose_text,
     velocity_text,
 )
-from robotctl.cli.text import duration, number, printable, size
+from robotctl.cli.text import columns, duration, number, printable, size
 
 _MODE_STYLES = {
     "IDLE": "bold cyan",
@@ -26,7 +24,6 @@ _MODE_STYLES = {
     "ERROR": "bold red",
     "EMERGENCY_STOP": "bold white on red",
 }
-_WIDTH = 80
 _MAX_TOPICS = 12
 """So that the view stays within a terminal of 24 lines."""
 
@@ -46,29 +43,7 @@ def live_view(status: dict[str, Any]) -> RenderableType:
         facts.add_row("warning", Text(printable(warning), style="yellow"))
     title = Text(f"{printable(status.get('robot'))}  up {duration(status.get('uptime_s') or 0)}")
     body = Group(facts, Text(), _topics(status.get("topics") or []))
-    width = min(_WIDTH, shutil.get_terminal_size().columns)
-    return Panel(body, title=title, title_align="left", width=width)
-
-
-def plain_line(status: dict[str, Any]) -> str:
-    """The same on one line, for where no live view can be drawn."""
-    recorder = status.get("recorder") or {}
-    fields = (
-        f"{status.get('uptime_s') or 0:.1f} s",
-        mode_text(status),
-        *(() if is_observer(status) else _robot_fields(status)),
-        f"written {recorder.get('written')}",
-        f"lost {recorder.get('lost')}",
-    )
-    return "  ".join(printable(field) for field in fields)
-
-
-def _robot_fields(status: dict[str, Any]) -> Iterator[str]:
-    pose, velocity = status.get("pose") or {}, status.get("velocity") or {}
-    yield str(status.get("phase"))
-    yield from (f"{key} {number(pose.get(key), '.3f')}" for key in ("x", "y", "theta"))
-    yield f"v {number(velocity.get('linear'), '.3f')}"
-    yield f"battery {battery_text(status)}"
+    return Panel(body, title=title, title_align="left", width=columns())
 
 
 def coloured_mode(status: dict[str, Any]) -> Text:

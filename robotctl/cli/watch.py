@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from robotctl.cli.options import Robot, new_app
+from robotctl.cli.status_line import HEADER, status_line
 from robotctl.cli.text import is_terminal
 from robotctl.ipc.client import call
 from robotctl.paths import DEFAULT_ROBOT
@@ -42,13 +43,15 @@ def polled(robot: str) -> Iterator[dict[str, Any]]:
 
 def show(statuses: Iterator[dict[str, Any]]) -> None:
     """Draw each status over the one before, or print a line each where there is no terminal."""
-    from robotctl.cli.view import live_view, plain_line
-
     if not is_terminal():
-        for status in statuses:
-            print(plain_line(status), flush=True)
+        for row, status in enumerate(statuses):
+            if row == 0:
+                print(HEADER)
+            print(status_line(status), flush=True)
         return
     from rich.live import Live
+
+    from robotctl.cli.view import live_view
 
     with Live(auto_refresh=False) as live:
         for status in statuses:

@@ -37,7 +37,7 @@ def test_the_demo_shows_recording_numbers_picture_and_what_comes_next(
         "\u2502",
     ):
         assert text in ran.out
-    assert max(len(line) for line in ran.out.splitlines()) <= 100
+    assert max(len(line) for line in ran.out.splitlines()) <= 80
     assert sockets(home) == []
     assert read_info(folder).missing == ()
 

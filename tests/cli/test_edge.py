@@ -17,6 +17,8 @@ import robotctl
 from robotctl.cli import commands, control
 from robotctl.cli.commands import MODULES
 
+COMMANDS = [*MODULES, "record status", "record split", "recordings keep", "recordings unkeep"]
+
 NO_DAEMON = "robotctl: no daemon for robot 'robot' (start one with: robotctl start)\n"
 
 
@@ -119,23 +121,30 @@ def test_nothing_at_all_shows_the_help(cli: Callable[..., Any]) -> None:
     assert all(f"\n  {name} " in ran.out for name in MODULES)
 
 
-@pytest.mark.parametrize("name", ["", *MODULES])
+def test_no_sentence_in_the_list_of_commands_is_cut(cli: Callable[..., Any]) -> None:
+    assert "..." not in cli("--help").out.split("\n", 1)[1]
+
+
+@pytest.mark.parametrize("name", ["", *COMMANDS])
 def test_every_help_fits_80_columns(name: str, cli: Callable[..., Any]) -> None:
     ran = cli(*name.split(), "--help")
     assert ran.exit_code == 0
     assert max(len(line) for line in ran.out.splitlines()) <= 80
 
 
-@pytest.mark.parametrize("name", MODULES)
+@pytest.mark.parametrize("name", COMMANDS)
 def test_every_example_in_the_help_can_be_typed(name: str) -> None:
     app: Any = get_command(commands.app)
     context = app.make_context("robotctl", [], resilient_parsing=True)
-    _, _, examples = app.get_command(context, name).help.partition("Examples:\n")
+    command = app
+    for word in name.split():
+        command = command.get_command(context, word)
+    _, _, examples = command.help.partition("Examples:\n")
     assert examples
     for line in examples.splitlines():
         words = shlex.split(line.partition("|")[0])[1:]
-        assert words[0] == name
-        app.get_command(context, name).make_context(name, words[1:])
+        assert words[: len(name.split())] == name.split()
+        app.get_command(context, words[0]).make_context(words[0], words[1:])
 
 
 def test_output_that_the_terminal_cannot_encode_is_escaped(

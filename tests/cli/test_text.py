@@ -2,14 +2,28 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
+import pty
+import struct
+import sys
+import termios
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robotctl.cli.text import duration, elided, json_text, number, printable, short_path, size
+from robotctl.cli.text import (
+    columns,
+    duration,
+    elided,
+    json_text,
+    number,
+    printable,
+    short_path,
+    size,
+)
 
 
 @pytest.mark.parametrize(
@@ -79,3 +93,17 @@ def test_a_number_that_is_not_there_is_unknown() -> None:
     assert number(None, ".3f") == "unknown"
     assert number("nan", ".3f") == "unknown"
     assert number(1, ".3f") == "1.000"
+
+
+@pytest.mark.parametrize(("of_the_terminal", "taken"), [(60, 60), (200, 80), (0, 80)])
+def test_a_line_is_as_wide_as_the_terminal_and_at_most_80_columns(
+    of_the_terminal: int, taken: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    controller, terminal = pty.openpty()
+    fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 24, of_the_terminal, 0, 0))
+    with os.fdopen(terminal, "w") as stdout:
+        monkeypatch.setattr(sys, "stdout", stdout)
+        assert columns() == taken
+        monkeypatch.undo()
+    os.close(controller)
+    assert columns() == 80

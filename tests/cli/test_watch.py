@@ -12,20 +12,42 @@ from typing import Any
 
 import pytest
 
-from robotctl.cli.view import plain_line
+from robotctl.cli.status_line import HEADER, status_line
+from robotctl.cli.view import live_view
 from robotctl.ipc.client import call
 
 
-def test_through_a_pipe_it_prints_plain_lines(
+def test_through_a_pipe_it_prints_the_rows_of_a_table(
     daemon: None, spawn: Callable[..., subprocess.Popen[str]]
 ) -> None:
     process = spawn("watch")
     assert process.stdout is not None
+    assert process.stdout.readline() == f"{HEADER}\n"
     for _ in range(2):
         line = process.stdout.readline()
-        assert "IDLE" in line
-        assert "x 0.500  y -0.250" in line
+        assert " ".join(line.split()[1:]) == "IDLE 0.500 -0.250 1.500 0.200 87% 20 0"
         assert "\x1b" not in line
+
+
+def test_a_row_has_80_columns_after_a_day_far_from_home(daemon: None) -> None:
+    status = call("robot", "status") | {
+        "uptime_s": 86_400.0,
+        "mode": "EMERGENCY_STOP",
+        "pose": {"x": -999.999, "y": -999.999, "theta": -3.141},
+        "velocity": {"linear": -1.234},
+        "battery": 1.0,
+        "recorder": {"written": 10_000_000, "lost": 9999},
+    }
+    row = status_line(status)
+    assert len(row) == len(HEADER) == 80
+    assert " ".join(row.split()) == (
+        "86400.0 EMERGENCY_STOP -999.999 -999.999 -3.141 -1.234 100% 10000000 9999"
+    )
+
+
+def test_an_observer_has_a_row_without_a_robot(daemon: None) -> None:
+    status = call("robot", "status") | dict.fromkeys(("mode", "pose", "velocity", "battery"))
+    assert " ".join(status_line(status).split()[1:]) == "observing - - - - - 20 0"
 
 
 def test_on_a_terminal_it_draws_within_80_columns(daemon: None, command: list[str]) -> None:
@@ -64,4 +86,5 @@ def test_it_ends_with_the_daemon(
 def test_what_is_not_known_yet_is_shown_as_unknown(missing: str, daemon: None) -> None:
     status = call("robot", "status")
     status[missing] = None
-    assert "IDLE" in plain_line(status)
+    assert "IDLE" in status_line(status)
+    live_view(status)
