@@ -24,7 +24,19 @@ NO_DAEMON = "robotctl: no daemon for robot 'robot' (start one with: robotctl sta
 
 @pytest.mark.parametrize(
     "arguments",
-    ["status", "status --json", "set-mode idle", "estop", "reset", "stop", "drive square", "watch"],
+    [
+        "status",
+        "status --json",
+        "set-mode idle",
+        "estop",
+        "reset",
+        "stop",
+        "drive square",
+        "watch",
+        "mark here",
+        "record status",
+        "record split",
+    ],
 )
 def test_without_a_daemon_every_command_says_how_to_start_one(
     arguments: str, cli: Callable[..., Any]
