@@ -19,6 +19,8 @@ RMW = "rmw_fastrtps_cpp"
 _PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 """Where Fast DDS 2 and 3 look for what its own defaults do not suit."""
 
+_RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+
 _NOTE = "_ROBOTCTL_ENVIRONMENT_NOTE"
 _WHEELS_GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 """Without it the ROS wheels put their libraries on LD_LIBRARY_PATH when Python starts."""
@@ -49,7 +51,7 @@ def prepare(before_restart: Callable[[], object] = lambda: None) -> str:
         prefixes = _entries(os.environ, _PREFIXES)
         if sys.prefix not in prefixes:
             os.environ[_PREFIXES] = os.pathsep.join([*prefixes, sys.prefix])
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    _limit_discovery()
     if not any(variable in os.environ for variable in _PROFILES):
         os.environ[_PROFILES[0]] = str(Path(__file__).with_name("ros") / "fastdds.xml")
     return note
@@ -94,6 +96,17 @@ def without_foreign_ros(environment: Mapping[str, str], prefix: Path) -> tuple[d
         cleaned["RMW_IMPLEMENTATION"] = RMW
         said.append(f"replaced {rmw} by {RMW}, the only middleware that robotctl brings")
     return cleaned, "; ".join(said)
+
+
+def _limit_discovery() -> None:
+    """To this machine, unless the user chose otherwise; also where he did so in Humble's words.
+
+    rcl still obeys ROS_LOCALHOST_ONLY before all else, but warns of it in every process.
+    """
+    if os.environ.pop("ROS_LOCALHOST_ONLY", "") == "1":
+        os.environ[_RANGE] = "LOCALHOST"
+        os.environ.pop("ROS_STATIC_PEERS", None)
+    os.environ.setdefault(_RANGE, "LOCALHOST")
 
 
 def _has_own_rclpy() -> bool:

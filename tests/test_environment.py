@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.environment import without_foreign_ros
+from robotctl.environment import prepare, without_foreign_ros
 
 REPOSITORY = Path(__file__).parents[1]
 SOURCED = ("PYTHONPATH", "LD_LIBRARY_PATH", "AMENT_PREFIX_PATH")
@@ -155,6 +155,32 @@ def test_what_lies_in_our_own_environment_is_never_foreign(tmp_path: Path) -> No
     link.symlink_to(ours)
     environment = sourced(link, "humble")
     assert without_foreign_ros(environment, ours) == (environment, "")
+
+
+@pytest.mark.parametrize(
+    ("given", "found"),
+    [
+        ({}, {"RANGE": "LOCALHOST"}),
+        ({"RANGE": "SUBNET"}, {"RANGE": "SUBNET"}),
+        ({"ONLY": "0"}, {"RANGE": "LOCALHOST"}),
+        ({"ONLY": "0", "RANGE": "SUBNET", "PEERS": "a"}, {"RANGE": "SUBNET", "PEERS": "a"}),
+        ({"ONLY": "1", "RANGE": "SUBNET", "PEERS": "a"}, {"RANGE": "LOCALHOST"}),
+    ],
+)
+def test_discovery_ends_at_this_machine_unless_the_user_chose_otherwise(
+    given: dict[str, str], found: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = {
+        "RANGE": "ROS_AUTOMATIC_DISCOVERY_RANGE",
+        "PEERS": "ROS_STATIC_PEERS",
+        "ONLY": "ROS_LOCALHOST_ONLY",
+    }
+    for key, name in names.items():
+        monkeypatch.setenv(name, given.get(key, ""))
+        if key not in given:
+            monkeypatch.delenv(name)
+    prepare()
+    assert {key: os.environ[name] for key, name in names.items() if name in os.environ} == found
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ from robotctl.cli.picture import Path2D, braille, write_png
 from robotctl.cli.process import interrupted_by
 from robotctl.cli.text import is_terminal, json_text, number, printable, short_path, size
 from robotctl.cli.topic_table import TopicTable
-from robotctl.cli.watch import POLL_S, polled, show
+from robotctl.cli.watch import POLL_S, polled_until, show
 from robotctl.domains import reserved_domain
 from robotctl.errors import NoDaemon, RobotctlError
 from robotctl.ipc.client import call, command_for
@@ -122,7 +122,7 @@ def _drive_one_lap(robot: str, *, quiet: bool) -> Outcome:
     _wait_for_sensors(robot)
     drive = Background(partial(call, robot, "drive", params, deadline_s=None))
     if not quiet:
-        show(_statuses_until(drive, robot))
+        show(polled_until(drive, robot))
     result = drive.result()
     path = call(robot, "path")
     return Outcome(result, call(robot, "status"), path["reference"], path["driven"])
@@ -140,13 +140,6 @@ def _wait_for_sensors(robot: str) -> None:
         f"the simulated robot sent no odometry within {SENSORS_DEADLINE_S:g} s "
         "(is UDP on the loopback interface blocked?)"
     )
-
-
-def _statuses_until(drive: Background, robot: str) -> Iterator[dict[str, Any]]:
-    for status in polled(robot):
-        yield status
-        if drive.is_done:
-            return
 
 
 def _recording_of(robot: str) -> str | None:

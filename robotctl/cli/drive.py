@@ -5,15 +5,18 @@ from __future__ import annotations
 import math
 import sys
 from enum import StrEnum
+from functools import partial
 from typing import Annotated, Any
 
 import typer
 
+from robotctl.cli.background import Background
 from robotctl.cli.control import source
 from robotctl.cli.options import Json, Robot, new_app
-from robotctl.cli.text import json_text, number, printable
+from robotctl.cli.text import is_terminal, json_text, number, printable
+from robotctl.cli.watch import polled_until, show
 from robotctl.errors import UsageError
-from robotctl.ipc.client import CALL_DEADLINE_S, call, command_for
+from robotctl.ipc.client import call, command_for
 from robotctl.paths import DEFAULT_ROBOT
 
 app = new_app()
@@ -84,18 +87,29 @@ def drive(
         "wait": wait,
         "source": source("drive"),
     }
-    try:
-        answer = call(robot, "drive", params, deadline_s=None if wait else CALL_DEADLINE_S)
-    except KeyboardInterrupt:
-        halt = command_for(robot, "set-mode idle")
-        print(f"robotctl: the robot drives on (stop it with: {halt})", file=sys.stderr)
-        raise
+    if wait:
+        answer = _drive_and_wait(robot, params, quiet=as_json or not is_terminal())
+    else:
+        answer = call(robot, "drive", params)
     if as_json:
         print(json_text(answer))
     else:
         print(printable(answer.get("message", "done")))
         if wait:
             print("\n".join(tracking_lines(answer)))
+
+
+def _drive_and_wait(robot: str, params: dict[str, Any], *, quiet: bool) -> dict[str, Any]:
+    """What the daemon answers when the drive is done, with the live view until then."""
+    driving = Background(partial(call, robot, "drive", params, deadline_s=None))
+    try:
+        if not quiet:
+            show(polled_until(driving, robot))
+        return driving.result()
+    except KeyboardInterrupt:
+        halt = command_for(robot, "set-mode idle")
+        print(f"robotctl: the robot drives on (stop it with: {halt})", file=sys.stderr)
+        raise
 
 
 def tracking_lines(result: dict[str, Any]) -> list[str]:

@@ -9,7 +9,7 @@ import typer
 
 from robotctl.cli.control import source
 from robotctl.cli.options import Json, Robot, new_app
-from robotctl.cli.text import elided, json_text, moment, printable, short_path, size
+from robotctl.cli.text import columns, elided, json_text, moment, printable, short_path, size
 from robotctl.errors import UsageError
 from robotctl.ipc.client import call
 from robotctl.ipc.protocol import MAX_MARK_LENGTH
@@ -21,7 +21,10 @@ app.add_typer(group, name="record")
 
 SPLIT_DEADLINE_S = 15.0
 
-_COUNTS = ("count", "written", "queued", "dropped", "lost", "unseen")
+_COUNTS = {"received": 8, "written": 8, "queued": 6, "dropped": 7, "lost": 6, "unseen": 6}
+"""What is counted of each topic, and the width of its column."""
+
+_COUNT_HEADER = " ".join(f"{title:>{width}}" for title, width in _COUNTS.items())
 
 
 @group.callback()
@@ -93,8 +96,10 @@ def status_lines(answer: dict[str, Any]) -> Iterator[str]:
     recorder = answer.get("recorder") or {}
     written = size(recorder.get("bytes") or 0)
     yield f"{printable(recorder.get('state'))}: {short_path(recorder.get('file'))}, {written}"
-    yield f"  {'topic':30} " + " ".join(f"{name:>8}" for name in ("received", *_COUNTS[1:]))
+    name_width = columns() - len("   ") - len(_COUNT_HEADER)
+    yield f"  {'topic':{name_width}} {_COUNT_HEADER}"
     for topic in answer.get("topics") or []:
-        counts = " ".join(f"{topic.get(name, 0):>8}" for name in _COUNTS)
-        yield f"  {elided(topic.get('name'), 30):30} {counts}"
+        known = {"received": topic.get("count"), **topic}
+        counts = " ".join(f"{known.get(key) or 0:>{width}}" for key, width in _COUNTS.items())
+        yield f"  {elided(topic.get('name'), name_width):{name_width}} {counts}"
     yield from (f"warning: {printable(warning)}" for warning in answer.get("warnings") or [])

@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
+from robotctl.cli.background import Background
 from robotctl.cli.options import Robot, new_app
 from robotctl.cli.status_line import HEADER, status_line
 from robotctl.cli.text import is_terminal
@@ -39,6 +40,14 @@ def polled(robot: str) -> Iterator[dict[str, Any]]:
     while True:
         yield call(robot, "status")
         time.sleep(period_s)
+
+
+def polled_until(working: Background, robot: str) -> Iterator[dict[str, Any]]:
+    """The daemon's status until the work is done; nothing of work that is done at once."""
+    working.join(POLL_S)
+    statuses = polled(robot)
+    while not working.is_done:
+        yield next(statuses)
 
 
 def show(statuses: Iterator[dict[str, Any]]) -> None:
