@@ -184,7 +184,7 @@ def _report(robot: str, outcome: Outcome, png: Path, *, keep: bool) -> Iterator[
     for topic in heard:
         yield table.row(topic.name, topic.type_name, topic.message_count, topic.rate_hz)
     if len(heard) < len(found.topics):
-        yield f"  and {len(found.topics) - len(heard)} more, without a message yet"
+        yield f"  and {len(found.topics) - len(heard)} more without a message"
     if "utf" in (sys.stdout.encoding or "").lower():
         colour = is_terminal() and not os.environ.get("NO_COLOR")
         yield "\n  driven (line) over wanted (dots)"

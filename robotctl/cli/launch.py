@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from robotctl.cli.process import readable_within, watched
-from robotctl.errors import AlreadyRunning, RobotctlError, error_for_exit_code
+from robotctl.errors import AlreadyRunning, RobotctlError, UsageError, error_for_exit_code
 from robotctl.ipc.client import command_for
 from robotctl.paths import log_path, make_private
 
@@ -70,8 +70,7 @@ def launch(options: StartOptions) -> dict[str, Any]:
     Raises:
         RobotctlError: The daemon's reason not to start, with its exit code.
     """
-    log = log_path(options.robot)
-    make_private(log.parent)
+    log = _log_of(options.robot)
     # Under a name of its own until it is clear that no other daemon writes to the robot's log.
     own_log = log.with_name(f"{log.name}.{os.getpid()}")
     # Between the child's birth and the try, a Ctrl-C would leave it behind.
@@ -100,6 +99,19 @@ def launch(options: StartOptions) -> dict[str, Any]:
     if failure is not None:
         raise failure
     return said
+
+
+def _log_of(robot: str) -> Path:
+    """The daemon's log, in a folder that is there."""
+    try:
+        log = log_path(robot)
+        make_private(log.parent)
+    except (OSError, RuntimeError) as error:  # a home that cannot be written, or no home at all
+        why = f"{error.strerror}: {error.filename}" if isinstance(error, OSError) else error
+        raise UsageError(
+            f"there is no folder for the log: {why} (set XDG_STATE_HOME to one of yours)"
+        ) from error
+    return log
 
 
 def _spawn(command: list[str], log: Path) -> tuple[int, int]:

@@ -6,6 +6,7 @@ import os
 import shlex
 import signal
 import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -120,6 +121,26 @@ def test_ctrl_c_ends_with_130_and_without_a_traceback(
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=30)
     assert (process.returncode, err) == (130, "")
+
+
+INTERRUPTED_IMPORT = """
+import sys
+from robotctl.cli import app
+
+class CtrlC:
+    def find_spec(self, name, *_):
+        if name == "robotctl.cli.quick":
+            raise KeyboardInterrupt
+
+sys.meta_path.insert(0, CtrlC())
+app.main()
+"""
+
+
+def test_ctrl_c_while_libraries_are_imported_shows_no_traceback() -> None:
+    program = [sys.executable, "-c", INTERRUPTED_IMPORT, "status"]
+    ran = subprocess.run(program, capture_output=True, text=True)
+    assert (ran.returncode, ran.stdout, ran.stderr) == (130, "", "")
 
 
 def test_the_version_is_the_packages(cli: Callable[..., Any]) -> None:

@@ -89,6 +89,19 @@ def test_a_failed_start_says_why_and_leaves_nothing_running(
     assert children() == before
 
 
+def test_a_start_without_a_folder_for_its_log_names_the_cure(
+    cli: Callable[..., Any], home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (home / "file").touch()
+    monkeypatch.setenv("XDG_STATE_HOME", str(home / "file"))
+    ran = cli("start")
+    assert (ran.exit_code, ran.out) == (2, "")
+    assert ran.err == (
+        f"robotctl: there is no folder for the log: Not a directory: {home}/file/robotctl "
+        "(set XDG_STATE_HOME to one of yours)\n"
+    )
+
+
 def test_a_daemon_that_is_never_ready_is_ended(
     cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
