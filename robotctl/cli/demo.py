@@ -31,6 +31,8 @@ from robotctl.ipc.client import call, command_for
 
 app = new_app()
 
+CONFIG = Path(__file__).with_name("demo.yaml")
+
 SIDE_M = 1.0
 
 SENSORS_DEADLINE_S = 20.0
@@ -80,7 +82,9 @@ def demo(
     """
     robot = f"demo_{os.getpid()}"
     with reserved_domain() as domain_id:
-        options = StartOptions(robot, recordings=recordings, sim=True, domain_id=domain_id)
+        options = StartOptions(
+            robot, config=CONFIG, recordings=recordings, sim=True, domain_id=domain_id
+        )
         if not as_json:
             print(f"starting a simulated robot: {robot}, ROS domain {domain_id}", flush=True)
         with _daemon(options, keep=keep):

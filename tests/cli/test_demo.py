@@ -12,6 +12,8 @@ from typing import Any
 
 import pytest
 
+from robotctl.cli.demo import CONFIG
+from robotctl.config import Config, load
 from robotctl.ipc.client import call
 from robotctl.recording.reader import read_info
 
@@ -40,6 +42,15 @@ def test_the_demo_shows_recording_numbers_picture_and_what_comes_next(
     assert max(len(line) for line in ran.out.splitlines()) <= 80
     assert sockets(home) == []
     assert read_info(folder).missing == ()
+
+
+def test_a_busy_machine_does_not_end_the_demo(cli: Callable[..., Any], home: Path) -> None:
+    assert cli("demo").exit_code == 0
+    (log,) = home.glob("state/robotctl/demo_*/daemon.log")
+    assert f"'--config', '{CONFIG}'" in log.read_text()
+    patient, usual = load(CONFIG).kernel, Config().kernel
+    assert patient.max_tick_gap_s > usual.max_tick_gap_s
+    assert patient.odometry.timeout_s > patient.max_tick_gap_s
 
 
 def test_the_three_next_commands_can_be_pasted(cli: Callable[..., Any]) -> None:
