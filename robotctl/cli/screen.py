@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from robotctl.cli.text import duration, number, printable, short_path, size
+from robotctl.cli.text import duration, number, printable, row, short_path, size
 from robotctl.cli.topic_table import TopicTable
 
 _LABEL_WIDTH = 10
@@ -16,7 +16,8 @@ OBSERVING = "observing (records, drives nothing)"
 def status_screen(status: dict[str, Any]) -> Iterator[str]:
     """The lines of `robotctl status`, from the object of `status --json`."""
     yield headline(status)
-    yield from (f"  {label:{_LABEL_WIDTH}} {text}" for label, text in status_rows(status))
+    for label, text in status_rows(status):
+        yield from row(f"  {label:{_LABEL_WIDTH}} ", text)
     topics = status.get("topics") or []
     if topics:
         table = TopicTable(topic.get("name") for topic in topics)
@@ -25,7 +26,7 @@ def status_screen(status: dict[str, Any]) -> Iterator[str]:
         for topic in topics:
             yield table.row(*(topic.get(key) for key in ("name", "type", "count", "rate")))
     for warning in status.get("warnings") or []:
-        yield f"warning: {printable(warning)}"
+        yield from row("warning: ", warning)
 
 
 def headline(status: dict[str, Any]) -> str:

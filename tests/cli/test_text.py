@@ -107,3 +107,13 @@ def test_a_line_is_as_wide_as_the_terminal_and_at_most_80_columns(
         monkeypatch.undo()
     os.close(controller)
     assert columns() == 80
+
+
+def test_long_text_is_wrapped_beside_its_label_and_a_path_is_not_broken() -> None:
+    path = "/a" * 50
+    assert list(row("  file  ", f"see {path} or so")) == [
+        "  file  see",
+        f"        {path}",
+        "        or so",
+    ]
+    assert list(row("  file  ", "")) == ["  file  "]
