@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import pty
 import signal
 import subprocess
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import pytest
@@ -157,6 +159,32 @@ def test_ctrl_c_while_waiting_says_that_the_robot_drives_on(
     assert waiting.returncode == 130
     assert err == "robotctl: the robot drives on (stop it with: robotctl set-mode idle)\n"
     assert mode() == "MOVING"
+
+
+def test_on_a_terminal_the_live_view_is_shown_while_a_drive_is_waited_for(
+    daemon: None, command: list[str]
+) -> None:
+    controller, terminal = pty.openpty()
+    waiting = subprocess.Popen(
+        [*command, "drive", "square", "--laps", "0", "--wait"],
+        stdin=terminal,
+        stdout=terminal,
+        stderr=terminal,
+        env=os.environ | {"TERM": "xterm"},
+    )
+    os.close(terminal)
+    try:
+        seen = ""
+        while "robot  up" not in seen or "MOVING" not in seen:
+            seen += os.read(controller, 65536).decode(errors="ignore")
+    finally:
+        waiting.send_signal(signal.SIGINT)
+        with suppress(OSError):  # which is how the end of a terminal reads
+            while data := os.read(controller, 65536):
+                seen += data.decode(errors="ignore")
+        assert waiting.wait(30) == 130
+        os.close(controller)
+    assert "the robot drives on (stop it with: robotctl set-mode idle)" in seen
 
 
 def test_another_robots_hints_name_it(cli: Callable[..., Any]) -> None:

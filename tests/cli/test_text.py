@@ -21,6 +21,7 @@ from robotctl.cli.text import (
     json_text,
     number,
     printable,
+    row,
     short_path,
     size,
 )
