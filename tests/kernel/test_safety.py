@@ -8,7 +8,7 @@ from math import inf, nan
 
 import pytest
 
-from robotctl.kernel.geometry import Pose
+from robotctl.kernel.geometry import ORIGIN, Pose
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import BatteryParams, KernelParams
 from robotctl.kernel.patterns import MIN_SIZE_M, Pattern, PatternKind
@@ -164,6 +164,17 @@ def test_after_a_jump_the_robot_starts_from_where_it_is_now() -> None:
     assert bench.state.drive.origin == elsewhere
 
 
+@pytest.mark.parametrize("lie", ["nan", "inf", "nan heading"])
+def test_a_drive_never_begins_where_no_number_says(lie: str) -> None:
+    bench = ready()
+    before = bench.state.health.odometry
+    LIES[lie](bench)
+    assert bench.state.health.odometry == before
+    assert not start(bench)
+    assert bench.state.drive is not None
+    assert bench.state.drive.origin == ORIGIN
+
+
 @pytest.mark.parametrize("stamp_ns", [1, 10**18])
 def test_odometry_that_is_only_repeated_means_zero_within_its_timeout_and_one_tick(
     stamp_ns: int,
@@ -303,6 +314,21 @@ def test_a_gap_between_ticks_is_the_cause_and_not_the_stale_odometry_it_leaves(
     bench.t_ns += 1_500_000_000
     first(bench)
     assert stopped_by(bench, Cause.TICK_OVERRUN, Mode.ERROR)
+
+
+def test_a_late_tick_has_not_cleared_while_ticks_are_late() -> None:
+    bench = moving()
+    for _ in range(2):
+        bench.t_ns += 400_000_000
+        bench.tick()
+        bench.odometry()
+    assert stopped_by(bench, Cause.TICK_OVERRUN, Mode.ERROR)
+    bench.t_ns += 400_000_000
+    bench.odometry()
+    assert not reset(bench)
+    assert "no control tick for 0.40 s" in bench.replies[-1].message
+    bench.run(2)
+    assert reset(bench)
 
 
 def test_no_start_in_a_gap_between_ticks() -> None:
