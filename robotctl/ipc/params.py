@@ -7,9 +7,13 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct
 
 from robotctl.ipc.protocol import MAX_MARK_LENGTH
+from robotctl.kernel.drive import MAX_LAPS
+from robotctl.kernel.patterns import MAX_SIZE_M, MAX_SPEED_MPS, MIN_SIZE_M, MIN_SPEED_MPS
 
 Source = Annotated[str, Meta(max_length=200)]
 """Who asked, for the journal and the log."""
+
+Size = Annotated[float, Meta(ge=MIN_SIZE_M, le=MAX_SIZE_M)]
 
 
 class NoParams(Struct, frozen=True, forbid_unknown_fields=True):
@@ -45,15 +49,15 @@ class MarkParams(Struct, frozen=True, forbid_unknown_fields=True):
 class DriveParams(Struct, frozen=True, forbid_unknown_fields=True):
     """A pattern and its size; what is left out comes from the daemon's configuration.
 
-    The limits are those of a plausible robot; the configured speed limit may be lower.
+    The limits are the kernel's; the configured speed limit may be lower.
     """
 
     pattern: Literal["square", "circle", "figure-eight"]
     source: Source
-    side_m: Annotated[float, Meta(ge=0.1, le=100.0)] | None = None
-    radius_m: Annotated[float, Meta(ge=0.1, le=100.0)] | None = None
-    laps: Annotated[int, Meta(ge=0, le=1_000_000)] | None = None
+    side_m: Size | None = None
+    radius_m: Size | None = None
+    laps: Annotated[int, Meta(ge=0, le=MAX_LAPS)] | None = None
     """0 drives until stopped."""
-    speed_mps: Annotated[float, Meta(ge=0.01, le=10.0)] | None = None
+    speed_mps: Annotated[float, Meta(ge=MIN_SPEED_MPS, le=MAX_SPEED_MPS)] | None = None
     replace: bool = False
     wait: bool = False

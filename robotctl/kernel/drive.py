@@ -11,6 +11,8 @@ from robotctl.kernel.patterns import Path, Pattern, lap_of
 from robotctl.kernel.tracking import Reference
 from robotctl.kernel.types import DriveReport
 
+MAX_LAPS = 100_000
+
 SETTLE_S = 0.6
 """How long the reference waits at a stop for the robot to arrive."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import assert_never
 
-from robotctl.kernel.drive import Drive, Progress
+from robotctl.kernel.drive import MAX_LAPS, Drive, Progress
 from robotctl.kernel.limits import allowed, limit, within
 from robotctl.kernel.modes import REQUESTS, TRANSITIONS, Guard, Mode, Trigger
 from robotctl.kernel.odometry import is_finite, is_repeated, odometry_fault
@@ -48,8 +48,6 @@ from robotctl.kernel.types import (
 
 MAX_WAITING = 64
 """How many requests may wait for a ramp to end; one more is refused."""
-
-MAX_LAPS = 100_000
 
 STOPPING_REFUSAL = "the robot is stopping: ask again when it is IDLE"
 

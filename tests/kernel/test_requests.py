@@ -7,7 +7,8 @@ from math import inf, nan
 
 import pytest
 
-from robotctl.kernel.kernel import MAX_LAPS, MAX_WAITING, Kernel, latched
+from robotctl.kernel.drive import MAX_LAPS
+from robotctl.kernel.kernel import MAX_WAITING, Kernel, latched
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.patterns import Pattern, PatternKind
@@ -18,6 +19,7 @@ from robotctl.kernel.types import (
     Effect,
     LatchEmergencyStop,
     ModeChanged,
+    ModeRequested,
     Phase,
     PublishTwist,
     ReleaseEmergencyStop,
@@ -115,6 +117,15 @@ def test_nobody_moves_a_robot_that_is_stopping() -> None:
     assert [reply.ok for reply in bench.replies[-2:]] == [False, False]
     assert "stopping" in bench.replies[-1].message
     assert bench.state == before
+
+
+def test_the_first_who_asks_names_the_stop() -> None:
+    bench = moving(ticks=15)
+    for source in ("the first", "the second"):
+        bench.give(ModeRequested(bench.t_ns, bench.new_request_id(), 0, source))
+    bench.run(200)
+    assert bench.state.mode is Mode.IDLE
+    assert bench.state.reason == "requested by the first"
 
 
 def test_only_so_many_requests_wait_for_a_ramp() -> None:
