@@ -306,7 +306,6 @@ class Kernel:
             mode=Mode.MOVING,
             phase=Phase.DRIVING,
             reason=reason,
-            cause=None,
             drive=Drive(request_id, pattern, laps, odometry.pose, progress),
         )
         if previous is not Mode.MOVING:

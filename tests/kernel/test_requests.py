@@ -7,7 +7,7 @@ from math import inf, nan
 
 import pytest
 
-from robotctl.kernel.drive import MAX_LAPS
+from robotctl.kernel.drive import MAX_LAPS, Progress
 from robotctl.kernel.kernel import MAX_WAITING, Kernel, latched
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
@@ -126,6 +126,17 @@ def test_the_first_who_asks_names_the_stop() -> None:
     bench.run(200)
     assert bench.state.mode is Mode.IDLE
     assert bench.state.reason == "requested by the first"
+
+
+@pytest.mark.parametrize("stopped_in", [Mode.ERROR, Mode.EMERGENCY_STOP])
+def test_a_drive_whose_last_ramp_is_cut_is_not_completed(stopped_in: Mode) -> None:
+    bench = stopping()
+    assert bench.state.drive is not None
+    finished = replace(bench.state.drive, laps=1, progress=Progress(laps=1))
+    assert finished.finished
+    bench.kernel.state = replace(bench.state, drive=finished)
+    (ended,) = (each for each in bench.request(stopped_in) if isinstance(each, DriveEnded))
+    assert not ended.completed
 
 
 def test_only_so_many_requests_wait_for_a_ramp() -> None:

@@ -208,6 +208,13 @@ def test_a_robot_that_does_not_follow_is_stopped() -> None:
     assert "m from where it should be, more than 0.5 m" in bench.state.reason
 
 
+def test_a_robot_that_did_not_follow_may_start_anew_from_where_it_is() -> None:
+    bench = moving(ticks=0)
+    bench.run(150)
+    assert reset(bench)
+    assert not start(bench)
+
+
 @pytest.mark.parametrize("kind", PatternKind)
 def test_a_robot_that_stands_still_is_stopped_on_the_smallest_pattern_too(
     kind: PatternKind,
@@ -385,6 +392,13 @@ def test_a_failing_daemon_stops_the_robot_in_the_same_step(
     assert not reset(bench)
     bench.give(FaultCleared(bench.t_ns, cause))
     assert reset(bench)
+
+
+def test_a_fault_that_is_reported_again_is_one_fault_and_its_last_words_count() -> None:
+    bench = ready()
+    for number in range(100):
+        bench.give(FaultReported(bench.t_ns, Cause.TASK_DIED, f"death {number}"))
+    assert bench.state.health.reported == ((Cause.TASK_DIED, "death 99"),)
 
 
 @pytest.mark.parametrize("mode", [Mode.ERROR, Mode.EMERGENCY_STOP])
