@@ -79,11 +79,35 @@ def test_a_slower_or_a_quicker_robot_closes_its_lap_as_well(
     assert driven.ended.report.cross_track_max_m <= 0.06
 
 
+@pytest.mark.parametrize("ahead_m", [0.01, 5.0])
+def test_the_tracking_law_is_samsons_with_the_curvature_of_the_speed_that_is_commanded(
+    ahead_m: float,
+) -> None:
+    gains, limits = KernelParams().tracking, VelocityLimits()
+    reference = Reference(Pose(ahead_m, 0.02, 1.2), 0.4, 0.5, 0.0)
+    command = track(reference, ORIGIN, gains, limits)
+    linear = min(0.4 * cos(1.2) + gains.k_x * ahead_m, limits.linear_mps)
+    sideways = gains.k_y * 0.4 * sin(1.2) / 1.2 * 0.02
+    assert isclose(command.linear, linear)
+    assert isclose(command.angular, 0.5 * linear + sideways + gains.k_theta * 1.2)
+
+
 @pytest.mark.parametrize("kind", PatternKind)
 @pytest.mark.parametrize("lag_s", [0.08, 0.3])
 def test_the_smallest_pattern_can_be_driven(kind: PatternKind, lag_s: float) -> None:
     driven = drive_simulated(Pattern(kind, MIN_SIZE_M), laps=2, sim=SimParams(lag_s=lag_s))
     assert driven.ended.completed
+
+
+@pytest.mark.parametrize("kind", [PatternKind.CIRCLE, PatternKind.FIGURE_EIGHT])
+def test_the_reference_loses_nothing_from_lap_to_lap(kind: PatternKind) -> None:
+    drive = Drive(1, Pattern(kind, 0.2), 0, ORIGIN, Progress(speed=0.1))
+    length = drive.path.segments[0].length
+    driven_m = 0.0
+    while drive.progress.laps < 3:
+        drive = drive.advance(0.02, ORIGIN, VelocityLimits())
+        driven_m += drive.progress.speed * 0.02
+    assert isclose(driven_m, drive.progress.laps * length + drive.progress.length, rel_tol=1e-9)
 
 
 @pytest.mark.parametrize("kind", PatternKind)

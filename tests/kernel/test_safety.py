@@ -164,6 +164,13 @@ def test_after_a_jump_the_robot_starts_from_where_it_is_now() -> None:
     assert bench.state.drive.origin == elsewhere
 
 
+def test_a_turn_that_no_number_can_hold_is_a_jump() -> None:
+    bench = Bench()
+    bench.odometry(Pose(0.0, 0.0, -1e308))
+    bench.odometry(Pose(0.0, 0.0, 1e308))
+    assert "jumped by nan rad" in bench.state.health.odometry_fault
+
+
 @pytest.mark.parametrize("lie", ["nan", "inf", "nan heading"])
 def test_a_drive_never_begins_where_no_number_says(lie: str) -> None:
     bench = ready()
