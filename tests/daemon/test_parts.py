@@ -191,7 +191,9 @@ async def test_a_latch_that_cannot_be_saved_says_why(tmp_path: Path) -> None:
     latch.set("reason")
     latch.when_settled(problems.append)
     await latch.close()
+    latch.when_settled(problems.append)  # as a second emergency stop does
     assert "the emergency-stop latch could not be saved" in problems[0]
+    assert problems[1] == problems[0]
 
 
 @pytest.mark.parametrize("content", [b"", b"\xff\xfe", b"\0"])
