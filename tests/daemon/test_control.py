@@ -1,23 +1,14 @@
-"""The daemon's small parts, each alone: dispatch, latch, lock."""
+"""Control: one event after another, each journaled, its effects carried out whatever fails."""
 
 from __future__ import annotations
 
-import os
-import stat
 import time
 from collections.abc import Callable
-from pathlib import Path
-from typing import Any
-
-import pytest
 
 from robotctl.daemon.control import Control
 from robotctl.daemon.ending import stand_still
 from robotctl.daemon.journal import Journal
-from robotctl.daemon.latch import Latch
-from robotctl.daemon.lock import owned
 from robotctl.daemon.requests import Requests
-from robotctl.errors import AlreadyRunning
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
@@ -32,8 +23,6 @@ from robotctl.kernel.types import (
 )
 from robotctl.recording.journal import JournalEntry, Kind, decode
 from robotctl.replay.rerun import rerun
-
-# Dispatch
 
 
 class Bench:
@@ -139,118 +128,6 @@ async def test_a_request_that_nobody_waits_for_any_more_is_forgotten() -> None:
     bench.do = lambda effect: bench.requests.answer(effect) if isinstance(effect, Reply) else None
     reply = await bench.control.request(ResetRequested(1, 2, "test"))
     assert (reply.request_id, reply.ok) == (2, True)
-
-
-# The latch
-
-
-async def test_a_latch_is_on_the_disk_before_it_is_confirmed(tmp_path: Path) -> None:
-    latch = Latch(tmp_path / "state" / "emergency-stop")
-    assert latch.read() is None
-    problems: list[str] = []
-    latch.set("first")
-    latch.set("second")
-    latch.when_settled(problems.append)
-    assert problems == []
-    await latch.close()
-    assert problems == [""]
-    assert latch.read() == "second"
-    assert [path.name for path in (tmp_path / "state").iterdir()] == ["emergency-stop"]
-
-
-async def test_a_power_cut_leaves_the_old_latch_or_the_new_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path, sync, synced = tmp_path / "emergency-stop", os.fsync, []
-
-    def fsync(fd: int) -> None:
-        synced.append((stat.S_ISDIR(os.fstat(fd).st_mode), path.exists()))
-        sync(fd)
-
-    monkeypatch.setattr(os, "fsync", fsync)
-    latch = Latch(path)
-    latch.set("reason")
-    latch.clear()
-    await latch.close()
-    written, named, removed = (False, False), (True, True), (True, False)
-    assert synced == [written, named, removed]
-
-
-async def test_a_latch_that_is_released_is_gone(tmp_path: Path) -> None:
-    latch = Latch(tmp_path / "emergency-stop")
-    latch.set("reason")
-    latch.clear()
-    await latch.close()
-    assert latch.read() is None
-
-
-async def test_a_latch_that_cannot_be_saved_says_why(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    latch = Latch(tmp_path / "file" / "emergency-stop")
-    problems: list[str] = []
-    latch.set("reason")
-    latch.when_settled(problems.append)
-    await latch.close()
-    latch.when_settled(problems.append)  # as a second emergency stop does
-    assert "the emergency-stop latch could not be saved" in problems[0]
-    assert problems[1] == problems[0]
-
-
-@pytest.mark.parametrize("content", [b"", b"\xff\xfe", b"\0"])
-def test_a_latch_that_a_power_cut_left_is_a_latched_stop(tmp_path: Path, content: bytes) -> None:
-    path = tmp_path / "emergency-stop"
-    path.write_bytes(content)
-    assert Latch(path).read()
-
-
-def test_a_latch_that_cannot_be_read_is_a_latched_stop(tmp_path: Path) -> None:
-    (tmp_path / "emergency-stop").mkdir()
-    assert "cannot be read" in str(Latch(tmp_path / "emergency-stop").read())
-
-
-# The lock
-
-
-def test_a_lock_has_one_owner_and_names_it(tmp_path: Path) -> None:
-    path = tmp_path / "robot.lock"
-    with (
-        owned(path, "robot"),
-        pytest.raises(AlreadyRunning, match=f"pid {os.getpid()} "),
-        owned(path, "robot"),
-    ):
-        pass
-    with owned(path, "robot"):
-        assert path.read_text() == f"{os.getpid()}\n"
-
-
-def test_the_pid_of_an_owner_who_died_is_not_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "robot.lock"
-    monkeypatch.setattr("robotctl.daemon.lock.PID_S", 0.05)
-    with owned(path, "r2"):
-        path.write_text("4194305\n")  # above the highest pid of Linux
-        with (
-            pytest.raises(AlreadyRunning, match=r"pid unknown .*stop --robot r2"),
-            owned(path, "r2"),
-        ):
-            pass
-
-
-def test_a_lock_is_free_after_an_owner_failed(tmp_path: Path) -> None:
-    path = tmp_path / "robot.lock"
-
-    def fail() -> Any:
-        with owned(path, "robot"):
-            raise RuntimeError("injected")
-
-    with pytest.raises(RuntimeError):
-        fail()
-    with owned(path, "robot"):
-        pass
-
-
-# The end
 
 
 async def test_no_motion_begins_while_the_daemon_ends() -> None:
