@@ -23,7 +23,7 @@ DEFAULT_SIZE_M = {
 """Of a pattern that is not the configured one: side of the square, radius of the circles."""
 
 MODE_DEADLINE_S = 30.0
-"""Longer than any ramp."""
+"""Longer than the ramp of any usual robot."""
 
 
 class DrivingMethods:
@@ -105,8 +105,8 @@ class DrivingMethods:
         finally:
             end.cancel()
         report = ended.report
-        is_early = event.laps > 0 and not ended.completed
-        if is_early or self._control.state.mode is not Mode.IDLE:
+        stands = self._control.state.mode is Mode.IDLE
+        if not (ended.completed if event.laps else stands):
             raise Refused(f"the drive ended after {report.laps} laps: {ended.reason}")
         return {
             "message": ended.reason,
