@@ -93,6 +93,12 @@ def load(path: Path) -> Config:
 def check_together(kernel: KernelParams) -> None:
     """Raise ConfigError for values that are each allowed, but not with one another."""
     battery, two_periods_s = kernel.battery, 2.0 / kernel.rate_hz
+    taken: dict[str, str] = {}
+    for part in ("command", "odometry", "battery"):
+        key, name = f"{part}.topic", getattr(kernel, part).topic
+        other = taken.setdefault(name.removeprefix("/"), key)
+        if name and other != key:
+            raise _not_allowed(key, name, f"{other} has it already, use another topic")
     if battery.clear_level < battery.stop_level:
         raise _not_allowed(
             "battery.clear_level",

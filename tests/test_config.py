@@ -69,6 +69,10 @@ BAD = {
         "rate_hz: 5",
         "max_tick_gap_s: 0.3 is not allowed: use at least two periods of rate_hz, 0.4 s",
     ),
+    "two roles on one topic": (
+        "odometry.topic: /cmd_vel",
+        "odometry.topic: '/cmd_vel' is not allowed: command.topic has it already",
+    ),
     "list": ("- a\n- b", "not a mapping of keys to values"),
     "text": ("hello", "not a mapping of keys to values"),
     "parameters that are no mapping": ("robot: {ros__parameters: 3}", "not a mapping"),
