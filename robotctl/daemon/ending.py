@@ -21,11 +21,13 @@ POLL_S = 0.01
 
 
 def told_to_end() -> asyncio.Event:
-    """Return an event that SIGINT and SIGTERM set, and SIGHUP where nobody ignores it (nohup)."""
+    """Return an event that SIGINT and SIGTERM set, and SIGHUP unless it is ignored (nohup)."""
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        numbers.append(signal.SIGHUP)
     loop, told = asyncio.get_running_loop(), asyncio.Event()
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(number) is not signal.SIG_IGN or number != signal.SIGHUP:
-            loop.add_signal_handler(number, told.set)
+    for number in numbers:
+        loop.add_signal_handler(number, told.set)
     return told
 
 
