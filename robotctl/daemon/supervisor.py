@@ -15,6 +15,9 @@ _log = logging.getLogger(__name__)
 RESTART_S = 1.0
 """How long a task that died stays away: a fault that lasts must not fill log and journal."""
 
+MAX_DETAIL = 1000
+"""Characters of a fault that journal and status are told; the log has it whole."""
+
 Work = Callable[[], Coroutine[Any, Any, None]]
 """Makes the coroutine of a task; called again for each restart."""
 
@@ -60,4 +63,5 @@ class Supervisor:
         detail = f"{what} ({type(error).__name__}: {error})"
         _log.error("%s", detail, exc_info=error)
         if self._dispatch is not None:
-            self._dispatch(FaultReported(time.monotonic_ns(), Cause.TASK_DIED, detail))
+            told = detail[:MAX_DETAIL]
+            self._dispatch(FaultReported(time.monotonic_ns(), Cause.TASK_DIED, told))
