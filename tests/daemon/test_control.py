@@ -5,14 +5,18 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+import pytest
+
+from robotctl.daemon import ending
 from robotctl.daemon.control import Control
 from robotctl.daemon.ending import stand_still
 from robotctl.daemon.journal import Journal
 from robotctl.daemon.requests import Requests
-from robotctl.kernel.kernel import Kernel
+from robotctl.kernel.kernel import Kernel, State
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.types import (
+    ZERO,
     Effect,
     LatchEmergencyStop,
     ModeRequested,
@@ -23,19 +27,21 @@ from robotctl.kernel.types import (
 )
 from robotctl.recording.journal import JournalEntry, Kind, decode
 from robotctl.replay.rerun import rerun
+from robotctl.testing.kernels import moving
+from robotctl.testing.waiting import loop_until
 
 
 class Bench:
     """A Control whose effects go where a test wants them."""
 
-    def __init__(self) -> None:
+    def __init__(self, params: KernelParams | None = None, state: State | None = None) -> None:
         self.entries: list[JournalEntry] = []
         self.done: list[Effect] = []
         self.failures: list[str] = []
         self.do: Callable[[Effect], None] = self.done.append
         self.requests = Requests()
         self.control = Control(
-            Kernel(KernelParams()),
+            Kernel(params or KernelParams(), state),
             Journal(lambda serialized, seq: self.entries.append(decode(serialized))),
             lambda effect: self.do(effect),
             self.requests,
@@ -128,13 +134,27 @@ async def test_a_request_that_nobody_waits_for_any_more_is_forgotten() -> None:
     bench.do = lambda effect: bench.requests.answer(effect) if isinstance(effect, Reply) else None
     reply = await bench.control.request(ResetRequested(1, 2, "test"))
     assert (reply.request_id, reply.ok) == (2, True)
+    await loop_until(lambda: not bench.requests._replies)
 
 
 async def test_no_motion_begins_while_the_daemon_ends() -> None:
     bench = Bench()
     bench.do = lambda effect: bench.requests.answer(effect) if type(effect) is Reply else None
     await stand_still(bench.control)
+    assert bench.names[-2:] == ["Tick", "PublishTwist"]
     reply = await bench.control.request(ModeRequested(time.monotonic_ns(), 1, 1, "test"))
     assert not reply.ok
     assert "the daemon is stopping" in reply.message
+    assert rerun(bench.entries) is None
+
+
+async def test_a_ramp_that_takes_too_long_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ending, "RAMP_DOWN_S", 0.01)
+    bench = Bench(moving().kernel.params, moving().state)
+    bench.do = lambda effect: bench.requests.answer(effect) if type(effect) is Reply else None
+    monkeypatch.setattr(time, "monotonic_ns", lambda: bench.control.state.tick_t_ns)
+    assert bench.control.state.command != ZERO
+    await stand_still(bench.control)  # nobody ticks
+    assert bench.control.state.mode is Mode.ERROR
+    assert bench.control.state.command == ZERO
     assert rerun(bench.entries) is None

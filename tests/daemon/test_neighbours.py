@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
+import re
 import signal
+import subprocess
+import time
 from collections.abc import Callable
 
-from robotctl.testing.waiting import until
-from robotctl.testing.world import Peer, World
+from robotctl.testing.waiting import DEADLINE_S, until
+from robotctl.testing.world import PATIENT, Peer, World
 
 
 def test_no_robot_is_simulated_where_one_is(
@@ -35,10 +39,8 @@ def test_sim_forces_the_simulator(world: World, new_peer: Callable[[World], Peer
     world.ok("stop")
 
 
-def test_a_robot_outside_stops_by_itself_when_the_daemon_is_killed(
-    world: World, new_peer: Callable[[World], Peer]
-) -> None:
-    peer = new_peer(world)
+def drive_a_robot_outside(world: World, peer: Peer) -> subprocess.Popen[str]:
+    """Start a robot and a daemon, each a process of its own, and wait until the robot drives."""
     peer("listen")
     robot = world.spawn("sim")
     assert robot.stdout is not None
@@ -48,13 +50,45 @@ def test_a_robot_outside_stops_by_itself_when_the_daemon_is_killed(
     # The peer finds robot and daemon each in its own time.
     until(lambda: any(command[2] > 0.1 for command in peer("heard")["commands"]))
     until(lambda: peer("heard")["speed"] > 0.1)
+    return robot
+
+
+def end(robot: subprocess.Popen[str]) -> None:
+    robot.send_signal(signal.SIGINT)
+    assert robot.wait(DEADLINE_S) == 0
+    robot.communicate()
+
+
+def test_a_robot_outside_stops_by_itself_when_the_daemon_is_killed(
+    world: World, new_peer: Callable[[World], Peer]
+) -> None:
+    peer = new_peer(world)
+    robot = drive_a_robot_outside(world, peer)
     world.kill(int(world.status()["pid"]))
     until(lambda: abs(peer("heard")["speed"]) < 0.01)
     assert peer("heard")["commands"][-1][2] > 0.1  # nobody told it to
-    robot.send_signal(signal.SIGINT)
-    assert robot.wait(30) == 0
-    robot.communicate()
+    end(robot)
     (world.folder / "run" / "robotctl" / "robot.sock").unlink()  # the next start would
+
+
+def test_a_robot_outside_stops_by_itself_while_the_daemon_is_suspended_and_by_it_afterwards(
+    world: World, new_peer: Callable[[World], Peer]
+) -> None:
+    world.patient.write_text(PATIENT.replace("max_tick_gap_s: 5.0", "max_tick_gap_s: 2.0"))
+    peer = new_peer(world)
+    robot = drive_a_robot_outside(world, peer)
+    pid = int(world.status()["pid"])
+    suspended = time.monotonic()
+    os.kill(pid, signal.SIGSTOP)
+    until(lambda: abs(peer("heard")["speed"]) < 0.01 and time.monotonic() - suspended > 3.0)
+    os.kill(pid, signal.SIGCONT)
+    until(lambda: world.status()["mode"] == "ERROR")
+    assert re.search("no control tick|loop stalled", world.status()["mode_reason"])
+    heard = len(peer("heard")["commands"])
+    until(lambda: len(peer("heard")["commands"]) > heard + 20)
+    assert all(command[2] == 0.0 for command in peer("heard")["commands"][heard:])
+    world.ok("stop")
+    end(robot)
 
 
 def test_somebody_elses_commands_are_shown_and_refuse_motion(

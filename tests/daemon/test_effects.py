@@ -1,0 +1,93 @@
+"""Effects carried out: in order, and a reply after what it confirms is on the disk."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robotctl.daemon.effects import Effects
+from robotctl.daemon.latch import Latch
+from robotctl.daemon.requests import Requests
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.types import (
+    DriveEnded,
+    DriveReport,
+    LatchEmergencyStop,
+    ModeChanged,
+    PublishTwist,
+    ReleaseEmergencyStop,
+    Reply,
+    Twist,
+)
+from robotctl.recording.events import EventKind, RecordedEvent
+
+REPLY = Reply(1, True, "Mode changed to EMERGENCY_STOP", Mode.EMERGENCY_STOP)
+
+
+class World:
+    """What effects reach, written down."""
+
+    def __init__(self, folder: Path) -> None:
+        self.latch = Latch(folder / "emergency-stop")
+        self.requests = Requests()
+        self.done: list[Any] = []
+        self.noted: list[RecordedEvent] = []
+        self.effects = Effects(
+            self.done.append, self.done.append, self.noted.append, self.latch, self.requests
+        )
+
+
+@pytest.fixture
+def world(tmp_path: Path) -> World:
+    return World(tmp_path)
+
+
+async def test_a_stop_is_confirmed_when_it_is_on_the_disk(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk, write = threading.Event(), Latch._write
+
+    def write_slowly(latch: Latch, reason: str) -> None:
+        disk.wait()
+        write(latch, reason)
+
+    monkeypatch.setattr(Latch, "_write", write_slowly)
+    reply = world.requests.expect_reply(1)
+    world.effects.carry_out(LatchEmergencyStop("test"))
+    world.effects.carry_out(REPLY)
+    assert not reply.done()
+    disk.set()
+    assert await reply == REPLY
+    assert world.latch.read() == "test"
+    await world.latch.close()
+
+
+async def test_a_stop_that_could_not_be_saved_is_confirmed_with_that(world: World) -> None:
+    (world.latch._path.with_suffix(".new")).mkdir()
+    reply = world.requests.expect_reply(1)
+    world.effects.carry_out(LatchEmergencyStop("test"))
+    world.effects.carry_out(REPLY)
+    answer = await reply
+    assert answer.ok
+    assert "could not be saved" in answer.message
+    await world.latch.close()
+
+
+async def test_what_somebody_will_look_for_is_noted_in_the_recording(world: World) -> None:
+    for mode in Mode:
+        world.effects.carry_out(ModeChanged(Mode.IDLE, mode, f"to {mode.name}"))
+    report = DriveReport(2, 8.0, 0.01, 0.02, 0.005)
+    world.effects.carry_out(DriveEnded(1, True, "driven", report))
+    world.effects.carry_out(PublishTwist(Twist(0.1, 0.2)))
+    world.effects.carry_out(ReleaseEmergencyStop())
+    kinds = [(event.kind, event.text) for event in world.noted]
+    assert kinds == [
+        (EventKind.ERROR, "to ERROR"),
+        (EventKind.EMERGENCY_STOP, "to EMERGENCY_STOP"),
+        (EventKind.DRIVE_ENDED, "driven"),
+    ]
+    assert world.done == [*Mode, Twist(0.1, 0.2)]
+    await world.latch.close()

@@ -1,0 +1,46 @@
+"""The driven path, as much of it as is worth keeping."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from robotctl.daemon import motion
+from robotctl.daemon.motion import MIN_STEP_M, Motion
+from robotctl.kernel.geometry import Pose
+from robotctl.kernel.params import KernelParams
+from robotctl.testing.kernels import Bench, moving
+
+
+def of(bench: Bench) -> Motion:
+    control: Any = bench  # `state` is all of it that is looked at
+    return Motion(control, KernelParams())
+
+
+def test_a_robot_that_stands_leaves_one_point() -> None:
+    seen = of(moving())
+    for _ in range(100):
+        seen.drove_to(Pose(MIN_STEP_M / 2.0, 0.0, 0.0))
+    assert seen.path()["driven"] == [[0.0, 0.0]]
+    seen.drove_to(Pose(MIN_STEP_M, 0.0, 0.0))
+    assert seen.path()["driven"] == [[0.0, 0.0], [MIN_STEP_M, 0.0]]
+
+
+def test_of_a_long_way_every_second_point_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(motion, "MAX_DRIVEN_POSES", 10)
+    seen = of(moving())
+    for number in range(1, 101):
+        seen.drove_to(Pose(float(number), 0.0, 0.0))
+    driven = seen.path()["driven"]
+    assert len(driven) <= 10
+    assert (driven[0], driven[-1]) == ([0.0, 0.0], [100.0, 0.0])
+
+
+def test_another_drive_begins_another_path() -> None:
+    bench = moving()
+    seen = of(bench)
+    seen.drove_to(Pose(1.0, 0.0, 0.0))
+    bench.drive(replacing=True)
+    seen.drove_to(Pose(0.1, 0.0, 0.0))
+    assert seen.path()["driven"] == [[0.0, 0.0], [0.1, 0.0]]
