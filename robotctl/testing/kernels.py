@@ -13,6 +13,7 @@ from robotctl.kernel.patterns import Pattern
 from robotctl.kernel.types import (
     ZERO,
     BatteryReceived,
+    Cause,
     DriveEnded,
     DriveRequested,
     Effect,
@@ -23,6 +24,7 @@ from robotctl.kernel.types import (
     Phase,
     PublishTwist,
     Reply,
+    ResetRequested,
     Tick,
     Twist,
 )
@@ -137,6 +139,24 @@ def in_mode(mode: Mode) -> Bench:
     if mode is not Mode.IDLE:
         bench.request(mode)
     return bench
+
+
+def reset(bench: Bench) -> bool:
+    """Ask for a reset; return whether it was granted."""
+    bench.give(ResetRequested(bench.t_ns, bench.new_request_id(), "test"))
+    return bench.replies[-1].ok
+
+
+def start(bench: Bench) -> str:
+    """Ask for MOVING; return the refusal, "" where there is none."""
+    bench.request(Mode.MOVING)
+    return "" if bench.replies[-1].ok else bench.replies[-1].message
+
+
+def stopped_by(bench: Bench, cause: Cause, mode: Mode) -> bool:
+    """Say whether the robot stands in `mode` for that cause."""
+    state = bench.state
+    return state.mode is mode and state.cause is cause and state.command == ZERO
 
 
 def while_moving(bench: Bench, turns: int = 1000) -> Iterator[None]:
