@@ -124,9 +124,10 @@ async def test_the_loop_turns_between_two_requests_of_one_client(
     async with serve():
         peer = await connect()
         await peer.send(request("status") * 100)
-        while len(seen) < 100:
-            turn += 1
-            await asyncio.sleep(0)
+        async with asyncio.timeout(DEADLINE_S):
+            while len(seen) < 100:
+                turn += 1
+                await asyncio.sleep(0)
     assert len(set(seen)) == 100
 
 
