@@ -361,8 +361,8 @@ class AsyncioExecutor:
         self._tasks.close()
         self._served.set()
         self._nodes.clear()
-        self._loop_thread.release_waiting()
         if self._runtime is None:
+            self._loop_thread.give_up()
             self._finished.set()
         else:
             self._tear_down(self._runtime)

@@ -14,6 +14,7 @@ class LoopThread:
         self._loop: AbstractEventLoop | None = None
         self._thread_id: int | None = None
         self._waiting: list[Callable[[], object]] = []
+        self._given_up = False
         # A signal handler may come in here again, in the midst of it.
         self._lock = threading.RLock()
 
@@ -29,9 +30,10 @@ class LoopThread:
         for callback in waiting:
             loop.call_soon(callback)
 
-    def release_waiting(self) -> None:
-        """Run here what waits for a loop that will not come."""
+    def give_up(self) -> None:
+        """No loop will come: run here what waits for it, and what comes later where it comes."""
         with self._lock:
+            self._given_up = True
             waiting, self._waiting = self._waiting, []
         for callback in waiting:
             callback()
@@ -43,10 +45,12 @@ class LoopThread:
             RuntimeError: the loop is closed.
         """
         with self._lock:
-            if self._loop is None:
+            if self._loop is None and not self._given_up:
                 self._waiting.append(callback)
                 return
-        if self.is_current():
+        if self._loop is None:
+            callback()
+        elif self.is_current():
             self._loop.call_soon(callback)
         else:
             self._loop.call_soon_threadsafe(callback)

@@ -45,9 +45,10 @@ class Nodes:
 
     def remove(self, node: Node) -> bool:
         """Let the node go; False where it is not here."""
-        if node not in self._nodes:
+        try:
+            del self._nodes[node]
+        except KeyError:
             return False
-        del self._nodes[node]
         if _executor_of(node) is self._executor:
             _set_executor(node, None)
         return True
@@ -62,7 +63,7 @@ class Nodes:
         found: dict[Any, Node] = {}
         for node in self:
             if is_destroyed(node.handle):
-                del self._nodes[node]
+                self._nodes.pop(node, None)  # Another thread may have been faster.
             else:
                 found.update(dict.fromkeys(_entities_of(node), node))
         return found

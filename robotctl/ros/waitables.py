@@ -3,13 +3,15 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
+from rclpy.exceptions import InvalidHandle
 from rclpy.guard_condition import GuardCondition
 from rclpy.waitable import Waitable
 
 from robotctl.ros.runtime import Runtime
-from robotctl.ros.sources import Source
+from robotctl.ros.sources import RETRY_AFTER_FAILED_TAKE_S, Source
 
 if TYPE_CHECKING:
     from robotctl.ros.waitset import WaitSetThread
@@ -85,7 +87,10 @@ class GuardSource(WaitSetSource):
 
 
 class WaitableSource(WaitSetSource):
-    """A Waitable that is none of rclpy's own."""
+    """A Waitable that is none of rclpy's own.
+
+    Where one of its methods raises it is left alone for a moment: what made it ready stays there.
+    """
 
     def __init__(
         self,
@@ -100,7 +105,11 @@ class WaitableSource(WaitSetSource):
         self._ready = False
 
     def counts(self) -> tuple[int, int, int, int, int, int]:
-        number = self.entity.get_num_entities()
+        try:
+            number = self.entity.get_num_entities()
+        except Exception as error:  # noqa: BLE001 - handed to the one handler
+            self._fail_in_thread(error)
+            return (0, 0, 0, 0, 0, 0)
         return (
             number.num_subscriptions,
             number.num_guard_conditions,
@@ -111,10 +120,22 @@ class WaitableSource(WaitSetSource):
         )
 
     def fill(self, wait_set: Any) -> None:
-        self.entity.add_to_wait_set(wait_set)
+        if self.parked:
+            return
+        try:
+            self.entity.add_to_wait_set(wait_set)
+        except InvalidHandle:
+            raise
+        except Exception as error:  # noqa: BLE001 - handed to the one handler
+            self._fail_in_thread(error)
 
     def fire(self, wait_set: Any) -> None:
-        self._ready = self.entity.is_ready(wait_set)
+        if self.parked:
+            return
+        try:
+            self._ready = self.entity.is_ready(wait_set)
+        except Exception as error:  # noqa: BLE001 - handed to the one handler
+            self._retry_later(error)
         if self._ready:
             self._execute()
 
@@ -135,5 +156,20 @@ class WaitableSource(WaitSetSource):
                 future._set_executor(self._executor)
             self.run_async(waitable.execute(data))
         except Exception as error:  # noqa: BLE001 - handed to the one handler
-            self.runtime.report(error, self.where)
+            self._retry_later(error)
         self._thread.refresh()
+
+    def _fail_in_thread(self, error: Exception) -> None:
+        self.parked = True
+        with suppress(RuntimeError):  # The loop is closed: nobody is left to tell.
+            self.runtime.loop.call_soon_threadsafe(self._retry_later, error)
+
+    def _retry_later(self, error: Exception) -> None:
+        self.runtime.report(error, self.where)
+        self.parked = True
+        self.runtime.loop.call_later(RETRY_AFTER_FAILED_TAKE_S, self._retry)
+
+    def _retry(self) -> None:
+        self.parked = False
+        if not self.closed:
+            self._thread.refresh()

@@ -102,7 +102,7 @@ class WaitSetThread:
                     wait_set.wait(-1)
                 except _rclpy.RCLError as error:
                     if self._context.ok():
-                        log.error("the wait-set thread ends, guard conditions are dead: %s", error)
+                        log.error("the executor shuts down: its wait-set thread failed: %s", error)
                     self._post(self._on_context_down)
                     return
                 if self._stopping.is_set():

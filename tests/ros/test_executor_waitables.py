@@ -75,14 +75,19 @@ class ForeignWaitable(Waitable):
 
 
 @pytest.fixture
-def foreign(executor: AsyncioExecutor, node: Node, topic: str) -> Iterator[ForeignWaitable]:
-    waitable = ForeignWaitable(node, f"{topic}/foreign")
-    node.add_waitable(waitable)
-    yield waitable
-    node.remove_waitable(waitable)
-    for handler in waitable.subscription.event_handlers:
+def waitable(node: Node, topic: str) -> Iterator[ForeignWaitable]:
+    made = ForeignWaitable(node, f"{topic}/foreign")
+    node.add_waitable(made)
+    yield made
+    node.remove_waitable(made)
+    for handler in made.subscription.event_handlers:
         node.remove_waitable(handler)
-    waitable.subscription.destroy()
+    made.subscription.destroy()
+
+
+@pytest.fixture
+def foreign(executor: AsyncioExecutor, waitable: ForeignWaitable) -> ForeignWaitable:
+    return waitable
 
 
 async def test_a_foreign_waitable_is_waited_for_taken_and_executed(
@@ -118,3 +123,35 @@ async def test_a_foreign_waitable_parked_behind_its_group_does_not_turn_the_loop
     assert foreign.executed == []
     release.set()
     await until(lambda: foreign.executed == [1, 2])
+
+
+@pytest.mark.parametrize("method", ["get_num_entities", "add_to_wait_set", "is_ready", "take_data"])
+async def test_a_foreign_waitable_that_raises_is_reported_and_disturbs_no_guard_condition(
+    context: Any,
+    node: Node,
+    waitable: ForeignWaitable,
+    topic: str,
+    until: Until,
+    comes_to_rest: Callable[[], Awaitable[bool]],
+    monkeypatch: pytest.MonkeyPatch,
+    method: str,
+) -> None:
+    def fail(*_: object) -> None:
+        raise ValueError("no")
+
+    monkeypatch.setattr(waitable, method, fail)
+    reported: list[str] = []
+    fired: list[int] = []
+    async with AsyncioExecutor(
+        context, on_exception=lambda error, where: reported.append(str(error))
+    ) as executor:
+        executor.add_node(node)
+        node.create_publisher(UInt64, f"{topic}/foreign", 10).publish(UInt64(data=1))
+        guard = node.create_guard_condition(lambda: fired.append(1))
+        await until(lambda: reported)
+        assert await comes_to_rest()
+        guard.trigger()
+        await until(lambda: fired)
+        monkeypatch.undo()
+        await until(lambda: waitable.executed == [1])
+    assert set(reported) == {"no"}
