@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import threading
 import time
 from collections import deque
@@ -12,6 +11,7 @@ from enum import Enum
 from queue import Empty, SimpleQueue
 
 from robotctl.recording.account import TopicAccount
+from robotctl.recording.background import rank_below
 from robotctl.recording.bag_writer import BagWriter
 from robotctl.recording.buffer import LargeMessage, PackBuffer, Taken
 from robotctl.recording.events import RecordedEvent
@@ -21,8 +21,8 @@ SPARE_BUFFERS = 2
 """Empty buffers kept for the loop: one to change to, one for a burst; the rest is given back."""
 
 NICE = 5
-"""How far the thread ranks below the loop: where all cores are busy, compressing a chunk would
-otherwise keep the loop waiting for a whole time slice of the kernel."""
+"""How far the thread ranks below the loop: where all cores are busy, the loop's share is three
+times that of the compression."""
 
 _SETTLE_S = 1.0
 """How long `stop` waits for a message that is being packed; packing takes a microsecond."""
@@ -75,7 +75,7 @@ class Drain:
         self._thread.join()
 
     def _run(self) -> None:
-        os.nice(NICE)  # of this thread alone, on Linux
+        rank_below(NICE)
         while not self._stopping:
             try:
                 self._turn()
