@@ -17,6 +17,9 @@ from robotctl.recording.options import RecorderOptions
 from robotctl.recording.recording_file import RecordingFile
 from robotctl.recording.rosbag2 import BagFile, write_metadata
 
+METADATA_PERIOD_S = 10.0
+"""How old the counts in `metadata.yaml` may be; those in the file itself are always its own."""
+
 MAX_EVENTS = 1000
 """In one file: each takes room in the summary, which is rewritten four times a second."""
 
@@ -61,6 +64,8 @@ class BagWriter:
         """What the operator should know before it becomes an error."""
 
         self.check_space()
+        self._listed_topics = 0
+        self._metadata_due = 0.0
         self._files_begun = 0
         self._begun = time.monotonic()
         self._file = self._new_file()
@@ -126,9 +131,14 @@ class BagWriter:
         if free < warn:
             self.warning = f"{_mb(free)} left on the disk; recording stops at {_mb(stop)}"
 
-    def forget_removed(self) -> None:
-        """Have `metadata.yaml` not name what retention removed, which begins with the oldest."""
-        if self._finished and not self._is_there(self._finished[0]):
+    def refresh_metadata(self) -> None:
+        """Have `metadata.yaml` tell what is there by now; counts and times from time to time.
+
+        A player that opens a folder believes it. Retention removes the oldest file first.
+        """
+        new_topics = len(self._accounts) > self._listed_topics
+        removed = bool(self._finished) and not self._is_there(self._finished[0])
+        if new_topics or removed or time.monotonic() >= self._metadata_due:
             self._write_metadata()
 
     def close(self) -> None:
@@ -186,6 +196,8 @@ class BagWriter:
         topics = [account.topic for account in list(self._accounts)]
         self._finished = [file for file in self._finished if self._is_there(file)]
         write_metadata(self._folder, topics, [*self._finished, self._file.describe()])
+        self._listed_topics = len(topics)
+        self._metadata_due = time.monotonic() + METADATA_PERIOD_S
 
     def _is_there(self, file: BagFile) -> bool:
         return (self._folder / file.name).exists()

@@ -95,7 +95,7 @@ class Drain:
         if now >= self._next_sync:
             self._attempt(self._writer.sync)
             self._attempt(self._writer.check_space)
-            self._attempt(self._writer.forget_removed)
+            self._attempt(self._writer.refresh_metadata)
             self._next_sync = time.monotonic() + self._options.sync_s
 
     def _finish(self) -> None:

@@ -18,6 +18,7 @@ from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader as RosbagsReader
 
 from robotctl.errors import Refused
+from robotctl.recording import bag_writer
 from robotctl.recording import recorder as recorder_module
 from robotctl.recording.background import SLICE_S
 from robotctl.recording.drain import NICE
@@ -236,6 +237,29 @@ def test_the_folder_is_a_bag_of_version_9_from_its_first_moment(
     assert bag["duration"]["nanoseconds"] == 9_000_000
     topic = bag["topics_with_message_count"][0]["topic_metadata"]
     assert topic["offered_qos_profiles"] == yaml.safe_load(QOS)
+
+
+def test_the_folder_is_a_bag_that_plays_while_it_grows(
+    open_recorder: OpenRecorder, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def listed() -> int:
+        bag = yaml.safe_load((folder / "metadata.yaml").read_text())
+        return sum(
+            topic["message_count"]
+            for topic in bag["rosbag2_bagfile_information"]["topics_with_message_count"]
+        )
+
+    recorder = open_recorder(flush_s=0.01, sync_s=0.01)
+    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 11))
+    until(lambda: "/cmd_vel" in (folder / "metadata.yaml").read_text())
+    until(lambda: recorder.stats().queued == 0)
+    with RosbagsReader(folder) as bag:
+        assert len(list(bag.messages())) == 10
+    monkeypatch.setattr(bag_writer, "METADATA_PERIOD_S", 0.01)
+    write_numbered(recorder, recorder.add_topic(ODOMETRY), range(1, 11))
+    write_numbered(recorder, recorder.add_topic(TWIST), range(11, 21))
+    until(lambda: listed() == 30)
+    recorder.close()
 
 
 def test_the_file_describes_itself(folder: Path) -> None:
