@@ -7,9 +7,10 @@ pacing   1 kHz, inter-arrival error where messages are handed to the middleware:
          absolute asyncio.sleep and against a player that waits on a condition variable for each
          message, as rosbag2's does. All three take turns within a round, publish the same recording
          through the same publisher to one subscriber in another process; ratios within a round.
-arrival  `robotctl replay` of 100 Hz, and of a real drive (`robotctl demo`), as another process gets
-         it: inter-arrival error by the middleware's `received_timestamp`, and what is lost. That
-         process runs under SCHED_FIFO where permitted: that it is woken late is not our doing.
+steady   `robotctl replay` of 100 Hz as another process gets it: inter-arrival error by the
+         middleware's `received_timestamp`, and what is lost. That process runs under SCHED_FIFO
+         where permitted: that it is woken late is not our doing.
+drive    the same of a real drive (`robotctl demo`).
 max      `--rate max`, 724 B, one reliable subscriber.
 first    from the command to the first message at a subscriber that waits for it, 1 GB file, from
          its beginning and from its middle; and the share that is reading.
@@ -20,43 +21,28 @@ Shown are medians over the rounds, and the lowest and highest in brackets.
 from __future__ import annotations
 
 import argparse
-import asyncio
-import gc
-import io
 import json
 import os
 import statistics
-import struct
 import subprocess
-import sys
 import tempfile
-import threading
 import time
-from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from replaying.listener import DEADLINE_S, listen, listening, subject
+from replaying.material import ODOMETRY, ODOMETRY_BYTES, QOS, ROBOTCTL, a_drive, write_steady
+from replaying.players import PLAYERS
+
 from robotctl import environment
 from robotctl.domains import reserved_domain
 from robotctl.recording.reader import Recording, read_info, read_messages
-from robotctl.recording.recorder import Compression, Recorder, RecorderOptions, Topic
 
-ODOMETRY = "nav_msgs/msg/Odometry"
-ODOMETRY_BYTES = 724
-QOS = """\
-- history: keep_last
-  depth: 10
-  reliability: reliable
-  durability: volatile
-"""
-START_NS = 1_700_000_000_000_000_000
-READ_AHEAD = 1000
+ARRIVAL = ("steady", "drive")
 CONTENDERS = ("robotctl", "asyncio", "condition")
-DEADLINE_S = 120.0
 
 
 @dataclass(frozen=True)
@@ -75,230 +61,6 @@ class Errors:
         return cls(found[len(found) // 2], found[int(len(found) * 0.99)], found[-1])
 
 
-# What is played
-
-
-def write_steady(folder: Path, rate_hz: float, count: int) -> Path:
-    """A recording of 724 B messages at a steady rate; not compressed, so as large as it looks."""
-    options = RecorderOptions(split_s=1e9, split_bytes=1 << 40, compression=Compression.NONE)
-    recorder = Recorder(folder, options, on_failure=print)
-    channel = recorder.add_topic(Topic("/odom", ODOMETRY, "", "", QOS))
-    data = odometry()
-    for number in range(count):
-        at_ns = START_NS + round(number / rate_hz * 1e9)
-        recorder.write(channel, data, at_ns, at_ns, number, b"publisher-number")
-        if number % 20_000 == 0:
-            time.sleep(0.05)  # the writer's thread keeps up, and nothing is dropped
-    recorder.close()
-    return folder
-
-
-def odometry() -> bytes:
-    """A serialized message of ODOMETRY_BYTES."""
-    names = struct.pack("<I8sI12s", 5, b"odom", 10, b"base_link")
-    head = b"\0\1\0\0" + struct.pack("<iI", 1, 2) + names
-    return (head + bytes(ODOMETRY_BYTES))[:ODOMETRY_BYTES]
-
-
-@contextmanager
-def a_drive(scratch: Path) -> Iterator[Path]:
-    """The recording of a real drive."""
-    with tempfile.TemporaryDirectory(dir=scratch) as folder:
-        command = [*ROBOTCTL, "demo", "--json", "--recordings", folder]
-        ran = subprocess.run(command, capture_output=True, text=True, check=True)
-        yield Path(json.loads(ran.stdout)["recording"])
-
-
-# Who plays it
-
-ROBOTCTL = [sys.executable, "-P", "-c", "from robotctl.cli.app import main; main()"]
-
-
-def play_with_robotctl(file: Path, domain_id: int) -> list[int]:
-    """The player's own process, with a note of the time before each message is handed over."""
-    from robotctl.replay import __main__ as process
-    from robotctl.replay.job import Job
-    from robotctl.ros.replay_session import ReplaySession
-
-    stamps: list[int] = []
-    opened = ReplaySession.open
-
-    def noted(self: Any, *arguments: Any, **options: Any) -> Callable[[bytes], bool]:
-        send, note, now = opened(self, *arguments, **options), stamps.append, time.monotonic_ns
-
-        def sending(data: bytes) -> bool:
-            note(now())
-            return send(data)
-
-        return sending
-
-    ReplaySession.open = noted  # type: ignore[method-assign]
-    read_fd, write_fd = os.pipe()
-    os.write(write_fd, f"{Job(file, 'robot', domain_id).to_json()}\n".encode())
-    os.dup2(read_fd, 0)
-    sys.stdin = io.TextIOWrapper(os.fdopen(os.dup(0), "rb"))
-    out = os.dup(1)
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-    process.main()
-    os.dup2(out, 1)
-    return stamps
-
-
-@contextmanager
-def opened(domain_id: int) -> Iterator[Callable[[bytes], bool]]:
-    """The same publisher for the others."""
-    from robotctl.ros.replay_session import ReplaySession
-
-    with ReplaySession(domain_id, threading.Event()) as ros:
-        ros.settle()
-        send = ros.open("/odom", ODOMETRY, QOS, keep_all=False)
-        ros.wait_for_matches()
-        gc.freeze()
-        yield send
-        ros.wait_until_received()
-
-
-def play_with_asyncio(file: Path, domain_id: int) -> list[int]:
-    """Each message after an asyncio.sleep until its absolute moment."""
-    stamps: list[int] = []
-    messages = list(read_messages(file))
-
-    async def run(send: Callable[[bytes], bool]) -> None:
-        loop = asyncio.get_running_loop()
-        start = loop.time() + 0.02
-        for message in messages:
-            await asyncio.sleep(start + (message.log_ns - START_NS) / 1e9 - loop.time())
-            stamps.append(time.monotonic_ns())
-            send(message.data)
-
-    with opened(domain_id) as send:
-        asyncio.run(run(send))
-    return stamps
-
-
-def play_with_condition(file: Path, domain_id: int) -> list[int]:
-    """As rosbag2: a thread fills a queue, and each message waits on a condition variable."""
-    stamps: list[int] = []
-    queue: deque[Any] = deque()
-    room = threading.Condition()
-    changed = threading.Condition()
-
-    def read() -> None:
-        for message in read_messages(file):
-            with room:
-                room.wait_for(lambda: len(queue) < READ_AHEAD)
-                queue.append(message)
-
-    with opened(domain_id) as send:
-        threading.Thread(target=read, daemon=True).start()
-        time.sleep(0.2)
-        start = time.monotonic() + 0.02
-        while queue:
-            with room:
-                message = queue.popleft()
-                room.notify()
-            due = start + (message.log_ns - START_NS) / 1e9
-            with changed:
-                while (left := due - time.monotonic()) > 0:
-                    changed.wait(left)
-            stamps.append(time.monotonic_ns())
-            send(message.data)
-    return stamps
-
-
-PLAYERS = {
-    "robotctl": play_with_robotctl,
-    "asyncio": play_with_asyncio,
-    "condition": play_with_condition,
-}
-
-
-# Who listens
-
-
-def listen(topics: list[list[str]], *, urgent: bool) -> None:
-    """Subscribe, then tell for each line of stdin what came since: topic and time of receipt."""
-    if urgent:
-        with suppress(PermissionError):  # the threads of the middleware inherit it
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
-    from rclpy.context import Context
-    from rclpy.node import Node
-
-    from robotctl.ros import AsyncioExecutor, RawTap
-    from robotctl.ros.message_types import message_class
-    from robotctl.ros.recorded_qos import replay_qos
-
-    heard: list[tuple[int, int]] = []
-
-    async def run() -> None:
-        context = Context()
-        context.init(args=[])
-        node = Node("listener", context=context)
-        async with AsyncioExecutor(context) as executor:
-            executor.add_node(node)
-            for number, (name, type_name, offered) in enumerate(topics):
-
-                def take(data: bytes, received_ns: int, *_: object, number: int = number) -> None:
-                    heard.append((number, received_ns))
-
-                qos = replay_qos(offered)
-                qos.depth = 100_000
-                node.create_subscription(
-                    message_class(type_name), name, RawTap(take), qos, raw=True
-                )
-            print("ready", flush=True)
-            while await asyncio.to_thread(sys.stdin.readline):
-                print(json.dumps(heard), flush=True)
-                heard.clear()
-        node.destroy_node()
-        context.try_shutdown()
-
-    asyncio.run(run())
-
-
-class Listener:
-    """The listening process."""
-
-    def __init__(self, topics: list[list[str]], *, urgent: bool) -> None:
-        urgency = ["--urgent"] * urgent
-        self._process = subject("--listen", json.dumps(topics), *urgency, stdin=subprocess.PIPE)
-        assert self._process.stdout is not None
-        assert self._process.stdout.readline() == "ready\n"
-
-    def heard(self, expected: int, patience_s: float = 3.0) -> list[list[int]]:
-        """What has come since the last call: topic and time of receipt."""
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        found: list[list[int]] = []
-        until = time.monotonic() + patience_s
-        while len(found) < expected and time.monotonic() < until:
-            self._process.stdin.write("\n")
-            self._process.stdin.flush()
-            found += json.loads(self._process.stdout.readline())
-            time.sleep(0.05)
-        return found
-
-    def close(self) -> None:
-        """End it."""
-        self._process.communicate(timeout=DEADLINE_S)
-
-
-@contextmanager
-def listening(topics: list[list[str]], *, urgent: bool = False) -> Iterator[Listener]:
-    """A listener for the block."""
-    listener = Listener(topics, urgent=urgent)
-    try:
-        yield listener
-    finally:
-        listener.close()
-
-
-def subject(*arguments: str, stdin: int = subprocess.DEVNULL) -> subprocess.Popen[str]:
-    """This script in another process."""
-    command = [sys.executable, __file__, *arguments]
-    return subprocess.Popen(command, stdin=stdin, stdout=subprocess.PIPE, text=True)
-
-
 def replay(file: Path, *arguments: str) -> tuple[dict[str, Any], float]:
     """`robotctl replay --json`: its summary, and the wall-clock time [s] of its start."""
     begin = time.time()
@@ -306,9 +68,6 @@ def replay(file: Path, *arguments: str) -> tuple[dict[str, Any], float]:
     ran = subprocess.run(command, capture_output=True, text=True, check=True)
     found: dict[str, Any] = json.loads(ran.stdout)
     return found, begin
-
-
-# The figures
 
 
 def spread(values: Sequence[float], form: str = ".0f") -> str:
@@ -359,16 +118,20 @@ def pacing(table: Table, rounds: int, seconds: float, scratch: Path) -> None:
             )
 
 
-def arrival(table: Table, runs: int, seconds: float, scratch: Path) -> None:
-    """Inter-arrival error at the receiver, and losses."""
+def steady(table: Table, runs: int, seconds: float, scratch: Path) -> None:
+    """Inter-arrival error at the receiver, and losses, at 100 Hz."""
     with tempfile.TemporaryDirectory(dir=scratch) as folder:
         file = write_steady(Path(folder) / "steady", 100.0, round(seconds * 100))
-        _arrival(table, "100 Hz", file, runs, seconds)
+        arrival(table, "100 Hz", file, runs, seconds)
+
+
+def drive(table: Table, runs: int, seconds: float, scratch: Path) -> None:
+    """The same of a real drive."""
     with a_drive(scratch) as file:
-        _arrival(table, "a drive", file, runs, seconds)
+        arrival(table, "a drive", file, runs, seconds)
 
 
-def _arrival(table: Table, name: str, file: Path, runs: int, seconds: float) -> None:
+def arrival(table: Table, name: str, file: Path, runs: int, seconds: float) -> None:
     print(f"arrival: {name}, inter-arrival error by received_timestamp [ms], {runs} runs")
     topics = [topic for topic in read_info(file).topics if topic.message_count]
     with Recording(file) as recording:
@@ -445,7 +208,8 @@ def first(table: Table, rounds: int, _: float, scratch: Path) -> None:
 
 FIGURES: dict[str, Callable[[Table, int, float, Path], None]] = {
     "pacing": pacing,
-    "arrival": arrival,
+    "steady": steady,
+    "drive": drive,
     "max": full_speed,
     "first": first,
 }
@@ -457,7 +221,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--figures", default=",".join(FIGURES), help="which, with commas")
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--runs", type=int, default=20, help="of each recording in `arrival`")
+    parser.add_argument("--runs", type=int, default=20, help="of `steady` and `drive`")
     parser.add_argument("--seconds", type=float, default=5.0, help="of one measurement")
     parser.add_argument("--scratch", type=Path, default=Path(tempfile.gettempdir()))
     parser.add_argument("--play", nargs=2, help=argparse.SUPPRESS)
@@ -478,7 +242,7 @@ def main() -> None:
         os.environ["XDG_RUNTIME_DIR"] = os.environ["XDG_STATE_HOME"] = private
         table = Table()
         for name in options.figures.split(","):
-            rounds = options.runs if name == "arrival" else options.rounds
+            rounds = options.runs if name in ARRIVAL else options.rounds
             FIGURES[name](table, rounds, options.seconds, options.scratch)
     print("\nNot reached:" if table.missed else "\nAll reached.")
     for line in table.missed:

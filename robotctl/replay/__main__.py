@@ -21,6 +21,7 @@ from robotctl import environment
 from robotctl.errors import RobotctlError
 from robotctl.replay.job import Job
 from robotctl.replay.lines import Lines
+from robotctl.replay.neighbours import domain_of
 
 SWITCH_INTERVAL_S = 1e-4
 """How long the thread that keeps time waits for another one to let it go on (default 5 ms)."""
@@ -34,22 +35,8 @@ def main() -> int:
     job = Job.from_json(next(lines, b"").decode())
     if note:
         _tell({"note": note})
-    # After environment.prepare(): it imports rclpy.
-    from robotctl.replay.controls import command_of
-    from robotctl.replay.session import Replay
-
-    replay = Replay(job, _tell)
-
-    def obey() -> None:
-        for line in lines:
-            command = command_of(line)
-            if command is not None:
-                replay.control(command)
-        replay.stop()
-
-    threading.Thread(target=obey, name="stdin", daemon=True).start()
     try:
-        replay.run()
+        _play(job, lines)
     except RobotctlError as error:
         _tell({"error": str(error), "exit_code": error.exit_code})
         return error.exit_code
@@ -60,6 +47,30 @@ def main() -> int:
         _tell({"error": text, "exit_code": RobotctlError.exit_code})
         return RobotctlError.exit_code
     return 0
+
+
+def _play(job: Job, lines: Iterator[bytes]) -> None:
+    """Play a job, as the lines say."""
+    # After environment.prepare(): it imports rclpy.
+    from robotctl.ros.membership import Membership
+
+    with Membership(domain_of(job)) as membership:
+        # Others are discovered while this is imported.
+        from robotctl.replay.controls import command_of
+        from robotctl.replay.session import Replay
+        from robotctl.ros.replay_session import ReplaySession
+
+        replay = Replay(job, ReplaySession(membership), _tell)
+
+        def obey() -> None:
+            for line in lines:
+                command = command_of(line)
+                if command is not None:
+                    replay.control(command)
+            replay.stop()
+
+        threading.Thread(target=obey, name="stdin", daemon=True).start()
+        replay.run()
 
 
 def _lines() -> Iterator[bytes]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from robotctl.errors import NoDaemon, RobotctlError, UsageError
 from robotctl.ipc.client import Client
 from robotctl.paths import runtime_folder
+from robotctl.replay.job import Job
 
 ANSWER_DEADLINE_S = 2.0
 
@@ -44,6 +45,14 @@ def daemons_in(domain_id: int) -> list[Daemon]:
         for daemon in running_daemons()
         if daemon.domain_id in (None, domain_id) and not daemon.observes
     ]
+
+
+def domain_of(job: Job) -> int:
+    """The domain that a job asks for, else that of the robot's daemon, else 0."""
+    if job.domain_id is not None:
+        return job.domain_id
+    daemon = ask(job.robot)
+    return 0 if daemon is None else daemon.domain_id or 0
 
 
 def ask(robot: str) -> Daemon | None:

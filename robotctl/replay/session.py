@@ -6,7 +6,7 @@ import gc
 import threading
 import time
 from collections.abc import Sequence
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from typing import Final
 
 from robotctl.errors import UnreadableFile
@@ -15,7 +15,7 @@ from robotctl.replay import plan
 from robotctl.replay.clock import SteadyClock
 from robotctl.replay.controls import Command, carry_out
 from robotctl.replay.job import Job
-from robotctl.replay.neighbours import ask, daemons_in
+from robotctl.replay.neighbours import daemons_in
 from robotctl.replay.opening import open_clock, open_routes, playable
 from robotctl.replay.plan import Route
 from robotctl.replay.player import Player, Send, Ticks
@@ -46,10 +46,11 @@ OVERLOADED_S: Final = 1.0
 class Replay:
     """Plays a job. `stop` and `control` may be called from any thread, at any time."""
 
-    def __init__(self, job: Job, tell: Tell) -> None:
+    def __init__(self, job: Job, ros: ReplaySession, tell: Tell) -> None:
         self._job = job
+        self._ros = ros
         self._tell = tell
-        self._stopped = threading.Event()
+        self._stopped = ros.stopped
         self._record = Record(tell)
         self._controlling = threading.Lock()
         self._player: Player | None = None
@@ -76,21 +77,18 @@ class Replay:
             UsageError: The job asks for what the recording does not have.
             Refused: It would not be safe, or no longer is, or a type is another one here.
         """
-        job = self._job
-        with ExitStack() as stack:
-            recording = stack.enter_context(Recording(job.file))
+        job, ros = self._job, self._ros
+        with Recording(job.file) as recording:
             info = recording.info()
             self._record.miss(info.missing)
             chosen = plan.selected(info.topics, job)
             routes = plan.routes(info.topics, chosen, job)
             span = span_of(info, job)
-            domain_id = self._domain_id()
             if job.force:
-                check_still(daemons_in(domain_id))  # before ROS takes its time
-            ros = stack.enter_context(ReplaySession(domain_id, self._stopped))
+                check_still(daemons_in(ros.domain_id))  # before discovery takes its time
             routes = playable(routes, ros, job, self._record)
             ros.settle()
-            safety = Safety(ros, domain_id, job.topics, force=job.force)
+            safety = Safety(ros, ros.domain_id, job.topics, force=job.force)
             self._record.note(safety.choose_prefix())
             routes = safety.prefixed(routes)
             ticks = open_clock(safety.prefix, ros, job, span)
@@ -98,25 +96,18 @@ class Replay:
                 routes.remove(route)
                 self._record.withhold(route, route.topic.message_count)
             routes, sends = open_routes(routes, ros, job, self._record)
-            self._wait(ros)
-            player = self._play(recording, ros, safety, routes, sends, ticks, span)
+            self._wait()
+            player = self._play(recording, safety, routes, sends, ticks, span)
         said = summary(self._record, player, routes, interrupted=self._stopped.is_set())
-        where = {"file": str(job.file), "domain_id": domain_id, "prefix": safety.prefix}
+        where = {"file": str(job.file), "domain_id": ros.domain_id, "prefix": safety.prefix}
         self._tell({"summary": where | said})
         missing = self._record.missing
         if missing and not self._stopped.is_set():
             raise UnreadableFile(f"{job.file} is incomplete: {'; '.join(missing)}")
 
-    def _domain_id(self) -> int:
-        """The domain that was asked for, else that of the robot's daemon, else 0."""
-        if self._job.domain_id is not None:
-            return self._job.domain_id
-        daemon = ask(self._job.robot)
-        return 0 if daemon is None else daemon.domain_id or 0
-
-    def _wait(self, ros: ReplaySession) -> None:
+    def _wait(self) -> None:
         """Return when those are there that are expected, and can be reached."""
-        expected = self._job.wait_for
+        ros, expected = self._ros, self._job.wait_for
         if expected:
             ros.wait_for_subscribers(
                 expected, lambda there: self._tell({"waiting": {"for": expected, "there": there}})
@@ -126,7 +117,6 @@ class Replay:
     def _play(
         self,
         recording: Recording,
-        ros: ReplaySession,
         safety: Safety,
         routes: Sequence[Route],
         sends: dict[str, Send],
@@ -166,7 +156,7 @@ class Replay:
             safety.check()  # waiting may have taken its time
             self._withhold_unsafe(player, safety, routes)
             self._run_player(player, ahead, safety, routes)
-        ros.wait_until_received()
+        self._ros.wait_until_received()
         return player
 
     def _run_player(

@@ -5,19 +5,26 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Iterator
 from typing import Final
 
 from rclpy.node import Node
 
 from robotctl.domains import is_on_this_machine_only, participants_here
 
-QUIET_S: Final = 0.3
-"""When as many are known as there are, and nothing has been new for so long, all is known."""
+QUIET_S: Final = 0.1
+"""When everybody has said what they have, and nothing has been new for so long, all is known."""
 
 _DISCOVERY_TOPIC: Final = "ros_discovery_info"
-"""Every process of ROS has one publisher and one subscriber of it."""
+"""By it every process of ROS says which endpoints each of its nodes has."""
 
-_POLL_S: Final = 0.02
+_UNNAMED: Final = "_NODE_NAME_UNKNOWN_"
+"""The node of an endpoint of which its process has said nothing yet."""
+
+_PROCESS_BYTES: Final = 12
+"""What all endpoints of a process begin with (DDSI-RTPS 2.5, 8.2.4.1, GuidPrefix_t)."""
+
+_POLL_S: Final = 0.01
 
 
 def wait_until_all_known(
@@ -26,31 +33,33 @@ def wait_until_all_known(
     """Return when the node has discovered everybody, or at a moment of the steady clock.
 
     Fast DDS announces a process every 3 s by default, and about half of the greetings before that
-    get lost: how many there are is counted by their ports.
+    get lost: how many there are is counted by their ports. All the time is taken where others may
+    be on other machines, which nobody can count.
     """
-    known, since = _known(node), time.monotonic()
+    known, since = frozenset(_known(node)), time.monotonic()
     while time.monotonic() < until_s and not stopped.wait(_POLL_S):
-        if _known(node) != known:
-            known, since = _known(node), time.monotonic()
-        if time.monotonic() - since > QUIET_S and _knows_all(node, domain_id):
-            return
+        now_known = frozenset(_known(node))
+        if now_known != known:
+            known, since = now_known, time.monotonic()
+        if time.monotonic() - since > QUIET_S and is_on_this_machine_only():
+            here = participants_here(domain_id)
+            if here is not None and _heard(known) >= here:
+                return
 
 
-def _knows_all(node: Node, domain_id: int) -> bool:
-    """Never where others may be on other machines, which nobody can count."""
-    here = participants_here(domain_id) if is_on_this_machine_only() else None
-    return here is not None and _processes(node) >= here
+def _known(node: Node) -> Iterator[tuple[str, str, bytes]]:
+    """Every endpoint in the domain: its topic, its node's name, and its identity."""
+    for topic, _ in node.get_topic_names_and_types(no_demangle=True):
+        for infos in (node.get_publishers_info_by_topic, node.get_subscriptions_info_by_topic):
+            for info in infos(topic, no_mangle=True):
+                yield topic, info.node_name, bytes(info.endpoint_gid)
 
 
-def _known(node: Node) -> tuple[int, ...]:
-    """What changes while others are discovered."""
-    topics = node.get_topic_names_and_types(no_demangle=True)
-    return len(node.get_node_names()), len(topics), _processes(node)
-
-
-def _processes(node: Node) -> int:
-    """How many processes of ROS are known in full, we among them."""
-    return min(
-        len(node.get_publishers_info_by_topic(_DISCOVERY_TOPIC, no_mangle=True)),
-        len(node.get_subscriptions_info_by_topic(_DISCOVERY_TOPIC, no_mangle=True)),
-    )
+def _heard(known: frozenset[tuple[str, str, bytes]]) -> int:
+    """How many processes have said whose each of their known endpoints is; we among them."""
+    named: set[bytes] = set()
+    unnamed: set[bytes] = set()
+    for topic, node_name, gid in known:
+        if topic != _DISCOVERY_TOPIC:  # its endpoints belong to no node
+            (unnamed if node_name == _UNNAMED else named).add(gid[:_PROCESS_BYTES])
+    return len(named - unnamed)

@@ -1,0 +1,97 @@
+"""Who listens: a subscriber in a process of its own, with the time of receipt of each message."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+DEADLINE_S = 120.0
+
+
+def listen(topics: list[list[str]], *, urgent: bool) -> None:
+    """Subscribe, then tell for each line of stdin what came since: topic and time of receipt."""
+    if urgent:
+        with suppress(PermissionError):  # the threads of the middleware inherit it
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+    from rclpy.context import Context
+    from rclpy.node import Node
+
+    from robotctl.ros import AsyncioExecutor, RawTap
+    from robotctl.ros.message_types import message_class
+    from robotctl.ros.recorded_qos import replay_qos
+
+    heard: list[tuple[int, int]] = []
+
+    async def run() -> None:
+        context = Context()
+        context.init(args=[])
+        node = Node("listener", context=context)
+        async with AsyncioExecutor(context) as executor:
+            executor.add_node(node)
+            for number, (name, type_name, offered) in enumerate(topics):
+
+                def take(data: bytes, received_ns: int, *_: object, number: int = number) -> None:
+                    heard.append((number, received_ns))
+
+                qos = replay_qos(offered)
+                qos.depth = 100_000
+                node.create_subscription(
+                    message_class(type_name), name, RawTap(take), qos, raw=True
+                )
+            print("ready", flush=True)
+            while await asyncio.to_thread(sys.stdin.readline):
+                print(json.dumps(heard), flush=True)
+                heard.clear()
+        node.destroy_node()
+        context.try_shutdown()
+
+    asyncio.run(run())
+
+
+class Listener:
+    """The listening process."""
+
+    def __init__(self, topics: list[list[str]], *, urgent: bool) -> None:
+        urgency = ["--urgent"] * urgent
+        self._process = subject("--listen", json.dumps(topics), *urgency, stdin=subprocess.PIPE)
+        assert self._process.stdout is not None
+        assert self._process.stdout.readline() == "ready\n"
+
+    def heard(self, expected: int, patience_s: float = 3.0) -> list[list[int]]:
+        """What has come since the last call: topic and time of receipt."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        found: list[list[int]] = []
+        until = time.monotonic() + patience_s
+        while len(found) < expected and time.monotonic() < until:
+            self._process.stdin.write("\n")
+            self._process.stdin.flush()
+            found += json.loads(self._process.stdout.readline())
+            time.sleep(0.05)
+        return found
+
+    def close(self) -> None:
+        """End it."""
+        self._process.communicate(timeout=DEADLINE_S)
+
+
+@contextmanager
+def listening(topics: list[list[str]], *, urgent: bool = False) -> Iterator[Listener]:
+    """A listener for the block."""
+    listener = Listener(topics, urgent=urgent)
+    try:
+        yield listener
+    finally:
+        listener.close()
+
+
+def subject(*arguments: str, stdin: int = subprocess.DEVNULL) -> subprocess.Popen[str]:
+    """The benchmark's script in another process."""
+    command = [sys.executable, sys.argv[0], *arguments]
+    return subprocess.Popen(command, stdin=stdin, stdout=subprocess.PIPE, text=True)
