@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from replaying.material import ODOMETRY, QOS, START_NS
+
 from robotctl.recording.reader import read_messages
 
 READ_AHEAD = 1000

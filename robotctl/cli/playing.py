@@ -7,7 +7,8 @@ import os
 import select
 import subprocess
 import sys
-from contextlib import suppress
+from collections.abc import Callable
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -47,8 +48,13 @@ class Outcome:
     """The player has nothing more to say."""
 
 
-def play(job: Job, outcome: Outcome, screen: Screen) -> None:
-    """Have a process play the job and show what it says; the first Ctrl-C asks it to end."""
+def play(
+    job: Job, outcome: Outcome, open_screen: Callable[[], AbstractContextManager[Screen]]
+) -> None:
+    """Have a process play the job and show what it says; the first Ctrl-C asks it to end.
+
+    The screen is opened while that process starts.
+    """
     process = subprocess.Popen(
         PLAYER,
         stdin=subprocess.PIPE,
@@ -57,20 +63,20 @@ def play(job: Job, outcome: Outcome, screen: Screen) -> None:
     )
     assert process.stdin is not None
     assert process.stdout is not None
-    player = _Player(process, outcome, screen)
     try:
-        os.write(process.stdin.fileno(), f"{job.to_json()}\n".encode())
-        with Keyboard(player.suspend, player.resume) as keyboard:
-            while not outcome.ended:
-                try:
-                    player.attend(keyboard)
-                except KeyboardInterrupt:
-                    if outcome.interrupted:
-                        raise
-                    outcome.interrupted = True
-                    process.stdin.close()
-    except BrokenPipeError:
-        outcome.ended = True
+        with suppress(BrokenPipeError):  # it has ended, and says so on stdout
+            os.write(process.stdin.fileno(), f"{job.to_json()}\n".encode())
+        with open_screen() as screen:
+            player = _Player(process, outcome, screen)
+            with Keyboard(player.suspend, player.resume) as keyboard:
+                while not outcome.ended:
+                    try:
+                        player.attend(keyboard)
+                    except KeyboardInterrupt:
+                        if outcome.interrupted:
+                            raise
+                        outcome.interrupted = True
+                        process.stdin.close()
     finally:
         process.stdin.close()
         process.stdout.close()

@@ -16,7 +16,7 @@ from robotctl.cli.library import find_recording
 from robotctl.cli.options import Json, Robot, new_app
 from robotctl.cli.playing import Outcome, play
 from robotctl.cli.process import interrupted_by
-from robotctl.cli.replay_screen import screen
+from robotctl.cli.replay_screen import Screen, screen
 from robotctl.cli.replay_summary import summary_lines
 from robotctl.cli.text import json_text
 from robotctl.errors import UsageError
@@ -185,10 +185,15 @@ def replay(
 
 def _play(job: Job, *, see: bool, as_json: bool) -> None:
     """Play to ROS, and print the summary."""
+
+    @contextmanager
+    def open_screen() -> Iterator[Screen]:
+        with ExitStack() as stack:
+            sight = stack.enter_context(_sight(job))[0] if see else None
+            yield stack.enter_context(screen(sight, quiet=as_json))
+
     outcome = Outcome()
-    with ExitStack() as stack:
-        sight = stack.enter_context(_sight(job))[0] if see else None
-        play(job, outcome, stack.enter_context(screen(sight, quiet=as_json)))
+    play(job, outcome, open_screen)
     if outcome.summary:
         text = json_text(outcome.summary) if as_json else "\n".join(summary_lines(outcome.summary))
         print(text, flush=True)

@@ -23,6 +23,8 @@ SENSOR: Final = VOLATILE.replace(": reliable", ": best_effort")
 
 TWIST: Final = "geometry_msgs/msg/Twist"
 STRING: Final = "std_msgs/msg/String"
+ODOMETRY: Final = "nav_msgs/msg/Odometry"
+STATUS: Final = "robot_controller/msg/RobotStatus"
 
 _LITTLE_ENDIAN: Final = b"\0\1\0\0"
 
@@ -54,6 +56,43 @@ def padded(data: bytes) -> bytes:
 def twist(linear: float, angular: float = 0.0) -> bytes:
     """A serialized geometry_msgs/Twist."""
     return _LITTLE_ENDIAN + struct.pack("<6d", linear, 0, 0, 0, 0, angular)
+
+
+def odometry(at_ms: float, x: float, *, endian: str = "<") -> Line:
+    """Odometry at (x, 2 x), heading 0, with frame names that need padding."""
+    data = b"\0\1\0\0" if endian == "<" else b"\0\0\0\0"
+    data += struct.pack(f"{endian}iI", 1, 2)
+    for name in (b"odom\0", b"base_link\0"):
+        data += bytes(-len(data) % 4) + struct.pack(f"{endian}I", len(name)) + name
+    data += bytes((4 - len(data)) % 8)
+    data += struct.pack(
+        f"{endian}7d36d6d36d", x, 2 * x, 0, 0, 0, 0, 1, *[0.0] * 36, 0.25, *[0] * 41
+    )
+    return Line("/odom", ODOMETRY, at_ms, data)
+
+
+def status(at_ms: float, mode: int) -> Line:
+    """What a daemon tells of itself, with its mode by number."""
+    data = b"\0\1\0\0" + struct.pack("<I6sBxffB", 6, b"robot\0", mode, 0.5, 40.0, 1)
+    return Line("/robot_status", STATUS, at_ms, data, LATCHED)
+
+
+def talk(topic: str, count: int, period_ms: float = 5.0, **fields: str) -> list[Line]:
+    """So many strings on a topic, at a steady rate."""
+    return [
+        Line(topic, STRING, number * period_ms, text(f"{topic} {number}"), **fields)
+        for number in range(count)
+    ]
+
+
+def in_order(*topics: list[Line]) -> list[Line]:
+    """The lines of several topics as they would be recorded."""
+    return sorted((line for topic in topics for line in topic), key=lambda line: line.at_ms)
+
+
+def data(lines: list[Line]) -> list[bytes]:
+    """Their messages."""
+    return [line.data for line in lines]
 
 
 def write_bag(path: Path, lines: Iterable[Line], *, chunk_bytes: int = 1 << 20) -> Path:

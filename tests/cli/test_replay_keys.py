@@ -7,7 +7,6 @@ import pty
 import re
 import select
 import signal
-import struct
 import subprocess
 import sys
 import termios
@@ -15,41 +14,15 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from robotctl.kernel.geometry import Pose
-from robotctl.recording.reader import Recording
-from robotctl.replay.sight import Sight
-from robotctl.replay.timeline import Span
-from robotctl.testing.bags import LATCHED, START_NS, Line, write_bag
+from robotctl.testing.bags import Line, odometry, status, write_bag
 from robotctl.testing.waiting import DEADLINE_S
 
-ODOMETRY, STATUS = "nav_msgs/msg/Odometry", "robot_controller/msg/RobotStatus"
 ECHO_FLAGS = 3
 CODE = "from robotctl.cli.app import main; main()"
-
-
-def odometry(at_ms: float, x: float, *, endian: str = "<") -> Line:
-    """Odometry at (x, 2 x), heading 0, with frame names that need padding."""
-    data = b"\0\1\0\0" if endian == "<" else b"\0\0\0\0"
-    data += struct.pack(f"{endian}iI", 1, 2)
-    for name in (b"odom\0", b"base_link\0"):
-        data += bytes(-len(data) % 4) + struct.pack(f"{endian}I", len(name)) + name
-    data += bytes((4 - len(data)) % 8)
-    data += struct.pack(
-        f"{endian}7d36d6d36d", x, 2 * x, 0, 0, 0, 0, 1, *[0.0] * 36, 0.25, *[0] * 41
-    )
-    return Line("/odom", ODOMETRY, at_ms, data)
-
-
-def status(at_ms: float, mode: int) -> Line:
-    data = b"\0\1\0\0" + struct.pack("<I6sBxffB", 6, b"robot\0", mode, 0.5, 40.0, 1)
-    return Line("/robot_status", STATUS, at_ms, data, LATCHED)
 
 
 def drive(seconds: int) -> list[Line]:
@@ -209,61 +182,3 @@ def test_the_view_imports_nothing_of_ros(tmp_path: Path) -> None:
     lines = ran.stdout.splitlines()
     assert lines[-1] == "0", ran
     assert "MOVING  x 0" in lines[0]
-
-
-# What is seen
-
-
-def seen(tmp_path: Path, lines: list[Line], **options: Any) -> Sight:
-    recording = Recording(write_bag(tmp_path / "run.mcap", lines))
-    info = recording.info()
-    span = Span(info.start_ns + options.get("skip_ms", 0) * 10**6, info.end_ns)
-    return Sight(recording, span, loop=options.get("loop", False))
-
-
-@pytest.mark.parametrize("endian", ["<", ">"])
-def test_pose_velocity_and_path_are_those_of_the_moment(tmp_path: Path, endian: str) -> None:
-    sight = seen(tmp_path, [odometry(n * 100.0, n * 1.0, endian=endian) for n in range(10)])
-    sight.advance(350 * 10**6)
-    assert sight.pose == Pose(3.0, 6.0, 0.0)
-    assert sight.velocity is not None
-    assert (sight.velocity.linear, sight.velocity.angular) == (0.25, 0.0)
-    assert sight.path == [(float(n), 2.0 * n) for n in range(4)]
-    assert sight.mode is None
-    assert sight.next_ns == 400 * 10**6
-
-
-def test_after_an_offset_the_mode_is_known_from_before_and_the_path_begins_there(
-    tmp_path: Path,
-) -> None:
-    lines = [status(0, 3), *(odometry(n * 100.0, n * 1.0) for n in range(10))]
-    sight = seen(tmp_path, lines, skip_ms=500)
-    sight.advance(0)
-    assert sight.mode == "EMERGENCY_STOP"
-    sight.advance(10**10)
-    assert sight.path == [(float(n), 2.0 * n) for n in range(4, 10)]
-    assert sight.next_ns is None
-
-
-def test_a_loop_begins_a_new_path(tmp_path: Path) -> None:
-    sight = seen(tmp_path, [odometry(n * 100.0, n * 1.0) for n in range(5)], loop=True)
-    sight.advance(399 * 10**6)
-    assert len(sight.path) == 4
-    sight.advance(550 * 10**6)
-    assert sight.path == [(1.0, 2.0)]
-
-
-def test_a_mode_of_another_version_is_shown_by_its_number(tmp_path: Path) -> None:
-    sight = seen(tmp_path, [status(0, 9)])
-    sight.advance(0)
-    assert sight.mode == "mode 9"
-
-
-@given(st.binary(max_size=900))
-def test_no_message_can_break_the_view(content: bytes) -> None:
-    with TemporaryDirectory() as folder:
-        lines = [
-            Line("/odom", ODOMETRY, 0.0, content),
-            Line("/robot_status", STATUS, 1.0, content),
-        ]
-        seen(Path(folder), lines).advance(START_NS)

@@ -60,6 +60,11 @@ class Running:
         """Ctrl-C."""
         self._process.send_signal(signal.SIGINT)
 
+    def stop_reading(self) -> None:
+        """Read nothing of its output, as a pager that has been left."""
+        assert self._process.stdout is not None
+        self._process.stdout.close()
+
     def kill(self) -> None:
         """End the command without a chance to clean up."""
         self._process.kill()

@@ -9,20 +9,16 @@ from typing import Any
 import pytest
 
 from robotctl.recording.mcap_format import MAGIC
-from robotctl.testing.bags import STRING, Line, text, write_bag
+from robotctl.testing.bags import STRING, TWIST, Line, data, in_order, talk, text, twist, write_bag
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 SAMPLES = Path(__file__).parents[3] / "shared" / "samples" / "rosbag2"
 
 
-def talk(count: int) -> list[Line]:
-    return [Line("/alpha", STRING, n * 1.0, text(f"number {n}")) for n in range(count)]
-
-
 async def test_a_damaged_chunk_costs_its_own_messages_and_is_named(
     tmp_path: Path, listener: Any, replay: Any, until: Until
 ) -> None:
-    lines = talk(200)
+    lines = talk("/alpha", 200, 1.0)
     file = write_bag(tmp_path / "run.mcap", lines, chunk_bytes=1000)
     content = bytearray(file.read_bytes())
     content[len(content) // 3] ^= 0xFF
@@ -32,16 +28,16 @@ async def test_a_damaged_chunk_costs_its_own_messages_and_is_named(
     assert ran.exit_code == 6
     assert ran.err.startswith(f"robotctl: {file} is incomplete: run.mcap: messages between bytes ")
     assert 100 < ran.summary["sent"] < 200
-    recorded = [line.data for line in lines]
+    recorded = data(lines)
     await until(lambda: len(listener.heard["/alpha"]) == ran.summary["sent"])
     sent = iter(recorded)
-    assert all(data in sent for data in listener.heard["/alpha"])
+    assert all(message in sent for message in listener.heard["/alpha"])
 
 
 async def test_a_file_of_another_profile_is_played_as_far_as_its_messages_are_ours(
     tmp_path: Path, listener: Any, replay: Any, until: Until
 ) -> None:
-    lines = [*talk(5), Line("/old", "std_msgs/String", 6.0, b"x", encoding="ros1")]
+    lines = [*talk("/alpha", 5, 1.0), Line("/old", "std_msgs/String", 6.0, b"x", encoding="ros1")]
     file = write_bag(tmp_path / "run.mcap", lines)
     content = file.read_bytes()
     assert content.count(b"\4\0\0\0ros2") == 1
@@ -84,3 +80,99 @@ async def test_of_a_bag_from_elsewhere_what_is_installed_is_played_and_the_rest_
     assert ran.exit_code == 0
     assert (ran.summary["sent"], ran.summary["failed"]) == (sent, unserved)
     assert ran.summary["skipped"] == skipped
+
+
+async def test_what_cannot_be_published_is_named_and_skipped(
+    tmp_path: Path, listener: Any, replay: Any, until: Until
+) -> None:
+    alpha = talk("/alpha", 10)
+    others = [
+        Line("/unknown", "no_msgs/msg/Nothing", 1.0, b"\0\1\0\0"),
+        Line("/old", "std_msgs/String", 1.0, text("ros 1")),
+        Line("/json", STRING, 1.0, b"{}", encoding="json"),
+        Line("/two", STRING, 1.0, text("a")),
+        Line("/two", TWIST, 1.0, twist(0.0)),
+        Line("/a b", STRING, 1.0, text("a")),
+        Line("/import", "antigravity/msg/Flight", 1.0, text("a")),
+        Line("/relative", "../msg/Flight", 1.0, text("a")),
+    ]
+    file = write_bag(tmp_path / "run.mcap", in_order(alpha, others))
+    listener.listen("/alpha", STRING)
+    ran = await replay(file, "--json")
+    assert ran.exit_code == 0, ran.err
+    skipped = ran.summary["skipped"]
+    assert set(skipped) == {line.topic for line in others}
+    assert skipped["/unknown"] == "has type no_msgs/msg/Nothing, which is not installed"
+    assert skipped["/two"] == "is recorded with several types"
+    assert len(ran.summary["notes"]) == len(skipped)
+    await until(lambda: listener.heard["/alpha"] == data(alpha))
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [(None, "No such file"), (b"", "empty"), (b"hello" * 50, "no MCAP file")],
+)
+async def test_what_is_no_recording_is_one_sentence(
+    content: bytes | None, said: str, tmp_path: Path, replay: Any
+) -> None:
+    file = tmp_path / "any.mcap"
+    if content is not None:
+        file.write_bytes(content)
+    ran = await replay(file)
+    assert (ran.exit_code, ran.out) == (6, "")
+    assert ran.err.count("\n") == 1
+    assert said in ran.err
+
+
+async def test_of_a_truncated_file_what_can_be_read_is_played_and_the_rest_is_told(
+    tmp_path: Path, listener: Any, replay: Any, until: Until
+) -> None:
+    lines = talk("/alpha", 200, 1.0)
+    file = write_bag(tmp_path / "run.mcap", lines, chunk_bytes=1000)
+    whole = file.read_bytes()
+    file.write_bytes(whole[: len(whole) // 2])
+    listener.listen("/alpha", STRING)
+    ran = await replay(file, "--json")
+    assert ran.exit_code == 6
+    assert ran.err.startswith(f"robotctl: {file} is incomplete: ")
+    assert ran.err.count("\n") == 1
+    sent = ran.summary["sent"]
+    assert 0 < sent < 200
+    await until(lambda: listener.heard["/alpha"] == data(lines[:sent]))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--rate", "0"], "--rate 0: use a number"),
+        (["--rate", "nan"], "--rate nan: use a number"),
+        (["--start-offset", "100"], "the recording ends after"),
+        (["--start-offset", "nan"], "--start-offset nan: give seconds"),
+        (["--duration", "0"], "--duration 0: give seconds"),
+        (["--topics", "/nope"], "--topics /nope: not in the recording, which has /alpha"),
+        (["--domain-id", "233"], "--domain-id is '233': use 0 to 232"),
+        (["--robot", "a b"], "robot name 'a b'"),
+    ],
+)
+async def test_an_option_that_makes_no_sense_is_one_sentence(
+    arguments: list[str], said: str, tmp_path: Path, replay: Any
+) -> None:
+    file = write_bag(tmp_path / "run.mcap", talk("/alpha", 3))
+    ran = await replay(file, *arguments)
+    assert (ran.exit_code, ran.out) == (2, "")
+    assert said in ran.err
+    assert ran.err.count("\n") == 1
+
+
+async def test_a_recording_without_messages_is_played_at_once(tmp_path: Path, replay: Any) -> None:
+    ran = await replay(write_bag(tmp_path / "run.mcap", []))
+    assert ran.exit_code == 0, ran.err
+    assert "sent        0 messages" in ran.out
+
+
+async def test_a_reader_that_has_left_is_no_failure(tmp_path: Path, start: Any) -> None:
+    lines = [Line(f"/unknown_{n}", "no_msgs/msg/Nothing", 1.0, b"\0\1\0\0") for n in range(9)]
+    running = start(write_bag(tmp_path / "run.mcap", [*lines, *talk("/alpha", 3)]))
+    running.stop_reading()
+    ran = await running.end()
+    assert (ran.exit_code, ran.err) == (0, "")

@@ -12,23 +12,12 @@ from rclpy.serialization import serialize_message
 from service_msgs.msg import ServiceEventInfo
 from std_srvs.srv import SetBool
 
-from robotctl.testing.bags import START_NS, STRING, TWIST, Line, text, twist, write_bag
+from robotctl.testing.bags import START_NS, STRING, TWIST, Line, data, talk, twist, write_bag
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 
 CLOCK, EVENT = "rosgraph_msgs/msg/Clock", "std_srvs/srv/SetBool_Event"
 OTHER_HASH = "RIHS01_" + "ab" * 32
-
-
-def talk(topic: str, count: int, period_ms: float = 5.0, **fields: str) -> list[Line]:
-    return [
-        Line(topic, STRING, number * period_ms, text(f"{topic} {number}"), **fields)
-        for number in range(count)
-    ]
-
-
-def data(lines: list[Line]) -> list[bytes]:
-    return [line.data for line in lines]
 
 
 def event(at_ms: float, kind: int, number: int, *, value: bool | None, client: int = 1) -> Line:
