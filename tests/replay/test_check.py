@@ -127,26 +127,6 @@ def test_what_a_gap_leaves_is_checked_and_the_gap_is_named(
     assert report.missing[0].startswith("the journal lacks")
 
 
-@pytest.mark.parametrize("name", ["Tick", "OdomReceived", "DriveRequested"])
-def test_a_flipped_bit_in_an_event_is_found_and_named(
-    tmp_path: Path, drive_of_3_s: list[Written], name: str
-) -> None:
-    position, entry = [
-        (position, each)
-        for position, each in enumerate(drive_of_3_s)
-        if isinstance(each, JournalEntry) and each.name == name
-    ][-1]
-    digit = next(i for i, character in enumerate(entry.data) if character in "123456789")
-    flipped = chr(ord(entry.data[digit]) ^ 1)
-    data = entry.data[:digit] + flipped + entry.data[digit + 1 :]
-    changed = [*drive_of_3_s]
-    changed[position] = entry._replace(data=data)
-    report = checked(tmp_path, changed)
-    assert report.verdict is Verdict.DIVERGED
-    assert report.divergence is not None
-    assert report.divergence.event == f"{name} {data}"
-
-
 @pytest.mark.parametrize(("digits", "same"), [("e-13", True), ("e-7", False)])
 def test_floats_of_another_platform_may_differ_by_a_billionth(
     tmp_path: Path, drive_of_3_s: list[Written], digits: str, same: bool

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
+import resource
 import subprocess
 import sys
 from collections.abc import Awaitable, Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +16,7 @@ import pytest
 
 from robotctl.replay.controls import Command
 from robotctl.replay.job import Job
+from robotctl.replay.schedule import RATES
 from robotctl.testing.bags import STRING, Line, text, write_bag
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
@@ -29,6 +33,15 @@ class Child:
             stdout=subprocess.PIPE,
         )
         self.write(f"{job.to_json()}\n".encode())
+
+    def urgent_threads(self) -> int:
+        """How many of its threads run under SCHED_FIFO."""
+        found = 0
+        for thread in Path(f"/proc/{self._process.pid}/task").iterdir():
+            with suppress(ProcessLookupError):
+                policy = os.sched_getscheduler(int(thread.name))
+                found += policy & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
+        return found
 
     def tell(self, *commands: Command) -> None:
         self.write(b"".join(command.line() for command in commands))
@@ -89,3 +102,36 @@ async def test_what_is_no_command_stops_nothing(
     playing.write(b"nonsense\n\xff\n{}\n")
     playing.tell(Command.RESUME)
     await until(lambda: len(listener.heard["/alpha"]) == 5)
+
+
+def may_be_urgent() -> bool:
+    """Whether SCHED_FIFO is permitted here."""
+    soft_limit, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
+    return os.geteuid() == 0 or soft_limit != 0
+
+
+@pytest.mark.skipif(not may_be_urgent(), reason="SCHED_FIFO is not permitted here")
+async def test_the_thread_that_keeps_time_is_urgent_until_it_stays_behind(
+    tmp_path: Path, listener: Any, child: Any, domain_id: int, until: Until
+) -> None:
+    lines = [Line("/alpha", STRING, n * 10.0, text(f"{n}")) for n in range(1000)]
+    file = write_bag(tmp_path / "run.mcap", lines)
+    listener.listen("/alpha", STRING)
+    playing = child(Job(file, "robot", domain_id, loop=True))
+    await until(lambda: playing.urgent_threads() == 1)
+    playing.tell(*[Command.FASTER] * len(RATES))
+    await until(lambda: playing.urgent_threads() == 0)
+    exit_code, summary = playing.end()
+    assert (exit_code, summary["interrupted"]) == (0, True)
+
+
+async def test_what_goes_as_fast_as_possible_is_never_urgent(
+    tmp_path: Path, listener: Any, child: Any, domain_id: int, until: Until
+) -> None:
+    lines = [Line("/alpha", STRING, n * 10.0, text(f"{n}")) for n in range(100)]
+    file = write_bag(tmp_path / "run.mcap", lines)
+    listener.listen("/alpha", STRING)
+    playing = child(Job(file, "robot", domain_id, rate=None, loop=True))
+    await until(lambda: len(listener.heard["/alpha"]) > 100)
+    assert playing.urgent_threads() == 0
+    playing.end()
