@@ -88,6 +88,8 @@ class Replay:
                 check_still(daemons_in(ros.domain_id))  # before discovery takes its time
             routes = playable(routes, ros, job, self._record)
             ros.settle()
+            if self._stopped.is_set():
+                routes = []  # perhaps not everybody is known: no robot may see a publisher of ours
             safety = Safety(ros, ros.domain_id, job.topics, force=job.force)
             self._record.note(safety.choose_prefix())
             routes = safety.prefixed(routes)

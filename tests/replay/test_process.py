@@ -104,6 +104,14 @@ async def test_what_is_no_command_stops_nothing(
     await until(lambda: len(listener.heard["/alpha"]) == 5)
 
 
+async def test_what_is_stopped_before_everybody_is_known_opens_nothing(
+    tmp_path: Path, listener: Any, child: Any, domain_id: int
+) -> None:
+    file = write_bag(tmp_path / "run.mcap", [Line("/alpha", STRING, 0.0, text("alpha"))])
+    exit_code, summary = child(Job(file, "robot", domain_id)).end()
+    assert (exit_code, summary["topics"], summary["interrupted"]) == (0, [], True)
+
+
 def may_be_urgent() -> bool:
     """Whether SCHED_FIFO is permitted here."""
     soft_limit, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
