@@ -101,8 +101,8 @@ def drive(
 
 def _drive_and_wait(robot: str, params: dict[str, Any], *, quiet: bool) -> dict[str, Any]:
     """What the daemon answers when the drive is done, with the live view until then."""
-    driving = Background(partial(call, robot, "drive", params, deadline_s=None))
     try:
+        driving = Background(partial(call, robot, "drive", params, deadline_s=None))
         if not quiet:
             show(polled_until(driving, robot))
         return driving.result()

@@ -16,8 +16,9 @@ OBSERVING = "observing (records, drives nothing)"
 def status_screen(status: dict[str, Any]) -> Iterator[str]:
     """The lines of `robotctl status`, from the object of `status --json`."""
     yield headline(status)
-    for label, text in status_rows(status):
-        yield from row(f"  {label:{_LABEL_WIDTH}} ", text)
+    if status.get("mode_reason"):
+        yield from row(f"  {'reason':{_LABEL_WIDTH}} ", status["mode_reason"])
+    yield from (f"  {label:{_LABEL_WIDTH}} {text}" for label, text in status_rows(status))
     topics = status.get("topics") or []
     if topics:
         table = TopicTable(topic.get("name") for topic in topics)
@@ -47,9 +48,7 @@ def is_observer(status: dict[str, Any]) -> bool:
 
 
 def status_rows(status: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """Label and text of everything but the topics."""
-    if status.get("mode_reason"):
-        yield "reason", printable(status["mode_reason"])
+    """Label and text of everything but the reason and the topics; a path is never wrapped."""
     if not is_observer(status):
         yield "pose", pose_text(status)
         yield "velocity", velocity_text(status)

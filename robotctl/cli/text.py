@@ -38,14 +38,14 @@ def elided(text: object, width: int) -> str:
 
 
 def row(label: str, text: object) -> Iterator[str]:
-    """Text beside its label, wrapped into a column of its own; a long path stays in one piece."""
+    """Text beside its label, wrapped into a column of its own."""
     line, width = printable(text), columns() - len(label)
     if len(line) <= width:
         yield f"{label}{line}"
         return
     from textwrap import wrap
 
-    lines = wrap(line, width, break_on_hyphens=False, break_long_words=False)
+    lines = wrap(line, width, break_on_hyphens=False)
     yield f"{label}{lines[0]}"
     yield from (f"{'':{len(label)}}{line}" for line in lines[1:])
 

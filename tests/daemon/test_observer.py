@@ -57,7 +57,7 @@ def _live(world: World, peer: Peer) -> Observed:
     world.ok("record", "split")
     watching = world.spawn("watch")
     assert watching.stdout is not None
-    line = watching.stdout.readline()
+    _, line = watching.stdout.readline(), watching.stdout.readline()
     refused = (
         ("set-mode", "moving"),
         ("estop",),
