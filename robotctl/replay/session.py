@@ -21,12 +21,12 @@ from robotctl.replay.plan import Route
 from robotctl.replay.player import Player, Send, Ticks
 from robotctl.replay.read_ahead import AHEAD_ENTRIES, ReadAhead
 from robotctl.replay.record import Record, Tell
-from robotctl.replay.safety import Safety, check_still
+from robotctl.replay.safety import Safety, check_still, is_command
 from robotctl.replay.summary import progress, summary
 from robotctl.replay.timeline import Span, recorded, span_of
 from robotctl.ros.realtime import FifoScheduling
 from robotctl.ros.recorded_qos import latched_depth
-from robotctl.ros.replay_session import ReplaySession
+from robotctl.ros.replay_session import GLANCE_S, QUIET_S, ReplaySession
 
 PROGRESS_S: Final = 0.1
 """How often it is told how far the replay is, and looked for somebody who would obey it."""
@@ -87,7 +87,8 @@ class Replay:
             if job.force:
                 check_still(daemons_in(ros.domain_id))  # before discovery takes its time
             routes = playable(routes, ros, job, self._record)
-            ros.settle()
+            # A daemon stops its robot for a second publisher of its commands.
+            ros.settle(QUIET_S if any(map(is_command, routes)) else GLANCE_S)
             if self._stopped.is_set():
                 routes = []  # perhaps not everybody is known: no robot may see a publisher of ours
             safety = Safety(ros, ros.domain_id, job.topics, force=job.force)
@@ -115,6 +116,7 @@ class Replay:
                 expected, lambda there: self._tell({"waiting": {"for": expected, "there": there}})
             )
         ros.wait_for_matches()
+        ros.settle()
 
     def _play(
         self,

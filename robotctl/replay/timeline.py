@@ -79,14 +79,18 @@ def entries(
     """What to send, in order; `before` and `during` are called for each pass.
 
     `before` gives what was latched when the span begins, and that comes first: a subscriber that
-    came late would have had it, too. `during` gives the span's own messages by log time.
+    came late would have had it, too. `during` gives the span's own messages by log time. A loop
+    over nothing ends.
     """
     begin_ns = 0
     while True:
+        is_empty = True
         for message in before():
+            is_empty = False
             yield begin_ns, message.topic, message.data
         for message in during():
+            is_empty = False
             yield begin_ns + message.log_ns - span.start_ns, message.topic, message.data
-        if not loop:
+        if is_empty or not loop:
             return
         begin_ns += span.pass_ns

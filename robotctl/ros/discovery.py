@@ -12,9 +12,6 @@ from rclpy.node import Node
 
 from robotctl.domains import is_on_this_machine_only, participants_here
 
-QUIET_S: Final = 0.1
-"""When everybody has said what they have, and nothing has been new for so long, all is known."""
-
 _DISCOVERY_TOPIC: Final = "ros_discovery_info"
 """By it every process of ROS says which endpoints each of its nodes has."""
 
@@ -27,24 +24,34 @@ _PROCESS_BYTES: Final = 12
 _POLL_S: Final = 0.01
 
 
-def wait_until_all_known(
-    node: Node, domain_id: int, until_s: float, stopped: threading.Event
-) -> None:
-    """Return when the node has discovered everybody, or at a moment of the steady clock.
+class Discovery:
+    """What a node knows of the others in its domain, and since when that is all that is new."""
 
-    Fast DDS announces a process every 3 s by default, and about half of the greetings before that
-    get lost: how many there are is counted by their ports. All the time is taken where others may
-    be on other machines, which nobody can count.
-    """
-    known, since = frozenset(_known(node)), time.monotonic()
-    while time.monotonic() < until_s and not stopped.wait(_POLL_S):
-        now_known = frozenset(_known(node))
-        if now_known != known:
-            known, since = now_known, time.monotonic()
-        if time.monotonic() - since > QUIET_S and is_on_this_machine_only():
-            here = participants_here(domain_id)
-            if here is not None and _heard(known) >= here:
-                return
+    def __init__(self, node: Node, domain_id: int) -> None:
+        self._node = node
+        self._domain_id = domain_id
+        self._others: frozenset[tuple[str, str, bytes]] = frozenset()
+        self._since_s = time.monotonic()
+
+    def wait(self, quiet_s: float, until_s: float, stopped: threading.Event) -> None:
+        """Return when everybody is heard and others were quiet for a while, or at a moment.
+
+        Fast DDS announces a process every 3 s by default, and about half of the greetings before
+        that get lost: how many there are is counted by their ports. All the time is taken where
+        others may be on other machines, which nobody can count. Of what a process has, the last
+        may come later than the process has said whose it is: hence the quiet.
+        """
+        while time.monotonic() < until_s and not stopped.is_set():
+            known = frozenset(_known(self._node))
+            others = frozenset(each for each in known if each[1] != self._node.get_name())
+            now_s = time.monotonic()
+            if others != self._others:
+                self._others, self._since_s = others, now_s
+            if now_s - self._since_s > quiet_s and is_on_this_machine_only():
+                here = participants_here(self._domain_id)
+                if here is not None and _heard(known) >= here:
+                    return
+            stopped.wait(_POLL_S)
 
 
 def _known(node: Node) -> Iterator[tuple[str, str, bytes]]:

@@ -17,7 +17,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.publisher import Publisher
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from robotctl.ros.discovery import wait_until_all_known
+from robotctl.ros.discovery import Discovery
 from robotctl.ros.membership import NODE_NAME, Membership
 from robotctl.ros.message_types import message_class
 from robotctl.ros.recorded_qos import replay_qos
@@ -29,6 +29,12 @@ DAEMON_TYPE: Final = "robot_controller/msg/JournalEntry"
 
 SETTLE_S: Final = 3.5
 """Announcements get lost, and are repeated every 3 s: only then everybody is known for sure."""
+
+QUIET_S: Final = 0.3
+"""What gets lost of an introduction comes again within so long."""
+
+GLANCE_S: Final = 0.1
+"""Enough where a publisher alone does no harm, and nothing is sent before QUIET_S are over."""
 
 MATCH_S: Final = 2.0
 KNOWN_S: Final = 0.1
@@ -60,15 +66,17 @@ class ReplaySession:
         self._is_alone = membership.was_deserted
         self._joined = membership.since_s
         self._node = membership.node
+        self._discovery = Discovery(membership.node, membership.domain_id)
         self._publishers: list[Publisher] = []
         self._clients: list[Client] = []
 
-    def settle(self) -> None:
-        """Return when everybody in the domain is known; at once where there is nobody."""
-        if self._is_alone:
-            return
-        until_s = self._joined + SETTLE_S
-        wait_until_all_known(self._node, self.domain_id, until_s, self.stopped)
+    def settle(self, quiet_s: float = QUIET_S) -> None:
+        """Return when everybody in the domain is known; at once where there was nobody.
+
+        That is when each has been heard, and for `quiet_s` nothing new has been seen of others.
+        """
+        if not self._is_alone:
+            self._discovery.wait(quiet_s, self._joined + SETTLE_S, self.stopped)
 
     def count_subscribers(self, topic: str) -> int:
         """How many subscribe to the topic, in the whole domain."""

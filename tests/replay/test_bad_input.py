@@ -176,3 +176,9 @@ async def test_a_reader_that_has_left_is_no_failure(tmp_path: Path, start: Any) 
     running.stop_reading()
     ran = await running.end()
     assert (ran.exit_code, ran.err) == (0, "")
+
+
+async def test_a_loop_over_nothing_that_can_be_played_ends(tmp_path: Path, replay: Any) -> None:
+    lines = [Line("/unknown", "no_msgs/msg/Nothing", 1.0, b"\0\1\0\0")]
+    ran = await replay(write_bag(tmp_path / "run.mcap", lines), "--loop", "--json")
+    assert (ran.exit_code, ran.summary["sent"]) == (0, 0)

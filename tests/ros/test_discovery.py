@@ -11,7 +11,7 @@ from rclpy.context import Context
 from rclpy.node import Node
 from std_msgs.msg import String
 
-from robotctl.ros.discovery import _heard, wait_until_all_known
+from robotctl.ros.discovery import Discovery, _heard
 from robotctl.ros.membership import Membership
 
 TOPICS = [f"/topic_{number}" for number in range(20)]
@@ -38,7 +38,7 @@ def others(domain_id: int) -> Iterator[None]:
 def test_everybody_is_known_in_full_when_the_wait_ends(domain_id: int, others: None) -> None:
     with Membership(domain_id) as membership:
         node = membership.node
-        wait_until_all_known(node, domain_id, time.monotonic() + 30.0, threading.Event())
+        Discovery(node, domain_id).wait(0.3, time.monotonic() + 30.0, threading.Event())
         assert not membership.was_deserted
         assert [node.count_subscribers(topic) for topic in TOPICS] == [1] * len(TOPICS)
         assert "others" in node.get_node_names()
@@ -50,7 +50,7 @@ def test_where_others_may_be_on_other_machines_all_the_time_is_taken(
     with Membership(domain_id) as membership:
         monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
         until_s = time.monotonic() + 0.5
-        wait_until_all_known(membership.node, domain_id, until_s, threading.Event())
+        Discovery(membership.node, domain_id).wait(0.1, until_s, threading.Event())
         assert time.monotonic() >= until_s
 
 
@@ -59,7 +59,7 @@ def test_a_wait_that_is_stopped_ends(domain_id: int, monkeypatch: pytest.MonkeyP
     stopped.set()
     with Membership(domain_id) as membership:
         monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
-        wait_until_all_known(membership.node, domain_id, time.monotonic() + 3600.0, stopped)
+        Discovery(membership.node, domain_id).wait(0.1, time.monotonic() + 3600.0, stopped)
 
 
 def test_whoever_has_not_said_whose_all_its_endpoints_are_has_not_been_heard() -> None:
