@@ -11,7 +11,6 @@ import os
 import sys
 import sysconfig
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from pathlib import Path
 
 DISTRO = "jazzy"
@@ -52,7 +51,6 @@ def prepare(before_restart: Callable[[], object] = lambda: None) -> str:
         prefixes = _entries(os.environ, _PREFIXES)
         if sys.prefix not in prefixes:
             os.environ[_PREFIXES] = os.pathsep.join([*prefixes, sys.prefix])
-    _name_home()
     _limit_discovery()
     if not any(variable in os.environ for variable in _PROFILES):
         os.environ[_PROFILES[0]] = str(Path(__file__).with_name("ros") / "fastdds.xml")
@@ -98,12 +96,6 @@ def without_foreign_ros(environment: Mapping[str, str], prefix: Path) -> tuple[d
         cleaned["RMW_IMPLEMENTATION"] = RMW
         said.append(f"replaced {rmw} by {RMW}, the only middleware that robotctl brings")
     return cleaned, "; ".join(said)
-
-
-def _name_home() -> None:
-    """Where the user lives, for the log of ROS; systemd does not tell it to a service of root."""
-    with suppress(RuntimeError):  # a user whom the machine does not know has none
-        os.environ.setdefault("HOME", str(Path.home()))
 
 
 def _limit_discovery() -> None:

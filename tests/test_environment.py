@@ -157,16 +157,6 @@ def test_what_lies_in_our_own_environment_is_never_foreign(tmp_path: Path) -> No
     assert without_foreign_ros(environment, ours) == (environment, "")
 
 
-def test_a_service_that_is_not_told_its_home_can_use_ros() -> None:
-    environment = {name: value for name, value in os.environ.items() if name != "HOME"}
-    program = (
-        "from robotctl.environment import prepare; prepare();"
-        "import rclpy; rclpy.init(); rclpy.shutdown(); print('done')"
-    )
-    ran = run(environment | {"PYTHONPATH": str(REPOSITORY)}, "-c", program)
-    assert (ran.returncode, ran.stdout) == (0, "done\n"), ran.stderr
-
-
 @pytest.mark.parametrize(
     ("given", "found"),
     [

@@ -7,11 +7,11 @@ import time
 from types import TracebackType
 from typing import Final, Self
 
-from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from robotctl.domains import is_deserted
+from robotctl.ros.context import open_context
 
 NODE_NAME: Final = "robotctl_replay"
 
@@ -29,8 +29,7 @@ class Membership:
         """Nobody was in the domain."""
 
         self.since_s = time.monotonic()
-        self._context = Context()
-        self._context.init(args=[], domain_id=domain_id)
+        self._context = open_context(domain_id)
         self.node = Node(
             NODE_NAME,
             context=self._context,

@@ -9,6 +9,7 @@ from contextlib import asynccontextmanager
 from rclpy.context import Context
 from rclpy.node import Node
 
+from robotctl.ros.context import open_context
 from robotctl.ros.executor import AsyncioExecutor
 from robotctl.ros.runtime import ExceptionHandler
 
@@ -64,8 +65,7 @@ async def ros_session(
 
     `fifo_priority` asks for SCHED_FIFO (1..99) for the loop's thread.
     """
-    context = Context()
-    context.init(domain_id=domain_id)
+    context = open_context(domain_id)
     try:
         async with AsyncioExecutor(
             context, on_exception=on_exception, fifo_priority=fifo_priority
