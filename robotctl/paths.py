@@ -38,9 +38,15 @@ def runtime_folder() -> Path:
 
 
 def state_folder() -> Path:
-    """The folder of logs and emergency-stop latches: survives a reboot."""
-    base = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
-    return Path(base) / "robotctl"
+    """The folder of logs and emergency-stop latches: survives a reboot.
+
+    Raises UsageError for a user without a home.
+    """
+    base = os.environ.get("XDG_STATE_HOME")
+    try:
+        return Path(base or Path.home() / ".local" / "state") / "robotctl"
+    except RuntimeError:  # neither HOME nor the machine's list of users names one
+        raise UsageError("you have no home folder: set XDG_STATE_HOME to a folder") from None
 
 
 def make_private(folder: Path) -> Path:

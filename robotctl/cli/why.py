@@ -26,9 +26,7 @@ app = new_app()
 def why(
     file: Annotated[
         str,
-        typer.Argument(
-            metavar="[FILE]", help="An MCAP file, a recording's folder or name [default: last]."
-        ),
+        typer.Argument(metavar="[FILE]", help="An MCAP file, a recording's folder or name."),
     ] = LAST,
     at: Annotated[
         str | None,

@@ -112,6 +112,28 @@ def test_a_closed_pipe_is_no_error(daemon: None, command: list[str]) -> None:
         assert (ran.returncode, ran.stderr) == (0, b"")
 
 
+@pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-"])
+def test_a_command_does_its_work_with_its_output_closed(command: list[str], closed: str) -> None:
+    for arguments, exit_code in (("--help", 0), ("status", 3), ("recordings", 0)):
+        line = f"{shlex.join([*command, arguments])} {closed}"
+        ran = subprocess.run(line, shell=True, capture_output=True, text=True, check=False)
+        assert ran.returncode == exit_code
+        assert "unexpected" not in ran.stderr
+
+
+def test_a_user_without_a_home_reads_what_to_set(
+    cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unknown(_: type[Path]) -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("XDG_STATE_HOME")
+    monkeypatch.setattr(Path, "home", classmethod(unknown))
+    ran = cli("logs")
+    assert (ran.exit_code, ran.out) == (2, "")
+    assert ran.err == ("robotctl: you have no home folder: set XDG_STATE_HOME to a folder\n")
+
+
 def test_ctrl_c_ends_with_130_and_without_a_traceback(
     daemon: None, spawn: Callable[..., subprocess.Popen[str]]
 ) -> None:
