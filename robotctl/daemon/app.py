@@ -17,6 +17,7 @@ from robotctl.daemon.options import DaemonOptions
 from robotctl.daemon.recordings import remember, tidy
 from robotctl.daemon.supervisor import Supervisor
 from robotctl.domains import is_deserted
+from robotctl.ipc.listener import remove_stale
 from robotctl.ipc.server import ControlServer, Identity
 from robotctl.paths import socket_path
 from robotctl.ros.session import ros_session
@@ -30,6 +31,8 @@ async def serve(options: DaemonOptions, notes: list[str], on_ready: Ready) -> No
     stop = told_to_end()
     config = options.applied_to(load(options.config) if options.config else Config())
     address = socket_path(options.robot)
+    # Whose lock somebody removed still has the robot, and must not see commands of ours.
+    remove_stale(address)
     alone = is_deserted(options.domain_id)
     supervisor = Supervisor()
     asyncio.get_running_loop().set_exception_handler(supervisor.loop_failed)

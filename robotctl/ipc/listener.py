@@ -44,7 +44,7 @@ class Listener:
             AlreadyRunning: Somebody answers there.
         """
         make_private(self._path.parent)
-        _remove_stale(self._path)
+        remove_stale(self._path)
         self._sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             previous = os.umask(0o177)  # a chmod after bind would leave a moment open to everybody
@@ -102,7 +102,13 @@ class Listener:
         return False
 
 
-def _remove_stale(path: Path) -> None:
+def remove_stale(path: Path) -> None:
+    """Remove the socket that a dead daemon has left at `path`.
+
+    Raises:
+        UsageError: Something else lies there.
+        AlreadyRunning: Somebody answers there.
+    """
     with suppress(FileNotFoundError):
         if not stat.S_ISSOCK(path.lstat().st_mode):
             raise UsageError(f"{path} is not a socket: remove it, then start again")

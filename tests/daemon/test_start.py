@@ -78,7 +78,8 @@ def test_a_daemon_whose_socket_and_lock_are_removed_is_found_again_and_keeps_its
     second = world.robotctl("start", "--sim")
     assert second.exit_code == 5
     assert f"pid {pid} answers" in second.err
-    assert world.status()["mode"] == "MOVING"
+    status = world.status()
+    assert status["mode"] == "MOVING", status["mode_reason"]
     world.ok("stop")
     assert len(list(world.recordings.iterdir())) == 1
 
