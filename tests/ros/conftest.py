@@ -58,12 +58,23 @@ def new_context(domain_id: int) -> Iterator[Callable[[], Any]]:
 
 @pytest.fixture(scope="module")
 def context(domain_id: int) -> Iterator[Any]:
-    """The rclpy context of the module: for the middleware to discover one takes seconds."""
+    """The rclpy context of the module: for the middleware to discover one takes seconds.
+
+    Its participant in the domain ends with its last node, which Fast DDS 2.14 may not survive while
+    it discovers others (`DomainParticipant::set_listener` then waits for its own lock): one node
+    stays until the others are gone.
+    """
     from rclpy.context import Context
+    from rclpy.node import Node
 
     made = Context()
     made.init(args=[], domain_id=domain_id)
+    lasting = Node("lasting", context=made)
     yield made
+    deadline = time.monotonic() + 30.0
+    while len(lasting.get_node_names()) > 1 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    lasting.destroy_node()
     made.try_shutdown()
     made.destroy()
 
