@@ -2,15 +2,29 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+from weakref import WeakKeyDictionary
+
 from rclpy.event_handler import EventHandler
 
 from robotctl.ros.rcl import Signal
 from robotctl.ros.runtime import Runtime
 from robotctl.ros.sources import EventFdSource
 
+_COUNTS = ("total_count", "current_count", "alive_count", "not_alive_count")
+
+_told: WeakKeyDictionary[EventHandler, dict[str, int]] = WeakKeyDictionary()
+"""The counts of the status that each handler's callback was called with last."""
+
 
 class QosEventSource(EventFdSource):
-    """A QoS event of a publisher or a subscription."""
+    """A QoS event of a publisher or a subscription.
+
+    What changed is counted here, from the counts themselves: rmw_fastrtps announces what happened
+    before the attachment but forgets the change (`RMWSubscriptionEvent::set_on_new_event_callback`
+    sets it to zero).
+    """
 
     signals = (Signal.QOS_EVENT,)
     # rcl announces what happened before the attachment, and taking twice would invent an event.
@@ -21,5 +35,18 @@ class QosEventSource(EventFdSource):
 
     def drain(self) -> bool:
         # A status is always there to be taken, so: once per announcement.
-        self.call_back(lambda: self.entity.callback(self.handle.take_event()))
+        self.call_back(self._tell)
         return False
+
+    def _tell(self) -> Any:
+        status = self.handle.take_event()
+        counts = {name: getattr(status, name) for name in _COUNTS if hasattr(status, name)}
+        before = _told.get(self.entity, {})
+        _told[self.entity] = counts
+        changes = {f"{name}_change": count - before.get(name, 0) for name, count in counts.items()}
+        if "total_count" in counts and not any(changes.values()):
+            return None  # Announced after the last status was taken with it.
+        if any(getattr(status, name) != change for name, change in changes.items()):
+            fields = {name: getattr(status, name) for name in dir(status) if name[0] != "_"}
+            status = SimpleNamespace(**fields | changes)
+        return self.entity.callback(status)

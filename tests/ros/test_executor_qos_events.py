@@ -8,7 +8,7 @@ from typing import Any
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import UInt64
 
 from robotctl.ros import AsyncioExecutor
@@ -55,12 +55,56 @@ async def test_a_match_from_before_the_node_was_added_is_told_once(
 async def test_incompatible_qos_is_told(
     executor: AsyncioExecutor, node: Node, peer: Peer, topic: str, until: Until
 ) -> None:
-    # How many: rmw_fastrtps may tell of a change after having counted it, as one of 0.
-    seen: list[object] = []
+    seen: list[int] = []
+    callbacks = SubscriptionEventCallbacks(
+        incompatible_qos=lambda event: seen.append(event.total_count_change)
+    )
+    node.create_subscription(UInt64, topic, lambda _: None, reliable(10), event_callbacks=callbacks)
+    await peer("offer", topic=topic, reliable=False)
+    await until(lambda: seen == [1])
+
+
+async def test_an_incompatible_offer_from_before_the_node_was_added_counts_as_one(
+    context: Any, node: Node, peer: Peer, topic: str, until: Until
+) -> None:
+    seen: list[Any] = []
     callbacks = SubscriptionEventCallbacks(incompatible_qos=seen.append)
     node.create_subscription(UInt64, topic, lambda _: None, reliable(10), event_callbacks=callbacks)
     await peer("offer", topic=topic, reliable=False)
-    await until(lambda: seen)
+    await until(lambda: node.count_publishers(topic))
+    async with AsyncioExecutor(context) as executor:
+        executor.add_node(node)
+        await until(lambda: seen)
+    event = seen[0]
+    assert (event.total_count, event.total_count_change) == (1, 1)
+    assert event.last_policy_kind == QoSPolicyKind.RELIABILITY
+    # Another executor does not tell again what this one has told.
+    await peer("withdraw", topic=topic)
+    await until(lambda: not node.count_publishers(topic))
+    await peer("offer", topic=topic, reliable=False)
+    async with AsyncioExecutor(context) as executor:
+        executor.add_node(node)
+        await until(lambda: len(seen) == 2)
+    assert (seen[1].total_count, seen[1].total_count_change) == (2, 1)
+
+
+async def test_an_event_announced_after_it_was_taken_is_not_told_again(
+    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str, until: Until
+) -> None:
+    seen: list[int] = []
+    callbacks = SubscriptionEventCallbacks(
+        incompatible_qos=lambda event: seen.append(event.total_count_change)
+    )
+    node.create_subscription(UInt64, topic, lambda _: None, reliable(10), event_callbacks=callbacks)
+    await peer("offer", topic=topic, reliable=False)
+    await until(lambda: seen == [1])
+    for source in executor._attachments.sources.values():
+        if "INCOMPATIBLE_QOS" in source.where:
+            source.resume()
+    reference: list[int] = []
+    node.create_timer(0.01, lambda: reference.append(1))
+    await until(lambda: len(reference) >= 5)
+    assert seen == [1]
 
 
 async def test_a_missed_deadline_is_told(
