@@ -53,8 +53,11 @@ class Child:
         return self._process.returncode, next(each["summary"] for each in said if "summary" in each)
 
     def close(self) -> None:
-        self._process.kill()
-        self._process.communicate()
+        if self._process.poll() is None:
+            try:
+                self._process.communicate(timeout=DEADLINE_S)
+            finally:
+                self._process.kill()
 
     def write(self, data: bytes) -> None:
         assert self._process.stdin is not None
@@ -75,30 +78,37 @@ def child(domain_id: int, own_sockets: None) -> Iterator[Callable[[Job], Child]]
         each.close()
 
 
+@pytest.fixture
+def play(
+    tmp_path: Path, listener: Any, child: Callable[[Job], Child], domain_id: int
+) -> Callable[..., Child]:
+    """Play so many numbered messages to the listener."""
+
+    def start(count: int, period_ms: float = 10.0, **options: Any) -> Child:
+        lines = [Line("/alpha", STRING, n * period_ms, text(f"{n}")) for n in range(count)]
+        listener.listen("/alpha", STRING)
+        file = write_bag(tmp_path / "run.mcap", lines)
+        return child(Job(file, "robot", domain_id, **options))
+
+    return start
+
+
 async def test_steps_and_rates_reach_the_player_also_those_that_were_asked_for_early(
-    tmp_path: Path, listener: Any, child: Any, domain_id: int, until: Until
+    listener: Any, play: Any, until: Until
 ) -> None:
-    lines = [Line("/alpha", STRING, n * 3_600_000.0, text(f"{n}")) for n in range(4)]
-    file = write_bag(tmp_path / "run.mcap", lines)
-    listener.listen("/alpha", STRING)
+    playing = play(4, period_ms=3_600_000.0)
     heard = listener.heard["/alpha"]
-    playing = child(Job(file, "robot", domain_id))
     playing.tell(Command.PAUSE, Command.NEXT, Command.NEXT)
     await until(lambda: len(heard) == 2)
     playing.tell(Command.FASTER, Command.NEXT)
     await until(lambda: len(heard) == 3)
     exit_code, summary = playing.end()
     assert (exit_code, summary["sent"], summary["interrupted"]) == (0, 3, True)
-    assert heard == [line.data for line in lines[:3]]
+    assert heard == [text(f"{n}") for n in range(3)]
 
 
-async def test_what_is_no_command_stops_nothing(
-    tmp_path: Path, listener: Any, child: Any, domain_id: int, until: Until
-) -> None:
-    lines = [Line("/alpha", STRING, n * 10.0, text(f"{n}")) for n in range(5)]
-    file = write_bag(tmp_path / "run.mcap", lines)
-    listener.listen("/alpha", STRING)
-    playing = child(Job(file, "robot", domain_id, paused=True))
+async def test_what_is_no_command_stops_nothing(listener: Any, play: Any, until: Until) -> None:
+    playing = play(5, paused=True)
     playing.write(b"nonsense\n\xff\n{}\n")
     playing.tell(Command.RESUME)
     await until(lambda: len(listener.heard["/alpha"]) == 5)
@@ -120,12 +130,9 @@ def may_be_urgent() -> bool:
 
 @pytest.mark.skipif(not may_be_urgent(), reason="SCHED_FIFO is not permitted here")
 async def test_the_thread_that_keeps_time_is_urgent_until_it_stays_behind(
-    tmp_path: Path, listener: Any, child: Any, domain_id: int, until: Until
+    play: Any, until: Until
 ) -> None:
-    lines = [Line("/alpha", STRING, n * 10.0, text(f"{n}")) for n in range(1000)]
-    file = write_bag(tmp_path / "run.mcap", lines)
-    listener.listen("/alpha", STRING)
-    playing = child(Job(file, "robot", domain_id, loop=True))
+    playing = play(1000, loop=True)
     await until(lambda: playing.urgent_threads() == 1)
     playing.tell(*[Command.FASTER] * len(RATES))
     await until(lambda: playing.urgent_threads() == 0)
@@ -134,12 +141,9 @@ async def test_the_thread_that_keeps_time_is_urgent_until_it_stays_behind(
 
 
 async def test_what_goes_as_fast_as_possible_is_never_urgent(
-    tmp_path: Path, listener: Any, child: Any, domain_id: int, until: Until
+    listener: Any, play: Any, until: Until
 ) -> None:
-    lines = [Line("/alpha", STRING, n * 10.0, text(f"{n}")) for n in range(100)]
-    file = write_bag(tmp_path / "run.mcap", lines)
-    listener.listen("/alpha", STRING)
-    playing = child(Job(file, "robot", domain_id, rate=None, loop=True))
+    playing = play(100, rate=None, loop=True)
     await until(lambda: len(listener.heard["/alpha"]) > 100)
     assert playing.urgent_threads() == 0
     playing.end()
