@@ -37,7 +37,6 @@ async def serve(options: DaemonOptions, notes: list[str], on_ready: Ready) -> No
     supervisor = Supervisor()
     asyncio.get_running_loop().set_exception_handler(supervisor.loop_failed)
     async with (
-        AsyncExitStack() as last,
         ros_session(
             domain_id=options.domain_id,
             namespace=options.namespace,
@@ -48,7 +47,7 @@ async def serve(options: DaemonOptions, notes: list[str], on_ready: Ready) -> No
     ):
         notes = [*notes, *await asyncio.to_thread(tidy, options.recordings, config.recording)]
         notes += await asyncio.to_thread(remember, options.recordings, options.robot)
-        host = Host(options, config, alone, supervisor, stop, session, last)
+        host = Host(options, config, alone, supervisor, stop, session)
         daemon: Daemon = Observer(host) if options.observe else Driver(host)
         stack.push_async_callback(daemon.recorder.close)
         identity = Identity(options.robot, __version__, os.getpid())

@@ -62,7 +62,7 @@ class Driver:
         self._host = host
         session, params, robot = host.session, host.config.kernel, host.options.robot
         latch = Latch(latch_path(robot))
-        host.last.push_async_callback(latch.close)
+        session.last.push_async_callback(latch.close)
         reason = latch.read()
         kernel = Kernel(params, State() if reason is None else latched(reason))
         self.recorder = FlightRecorder(

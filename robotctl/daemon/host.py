@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Callable, Mapping
-from contextlib import AsyncExitStack, asynccontextmanager
+from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -34,8 +34,6 @@ class Host:
     """Set when the daemon is told to end."""
 
     session: Session
-    last: AsyncExitStack
-    """Closed after the session, when no callback runs any more."""
 
 
 class Daemon(Protocol):

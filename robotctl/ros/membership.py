@@ -11,7 +11,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from robotctl.domains import is_deserted
-from robotctl.ros.context import open_context
+from robotctl.ros.context import close_context, open_context
 
 NODE_NAME: Final = "robotctl_replay"
 
@@ -49,6 +49,4 @@ class Membership:
         traceback: TracebackType | None,
     ) -> None:
         """Leave, with everything that the node has made."""
-        self.node.destroy_node()
-        self._context.try_shutdown()
-        self._context.destroy()
+        close_context(self._context, [self.node])

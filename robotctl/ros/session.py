@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager
 
 from rclpy.context import Context
 from rclpy.node import Node
 
-from robotctl.ros.context import open_context
+from robotctl.ros.context import close_context, open_context
 from robotctl.ros.executor import AsyncioExecutor
 from robotctl.ros.runtime import ExceptionHandler
 
@@ -22,6 +22,8 @@ class Session:
         self._executor = executor
         self._namespace = namespace
         self._nodes: list[Node] = []
+        self.last = AsyncExitStack()
+        """Closed when no callback runs any more, before the nodes end."""
 
     @property
     def scheduling(self) -> str:
@@ -46,11 +48,8 @@ class Session:
         return node
 
     def close(self) -> None:
-        """Destroy every node."""
-        for node in self._nodes:
-            self._executor.remove_node(node)
-            node.destroy_node()
-        self._nodes.clear()
+        """Leave the domain with every node."""
+        close_context(self._context, self._nodes)
 
 
 @asynccontextmanager
@@ -66,14 +65,10 @@ async def ros_session(
     `fifo_priority` asks for SCHED_FIFO (1..99) for the loop's thread.
     """
     context = open_context(domain_id)
+    executor = AsyncioExecutor(context, on_exception=on_exception, fifo_priority=fifo_priority)
+    session = Session(context, executor, namespace)
     try:
-        async with AsyncioExecutor(
-            context, on_exception=on_exception, fifo_priority=fifo_priority
-        ) as executor:
-            session = Session(context, executor, namespace)
-            try:
-                yield session
-            finally:
-                session.close()
+        async with session.last, executor:
+            yield session
     finally:
-        context.try_shutdown()
+        session.close()
