@@ -8,7 +8,7 @@ import signal
 import sys
 import termios
 from collections.abc import Callable
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Any, Self
 
 from robotctl.cli.text import is_terminal
@@ -44,12 +44,7 @@ class Keyboard:
             self._take()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Give them back."""
         for number, handler in self._previous.items():
             signal.signal(number, handler)

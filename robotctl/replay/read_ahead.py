@@ -6,7 +6,6 @@ import threading
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterable, Iterator
-from types import TracebackType
 from typing import Final, Self
 
 from robotctl.replay.timeline import Entry
@@ -45,12 +44,7 @@ class ReadAhead:
         self._thread.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Stop reading, and wait until the thread has."""
         self.close()
         self._thread.join()

@@ -19,7 +19,6 @@ from __future__ import annotations
 import asyncio
 import threading
 from contextlib import suppress
-from types import TracebackType
 from typing import Any, NoReturn, Self
 
 from rclpy.action.client import ActionClient
@@ -117,12 +116,7 @@ class AsyncioExecutor:
             raise
         return self
 
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         self._close()
         assert self._runtime is not None
         await asyncio.gather(*self._runtime.tasks, return_exceptions=True)

@@ -7,7 +7,6 @@ import math
 import time
 import weakref
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Self
 
 from robotctl.ros.timerfd import TimerFd
@@ -89,12 +88,7 @@ class Ticker:
         self._start()
         return self
 
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:

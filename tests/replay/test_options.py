@@ -199,31 +199,6 @@ async def test_last_is_the_newest_recording_of_the_robot(
     assert "no recording of robot 'r3'" in ran.err
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (["--rate", "-1"], "--rate -1: use a number"),
-        (["--remap", "/alpha:=/1b"], "--remap /alpha:=/1b: use OLD:=NEW"),
-        (["--remap", "/nope:=/b"], "--remap /nope: not in the recording, which has /alpha"),
-        (["--regex", "("], "--regex (: "),
-        (["--clock", "0"], "--clock 0: use 0.1 to 1000 Hz"),
-        (["--delay", "-1"], "--delay -1: give seconds"),
-        (["--wait-for", "-1"], "'--wait-for': -1 is not in the range"),
-        (["--read-ahead", "0"], "'--read-ahead': 0 is not in the range"),
-        (["--view"], "nothing to view"),
-        (["--view-only", "--rate", "max"], "--view-only"),
-    ],
-)
-async def test_an_option_that_makes_no_sense_is_one_sentence(
-    arguments: list[str], said: str, tmp_path: Path, replay: Any
-) -> None:
-    file = write_bag(tmp_path / "run.mcap", talk("/alpha", 3))
-    ran = await replay(file, *arguments)
-    assert (ran.exit_code, ran.out) == (2, "")
-    assert said in ran.err
-    assert ran.err.count("\n") == 1
-
-
 async def test_one_recording_at_a_time_is_played(tmp_path: Path, replay: Any) -> None:
     file = write_bag(tmp_path / "run.mcap", talk("/alpha", 3))
     ran = await replay(file, file)

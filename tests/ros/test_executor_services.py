@@ -7,6 +7,7 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 import pytest
+from rclpy.client import Client
 from rclpy.node import Node
 from std_srvs.srv import SetBool
 
@@ -14,6 +15,16 @@ from robotctl.ros import AsyncioExecutor
 from robotctl.testing.waiting import DEADLINE_S
 
 Peer = Callable[..., Awaitable[Any]]
+
+
+async def client_of(
+    peer: Peer, executor: AsyncioExecutor, node: Node, service: str, **options: Any
+) -> Client:
+    """The client of a service that the other process has begun to serve."""
+    await peer("serve", service=service, **options)
+    client = node.create_client(SetBool, service)
+    await executor.wait_for_service(client, timeout_s=DEADLINE_S)
+    return client
 
 
 async def test_a_synchronous_service_answers_the_other_process(
@@ -30,10 +41,8 @@ async def test_a_synchronous_service_answers_the_other_process(
 async def test_an_async_service_may_await_asyncio_and_another_service(
     executor: AsyncioExecutor, node: Node, peer: Peer, topic: str
 ) -> None:
-    await peer("serve", service=f"{topic}/inner")
     # In the callback group of the service itself: with an executor of rclpy this deadlocks.
-    client = node.create_client(SetBool, f"{topic}/inner")
-    await executor.wait_for_service(client, timeout_s=DEADLINE_S)
+    client = await client_of(peer, executor, node, f"{topic}/inner")
 
     async def answer(request: Any, response: Any) -> Any:
         await asyncio.sleep(0.01)
@@ -48,9 +57,7 @@ async def test_an_async_service_may_await_asyncio_and_another_service(
 async def test_call_returns_the_response_of_the_other_process(
     executor: AsyncioExecutor, node: Node, peer: Peer, topic: str
 ) -> None:
-    await peer("serve", service=topic)
-    client = node.create_client(SetBool, topic)
-    await executor.wait_for_service(client, timeout_s=DEADLINE_S)
+    client = await client_of(peer, executor, node, topic)
     for data in (True, False):
         reply = await executor.call(client, SetBool.Request(data=data), timeout_s=DEADLINE_S)
         assert (reply.success, reply.message) == (data, "from the peer")
@@ -59,9 +66,7 @@ async def test_call_returns_the_response_of_the_other_process(
 async def test_calls_in_flight_at_once_get_their_own_responses(
     executor: AsyncioExecutor, node: Node, peer: Peer, topic: str
 ) -> None:
-    await peer("serve", service=topic)
-    client = node.create_client(SetBool, topic)
-    await executor.wait_for_service(client, timeout_s=DEADLINE_S)
+    client = await client_of(peer, executor, node, topic)
     wanted = [number % 3 == 0 for number in range(8)]  # A service's queue holds ten.
     replies = await asyncio.gather(
         *(executor.call(client, SetBool.Request(data=d), timeout_s=DEADLINE_S) for d in wanted)
@@ -72,9 +77,7 @@ async def test_calls_in_flight_at_once_get_their_own_responses(
 async def test_call_async_of_rclpy_can_be_awaited_as_it_is(
     executor: AsyncioExecutor, node: Node, peer: Peer, topic: str
 ) -> None:
-    await peer("serve", service=topic)
-    client = node.create_client(SetBool, topic)
-    await executor.wait_for_service(client, timeout_s=DEADLINE_S)
+    client = await client_of(peer, executor, node, topic)
     async with asyncio.timeout(DEADLINE_S):
         assert (await client.call_async(SetBool.Request(data=True))).success
 
@@ -93,9 +96,7 @@ async def test_a_call_that_nobody_answers_ends_at_its_deadline_and_is_forgotten(
 async def test_a_response_after_the_deadline_disturbs_nothing(
     executor: AsyncioExecutor, node: Node, peer: Peer, topic: str
 ) -> None:
-    await peer("serve", service=topic, delay_s=0.2)
-    client = node.create_client(SetBool, topic)
-    await executor.wait_for_service(client, timeout_s=DEADLINE_S)
+    client = await client_of(peer, executor, node, topic, delay_s=0.2)
     with pytest.raises(TimeoutError):
         await executor.call(client, SetBool.Request(), timeout_s=0.02)
     # The peer answers one after the other: with this response the late one has come as well.
