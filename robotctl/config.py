@@ -17,6 +17,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from difflib import get_close_matches
 from enum import Enum
+from functools import cache
 from pathlib import Path
 from reprlib import repr as short_repr
 from typing import Any, get_type_hints
@@ -129,8 +130,9 @@ def with_setting(config: Config, key: str, value: object) -> Config:
 
 def check_all(config: Config) -> None:
     """Raise ConfigError where a value is not allowed; for what did not come through `load`."""
+    paths = dict(_leaves(config))
     for key, value in flat(config).items():
-        with_setting(config, key, value)
+        _replaced(config, paths[key], key, value)
     check_together(config.kernel)
 
 
@@ -178,12 +180,18 @@ def _leaves(config: Config) -> Iterator[tuple[str, tuple[str, ...]]]:
     return walk(config, ())
 
 
+@cache
+def _kinds(section: type) -> dict[str, Any]:
+    """The type of each field of a section."""
+    return get_type_hints(section)
+
+
 def _replaced(section: Any, path: tuple[str, ...], key: str, value: object) -> Any:
     name = path[0]
     if len(path) > 1:
         return replace(section, **{name: _replaced(getattr(section, name), path[1:], key, value)})
     (item,) = (item for item in fields(section) if item.name == name)
-    kind = get_type_hints(type(section))[name]
+    kind = _kinds(section.__class__)[name]
     return replace(section, **{name: _checked(key, value, kind, item.metadata)})
 
 

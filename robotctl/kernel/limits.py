@@ -30,10 +30,11 @@ def allowed(command: Twist, limits: VelocityLimits) -> Twist:
 
 def limit(current: Twist, target: Twist, dt_s: float, limits: VelocityLimits) -> Twist:
     """Return the command nearest to `target` that `dt_s` after `current` is allowed."""
-    target = allowed(target, limits)
+    linear = clamp(target.linear, limits.linear_mps)
+    angular = clamp(target.angular, limits.angular_rps)
     return Twist(
-        _approach(current.linear, target.linear, limits.linear_accel_mps2 * dt_s),
-        _approach(current.angular, target.angular, limits.angular_accel_rps2 * dt_s),
+        _approach(current.linear, linear, limits.linear_accel_mps2 * dt_s),
+        _approach(current.angular, angular, limits.angular_accel_rps2 * dt_s),
     )
 
 

@@ -156,6 +156,11 @@ def _rule(cause: Cause, action: Mode, raised_in: frozenset[Mode], check: Check, 
     return Rule(cause, action, raised_in, check, check, cure)
 
 
+_REPORTED = frozenset(
+    {Cause.TASK_DIED, Cause.LOOP_STALLED, Cause.RECORDER_FAILED, Cause.DAEMON_ENDS}
+)
+"""What the kernel is told, and cannot know by itself."""
+
 RULES: tuple[Rule, ...] = (
     _rule(Cause.OPERATOR_STOP, Mode.EMERGENCY_STOP, _NEVER, _healthy, "release it: robotctl reset"),
     Rule(
@@ -250,11 +255,16 @@ class Finding:
 _RULES_IN: tuple[tuple[Rule, ...], ...] = tuple(
     tuple(rule for rule in RULES if mode in rule.raised_in) for mode in Mode
 )
+_MEASURED_IN: tuple[tuple[Rule, ...], ...] = tuple(
+    tuple(rule for rule in rules if rule.cause not in _REPORTED) for rules in _RULES_IN
+)
+"""Those that can be present while nothing is reported: this is asked at each step."""
 
 
 def raised(mode: Mode, health: Health, params: KernelParams, t_ns: int) -> Finding | None:
     """Return the most severe rule that must change `mode` now."""
-    return _first_present(_RULES_IN[mode], health, params, t_ns)
+    rules = _RULES_IN if health.reported else _MEASURED_IN
+    return _first_present(rules[mode], health, params, t_ns)
 
 
 def failed_start_condition(health: Health, params: KernelParams, t_ns: int) -> Finding | None:
