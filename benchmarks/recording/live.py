@@ -172,7 +172,7 @@ def lag(bench: Bench) -> Iterator[tuple[str, float]]:
 # The highest rate at which nothing is lost.
 
 RATES_HZ = {
-    SMALL: (75_000.0, 60_000.0, 45_000.0, 30_000.0, 15_000.0),
+    SMALL: (60_000.0, 45_000.0, 30_000.0, 15_000.0),
     MIDDLE: (60_000.0, 45_000.0, 30_000.0, 20_000.0, 10_000.0),
 }
 RATE_LIMITS_HZ = {SMALL: 45_000.0, MIDDLE: 30_000.0}

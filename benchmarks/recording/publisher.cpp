@@ -23,7 +23,9 @@
 
 namespace {
 
-constexpr size_t kDepth = 10000;
+// Deeper, and once its history is full Fast DDS needs 25 us for a message instead of 9: it moves
+// every entry up by one.
+constexpr size_t kDepth = 1000;
 constexpr long kNapNs = 200000;
 constexpr size_t kNoiseBytes = 1 << 20;
 

@@ -20,7 +20,7 @@ LIBRARIES = (
     "nav_msgs__rosidl_typesupport_c",
     "sensor_msgs__rosidl_typesupport_c",
 )
-DEPTH = 10_000
+DEPTH = 1000
 
 
 def build(folder: Path) -> str:
