@@ -44,6 +44,8 @@ def listen(topics: list[list[str]], *, urgent: bool) -> None:
                 node.create_subscription(
                     message_class(type_name), name, RawTap(take), qos, raw=True
                 )
+            if urgent:  # Not this thread, which would take a core from those.
+                os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
             print("ready", flush=True)
             while await asyncio.to_thread(sys.stdin.readline):
                 print(json.dumps(heard), flush=True)
