@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 from typing import Any
-from weakref import WeakKeyDictionary
 
 from rclpy.event_handler import EventHandler
 
@@ -13,9 +12,6 @@ from robotctl.ros.runtime import Runtime
 from robotctl.ros.sources import EventFdSource
 
 _COUNTS = ("total_count", "current_count", "alive_count", "not_alive_count")
-
-_told: WeakKeyDictionary[EventHandler, dict[str, int]] = WeakKeyDictionary()
-"""The counts of the status that each handler's callback was called with last."""
 
 
 class QosEventSource(EventFdSource):
@@ -33,6 +29,21 @@ class QosEventSource(EventFdSource):
     def __init__(self, runtime: Runtime, handler: EventHandler, where: str) -> None:
         super().__init__(runtime, handler, getattr(handler, "_EventHandler__event"), where)  # noqa: B009
 
+        self._told: dict[str, int] = {}
+        """The counts that the callback knows."""
+
+    def attach(self) -> None:
+        # Until the callback is set the middleware knows what has changed since it was told last.
+        with self.handle:
+            status = self.handle.take_event()
+        counts = _counts(status)
+        self._told = {
+            name: count - getattr(status, f"{name}_change") for name, count in counts.items()
+        }
+        super().attach()
+        if self._told != counts:
+            self.resume()
+
     def drain(self) -> bool:
         # A status is always there to be taken, so: once per announcement.
         self.call_back(self._tell)
@@ -40,13 +51,16 @@ class QosEventSource(EventFdSource):
 
     def _tell(self) -> Any:
         status = self.handle.take_event()
-        counts = {name: getattr(status, name) for name in _COUNTS if hasattr(status, name)}
-        before = _told.get(self.entity, {})
-        _told[self.entity] = counts
-        changes = {f"{name}_change": count - before.get(name, 0) for name, count in counts.items()}
+        counts = _counts(status)
+        changes = {f"{name}_change": count - self._told[name] for name, count in counts.items()}
+        self._told = counts
         if "total_count" in counts and not any(changes.values()):
             return None  # Announced after the last status was taken with it.
         if any(getattr(status, name) != change for name, change in changes.items()):
             fields = {name: getattr(status, name) for name in dir(status) if name[0] != "_"}
             status = SimpleNamespace(**fields | changes)
         return self.entity.callback(status)
+
+
+def _counts(status: Any) -> dict[str, int]:
+    return {name: getattr(status, name) for name in _COUNTS if hasattr(status, name)}

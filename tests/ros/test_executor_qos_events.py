@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import asyncio
+import time
 from collections.abc import Awaitable, Callable
 from typing import Any
 
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import UInt64
 
 from robotctl.ros import AsyncioExecutor
+from robotctl.testing.waiting import DEADLINE_S
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 Peer = Callable[..., Awaitable[Any]]
@@ -20,6 +24,12 @@ Feed = Callable[[Any, list[int]], Awaitable[None]]
 
 def reliable(depth: int) -> QoSProfile:
     return QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE)
+
+
+def spin_until(executor: SingleThreadedExecutor, condition: Callable[[], object]) -> None:
+    deadline = time.monotonic() + DEADLINE_S
+    while not condition() and time.monotonic() < deadline:
+        executor.spin_once(timeout_sec=0.01)
 
 
 async def test_matched_events_come_when_the_other_side_appears_and_goes(
@@ -78,14 +88,37 @@ async def test_an_incompatible_offer_from_before_the_node_was_added_counts_as_on
     event = seen[0]
     assert (event.total_count, event.total_count_change) == (1, 1)
     assert event.last_policy_kind == QoSPolicyKind.RELIABILITY
-    # Another executor does not tell again what this one has told.
-    await peer("withdraw", topic=topic)
-    await until(lambda: not node.count_publishers(topic))
-    await peer("offer", topic=topic, reliable=False)
+
+
+async def test_what_an_executor_of_rclpy_has_told_is_not_told_again(
+    context: Any, node: Node, peer: Peer, topic: str, until: Until
+) -> None:
+    seen: list[tuple[int, int, int]] = []
+    callbacks = PublisherEventCallbacks(
+        matched=lambda event: seen.append(
+            (event.total_count, event.total_count_change, event.current_count_change)
+        )
+    )
+    node.create_publisher(UInt64, topic, 10, event_callbacks=callbacks)
+    await peer("listen", topic=topic)
+    theirs = SingleThreadedExecutor(context=context)
+    theirs.add_node(node)
+    await asyncio.to_thread(lambda: spin_until(theirs, lambda: seen))
+    theirs.remove_node(node)
+    theirs.shutdown()
+    assert seen == [(1, 1, 1)]
+    local = node.create_subscription(UInt64, topic, lambda _: None, 10)
+    turns: list[int] = []
+    node.create_timer(0.01, lambda: turns.append(1))
     async with AsyncioExecutor(context) as executor:
         executor.add_node(node)
-        await until(lambda: len(seen) == 2)
-    assert (seen[1].total_count, seen[1].total_count_change) == (2, 1)
+        await until(lambda: len(seen) >= 2)
+    turns.clear()
+    async with AsyncioExecutor(context) as executor:  # Nor by another one of ours.
+        executor.add_node(node)
+        await until(lambda: len(turns) >= 5)
+    assert seen == [(1, 1, 1), (2, 1, 1)]
+    node.destroy_subscription(local)
 
 
 async def test_an_event_announced_after_it_was_taken_is_not_told_again(
@@ -98,9 +131,12 @@ async def test_an_event_announced_after_it_was_taken_is_not_told_again(
     node.create_subscription(UInt64, topic, lambda _: None, reliable(10), event_callbacks=callbacks)
     await peer("offer", topic=topic, reliable=False)
     await until(lambda: seen == [1])
-    for source in executor._attachments.sources.values():
-        if "INCOMPATIBLE_QOS" in source.where:
-            source.resume()
+    (announced,) = (
+        source
+        for source in executor._attachments.sources.values()
+        if source.entity.callback is callbacks.incompatible_qos
+    )
+    announced.resume()
     reference: list[int] = []
     node.create_timer(0.01, lambda: reference.append(1))
     await until(lambda: len(reference) >= 5)
