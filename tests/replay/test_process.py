@@ -8,7 +8,7 @@ import resource
 import subprocess
 import sys
 from collections.abc import Awaitable, Callable, Iterator
-from contextlib import suppress
+from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +58,7 @@ class Child:
                 self._process.communicate(timeout=DEADLINE_S)
             finally:
                 self._process.kill()
+                self._process.wait()
 
     def write(self, data: bytes) -> None:
         assert self._process.stdin is not None
@@ -67,15 +68,12 @@ class Child:
 
 @pytest.fixture
 def child(domain_id: int, own_sockets: None) -> Iterator[Callable[[Job], Child]]:
-    started: list[Child] = []
+    with ExitStack() as started:
 
-    def start(job: Job) -> Child:
-        started.append(Child(job))
-        return started[-1]
+        def start(job: Job) -> Child:
+            return started.enter_context(closing(Child(job)))
 
-    yield start
-    for each in started:
-        each.close()
+        yield start
 
 
 @pytest.fixture
