@@ -22,7 +22,7 @@ import sys
 import threading
 import time
 from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import asynccontextmanager, contextmanager, suppress
+from contextlib import ExitStack, asynccontextmanager, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -141,8 +141,8 @@ async def tapped(contender: str, topic: str, folder: Path) -> AsyncIterator[Take
     from robotctl.ros.session import ros_session
     from robotctl.ros.tap import Tap
 
-    with TAPPED[contender](folder) as (taker, open_sink):
-        async with ros_session(domain_id=domain_id(), namespace="") as session:
+    with ExitStack() as at_end, TAPPED[contender](folder) as (taker, open_sink):
+        async with ros_session(domain_id=domain_id(), namespace="", at_end=at_end) as session:
             running = asyncio.create_task(Tap(session, open_sink).run())
             yield taker
             running.cancel()

@@ -32,6 +32,7 @@ def sim(
     if note:
         print(f"note: {note}", file=sys.stderr)
     import asyncio
+    from contextlib import ExitStack
 
     from robotctl.config import Config, load
     from robotctl.daemon.options import resolve_domain_id
@@ -44,4 +45,9 @@ def sim(
     def say_ready() -> None:
         print(f"simulated robot {robot} runs in ROS domain {domain} (Ctrl-C ends it)", flush=True)
 
-    asyncio.run(simulate(settings, domain_id=domain, namespace=namespace, on_ready=say_ready))
+    with ExitStack() as at_end:
+        asyncio.run(
+            simulate(
+                settings, domain_id=domain, namespace=namespace, on_ready=say_ready, at_end=at_end
+            )
+        )

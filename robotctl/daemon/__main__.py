@@ -9,6 +9,7 @@ import os
 import resource
 import sys
 from collections.abc import Callable
+from contextlib import ExitStack
 from functools import partial
 from typing import Any
 
@@ -25,6 +26,12 @@ _log = logging.getLogger("robotctl")
 
 def main(arguments: list[str]) -> int:
     """Run a daemon to its end and return its exit code."""
+    with ExitStack() as at_end:
+        return _main(arguments, at_end)
+
+
+def _main(arguments: list[str], at_end: ExitStack) -> int:
+    """As `main`; what has to be the last is left to `at_end`."""
     note = environment.prepare()
     log_to_stderr()
     ready_fd = command_line.parse_ready_fd(arguments)
@@ -33,8 +40,8 @@ def main(arguments: list[str]) -> int:
     _allow_many_files()
     try:
         options = command_line.parse(arguments)
-        with owned(lock_path(options.robot), options.robot):
-            _run(options, partial(_tell, ready_fd), [note] if note else [])
+        at_end.enter_context(owned(lock_path(options.robot), options.robot))
+        _run(options, partial(_tell, ready_fd), [note] if note else [], at_end)
     except RobotctlError as error:
         return _fail(ready_fd, error)
     except KeyboardInterrupt:  # before the loop took the signals over
@@ -49,10 +56,15 @@ def main(arguments: list[str]) -> int:
     return 0
 
 
-def _run(options: DaemonOptions, tell: Callable[[dict[str, Any]], None], notes: list[str]) -> None:
+def _run(
+    options: DaemonOptions,
+    tell: Callable[[dict[str, Any]], None],
+    notes: list[str],
+    at_end: ExitStack,
+) -> None:
     from robotctl.daemon.app import serve  # after environment.prepare(): it imports rclpy
 
-    asyncio.run(serve(options, notes, tell))
+    asyncio.run(serve(options, notes, tell, at_end))
 
 
 def _allow_many_files() -> None:

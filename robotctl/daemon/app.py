@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import gc
 import os
-from contextlib import AsyncExitStack
+from contextlib import AsyncExitStack, ExitStack
 
 from robotctl import __version__
 from robotctl.config import Config, load
@@ -23,10 +23,13 @@ from robotctl.paths import socket_path
 from robotctl.ros.session import ros_session
 
 
-async def serve(options: DaemonOptions, notes: list[str], on_ready: Ready) -> None:
+async def serve(
+    options: DaemonOptions, notes: list[str], on_ready: Ready, at_end: ExitStack
+) -> None:
     """Run the daemon until it is told to stop; `on_ready` is called once with the summary.
 
-    The caller owns the robot's lock. Raises RobotctlError where it cannot start.
+    `at_end` leaves the ROS domain. The caller owns the robot's lock. Raises RobotctlError where it
+    cannot start.
     """
     stop = told_to_end()
     config = options.applied_to(load(options.config) if options.config else Config())
@@ -40,6 +43,7 @@ async def serve(options: DaemonOptions, notes: list[str], on_ready: Ready) -> No
         ros_session(
             domain_id=options.domain_id,
             namespace=options.namespace,
+            at_end=at_end,
             on_exception=supervisor.callback_failed,
             fifo_priority=config.fifo_priority or None,
         ) as session,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from contextlib import ExitStack
 
 from robotctl.config import Config
 from robotctl.daemon.ending import told_to_end
@@ -12,12 +13,17 @@ from robotctl.ros.simulated_robot import SimulatedRobot
 
 
 async def simulate(
-    config: Config, *, domain_id: int, namespace: str, on_ready: Callable[[], None]
+    config: Config,
+    *,
+    domain_id: int,
+    namespace: str,
+    on_ready: Callable[[], None],
+    at_end: ExitStack,
 ) -> None:
-    """Run the robot until it is told to end."""
+    """Run the robot until it is told to end; `at_end` leaves the ROS domain."""
     stop = told_to_end()
     topics = config.kernel
-    async with ros_session(domain_id=domain_id, namespace=namespace) as session:
+    async with ros_session(domain_id=domain_id, namespace=namespace, at_end=at_end) as session:
         robot = SimulatedRobot(
             session,
             config.sim,

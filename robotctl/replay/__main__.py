@@ -14,7 +14,7 @@ import sys
 import threading
 import traceback
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from typing import Any
 
 from robotctl import environment
@@ -29,6 +29,12 @@ SWITCH_INTERVAL_S = 1e-4
 
 def main() -> int:
     """Play one job and return the exit code."""
+    with ExitStack() as at_end:
+        return _main(at_end)
+
+
+def _main(at_end: ExitStack) -> int:
+    """As `main`; what has to be the last is left to `at_end`."""
     note = environment.prepare()
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     lines = _lines()
@@ -36,7 +42,7 @@ def main() -> int:
     if note:
         _tell({"note": note})
     try:
-        _play(job, lines)
+        _play(job, lines, at_end)
     except RobotctlError as error:
         _tell({"error": str(error), "exit_code": error.exit_code})
         return error.exit_code
@@ -49,28 +55,28 @@ def main() -> int:
     return 0
 
 
-def _play(job: Job, lines: Iterator[bytes]) -> None:
+def _play(job: Job, lines: Iterator[bytes], at_end: ExitStack) -> None:
     """Play a job, as the lines say."""
     # After environment.prepare(): it imports rclpy.
     from robotctl.ros.membership import Membership
 
-    with Membership(domain_of(job)) as membership:
-        # Others are discovered while this is imported.
-        from robotctl.replay.controls import command_of
-        from robotctl.replay.session import Replay
-        from robotctl.ros.replay_session import ReplaySession
+    membership = at_end.enter_context(Membership(domain_of(job)))
+    # Others are discovered while this is imported.
+    from robotctl.replay.controls import command_of
+    from robotctl.replay.session import Replay
+    from robotctl.ros.replay_session import ReplaySession
 
-        replay = Replay(job, ReplaySession(membership), _tell)
+    replay = Replay(job, ReplaySession(membership), _tell)
 
-        def obey() -> None:
-            for line in lines:
-                command = command_of(line)
-                if command is not None:
-                    replay.control(command)
-            replay.stop()
+    def obey() -> None:
+        for line in lines:
+            command = command_of(line)
+            if command is not None:
+                replay.control(command)
+        replay.stop()
 
-        threading.Thread(target=obey, name="stdin", daemon=True).start()
-        replay.run()
+    threading.Thread(target=obey, name="stdin", daemon=True).start()
+    replay.run()
 
 
 def _lines() -> Iterator[bytes]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import faulthandler
 from collections.abc import Iterable
+from contextlib import ExitStack
 from typing import Final
 
 from rclpy.context import Context
@@ -27,16 +28,15 @@ def open_context(domain_id: int) -> Context:
 
 
 def close_context(context: Context, nodes: Iterable[Node]) -> None:
-    """Leave the domain, with these nodes: the last thing that a process does.
+    """Leave the domain, with these nodes: the last thing that a process does, all else said.
 
     Where the middleware does not let go, the process ends with exit code 1 and says on stderr
     where it was.
     """
-    faulthandler.dump_traceback_later(END_S, exit=True, file=2)
-    try:
+    with ExitStack() as leaving:
+        faulthandler.dump_traceback_later(END_S, exit=True, file=2)
+        leaving.callback(faulthandler.cancel_dump_traceback_later)
+        leaving.callback(context.destroy)
+        leaving.callback(context.try_shutdown)
         for node in nodes:
-            node.destroy_node()
-        context.try_shutdown()
-        context.destroy()
-    finally:
-        faulthandler.cancel_dump_traceback_later()
+            leaving.callback(node.destroy_node)

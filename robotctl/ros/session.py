@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator
-from contextlib import AsyncExitStack, asynccontextmanager
+from contextlib import AsyncExitStack, ExitStack, asynccontextmanager
 
 from rclpy.context import Context
 from rclpy.node import Node
@@ -17,11 +17,14 @@ from robotctl.ros.runtime import ExceptionHandler
 class Session:
     """Makes nodes whose callbacks run in the loop, until the session ends."""
 
-    def __init__(self, context: Context, executor: AsyncioExecutor, namespace: str) -> None:
+    def __init__(
+        self, context: Context, executor: AsyncioExecutor, namespace: str, nodes: list[Node]
+    ) -> None:
+        """`nodes` is where those that are made are kept."""
         self._context = context
         self._executor = executor
         self._namespace = namespace
-        self._nodes: list[Node] = []
+        self._nodes = nodes
         self.last = AsyncExitStack()
         """Closed when no callback runs any more, before the nodes end."""
 
@@ -47,28 +50,25 @@ class Session:
         self._executor.add_node(node)
         return node
 
-    def close(self) -> None:
-        """Leave the domain with every node."""
-        close_context(self._context, self._nodes)
-
 
 @asynccontextmanager
 async def ros_session(
     *,
     domain_id: int,
     namespace: str,
+    at_end: ExitStack,
     on_exception: ExceptionHandler | None = None,
     fifo_priority: int | None = None,
 ) -> AsyncIterator[Session]:
-    """Open a context in ROS domain `domain_id` and close everything in order at the end.
+    """Open a context in ROS domain `domain_id`; at the end no callback runs any more.
 
+    `at_end` then leaves the domain, when everything else is done and said (`close_context`).
     `fifo_priority` asks for SCHED_FIFO (1..99) for the loop's thread.
     """
+    nodes: list[Node] = []
     context = open_context(domain_id)
+    at_end.callback(close_context, context, nodes)
     executor = AsyncioExecutor(context, on_exception=on_exception, fifo_priority=fifo_priority)
-    session = Session(context, executor, namespace)
-    try:
-        async with session.last, executor:
-            yield session
-    finally:
-        session.close()
+    session = Session(context, executor, namespace, nodes)
+    async with session.last, executor:
+        yield session

@@ -86,19 +86,20 @@ def in_process(
         given = DaemonOptions(
             "robot", recordings=world.recordings, domain_id=world.domain_id, **chosen
         )
-        serving = asyncio.create_task(serve(given, [], ready.set_result))
-        await asyncio.wait({serving, ready}, return_when=asyncio.FIRST_COMPLETED)
-        if serving.done():
-            await serving  # raises why it did not start
-        try:
-            yield Daemon()
-        except BaseException:
-            serving.cancel()
-            raise
-        else:
-            os.kill(os.getpid(), signal.SIGTERM)
-        finally:
-            await asyncio.wait({serving})
-        await serving
+        with ExitStack() as at_end:
+            serving = asyncio.create_task(serve(given, [], ready.set_result, at_end))
+            await asyncio.wait({serving, ready}, return_when=asyncio.FIRST_COMPLETED)
+            if serving.done():
+                await serving  # raises why it did not start
+            try:
+                yield Daemon()
+            except BaseException:
+                serving.cancel()
+                raise
+            else:
+                os.kill(os.getpid(), signal.SIGTERM)
+            finally:
+                await asyncio.wait({serving})
+            await serving
 
     return run

@@ -8,6 +8,7 @@ import os
 import re
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -172,12 +173,13 @@ async def test_a_start_that_is_cancelled_at_any_point_leaves_nothing_open(
     ready = asyncio.Event()
     files = len(os.listdir("/proc/self/fd"))
     for turns in itertools.chain(range(0, 20, 4), itertools.count(20, 40)):
-        starting = asyncio.create_task(serve(options, [], lambda _: ready.set()))
-        for _ in range(turns):
-            await asyncio.sleep(0)
-        starting.cancel()
-        with pytest.raises(asyncio.CancelledError):
-            await starting
+        with ExitStack() as at_end:
+            starting = asyncio.create_task(serve(options, [], lambda _: ready.set(), at_end))
+            for _ in range(turns):
+                await asyncio.sleep(0)
+            starting.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await starting
         assert world.sockets() == []
         if ready.is_set() or turns > 300:
             break

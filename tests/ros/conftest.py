@@ -10,7 +10,7 @@ import sys
 import time
 import warnings
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -175,8 +175,9 @@ async def session(domain_id: int) -> AsyncIterator[Any]:
     """A session of the daemon's kind."""
     from robotctl.ros.session import ros_session
 
-    async with ros_session(domain_id=domain_id, namespace="") as made:
-        yield made
+    with ExitStack() as at_end:
+        async with ros_session(domain_id=domain_id, namespace="", at_end=at_end) as made:
+            yield made
 
 
 @pytest.fixture

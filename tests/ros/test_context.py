@@ -36,6 +36,7 @@ def test_a_context_opens_and_writes_no_log_file(home: str, tmp_path: Path) -> No
 
 HANGS_AT_THE_END = """
 import asyncio, ctypes, sys
+from contextlib import ExitStack
 from rclpy.context import Context
 from robotctl.ros import context
 from robotctl.ros.session import ros_session
@@ -43,14 +44,17 @@ from robotctl.ros.session import ros_session
 def hang(_):
     ctypes.PyDLL(None).pause()  # as Fast DDS does: in C, with the GIL
 
-async def main():
-    async with ros_session(domain_id=int(sys.argv[1]), namespace="") as session:
+async def main(at_end):
+    domain_id = int(sys.argv[1])
+    async with ros_session(domain_id=domain_id, namespace="", at_end=at_end) as session:
         session.node("hanging")
         session.last.callback(print, "kept", flush=True)
 
 Context.destroy = hang
 context.END_S = 0.1
-asyncio.run(main())
+with ExitStack() as at_end:
+    asyncio.run(main(at_end))
+    print("told", flush=True)
 """
 
 
@@ -62,5 +66,5 @@ def test_a_process_ends_though_the_middleware_does_not_let_go_of_it(domain_id: i
         check=False,
         timeout=60,
     )
-    assert (ran.returncode, ran.stdout) == (1, "kept\n")
+    assert (ran.returncode, ran.stdout) == (1, "kept\ntold\n")
     assert "in close_context" in ran.stderr

@@ -6,6 +6,7 @@ import asyncio
 import math
 import threading
 from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import ExitStack
 from typing import Any
 
 import pytest
@@ -25,8 +26,9 @@ Until = Callable[[Callable[[], object]], Awaitable[None]]
 @pytest.fixture
 async def session(domain_id: int) -> AsyncIterator[Session]:
     """A session of the daemon's kind, in a namespace of its own."""
-    async with ros_session(domain_id=domain_id, namespace="/r2") as made:
-        yield made
+    with ExitStack() as at_end:
+        async with ros_session(domain_id=domain_id, namespace="/r2", at_end=at_end) as made:
+            yield made
 
 
 @pytest.fixture
