@@ -158,6 +158,7 @@ async def classic(topic: str, folder: Path) -> AsyncIterator[Taker]:
     from rclpy.executors import SingleThreadedExecutor
 
     from robotctl.ros.message_types import message_class
+    from robotctl.ros.qos import RECORDING_DEPTH
 
     rclpy.init(args=[], domain_id=domain_id())
     node = rclpy.create_node("recorder")
@@ -185,7 +186,7 @@ async def classic(topic: str, folder: Path) -> AsyncIterator[Taker]:
             while not stop.is_set():
                 executor.spin_once(timeout_sec=0.1)
 
-        node.create_subscription(message_class(type_name), topic, write, 10_000, raw=True)
+        node.create_subscription(message_class(type_name), topic, write, RECORDING_DEPTH, raw=True)
         thread = threading.Thread(target=spin)
         thread.start()
         yield counter
