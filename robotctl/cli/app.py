@@ -5,6 +5,7 @@ Imports stand where an interruption of them is caught: half of a quick command's
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 
@@ -53,6 +54,9 @@ def _report(error: Exception) -> int:
 
     if isinstance(error, RobotctlError):
         text, exit_code = str(error), error.exit_code
+    elif isinstance(error, OSError) and error.errno == errno.ENOSPC:
+        text = f"no space left on the disk for {error.filename or 'the output'}: free some"
+        exit_code = RobotctlError.exit_code
     else:
         kind = type(error).__name__
         text = f"unexpected {kind}: {error} (see where with: robotctl --debug ...)"

@@ -121,6 +121,16 @@ def test_a_command_does_its_work_with_its_output_closed(command: list[str], clos
         assert "unexpected" not in ran.stderr
 
 
+def test_output_to_a_full_disk_is_one_sentence(daemon: None, command: list[str]) -> None:
+    for arguments in (["status"], ["recordings"], ["start", "--help"]):
+        with open("/dev/full", "w") as full:
+            ran = subprocess.run(
+                [*command, *arguments], stdout=full, stderr=subprocess.PIPE, text=True, check=False
+            )
+        told = "robotctl: no space left on the disk for the output: free some\n"
+        assert (ran.returncode, ran.stderr) == (1, told)
+
+
 def test_a_user_without_a_home_reads_what_to_set(
     cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
