@@ -39,7 +39,7 @@ def run(arguments: list[str]) -> int:
             dispatch(arguments or ["--help"])
         sys.stdout.flush()
     except BrokenPipeError:  # the reader of our output has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_output()
     except KeyboardInterrupt:
         return INTERRUPTED_EXIT_CODE
     except Exception as error:  # no traceback reaches a user who did not ask for it
@@ -47,6 +47,11 @@ def run(arguments: list[str]) -> int:
             raise
         return _report(error)
     return 0
+
+
+def _drop_output() -> None:
+    """Let what is still to be written vanish: Python tries again when it ends, and complains."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _report(error: Exception) -> int:
@@ -57,6 +62,8 @@ def _report(error: Exception) -> int:
     elif isinstance(error, OSError) and error.errno == errno.ENOSPC:
         text = f"no space left on the disk for {error.filename or 'the output'}: free some"
         exit_code = RobotctlError.exit_code
+        if error.filename is None:
+            _drop_output()
     else:
         kind = type(error).__name__
         text = f"unexpected {kind}: {error} (see where with: robotctl --debug ...)"
