@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 from robotctl.replay.check import Progress, check
@@ -47,8 +48,8 @@ def check_many(
 
     workers = [_Worker() for _ in range(count)]
     with ThreadPoolExecutor(count) as pool:
-        working = [pool.submit(work, worker) for worker in workers]
         try:
+            working = [pool.submit(work, worker) for worker in workers]
             while wait(working, POLL_S).not_done:
                 on_progress(round(_WHOLE * sum(shares)), _WHOLE * len(paths))
         finally:
@@ -61,20 +62,21 @@ def check_many(
 
 
 class _Worker:
-    """A process that checks one recording after the other; a new one where it has died."""
+    """A process that checks one recording after the other; a new one where it has died.
+
+    `end` may be called from any thread: no process is begun afterwards.
+    """
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
+        self._ended = False
+        self._lock = Lock()
 
     def check(self, path: Path) -> Iterator[dict[str, Any]]:
         """What the process says of a recording, at last its report."""
-        process = self._process or subprocess.Popen(
-            WORKER,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            process_group=0,  # a Ctrl-C is for us: it may come while Python starts there
-        )
-        self._process = process
+        process = self._living()
+        if process is None:
+            return
         assert process.stdin is not None
         assert process.stdout is not None
         try:
@@ -86,14 +88,32 @@ class _Worker:
                     return
         except (BrokenPipeError, ValueError):
             pass
-        self.end()
+        self._kill()
         report = Report(path)
         report.miss(f"the process that checked it ended with {process.returncode}")
         yield {"report": report.as_object()}
 
     def end(self) -> None:
-        """End the process."""
-        process, self._process = self._process, None
+        """End the process, and begin none any more."""
+        with self._lock:
+            self._ended = True
+        self._kill()
+
+    def _living(self) -> subprocess.Popen[bytes] | None:
+        """The process, None once it is to end."""
+        with self._lock:
+            if self._process is None and not self._ended:
+                self._process = subprocess.Popen(
+                    WORKER,
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    process_group=0,  # a Ctrl-C is for us: it may come while Python starts there
+                )
+            return self._process
+
+    def _kill(self) -> None:
+        with self._lock:
+            process, self._process = self._process, None
         if process is not None:
             process.kill()
             with process:  # reaps it, and closes its pipes
