@@ -156,8 +156,22 @@ def _rule(cause: Cause, action: Mode, raised_in: frozenset[Mode], check: Check, 
     return Rule(cause, action, raised_in, check, check, cure)
 
 
-_REPORTED = frozenset(
-    {Cause.TASK_DIED, Cause.LOOP_STALLED, Cause.RECORDER_FAILED, Cause.DAEMON_ENDS}
+_REPORTED: tuple[Rule, ...] = tuple(
+    _rule(cause, Mode.ERROR, raised_in, _reported(cause), cure)
+    for cause, raised_in, cure in (
+        (
+            Cause.TASK_DIED,
+            _ALWAYS,
+            "see robotctl logs, then restart: robotctl stop, robotctl start",
+        ),
+        (Cause.LOOP_STALLED, _ALWAYS, "see robotctl logs for what held the process up"),
+        (
+            Cause.RECORDER_FAILED,
+            _ALWAYS,
+            "free disk space, then restart: robotctl stop, robotctl start",
+        ),
+        (Cause.DAEMON_ENDS, _NEVER, "start it again: robotctl start"),
+    )
 )
 """What the kernel is told, and cannot know by itself."""
 
@@ -171,21 +185,7 @@ RULES: tuple[Rule, ...] = (
         _battery_before_clear,
         "charge the battery",
     ),
-    *(
-        _rule(cause, Mode.ERROR, _ALWAYS, _reported(cause), cure)
-        for cause, cure in (
-            (Cause.TASK_DIED, "see robotctl logs, then restart: robotctl stop, robotctl start"),
-            (Cause.LOOP_STALLED, "see robotctl logs for what held the process up"),
-            (Cause.RECORDER_FAILED, "free disk space, then restart: robotctl stop, robotctl start"),
-        )
-    ),
-    _rule(
-        Cause.DAEMON_ENDS,
-        Mode.ERROR,
-        _NEVER,
-        _reported(Cause.DAEMON_ENDS),
-        "start it again: robotctl start",
-    ),
+    *_REPORTED,
     _rule(
         Cause.TICK_OVERRUN,
         Mode.ERROR,
@@ -256,7 +256,7 @@ _RULES_IN: tuple[tuple[Rule, ...], ...] = tuple(
     tuple(rule for rule in RULES if mode in rule.raised_in) for mode in Mode
 )
 _MEASURED_IN: tuple[tuple[Rule, ...], ...] = tuple(
-    tuple(rule for rule in rules if rule.cause not in _REPORTED) for rules in _RULES_IN
+    tuple(rule for rule in rules if rule not in _REPORTED) for rules in _RULES_IN
 )
 """Those that can be present while nothing is reported: this is asked at each step."""
 
