@@ -33,23 +33,23 @@ class ChunkEncoder:
         crc = 0
         for part in taken.parts:
             crc = crc32(part, crc)
+        size = sum(map(len, taken.parts))
         return Chunk(
-            parts=self._stored(taken.parts),
+            parts=self._stored(taken.parts, size),
             compression=self._compression.value,
-            uncompressed_size=sum(map(len, taken.parts)),
+            uncompressed_size=size,
             uncompressed_crc=crc,
             start_ns=taken.start_ns,
             end_ns=taken.end_ns,
             indexes=taken.indexes,
         )
 
-    def _stored(self, parts: Sequence[Buffer]) -> Sequence[Buffer]:
+    def _stored(self, parts: Sequence[Buffer], size: int) -> Sequence[Buffer]:
         if self._compression is Compression.NONE:
             return parts
-        size = sum(map(len, parts))
-        if len(parts) > 2 or size <= JOINED_BYTES:
-            parts = [b"".join(parts) if len(parts) > 1 else parts[0]]
         if len(parts) == 1:
             return [self._compressor.compress(parts[0])]
+        if len(parts) > 2 or size <= JOINED_BYTES:
+            return [self._compressor.compress(b"".join(parts))]
         stream = self._compressor.compressobj(size=size)
         return [*(stream.compress(part) for part in parts), stream.flush()]
