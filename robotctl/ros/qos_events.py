@@ -11,8 +11,6 @@ from robotctl.ros.rcl import Signal
 from robotctl.ros.runtime import Runtime
 from robotctl.ros.sources import EventFdSource
 
-_COUNTS = ("total_count", "current_count", "alive_count", "not_alive_count")
-
 
 class QosEventSource(EventFdSource):
     """A QoS event of a publisher or a subscription.
@@ -23,7 +21,7 @@ class QosEventSource(EventFdSource):
     """
 
     signals = (Signal.QOS_EVENT,)
-    # rcl announces what happened before the attachment, and taking twice would invent an event.
+    # `attach` sees to what was before: to take a status once more would invent an event.
     drains_first = False
 
     def __init__(self, runtime: Runtime, handler: EventHandler, where: str) -> None:
@@ -35,13 +33,12 @@ class QosEventSource(EventFdSource):
     def attach(self) -> None:
         # Until the callback is set the middleware knows what has changed since it was told last.
         with self.handle:
-            status = self.handle.take_event()
-        counts = _counts(status)
+            fields = _fields(self.handle.take_event())
         self._told = {
-            name: count - getattr(status, f"{name}_change") for name, count in counts.items()
+            name: count - fields[f"{name}_change"] for name, count in _counts(fields).items()
         }
         super().attach()
-        if self._told != counts:
+        if any(value for name, value in fields.items() if name.endswith("_change")):
             self.resume()
 
     def drain(self) -> bool:
@@ -51,16 +48,21 @@ class QosEventSource(EventFdSource):
 
     def _tell(self) -> Any:
         status = self.handle.take_event()
-        counts = _counts(status)
+        fields = _fields(status)
+        counts = _counts(fields)
         changes = {f"{name}_change": count - self._told[name] for name, count in counts.items()}
         self._told = counts
         if "total_count" in counts and not any(changes.values()):
             return None  # Announced after the last status was taken with it.
-        if any(getattr(status, name) != change for name, change in changes.items()):
-            fields = {name: getattr(status, name) for name in dir(status) if name[0] != "_"}
+        if not changes.items() <= fields.items():
             status = SimpleNamespace(**fields | changes)
         return self.entity.callback(status)
 
 
-def _counts(status: Any) -> dict[str, int]:
-    return {name: getattr(status, name) for name in _COUNTS if hasattr(status, name)}
+def _fields(status: Any) -> dict[str, Any]:
+    return {name: getattr(status, name) for name in dir(status) if name[0] != "_"}
+
+
+def _counts(fields: dict[str, Any]) -> dict[str, int]:
+    """What a change is told of; of an incompatible type rclpy tells the change alone."""
+    return {name: count for name, count in fields.items() if f"{name}_change" in fields}
