@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import ExitStack
 
 from robotctl.cli.options import ConfigFile, DomainId, Robot, new_app
 from robotctl.paths import DEFAULT_ROBOT, check_robot_name, namespace_of
@@ -32,7 +33,6 @@ def sim(
     if note:
         print(f"note: {note}", file=sys.stderr)
     import asyncio
-    from contextlib import ExitStack
 
     from robotctl.config import Config, load
     from robotctl.daemon.options import resolve_domain_id
