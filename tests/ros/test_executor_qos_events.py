@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import Awaitable, Callable
 from typing import Any
 
@@ -15,7 +14,7 @@ from rclpy.qos import QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import UInt64
 
 from robotctl.ros import AsyncioExecutor
-from robotctl.testing.waiting import DEADLINE_S
+from robotctl.testing.waiting import until as wait_until
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 Peer = Callable[..., Awaitable[Any]]
@@ -26,10 +25,13 @@ def reliable(depth: int) -> QoSProfile:
     return QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE)
 
 
-def spin_until(executor: SingleThreadedExecutor, condition: Callable[[], object]) -> None:
-    deadline = time.monotonic() + DEADLINE_S
-    while not condition() and time.monotonic() < deadline:
-        executor.spin_once(timeout_sec=0.01)
+async def meet_incompatible(
+    node: Node, peer: Peer, topic: str, callback: Callable[[Any], object]
+) -> None:
+    """Want reliably what the other process then offers as best effort."""
+    callbacks = SubscriptionEventCallbacks(incompatible_qos=callback)
+    node.create_subscription(UInt64, topic, lambda _: None, reliable(10), event_callbacks=callbacks)
+    await peer("offer", topic=topic, reliable=False)
 
 
 async def test_matched_events_come_when_the_other_side_appears_and_goes(
@@ -66,11 +68,7 @@ async def test_incompatible_qos_is_told(
     executor: AsyncioExecutor, node: Node, peer: Peer, topic: str, until: Until
 ) -> None:
     seen: list[int] = []
-    callbacks = SubscriptionEventCallbacks(
-        incompatible_qos=lambda event: seen.append(event.total_count_change)
-    )
-    node.create_subscription(UInt64, topic, lambda _: None, reliable(10), event_callbacks=callbacks)
-    await peer("offer", topic=topic, reliable=False)
+    await meet_incompatible(node, peer, topic, lambda event: seen.append(event.total_count_change))
     await until(lambda: seen == [1])
 
 
@@ -78,9 +76,7 @@ async def test_an_incompatible_offer_from_before_the_node_was_added_counts_as_on
     context: Any, node: Node, peer: Peer, topic: str, until: Until
 ) -> None:
     seen: list[Any] = []
-    callbacks = SubscriptionEventCallbacks(incompatible_qos=seen.append)
-    node.create_subscription(UInt64, topic, lambda _: None, reliable(10), event_callbacks=callbacks)
-    await peer("offer", topic=topic, reliable=False)
+    await meet_incompatible(node, peer, topic, seen.append)
     await until(lambda: node.count_publishers(topic))
     async with AsyncioExecutor(context) as executor:
         executor.add_node(node)
@@ -103,7 +99,7 @@ async def test_what_an_executor_of_rclpy_has_told_is_not_told_again(
     await peer("listen", topic=topic)
     theirs = SingleThreadedExecutor(context=context)
     theirs.add_node(node)
-    await asyncio.to_thread(lambda: spin_until(theirs, lambda: seen))
+    await asyncio.to_thread(wait_until, lambda: theirs.spin_once(timeout_sec=0.01) or seen)
     theirs.remove_node(node)
     theirs.shutdown()
     assert seen == [(1, 1, 1)]
@@ -125,16 +121,16 @@ async def test_an_event_announced_after_it_was_taken_is_not_told_again(
     executor: AsyncioExecutor, node: Node, peer: Peer, topic: str, until: Until
 ) -> None:
     seen: list[int] = []
-    callbacks = SubscriptionEventCallbacks(
-        incompatible_qos=lambda event: seen.append(event.total_count_change)
-    )
-    node.create_subscription(UInt64, topic, lambda _: None, reliable(10), event_callbacks=callbacks)
-    await peer("offer", topic=topic, reliable=False)
+
+    def tell(event: Any) -> None:
+        seen.append(event.total_count_change)
+
+    await meet_incompatible(node, peer, topic, tell)
     await until(lambda: seen == [1])
     (announced,) = (
         source
         for source in executor._attachments.sources.values()
-        if source.entity.callback is callbacks.incompatible_qos
+        if source.entity.callback is tell
     )
     announced.resume()
     reference: list[int] = []
