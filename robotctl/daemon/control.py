@@ -9,7 +9,8 @@ from dataclasses import replace
 
 from robotctl.daemon.journal import Journal
 from robotctl.daemon.requests import Requests
-from robotctl.kernel.kernel import Kernel, State
+from robotctl.kernel.kernel import Kernel
+from robotctl.kernel.state import State
 from robotctl.kernel.types import (
     DriveEnded,
     DriveRequested,

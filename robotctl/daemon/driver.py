@@ -31,8 +31,9 @@ from robotctl.daemon.watchdog import Watchdog
 from robotctl.errors import RobotctlError
 from robotctl.ipc.connection import Method
 from robotctl.ipc.server import ControlServer
-from robotctl.kernel.kernel import Kernel, State, latched
+from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
+from robotctl.kernel.state import State, latched
 from robotctl.kernel.types import ZERO, DriveRequested, Tick
 from robotctl.paths import latch_path
 from robotctl.ros import qos

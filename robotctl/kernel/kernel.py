@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import assert_never
 
 from robotctl.kernel.drive import MAX_LAPS, Drive, Progress
+from robotctl.kernel.health import Health
 from robotctl.kernel.limits import allowed, limit, within
 from robotctl.kernel.modes import REQUESTS, TRANSITIONS, Guard, Mode, Trigger
 from robotctl.kernel.odometry import is_finite, is_repeated, odometry_fault
@@ -13,16 +14,16 @@ from robotctl.kernel.params import KernelParams
 from robotctl.kernel.patterns import Pattern
 from robotctl.kernel.safety import (
     FAULT_TRIGGERS,
-    NS_PER_S,
     RULE_OF,
     Finding,
-    Health,
     failed_start_condition,
     raised,
     uncleared,
 )
+from robotctl.kernel.state import State
 from robotctl.kernel.tracking import track
 from robotctl.kernel.types import (
+    NS_PER_S,
     ZERO,
     BatteryReceived,
     Cause,
@@ -43,7 +44,6 @@ from robotctl.kernel.types import (
     Reply,
     ResetRequested,
     Tick,
-    Twist,
 )
 
 MAX_WAITING = 64
@@ -57,31 +57,6 @@ _OPERATOR_CAUSES = {
 }
 
 VALID_MODES = ", ".join(f"{mode.value} {mode.name}" for mode in Mode)
-
-
-@dataclass(frozen=True, slots=True)
-class State:
-    """All that the kernel remembers; with KernelParams it decides every later effect.
-
-    `cause` is why the mode is ERROR or EMERGENCY_STOP; `waiting` are the requests for IDLE that
-    are answered when the ramp has ended.
-    """
-
-    mode: Mode = Mode.IDLE
-    phase: Phase = Phase.STANDING
-    reason: str = "started"
-    cause: Cause | None = None
-    command: Twist = ZERO
-    tick_t_ns: int | None = None
-    health: Health = field(default_factory=Health)
-    drive: Drive | None = None
-    stop_reason: str = ""
-    waiting: tuple[int, ...] = ()
-
-
-def latched(reason: str) -> State:
-    """Return the state to start in when an earlier emergency stop was never released."""
-    return State(mode=Mode.EMERGENCY_STOP, reason=reason, cause=Cause.OPERATOR_STOP)
 
 
 class Kernel:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from math import isfinite
 
 from robotctl.kernel.geometry import wrap_angle
+from robotctl.kernel.health import Health
 from robotctl.kernel.params import OdometryParams
-from robotctl.kernel.safety import Health
 from robotctl.kernel.types import Odometry
 
 

@@ -12,34 +12,13 @@ from math import inf
 from types import MappingProxyType
 from typing import TypeGuard
 
+from robotctl.kernel.health import Health
 from robotctl.kernel.modes import Mode, Trigger
 from robotctl.kernel.params import KernelParams
-from robotctl.kernel.types import Cause, Odometry
-
-NS_PER_S = 1_000_000_000
+from robotctl.kernel.types import NS_PER_S, Cause
 
 FULLEST_LEVEL = 1.05
 """Gauges overshoot; a level above this one is a gauge that counts in percent, or broken."""
-
-
-@dataclass(frozen=True, slots=True)
-class Health:
-    """What the kernel knows of everything that motion depends on; "" and () mean healthy.
-
-    `odometry` is the last sample that could be true and `odometry_t_ns` when it came;
-    `odometry_stamp_ns` and `odometry_fault` are of the last sample of all.
-    """
-
-    odometry: Odometry | None = None
-    odometry_t_ns: int = 0
-    odometry_stamp_ns: int = 0
-    odometry_fault: str = ""
-    battery_level: float | None = None
-    battery_t_ns: int = 0
-    foreign_publishers: tuple[str, ...] = ()
-    reported: tuple[tuple[Cause, str], ...] = ()
-    path_error_m: float = 0.0
-    tick_gap_s: float = 0.0
 
 
 def _age_s(then_ns: int, t_ns: int) -> float:

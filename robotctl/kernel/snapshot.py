@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from robotctl.kernel.kernel import Kernel, State
+from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.params import KernelParams
+from robotctl.kernel.state import State
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 from robotctl.kernel.kernel import Kernel
-from robotctl.kernel.safety import NS_PER_S
 from robotctl.kernel.types import (
+    NS_PER_S,
     BatteryReceived,
     Effect,
     Event,

@@ -8,9 +8,10 @@ from enum import StrEnum
 from pathlib import Path
 
 from robotctl.errors import Refused, UnreadableFile
-from robotctl.kernel.kernel import Kernel, State
+from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
+from robotctl.kernel.state import State
 from robotctl.kernel.types import Effect, Event, ModeChanged, ModeRequested, Phase, Reply
 from robotctl.recording.file_index import note_missing
 from robotctl.recording.journal import JournalEntry, decode

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams, VelocityLimits
-from robotctl.kernel.safety import NS_PER_S
 from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.types import (
+    NS_PER_S,
     ZERO,
     CommandPublishersSeen,
     DriveRequested,

@@ -8,8 +8,9 @@ from typing import Any, NamedTuple
 
 from robotctl.errors import UnreadableFile
 from robotctl.kernel.codec import to_json
-from robotctl.kernel.kernel import Kernel, State
+from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.snapshot import Snapshot
+from robotctl.kernel.state import State
 from robotctl.kernel.types import Effect, Event
 from robotctl.recording.journal import JournalEntry
 from robotctl.replay.comparison import DECISIONS, Comparison

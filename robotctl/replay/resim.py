@@ -13,10 +13,11 @@ from typing import Any
 
 from robotctl.config import Config, flat
 from robotctl.errors import UnreadableFile
-from robotctl.kernel.kernel import Kernel, State
-from robotctl.kernel.safety import NS_PER_S
+from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.snapshot import Snapshot
+from robotctl.kernel.state import State
 from robotctl.kernel.types import (
+    NS_PER_S,
     DriveEnded,
     DriveReport,
     DriveRequested,

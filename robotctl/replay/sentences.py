@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.safety import NS_PER_S
 from robotctl.kernel.types import (
+    NS_PER_S,
     BatteryReceived,
     CommandPublishersSeen,
     DriveRequested,

@@ -16,9 +16,8 @@ from robotctl.config import Config, flat
 from robotctl.errors import UnreadableFile
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.safety import NS_PER_S
 from robotctl.kernel.snapshot import Snapshot
-from robotctl.kernel.types import Effect, Event, Reply, Tick
+from robotctl.kernel.types import NS_PER_S, Effect, Event, Reply, Tick
 from robotctl.recording.file_index import note_missing
 from robotctl.recording.journal_reader import read_journal
 from robotctl.recording.reader import Recording

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from robotctl.config import Config, flat
-from robotctl.kernel.kernel import State
 from robotctl.kernel.modes import REQUESTS, TRANSITIONS, Guard, Mode, Trigger
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.safety import RULE_OF, Rule, failed_start_condition, uncleared
+from robotctl.kernel.state import State
 from robotctl.kernel.types import (
     Cause,
     DriveEnded,

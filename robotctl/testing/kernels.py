@@ -6,10 +6,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from robotctl.kernel.geometry import ORIGIN, Pose
-from robotctl.kernel.kernel import Kernel, State
+from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.patterns import Pattern
+from robotctl.kernel.state import State
 from robotctl.kernel.types import (
     ZERO,
     BatteryReceived,

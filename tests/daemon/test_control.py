@@ -12,9 +12,10 @@ from robotctl.daemon.control import Control
 from robotctl.daemon.ending import stand_still
 from robotctl.daemon.journal import Journal
 from robotctl.daemon.requests import Requests
-from robotctl.kernel.kernel import Kernel, State
+from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
+from robotctl.kernel.state import State
 from robotctl.kernel.types import (
     ZERO,
     Effect,

@@ -11,9 +11,9 @@ import pytest
 from robotctl.daemon.driving import DrivingMethods
 from robotctl.errors import Refused
 from robotctl.ipc.params import DriveParams
-from robotctl.kernel.kernel import State
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
+from robotctl.kernel.state import State
 from robotctl.kernel.types import DriveEnded, DriveReport, Reply
 
 ENDED = DriveEnded(1, True, "drive finished: 1 lap", DriveReport(1, 4.0, 0.01, 0.02, 0.005))

@@ -13,10 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robotctl.kernel.codec import from_json, to_json
-from robotctl.kernel.kernel import Kernel, State
+from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.snapshot import Snapshot
+from robotctl.kernel.state import State
 from robotctl.kernel.types import (
     BatteryReceived,
     DriveEnded,

@@ -11,11 +11,12 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from robotctl.kernel.codec import from_json, to_json
-from robotctl.kernel.kernel import Kernel, State, latched
+from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams, VelocityLimits
 from robotctl.kernel.patterns import Pattern
 from robotctl.kernel.snapshot import Snapshot
+from robotctl.kernel.state import State, latched
 from robotctl.kernel.types import (
     ZERO,
     DriveEnded,

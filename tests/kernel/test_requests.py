@@ -8,10 +8,11 @@ from math import inf, nan
 import pytest
 
 from robotctl.kernel.drive import MAX_LAPS, Progress
-from robotctl.kernel.kernel import MAX_WAITING, Kernel, latched
+from robotctl.kernel.kernel import MAX_WAITING, Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.patterns import Pattern, PatternKind
+from robotctl.kernel.state import latched
 from robotctl.kernel.types import (
     ZERO,
     Cause,

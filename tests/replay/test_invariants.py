@@ -7,10 +7,10 @@ from math import inf, nan
 
 import pytest
 
-from robotctl.kernel.kernel import State
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.snapshot import Snapshot
+from robotctl.kernel.state import State
 from robotctl.kernel.types import (
     ZERO,
     BatteryReceived,
