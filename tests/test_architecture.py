@@ -30,7 +30,7 @@ ALLOWED: dict[str, set[str]] = {
 """What each package may import of robotctl beside itself; `testing` may import all."""
 
 ROS_MODULES = {"rclpy", "ament_index_python", "rosidl_runtime_py", "robot_controller"}
-MESSAGE_SUFFIXES = ("_msgs", "_interfaces")
+MESSAGE_SUFFIXES = ("_msgs", "_interfaces", "_srvs")
 PROTOCOL_MAY = {"errors", "paths", "ipc.protocol", "ipc.peer"}
 
 

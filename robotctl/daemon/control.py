@@ -21,6 +21,8 @@ from robotctl.kernel.types import (
     ResetRequested,
 )
 
+Request = ModeRequested | ResetRequested | DriveRequested
+
 SNAPSHOT_PERIOD_NS = 10 * 10**9
 """So much of the journal, at most, must be decided again to know the state at some moment."""
 
@@ -77,14 +79,19 @@ class Control:
         """Return a number for one request."""
         return self._requests.new_id()
 
-    async def request(self, event: ModeRequested | ResetRequested | DriveRequested) -> Reply:
-        """Dispatch a request and return its reply, once what it confirms has happened."""
+    def begin(self, event: Request) -> asyncio.Future[Reply]:
+        """Dispatch a request now; its reply comes once what it confirms has happened."""
         reply = self._requests.expect_reply(event.request_id)
         try:
             self.dispatch(event)
-            return await reply
-        finally:
+        except BaseException:
             reply.cancel()
+            raise
+        return reply
+
+    async def request(self, event: Request) -> Reply:
+        """Dispatch a request and return its reply."""
+        return await self.begin(event)
 
     def expect_end(self, request_id: int) -> asyncio.Future[DriveEnded]:
         """Return a future of the end of the drive that `request_id` is about to begin."""

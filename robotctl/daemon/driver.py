@@ -39,7 +39,7 @@ from robotctl.paths import latch_path
 from robotctl.ros import qos
 from robotctl.ros.battery_subscriber import BatterySubscriber
 from robotctl.ros.journal_publisher import JournalPublisher
-from robotctl.ros.mode_service import ModeService, Shown
+from robotctl.ros.mode_service import EVENTS_OF_SERVICES, ModeService, Shown
 from robotctl.ros.odom_subscriber import OdomSubscriber
 from robotctl.ros.simulated_robot import SimulatedRobot
 from robotctl.ros.ticker import Ticker
@@ -77,8 +77,8 @@ class Driver:
         tap = self.recorder.tap
         tap.subscribe_own(params.command.topic, "geometry_msgs/msg/Twist", qos.COMMAND)
         tap.subscribe_own("robot_status", "robot_controller/msg/RobotStatus", qos.LATCHED)
-        calls = "robot_controller/srv/SetMode_Event"
-        tap.subscribe_own("set_mode/_service_event", calls, qos.SERVICE_EVENTS)
+        for service, calls in EVENTS_OF_SERVICES.items():
+            tap.subscribe_own(f"{service}/_service_event", calls, qos.SERVICE_EVENTS)
         self._velocity = VelocityPublisher(session, params.command.topic)
         requests = Requests()
         self._control = Control(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 
 from robotctl.daemon.control import Control
@@ -37,10 +38,10 @@ class Inputs:
         """The robot measured its battery."""
         self._control.dispatch(BatteryReceived(time.monotonic_ns(), level))
 
-    async def service_call(self, requested: int, source: str) -> Reply:
-        """Somebody on ROS asks for a mode."""
+    def service_call(self, requested: int, source: str) -> asyncio.Future[Reply]:
+        """Let the kernel decide now on a mode that a ROS node asks for; return its reply to be."""
         request_id = self._control.new_request_id()
-        return await self._control.request(
+        return self._control.begin(
             ModeRequested(time.monotonic_ns(), request_id, requested, source)
         )
 

@@ -32,6 +32,10 @@ DIAGNOSTICS = QoSProfile(depth=10)
 SERVICE_EVENTS = QoSProfile(depth=100)
 """Reliable, as a record of who asked for what should be; a call is two events."""
 
+REQUESTS = QoSProfile(depth=1_500)
+"""Of a service that loses no request: so many wait to be taken, and as many answers to be received,
+before one overwrites another. rclpy's default is 10."""
+
 RECORDING_DEPTH = 1_500
 """RELIABLE with a shallow queue still drops (rmw_fastrtps). Of a deep one Fast DDS 2.14 searches at
 each message all that wait (`History::get_change_nts`), and may never catch up: of 45,000 messages a

@@ -6,6 +6,7 @@ from __future__ import annotations
 import threading
 import time
 from array import array
+from contextlib import suppress
 from typing import Any
 
 import rclpy
@@ -19,11 +20,13 @@ from robot_controller.msg import RobotStatus
 from robot_controller.srv import SetMode
 from sensor_msgs.msg import BatteryState
 from std_msgs.msg import String, UInt8MultiArray
+from std_srvs.srv import Trigger
 
 from robotctl.testing.lines import obey
 from robotctl.testing.waiting import DEADLINE_S, until
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+REQUESTS = QoSProfile(depth=1_500)
 DEEP = QoSProfile(depth=10_000)
 BEST_EFFORT = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.BEST_EFFORT)
 
@@ -37,6 +40,8 @@ class Peer:
         self.speed = 0.0
         self.stop = threading.Event()
         self.robot: threading.Thread | None = None
+        self._clients: dict[str, Any] = {}
+        self._asked: list[Any] = []
 
     def listen(self, namespace: str = "") -> None:
         """Keep what the daemon publishes: sequence number and content."""
@@ -80,6 +85,45 @@ class Peer:
             "success": answer.success,
             "message": answer.message,
             "current_mode": answer.current_mode,
+        }
+
+    def ask(self, service: str, mode: int = 0, namespace: str = "") -> int:
+        """Begin a call of `set_mode` or `estop`; returns its number, for `answer`."""
+        client = self._clients.get(service)
+        if client is None:
+            kind = {"set_mode": SetMode, "estop": Trigger}[service]
+            client = self.node.create_client(kind, f"{namespace}/{service}", qos_profile=REQUESTS)
+            assert client.wait_for_service(DEADLINE_S), "no such service"
+            self._clients[service] = client
+        request = SetMode.Request(requested_mode=mode) if service == "set_mode" else None
+        self._asked.append(client.call_async(request or Trigger.Request()))
+        return len(self._asked) - 1
+
+    def answer(self, number: int) -> dict[str, Any]:
+        """Wait for the answer to a call."""
+        until(self._asked[number].done)
+        answer = self._asked[number].result()
+        return {name: getattr(answer, name) for name in answer.get_fields_and_field_types()}
+
+    def flood(self, count: int, in_flight: int) -> dict[str, int]:
+        """Make so many calls of every kind, so many at a time; returns what came of them."""
+        kinds = [("set_mode", mode) for mode in (0, 1, 2, 3, 7)] + [("estop", 0)]
+        stops: list[Any] = []
+        others: list[Any] = []
+        for number in range(count):
+            kind = kinds[number % len(kinds)]
+            future = self._asked[self.ask(*kind)]
+            (stops if kind in (("set_mode", 3), ("estop", 0)) else others).append(future)
+            if number % in_flight == in_flight - 1:
+                with suppress(AssertionError):
+                    until(lambda: all(each.done() for each in stops + others))
+        with suppress(AssertionError):
+            until(lambda: all(each.done() for each in stops + others))
+        return {
+            "sent": len(stops) + len(others),
+            "answered": sum(each.done() for each in stops + others),
+            "stops": len(stops),
+            "obeyed": sum(each.done() and each.result().success for each in stops),
         }
 
     def late_status(self, namespace: str = "") -> list[Any]:

@@ -13,7 +13,7 @@ import pytest
 
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import Odometry, Reply, Twist
-from robotctl.ros import qos
+from robotctl.ros import mode_service, qos
 from robotctl.ros.battery_subscriber import BatterySubscriber
 from robotctl.ros.mode_service import ModeService, Shown
 from robotctl.ros.odom_subscriber import OdomSubscriber
@@ -152,15 +152,19 @@ async def test_a_battery_level_outside_0_to_1_is_unknown(
 # The mode
 
 
+def replied(reply: Reply) -> asyncio.Future[Reply]:
+    """A request that is answered at once."""
+    future: asyncio.Future[Reply] = asyncio.get_running_loop().create_future()
+    future.set_result(reply)
+    return future
+
+
 async def test_the_status_is_shown_to_whoever_comes_late(
     session: Session, executor: Any, node: Any, until: Until
 ) -> None:
     from robot_controller.msg import RobotStatus
 
-    async def never(requested: int, source: str) -> Reply:
-        raise NotImplementedError
-
-    service = ModeService(session, "r2", never)
+    service = ModeService(session, "r2", lambda requested, source: asyncio.Future())
     service.publish(Shown(Mode.ERROR, math.nan, False))
     service.publish(Shown(Mode.MOVING, 0.75, True))
     shown: list[Any] = []
@@ -179,10 +183,9 @@ async def test_a_call_is_answered_with_what_was_decided(
 
     asked: list[tuple[int, str]] = []
 
-    async def refuse(requested: int, source: str) -> Reply:
+    def refuse(requested: int, source: str) -> asyncio.Future[Reply]:
         asked.append((requested, source))
-        await asyncio.sleep(0)
-        return Reply(1, False, "because", Mode.EMERGENCY_STOP)
+        return replied(Reply(1, False, "because", Mode.EMERGENCY_STOP))
 
     ModeService(session, "r2", refuse)
     client = node.create_client(SetMode, "/r2/set_mode")
@@ -190,6 +193,65 @@ async def test_a_call_is_answered_with_what_was_decided(
     answer = await executor.call(client, SetMode.Request(requested_mode=200), timeout_s=20.0)
     assert (answer.success, answer.message, answer.current_mode) == (False, "because", 3)
     assert asked == [(200, "the ROS service /r2/set_mode")]
+
+
+async def test_a_call_of_estop_asks_for_an_emergency_stop(
+    session: Session, executor: Any, node: Any
+) -> None:
+    from std_srvs.srv import Trigger
+
+    asked: list[tuple[int, str]] = []
+
+    def stop(requested: int, source: str) -> asyncio.Future[Reply]:
+        asked.append((requested, source))
+        return replied(Reply(1, True, "stopped", Mode.EMERGENCY_STOP))
+
+    ModeService(session, "r2", stop)
+    client = node.create_client(Trigger, "/r2/estop")
+    await executor.wait_for_service(client, timeout_s=20.0)
+    answer = await executor.call(client, Trigger.Request(), timeout_s=20.0)
+    assert (answer.success, answer.message) == (True, "stopped")
+    assert asked == [(3, "the ROS service /r2/estop")]
+
+
+async def test_requests_beyond_the_limit_are_refused_as_busy_and_stops_are_not(
+    session: Session, executor: Any, node: Any, until: Until, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from robot_controller.srv import SetMode
+    from std_srvs.srv import Trigger
+
+    monkeypatch.setattr(mode_service, "MAX_IN_WORK", 3)
+    pending: list[asyncio.Future[Reply]] = []
+
+    def wait(requested: int, source: str) -> asyncio.Future[Reply]:
+        pending.append(asyncio.get_running_loop().create_future())
+        return pending[-1] if requested != 3 else replied(Reply(1, True, "", Mode.EMERGENCY_STOP))
+
+    service = ModeService(session, "r2", wait)
+    service.publish(Shown(Mode.MOVING, 1.0, True))
+    set_mode = node.create_client(SetMode, "/r2/set_mode")
+    estop = node.create_client(Trigger, "/r2/estop")
+    for client in (set_mode, estop):
+        await executor.wait_for_service(client, timeout_s=20.0)
+
+    def ask(mode: int) -> asyncio.Task[Any]:
+        request = SetMode.Request(requested_mode=mode)
+        return asyncio.create_task(executor.call(set_mode, request, timeout_s=20.0))
+
+    waiting = [ask(0) for _ in range(3)]
+    await asyncio.sleep(0)  # until the calls are made
+    refused = await ask(0)
+    assert (refused.success, refused.current_mode) == (False, 1)
+    assert refused.message == "busy: 3 requests wait for their answer; ask again"
+    assert (await ask(3)).success
+    assert (await executor.call(estop, Trigger.Request(), timeout_s=20.0)).success
+    for future in pending[:3]:
+        future.set_result(Reply(1, True, "done", Mode.IDLE))
+    assert [(await call).message for call in waiting] == ["done"] * 3
+    again = ask(0)
+    await until(lambda: len(pending) == 6)
+    pending[-1].set_result(Reply(1, True, "taken again", Mode.IDLE))
+    assert (await again).message == "taken again"
 
 
 async def test_the_roles_are_the_nodes_that_are_promised(session: Session, node: Any) -> None:
