@@ -5,12 +5,12 @@ from __future__ import annotations
 import os
 from typing import Any
 
-from robotctl.cli.process import readable_within, watched
 from robotctl.cli.screen import status_screen
 from robotctl.cli.text import json_text, printable
 from robotctl.errors import RobotctlError, UsageError
 from robotctl.ipc.client import Client, call, command_for
 from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
+from robotctl.processes import readable_within, watched
 
 MODES = {"idle": 0, "moving": 1, "error": 2, "emergency-stop": EMERGENCY_STOP_MODE}
 

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import json
-import os
 import select
-import subprocess
-import sys
 from collections.abc import Callable
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field
@@ -15,12 +11,11 @@ from typing import Any
 from robotctl.cli.keyboard import Keyboard
 from robotctl.cli.replay_screen import Screen
 from robotctl.errors import RobotctlError, error_for_exit_code
+from robotctl.processes import Child, program, start
 from robotctl.replay.controls import Command
 from robotctl.replay.job import Job
-from robotctl.replay.lines import Lines
 
-PLAYER = (sys.executable, "-P", "-m", "robotctl.replay")
-"""-P: what lies in the working directory is not imported in place of a library."""
+PLAYER = program("robotctl.replay")
 
 END_DEADLINE_S = 15.0
 """For the player to take its publishers off the graph and leave."""
@@ -55,19 +50,12 @@ def play(
 
     The screen is opened while that process starts.
     """
-    process = subprocess.Popen(
-        PLAYER,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        process_group=0,  # a Ctrl-C is ours to pass on: it may come while Python starts there
-    )
-    assert process.stdin is not None
-    assert process.stdout is not None
+    child = start(PLAYER, obeys=True)
     try:
-        with suppress(BrokenPipeError):  # it has ended, and says so on stdout
-            os.write(process.stdin.fileno(), f"{job.to_json()}\n".encode())
+        with suppress(BrokenPipeError):  # it has ended, which is seen below
+            child.tell(f"{job.to_json()}\n".encode())
         with open_screen() as screen:
-            player = _Player(process, outcome, screen)
+            player = _Player(child, outcome, screen)
             with Keyboard(player.suspend, player.resume) as keyboard:
                 while not outcome.ended:
                     try:
@@ -76,18 +64,12 @@ def play(
                         if outcome.interrupted:
                             raise
                         outcome.interrupted = True
-                        process.stdin.close()
+                        child.hang_up()
     finally:
-        process.stdin.close()
-        process.stdout.close()
-        try:
-            process.wait(END_DEADLINE_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+        exit_code = child.close(END_DEADLINE_S)
     if not (outcome.summary or outcome.error or outcome.interrupted):
         raise RobotctlError(
-            f"the player ended with {process.returncode} before the replay did "
+            f"the player ended with {exit_code} before the replay did "
             "(see why with: robotctl --debug replay ...)"
         )
 
@@ -95,26 +77,25 @@ def play(
 class _Player:
     """The other process, as seen from here."""
 
-    def __init__(self, process: subprocess.Popen[bytes], outcome: Outcome, screen: Screen) -> None:
-        assert process.stdin is not None
-        assert process.stdout is not None
-        self._stdin, self._stdout = process.stdin, process.stdout
+    def __init__(self, child: Child, outcome: Outcome, screen: Screen) -> None:
+        self._child = child
         self._outcome = outcome
         self._screen = screen
-        self._lines = Lines()
         self._paused = False
         self._resumes = False
 
     def attend(self, keyboard: Keyboard) -> None:
         """Wait for what is said or pressed next, and see to it."""
-        patience_s = END_DEADLINE_S if self._stdin.closed else None
-        ready, _, _ = select.select([self._stdout.fileno(), *keyboard.sources], [], [], patience_s)
+        child = self._child
+        patience_s = None if child.obeys else END_DEADLINE_S
+        ready, _, _ = select.select([child.fileno(), *keyboard.sources], [], [], patience_s)
         self._outcome.ended = not ready
-        if self._stdout.fileno() in ready:
-            piece = os.read(self._stdout.fileno(), 1 << 16)
-            self._outcome.ended = not piece
-            for line in self._lines.feed(piece):
-                self._hear(json.loads(line))
+        if child.fileno() in ready:
+            try:
+                for said in child.hear():
+                    self._hear(said)
+            except EOFError:
+                self._outcome.ended = True
         if not set(ready).isdisjoint(keyboard.sources):
             for key in keyboard.read():
                 self._press(key)
@@ -141,11 +122,10 @@ class _Player:
 
     def _press(self, key: str) -> None:
         if key == QUIT:
-            self._stdin.close()
+            self._child.hang_up()
         elif key in KEYS:
             self._send(KEYS[key])
 
     def _send(self, command: Command) -> None:
-        if not self._stdin.closed:
-            with suppress(BrokenPipeError):  # it has ended, and says so on stdout
-                os.write(self._stdin.fileno(), command.line())
+        with suppress(BrokenPipeError):  # it has ended, which `attend` sees
+            self._child.tell(command.line())

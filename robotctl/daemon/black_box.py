@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import logging
-import subprocess
-import sys
 import time
 from collections import deque
 from pathlib import Path
+from typing import Any
 
 from robotctl.config import RecordingParams
+from robotctl.processes import program, start
 from robotctl.recording.clip import Moment
 from robotctl.recording.clip_job import PATIENCE_S, ClipJob
 from robotctl.recording.events import EventKind, RecordedEvent
 
 _log = logging.getLogger(__name__)
 
-CUTTER = (sys.executable, "-P", "-m", "robotctl.recording")
-"""-P: what lies in the working directory is not imported in place of a library."""
+CUTTER = program("robotctl.recording")
 
 CLIPPED = (EventKind.EMERGENCY_STOP, EventKind.ERROR)
 
@@ -89,26 +87,30 @@ class BlackBox:
 
 
 def _cut(job: ClipJob, deadline_s: float) -> None:
-    """Let a process do it; what comes of it, good or bad, stands in the log."""
+    """Let a process do it; the log says what came of it, and holds what the process wrote."""
     what = "event" if job.moment.kind is None else job.moment.kind.value
     try:
-        ran = subprocess.run(
-            [*CUTTER, job.to_json()],
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            timeout=deadline_s + PATIENCE_S,
-            process_group=0,  # a Ctrl-C in the daemon's terminal is the daemon's
-            check=False,
-        )
-        said = json.loads(ran.stdout or "{}")
-    except (OSError, ValueError, subprocess.SubprocessError) as error:
-        _log.warning("no clip was cut of the %s: %s", what, error)
-        return
+        said = _result(job, deadline_s + PATIENCE_S)
+    except OSError as error:  # no process, no descriptor
+        said = {"error": str(error)}
     if "target" in said:
         _log.info("clip of the %s: %s", what, said["target"])
         for sentence in said["lost"]:
             _log.warning("it lacks something: %s", sentence)
     else:
-        reason = said.get("error") or (ran.stderr.splitlines() or ["it said nothing"])[-1]
-        _log.warning("no clip was cut of the %s: %s", what, reason)
+        _log.warning("no clip was cut of the %s: %s", what, said["error"])
+
+
+def _result(job: ClipJob, deadline_s: float) -> dict[str, Any]:
+    """What the process says, or in "error" why it said nothing. Raises OSError."""
+    cutter = start([*CUTTER, job.to_json()])
+    try:
+        said = cutter.hear_one(deadline_s)
+    except TimeoutError:
+        cutter.close()
+        return {"error": f"its process took longer than {deadline_s:.0f} s"}
+    except (EOFError, ValueError):
+        exit_code = cutter.close(END_DEADLINE_S)
+        return {"error": f"its process ended with {exit_code} and said nothing of it"}
+    cutter.close(END_DEADLINE_S)
+    return said

@@ -1,30 +1,31 @@
-"""`python -m robotctl.recording JOB`: cuts one clip at the lowest priority.
+"""`python -m robotctl.recording JOB --say-fd N`: cuts one clip at the lowest priority.
 
-JOB is the JSON object of a ClipJob. One line of JSON on stdout: {"target", "lost"} or {"error"}.
+JOB is the JSON object of a ClipJob. One line of JSON on N: {"target", "lost"} or {"error"}.
 """
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 
 os.nice(19)  # before anything is imported: somebody controls a robot on this machine
 
 from robotctl.errors import RobotctlError  # noqa: E402
+from robotctl.processes import say, say_fd  # noqa: E402
 from robotctl.recording.clip_job import ClipJob, make_clip  # noqa: E402
 
 
-def main(job: str) -> int:
+def main(arguments: list[str]) -> int:
     """Cut the clip and return the exit code."""
+    descriptor = say_fd(arguments)
     try:
-        made = make_clip(ClipJob.from_json(job))
+        made = make_clip(ClipJob.from_json(arguments[0]))
     except RobotctlError as error:
-        print(json.dumps({"error": str(error)}))
+        say(descriptor, {"error": str(error)})
         return error.exit_code
-    print(json.dumps({"target": str(made.target), "lost": list(made.lost)}))
+    say(descriptor, {"target": str(made.target), "lost": list(made.lost)})
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1]))
+    sys.exit(main(sys.argv[1:]))

@@ -1,4 +1,4 @@
-"""`python -m robotctl.replay`: plays the job that comes on stdin, and tells how it goes on stdout.
+"""`python -m robotctl.replay --say-fd N`: plays the job on stdin, and tells on N how it goes.
 
 One line of JSON each: {"note"}, {"waiting"}, {"start"}, {"progress"}, {"summary"}, and {"error",
 "exit_code"}. Further lines on stdin control the replay (robotctl.replay.controls), and its end
@@ -7,7 +7,6 @@ stops it: a replay never outlives who asked for it.
 
 from __future__ import annotations
 
-import json
 import os
 import select
 import sys
@@ -15,47 +14,52 @@ import threading
 import traceback
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
-from typing import Any
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 from robotctl import environment
 from robotctl.errors import RobotctlError
+from robotctl.processes import Lines, say, say_fd
 from robotctl.replay.job import Job
-from robotctl.replay.lines import Lines
 from robotctl.replay.neighbours import domain_of
+
+if TYPE_CHECKING:
+    from robotctl.replay.record import Tell
 
 SWITCH_INTERVAL_S = 1e-4
 """How long the thread that keeps time waits for another one to let it go on (default 5 ms)."""
 
 
-def main() -> int:
+def main(arguments: list[str]) -> int:
     """Play one job and return the exit code."""
     with ExitStack() as at_end:
-        return _main(at_end)
+        return _main(arguments, at_end)
 
 
-def _main(at_end: ExitStack) -> int:
+def _main(arguments: list[str], at_end: ExitStack) -> int:
     """As `main`; what has to be the last is left to `at_end`."""
     note = environment.prepare()
+    tell = partial(_tell, say_fd(arguments))
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     lines = _lines()
     job = Job.from_json(next(lines, b"").decode())
     if note:
-        _tell({"note": note})
+        tell({"note": note})
     try:
-        _play(job, lines, at_end)
+        _play(job, lines, tell, at_end)
     except RobotctlError as error:
-        _tell({"error": str(error), "exit_code": error.exit_code})
+        tell({"error": str(error), "exit_code": error.exit_code})
         return error.exit_code
     except Exception as error:  # noqa: BLE001 - no traceback reaches a user who did not ask for it
         if job.debug:
             traceback.print_exc()
         text = f"unexpected {type(error).__name__}: {error}"
-        _tell({"error": text, "exit_code": RobotctlError.exit_code})
+        tell({"error": text, "exit_code": RobotctlError.exit_code})
         return RobotctlError.exit_code
     return 0
 
 
-def _play(job: Job, lines: Iterator[bytes], at_end: ExitStack) -> None:
+def _play(job: Job, lines: Iterator[bytes], tell: Tell, at_end: ExitStack) -> None:
     """Play a job, as the lines say."""
     # After environment.prepare(): it imports rclpy.
     from robotctl.ros.membership import Membership
@@ -66,7 +70,7 @@ def _play(job: Job, lines: Iterator[bytes], at_end: ExitStack) -> None:
     from robotctl.replay.session import Replay
     from robotctl.ros.replay_session import ReplaySession
 
-    replay = Replay(job, ReplaySession(membership), _tell)
+    replay = Replay(job, ReplaySession(membership), tell)
 
     def obey() -> None:
         for line in lines:
@@ -86,16 +90,16 @@ def _lines() -> Iterator[bytes]:
         yield from lines.feed(piece)
 
 
-def _tell(said: dict[str, Any]) -> None:
+def _tell(descriptor: int, said: dict[str, Any]) -> None:
     """Write a line; where nobody listens any more, stdin has ended as well.
 
     Progress is dropped where the reader does not keep up: it must not hold up the safety checks.
     """
-    if "progress" in said and not select.select([], [sys.stdout], [], 0)[1]:
+    if "progress" in said and not select.select([], [descriptor], [], 0)[1]:
         return
     with suppress(BrokenPipeError):
-        os.write(sys.stdout.fileno(), f"{json.dumps(said)}\n".encode())
+        say(descriptor, said)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:]))

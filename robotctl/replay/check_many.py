@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
-import sys
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -13,11 +11,11 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
+from robotctl.processes import Child, program, start
 from robotctl.replay.check import Progress, check
 from robotctl.replay.report import Report
 
-WORKER = (sys.executable, "-P", "-m", "robotctl.replay.check_worker")
-"""-P: what lies in the working directory is not imported in place of a library."""
+WORKER = program("robotctl.replay.check_worker")
 
 POLL_S = 0.1
 
@@ -47,74 +45,66 @@ def check_many(
                 reports[position] = said.get("report", {})
 
     workers = [_Worker() for _ in range(count)]
-    with ThreadPoolExecutor(count) as pool:
-        try:
-            working = [pool.submit(work, worker) for worker in workers]
-            while wait(working, POLL_S).not_done:
-                on_progress(round(_WHOLE * sum(shares)), _WHOLE * len(paths))
-        finally:
-            waiting.clear()
-            for worker in workers:
-                worker.end()
+    try:
+        with ThreadPoolExecutor(count) as pool:
+            try:
+                working = [pool.submit(work, worker) for worker in workers]
+                while wait(working, POLL_S).not_done:
+                    on_progress(round(_WHOLE * sum(shares)), _WHOLE * len(paths))
+            finally:
+                waiting.clear()
+                for worker in workers:
+                    worker.end()
+    finally:
+        for worker in workers:
+            worker.close()
     for each in working:
         each.result()
     return reports
 
 
 class _Worker:
-    """A process that checks one recording after the other; a new one where it has died.
-
-    `end` may be called from any thread: no process is begun afterwards.
-    """
+    """A process that checks recording after recording; another one takes over when it has died."""
 
     def __init__(self) -> None:
-        self._process: subprocess.Popen[bytes] | None = None
+        self._child: Child | None = None
         self._ended = False
         self._lock = Lock()
 
     def check(self, path: Path) -> Iterator[dict[str, Any]]:
         """What the process says of a recording, at last its report."""
-        process = self._living()
-        if process is None:
+        child = self._living()
+        if child is None:
             return
-        assert process.stdin is not None
-        assert process.stdout is not None
         try:
-            os.write(process.stdin.fileno(), f"{json.dumps(str(path))}\n".encode())
-            for line in process.stdout:
-                said: dict[str, Any] = json.loads(line)
-                yield said
-                if "report" in said:
-                    return
-        except (BrokenPipeError, ValueError):
+            child.tell(f"{json.dumps(str(path))}\n".encode())
+            while True:
+                for said in child.hear():
+                    yield said
+                    if "report" in said:
+                        return
+        except (BrokenPipeError, EOFError, ValueError):
             pass
-        self._kill()
         report = Report(path)
-        report.miss(f"the process that checked it ended with {process.returncode}")
+        report.miss(f"the process that checked it ended with {self.close()}")
         yield {"report": report.as_object()}
 
     def end(self) -> None:
-        """End the process, and begin none any more."""
+        """End the process, and start none any more; from any thread."""
         with self._lock:
             self._ended = True
-        self._kill()
+            if self._child is not None:
+                self._child.kill()
 
-    def _living(self) -> subprocess.Popen[bytes] | None:
+    def close(self) -> int:
+        """Reap the process, by force, when no thread hears it; returns its exit code."""
+        with self._lock:
+            child, self._child = self._child, None
+            return 0 if child is None else child.close()
+
+    def _living(self) -> Child | None:
         """The process, None once it is to end."""
         with self._lock:
-            if self._process is None and not self._ended:
-                self._process = subprocess.Popen(
-                    WORKER,
-                    stdin=subprocess.PIPE,
-                    stdout=subprocess.PIPE,
-                    process_group=0,  # a Ctrl-C is for us: it may come while Python starts there
-                )
-            return self._process
-
-    def _kill(self) -> None:
-        with self._lock:
-            process, self._process = self._process, None
-        if process is not None:
-            process.kill()
-            with process:  # reaps it, and closes its pipes
-                pass
+            if self._child is None and not self._ended:
+                self._child = start(WORKER, obeys=True)
+            return self._child

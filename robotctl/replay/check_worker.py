@@ -1,18 +1,17 @@
-"""`python -m robotctl.replay.check_worker`: checks the recordings whose paths come on stdin.
+"""`python -m robotctl.replay.check_worker --say-fd N`: checks the recordings named on stdin.
 
-A line of JSON each: a path in, then {"progress"} and at its end {"report"} out. The end of stdin
-ends it: it never outlives who asked.
+A line of JSON each: a path comes on stdin, then {"progress"} and at its end {"report"} leave on N.
+The end of stdin ends it: it never outlives the process that asked.
 """
 
 from __future__ import annotations
 
 import json
-import os
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
+from robotctl.processes import say, say_fd
 from robotctl.replay.check import check
 
 PROGRESS_PERIOD_S = 0.1
@@ -20,6 +19,7 @@ PROGRESS_PERIOD_S = 0.1
 
 def main() -> None:
     """Check until stdin ends."""
+    descriptor = say_fd(sys.argv)
     for line in sys.stdin:
         told = time.monotonic()
 
@@ -27,13 +27,9 @@ def main() -> None:
             nonlocal told
             if time.monotonic() - told > PROGRESS_PERIOD_S:
                 told = time.monotonic()
-                _tell({"progress": done / total})
+                say(descriptor, {"progress": done / total})
 
-        _tell({"report": check(Path(json.loads(line)), tell_progress).as_object()})
-
-
-def _tell(said: dict[str, Any]) -> None:
-    os.write(sys.stdout.fileno(), f"{json.dumps(said)}\n".encode())
+        say(descriptor, {"report": check(Path(json.loads(line)), tell_progress).as_object()})
 
 
 if __name__ == "__main__":

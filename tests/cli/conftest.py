@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -17,6 +18,7 @@ import robotctl
 from robotctl.cli import app, launch
 from robotctl.errors import NoDaemon
 from robotctl.ipc.client import Client
+from robotctl.processes import Child
 
 FAKE_DAEMON = Path(__file__).with_name("fake_daemon.py")
 
@@ -42,14 +44,14 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     (tmp_path / "cwd").mkdir()
     monkeypatch.chdir(tmp_path / "cwd")
     started: list[int] = []
-    spawn = launch._spawn
+    start = launch.start
 
-    def spawn_child(command: list[str], log: Path) -> tuple[int, int]:
-        pid, ready = spawn(command, log)
-        started.append(pid)
-        return pid, ready
+    def start_child(*arguments: Any, **options: Any) -> Child:
+        child = start(*arguments, **options)
+        started.append(child.pid)
+        return child
 
-    monkeypatch.setattr(launch, "_spawn", spawn_child)
+    monkeypatch.setattr(launch, "start", start_child)
     yield tmp_path
     for pid in started:
         with suppress(ChildProcessError):  # it has been waited for: the number may be another's now

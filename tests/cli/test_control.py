@@ -13,7 +13,8 @@ from typing import Any
 
 import pytest
 
-from robotctl.cli import control, process
+from robotctl import processes
+from robotctl.cli import control
 from robotctl.ipc.client import Client, call
 from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
 from robotctl.kernel.modes import Mode
@@ -100,10 +101,10 @@ def test_estop_says_how_to_release_it_and_a_refusal_exits_with_4(
 
 
 def test_stop_returns_when_the_process_is_gone(daemon: None, cli: Callable[..., Any]) -> None:
-    with Client("robot") as client, process.watched(client.daemon_pid) as watched:
+    with Client("robot") as client, processes.watched(client.daemon_pid) as watched:
         assert watched is not None
         assert cli("stop").exit_code == 0
-        assert process.readable_within(watched, 0)
+        assert processes.readable_within(watched, 0)
     assert cli("stop").exit_code == 3
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import logging
 import os
-import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -16,12 +15,19 @@ import pytest
 from robotctl.config import RecordingParams
 from robotctl.daemon import black_box
 from robotctl.daemon.black_box import CUTTER, BlackBox
+from robotctl.processes import start
 from robotctl.recording.clip import Moment
 from robotctl.recording.clip_job import ClipJob
 from robotctl.recording.events import EventKind, RecordedEvent
 from robotctl.recording.recorder import Recorder
 from robotctl.testing.recordings import GID, TWIST, numbered
-from robotctl.testing.waiting import until
+from robotctl.testing.waiting import DEADLINE_S, until
+
+SAY = """
+import os, sys
+def say(text):
+    os.write(int(sys.argv[-1]), f"{text}\\n".encode())
+"""
 
 NOW = RecordedEvent(EventKind.ERROR, 0, "because")
 PARAMS = RecordingParams(clip_before_s=1.0, clip_after_s=0.0)
@@ -33,7 +39,7 @@ def cutter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], P
 
     def put(program: str) -> Path:
         log = tmp_path / "log"
-        program = f"log = open({str(log)!r}, 'a')\n{program}"
+        program = f"log = open({str(log)!r}, 'a')\n{SAY}{program}"
         monkeypatch.setattr(black_box, "CUTTER", (sys.executable, "-c", program))
         return log
 
@@ -50,11 +56,12 @@ async def cut(*events: RecordedEvent, params: RecordingParams = PARAMS) -> None:
 @pytest.mark.parametrize(
     ("program", "said"),
     [
-        ('print(\'{"error": "the disk is full"}\')', "the disk is full"),
-        ("raise SystemExit('it broke')", "it broke"),
-        ("print('nonsense')", "no clip was cut of the error"),
-        ("pass", "it said nothing"),
-        ('print(\'{"target": "a.mcap", "lost": ["a chunk"]}\')', "it lacks something: a chunk"),
+        ('say(\'{"error": "the disk is full"}\')', "the disk is full"),
+        ("raise SystemExit('it broke')", "its process ended with 1 and said nothing of it"),
+        ("say('nonsense')", "no clip was cut of the error"),
+        ("say('[1]')", "no clip was cut of the error"),
+        ("pass", "its process ended with 0 and said nothing of it"),
+        ('say(\'{"target": "a.mcap", "lost": ["a chunk"]}\')', "it lacks something: a chunk"),
     ],
 )
 async def test_a_cutter_that_fails_is_told_in_the_log_and_nowhere_else(
@@ -140,7 +147,7 @@ async def test_a_cutter_that_hangs_is_ended(
     monkeypatch.setattr(black_box, "PATIENCE_S", 0.2)
     cutter("import time\ntime.sleep(600)")
     await cut(NOW, NOW)
-    assert "timed out" in caplog.text
+    assert "its process took longer than 0 s" in caplog.text
     assert caplog.records[-1].levelno == logging.WARNING
 
 
@@ -148,16 +155,24 @@ def test_the_cutter_has_the_lowest_priority(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
     moment = Moment(time.time_ns(), EventKind.ERROR)
     job = ClipJob(tmp_path / "run", moment, 1.0, 600.0)
-    with subprocess.Popen([*CUTTER, job.to_json()], stdout=subprocess.PIPE) as process:
-        try:
-            until(lambda: os.getpriority(os.PRIO_PROCESS, process.pid) == 19)
-            now_ns = time.time_ns()
-            recorder.write(recorder.add_topic(TWIST), numbered(1), now_ns, now_ns, 1, GID)
-            recorder.close()
-            assert process.stdout is not None
-            said = process.stdout.read()
-        finally:
-            recorder.close()
-            process.kill()
-    assert b'"target"' in said
-    assert (tmp_path / "run" / "clips").is_dir()
+    cutter = start([*CUTTER, job.to_json()])
+    try:
+        until(lambda: os.getpriority(os.PRIO_PROCESS, cutter.pid) == 19)
+        now_ns = time.time_ns()
+        recorder.write(recorder.add_topic(TWIST), numbered(1), now_ns, now_ns, 1, GID)
+        recorder.close()
+        said = cutter.hear_one(DEADLINE_S)
+    finally:
+        recorder.close()
+        cutter.close()
+    assert said["target"].startswith(str(tmp_path / "run" / "clips"))
+
+
+async def test_what_the_cutter_writes_stands_in_the_daemons_log(
+    cutter: Callable[[str], Path], capfd: pytest.CaptureFixture[str]
+) -> None:
+    cutter("print('to stdout', flush=True)\nraise SystemExit('it broke')")
+    await cut(NOW)
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert err.startswith("to stdout\nit broke\n")

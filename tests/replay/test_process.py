@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import os
 import resource
-import subprocess
-import sys
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import ExitStack, closing, suppress
 from pathlib import Path
@@ -14,30 +11,28 @@ from typing import Any
 
 import pytest
 
+from robotctl.cli.playing import PLAYER
+from robotctl.processes import start
 from robotctl.replay.controls import Command
 from robotctl.replay.job import Job
 from robotctl.replay.schedule import RATES
 from robotctl.testing.bags import STRING, Line, text, write_bag
+from robotctl.testing.waiting import DEADLINE_S
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
-DEADLINE_S = 30.0
 
 
-class Child:
+class Playing:
     """The process, spoken to as the command line does."""
 
     def __init__(self, job: Job) -> None:
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "robotctl.replay"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-        )
+        self._child = start(PLAYER, obeys=True)
         self.write(f"{job.to_json()}\n".encode())
 
     def urgent_threads(self) -> int:
         """How many of its threads run under SCHED_FIFO."""
         found = 0
-        for thread in Path(f"/proc/{self._process.pid}/task").iterdir():
+        for thread in Path(f"/proc/{self._child.pid}/task").iterdir():
             with suppress(ProcessLookupError):
                 policy = os.sched_getscheduler(int(thread.name))
                 found += policy & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
@@ -47,48 +42,45 @@ class Child:
         self.write(b"".join(command.line() for command in commands))
 
     def end(self) -> tuple[int, dict[str, Any]]:
-        """End stdin; returns exit code and summary."""
-        out, _ = self._process.communicate(timeout=DEADLINE_S)
-        said = [json.loads(line) for line in out.splitlines()]
-        return self._process.returncode, next(each["summary"] for each in said if "summary" in each)
+        """End its stdin; returns exit code and summary."""
+        self._child.hang_up()
+        summary: dict[str, Any] = {}
+        with suppress(EOFError):
+            while True:
+                for said in self._child.hear(DEADLINE_S):
+                    summary = said.get("summary", summary)
+        return self._child.wait(DEADLINE_S) or 0, summary
 
     def close(self) -> None:
-        if self._process.poll() is None:
-            try:
-                self._process.communicate(timeout=DEADLINE_S)
-            finally:
-                self._process.kill()
-                self._process.wait()
+        self._child.close(DEADLINE_S)
 
     def write(self, data: bytes) -> None:
-        assert self._process.stdin is not None
-        self._process.stdin.write(data)
-        self._process.stdin.flush()
+        self._child.tell(data)
 
 
 @pytest.fixture
-def child(domain_id: int, own_sockets: None) -> Iterator[Callable[[Job], Child]]:
+def child(domain_id: int, own_sockets: None) -> Iterator[Callable[[Job], Playing]]:
     with ExitStack() as started:
 
-        def start(job: Job) -> Child:
-            return started.enter_context(closing(Child(job)))
+        def begin(job: Job) -> Playing:
+            return started.enter_context(closing(Playing(job)))
 
-        yield start
+        yield begin
 
 
 @pytest.fixture
 def play(
-    tmp_path: Path, listener: Any, child: Callable[[Job], Child], domain_id: int
-) -> Callable[..., Child]:
+    tmp_path: Path, listener: Any, child: Callable[[Job], Playing], domain_id: int
+) -> Callable[..., Playing]:
     """Play so many numbered messages to the listener."""
 
-    def start(count: int, period_ms: float = 10.0, **options: Any) -> Child:
+    def begin(count: int, period_ms: float = 10.0, **options: Any) -> Playing:
         lines = [Line("/alpha", STRING, n * period_ms, text(f"{n}")) for n in range(count)]
         listener.listen("/alpha", STRING)
         file = write_bag(tmp_path / "run.mcap", lines)
         return child(Job(file, "robot", domain_id, **options))
 
-    return start
+    return begin
 
 
 async def test_steps_and_rates_reach_the_player_also_those_that_were_asked_for_early(

@@ -1,0 +1,261 @@
+"""Another process of robotctl is heard on a pipe of its own, whatever libraries print in it."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robotctl.config import RecordingParams
+from robotctl.daemon import black_box
+from robotctl.daemon.black_box import BlackBox
+from robotctl.processes import Child, Lines, program, start
+from robotctl.recording.events import EventKind, RecordedEvent
+from robotctl.recording.reader import read_info
+from robotctl.replay.check_many import check_many
+from robotctl.testing.bags import talk, write_bag
+from robotctl.testing.drives import drive, record
+from robotctl.testing.waiting import DEADLINE_S
+
+ROBOTCTL = (sys.executable, "-c", "from robotctl.cli.app import main; main()")
+
+SAY = """
+import os, sys
+sys.path.insert(0, os.getcwd())
+from robotctl.processes import say, say_fd
+fd = say_fd(sys.argv)
+"""
+
+NOISE = """
+import os, sys
+if any(name in sys.orig_argv for name in {modules}):
+    for fd in (1, 2):
+        os.write(fd, b'[RTPS_TRANSPORT_SHM Error] Failed fastrtps_port7412\\n{{"x": 1}}\\n')
+"""
+"""Prints as Fast DDS does, before the process says anything, and what looks like our lines too."""
+
+
+@contextmanager
+def child(code: str, *arguments: str, **options: object) -> Iterator[Child]:
+    command = [sys.executable, "-c", SAY + code, *arguments]
+    process = start(command, **options)  # type: ignore[arg-type]
+    try:
+        yield process
+    finally:
+        with suppress(OSError):
+            process.close()
+
+
+def all_of(process: Child) -> list[dict[str, Any]]:
+    """What it says until its end."""
+    heard: list[dict[str, Any]] = []
+    with suppress(EOFError):
+        while True:
+            heard += process.hear(DEADLINE_S)
+    return heard
+
+
+@pytest.fixture
+def noisy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Let each child print to stdout and stderr when it starts, in a folder that is returned."""
+    modules = ["robotctl.replay", "robotctl.replay.check_worker", "robotctl.recording"]
+    folder = tmp_path / "site"
+    folder.mkdir()
+    (folder / "sitecustomize.py").write_text(NOISE.format(modules=modules))
+    known = os.environ.get("PYTHONPATH")
+    monkeypatch.setenv("PYTHONPATH", f"{folder}:{known}" if known else str(folder))
+    return tmp_path
+
+
+# Whatever is printed
+
+
+def test_a_replay_whose_libraries_print_is_heard_and_its_output_is_one_object(
+    noisy: Path, domain_id: int
+) -> None:
+    file = write_bag(noisy / "run.mcap", talk("/alpha", 3))
+    ran = subprocess.run(
+        [*ROBOTCTL, "replay", str(file), "--json", "--domain-id", str(domain_id)],
+        capture_output=True,
+        text=True,
+        timeout=2 * DEADLINE_S,
+    )
+    assert ran.returncode == 0, ran.stderr
+    assert json.loads(ran.stdout)["sent"] == 3
+    assert ran.stderr.count("fastrtps_port7412") == 2  # nothing that a library says is lost
+
+
+def test_a_check_whose_processes_print_is_heard(
+    noisy: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    recording = record(noisy / "run", drive(1.0))
+    reports = check_many([recording, recording])
+    assert [report["verdict"] for report in reports] == ["same", "same"]
+    assert capfd.readouterr().out == ""
+
+
+async def test_a_clip_whose_process_prints_is_heard(
+    noisy: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    recording = record(noisy / "run", drive(1.0))
+    caplog.set_level("INFO")
+    box = BlackBox(RecordingParams(clip_before_s=1.0, clip_after_s=0.0), recording)
+    box.note(RecordedEvent(EventKind.ERROR, read_info(recording).start_ns, "because"))
+    await box.finish()
+    assert f"clip of the error: {recording / 'clips'}" in caplog.text
+
+
+# The pipe
+
+
+def test_what_a_child_says_arrives_whole_and_in_order() -> None:
+    code = "for n in range(3): say(fd, {'n': n, 'x': 'y' * 300_000})"
+    with child(code) as process:
+        heard = all_of(process)
+        assert [(each["n"], len(each["x"])) for each in heard] == [(n, 300_000) for n in range(3)]
+        assert process.close(DEADLINE_S) == 0
+
+
+def test_a_child_obeys_until_we_hang_up() -> None:
+    with child("for line in sys.stdin: say(fd, {'told': line})", obeys=True) as process:
+        process.tell(b"a\n")
+        process.tell(b"b\n")
+        process.hang_up()
+        assert not process.obeys
+        process.tell(b"too late\n")
+        assert all_of(process) == [{"told": "a\n"}, {"told": "b\n"}]
+
+
+def test_silence_is_given_up_at_the_deadline() -> None:
+    with child("sys.stdin.read()", obeys=True) as process:
+        with pytest.raises(TimeoutError):
+            process.hear_one(0.05)
+        assert process.wait(0.0) is None
+
+
+@pytest.mark.parametrize("line", ["not json", "[1]", '"text"'])
+def test_what_is_no_object_is_an_error(line: str) -> None:
+    with child(f"os.write(fd, {line!r}.encode() + b'\\n')") as process, pytest.raises(ValueError):  # noqa: PT011
+        process.hear_one(DEADLINE_S)
+
+
+@pytest.mark.parametrize("position", [0, 1])
+def test_the_end_of_one_child_is_seen_while_another_runs(position: int) -> None:
+    wait = "say(fd, {})\nsys.stdin.read()"
+    with child(wait, obeys=True) as first, child(wait, obeys=True) as second:
+        children = [first, second]
+        for each in children:
+            assert each.hear_one(DEADLINE_S) == {}
+        children[position].hang_up()
+        with pytest.raises(EOFError):
+            children[position].hear(DEADLINE_S)
+        assert children[1 - position].wait(0.0) is None
+
+
+def test_the_end_of_a_child_is_seen_while_a_grandchild_runs() -> None:
+    code = (
+        "import subprocess\n"
+        "say(fd, {'pid': subprocess.Popen(['sleep', '600'], close_fds=False).pid})"
+    )
+    with child(code) as process:
+        pid = process.hear_one(DEADLINE_S)["pid"]
+        try:
+            with pytest.raises(EOFError):
+                process.hear(DEADLINE_S)
+        finally:
+            os.kill(pid, signal.SIGKILL)
+
+
+# The process
+
+
+def test_a_child_that_does_not_leave_is_killed() -> None:
+    with child("import time\nsay(fd, {})\nwhile True: time.sleep(600)", obeys=True) as process:
+        process.hear_one(DEADLINE_S)
+        assert process.close(0.05) == -signal.SIGKILL
+
+
+def test_a_child_has_a_process_group_and_default_signals_of_its_own() -> None:
+    code = (
+        "import signal\n"
+        "say(fd, {'group': os.getpgrp(), 'session': os.getsid(0), 'pid': os.getpid(),"
+        " 'blocked': [int(n) for n in signal.pthread_sigmask(signal.SIG_BLOCK, [])]})"
+    )
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
+    try:
+        with child(code) as process:
+            said = process.hear_one(DEADLINE_S)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    assert said["group"] == said["pid"] == process.pid
+    assert said["session"] == os.getsid(0)
+    assert said["blocked"] == []
+
+
+def test_with_a_log_a_child_leaves_our_session_and_writes_there(tmp_path: Path) -> None:
+    code = "print('printed', flush=True)\nos.write(2, b'complained')\nsay(fd, {'s': os.getsid(0)})"
+    with child(code, log=tmp_path / "log") as process:
+        assert process.hear_one(DEADLINE_S) == {"s": process.pid}
+        process.close(DEADLINE_S)
+    assert (tmp_path / "log").read_text() == "printed\ncomplained"
+    assert (tmp_path / "log").stat().st_mode & 0o077 == 0
+
+
+def test_a_program_that_was_started_without_stdin_stdout_and_stderr_starts_children() -> None:
+    code = (
+        "import os, sys\n"
+        "for fd in (0, 1, 2): os.close(fd)\n"
+        "from robotctl.processes import start\n"
+        "script = 'from robotctl.processes import say, say_fd; import sys;'\n"
+        "script += 'sys.stdin.read(); say(say_fd(sys.argv), {})'\n"
+        "child = start([sys.executable, '-c', script], obeys=True)\n"
+        "child.hang_up()\n"
+        "raise SystemExit(7 if child.hear_one(30.0) == {} else 1)\n"
+    )
+    assert subprocess.run([sys.executable, "-c", code], timeout=2 * DEADLINE_S).returncode == 7
+
+
+def test_a_program_that_cannot_be_started_leaves_no_descriptor_behind() -> None:
+    before = os.listdir("/proc/self/fd")
+    with pytest.raises(FileNotFoundError):
+        start(["/nowhere/python"], obeys=True)
+    assert os.listdir("/proc/self/fd") == before
+
+
+@pytest.mark.parametrize("module", ["robotctl.replay.check_worker", "robotctl.recording"])
+def test_a_child_that_is_started_by_hand_says_so(module: str) -> None:
+    ran = subprocess.run([*program(module), "{}"], capture_output=True, text=True, timeout=60)
+    assert (ran.returncode, ran.stdout) == (1, "")
+    assert ran.stderr == "this is started by robotctl, with --say-fd\n"
+
+
+def test_lines_come_out_of_pieces() -> None:
+    lines = Lines()
+    assert [lines.feed(piece) for piece in (b"a", b"b\nc\n", b"", b"d\n")] == [
+        [],
+        [b"ab", b"c"],
+        [],
+        [b"d"],
+    ]
+
+
+def test_every_child_is_started_in_one_way() -> None:
+    from robotctl.cli import launch, playing
+    from robotctl.replay import check_many as checking
+
+    programs = (launch.DAEMON, playing.PLAYER, checking.WORKER, black_box.CUTTER)
+    assert all(each[:3] == (sys.executable, "-P", "-m") for each in programs)
+    root = Path(launch.__file__).parent.parent
+    for path in root.rglob("*.py"):
+        if path != root / "processes.py" and not path.is_relative_to(root / "testing"):
+            text = path.read_text(encoding="utf-8")
+            assert "import subprocess" not in text, path
+            assert "posix_spawn" not in text, path
