@@ -18,7 +18,7 @@ _WIDTH = 12
 _INDENT = " " * _WIDTH
 
 
-def check_command(files: Sequence[Path], robot: str, *, as_json: bool) -> None:
+def check_command(files: Sequence[Path], robot: str | None, *, as_json: bool) -> None:
     """Check recordings and say what came of it.
 
     Raises:
@@ -107,7 +107,7 @@ def _raise_gravest(reports: Sequence[dict[str, Any]]) -> None:
         raise UnreadableFile(f"{len(found[Verdict.INCOMPLETE])}{of} could not be checked whole")
 
 
-def recordings_at(file: Path, robot: str) -> list[Path]:
+def recordings_at(file: Path, robot: str | None) -> list[Path]:
     """What is meant by a path, a name or `last`: of a folder of recordings, all of them.
 
     Raises:

@@ -11,13 +11,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robotctl.cli.library import Recordings, find_recording, recordings_folder, recordings_of
+from robotctl.cli.library import (
+    RecordedBy,
+    Recordings,
+    find_recording,
+    recordings_folder,
+    recordings_of,
+)
 from robotctl.cli.moments import parse_moment
-from robotctl.cli.options import Json, Robot, new_app
+from robotctl.cli.options import Json, new_app
 from robotctl.cli.progress import progress_bar
 from robotctl.cli.text import duration, json_text, moment, printable, short_path
 from robotctl.errors import RecoveredWithLoss, Refused, UnreadableFile, UsageError
-from robotctl.paths import DEFAULT_ROBOT
 
 if TYPE_CHECKING:
     from robotctl.recording.clip import Clip, Moment
@@ -65,7 +70,7 @@ def clip(
         ),
     ] = None,
     folder: Recordings = None,
-    robot: Robot = DEFAULT_ROBOT,
+    robot: RecordedBy = None,
     as_json: Json = False,
 ) -> None:
     """Cut what happened around an event into a file that stands alone.
@@ -99,7 +104,7 @@ def clip(
 
 
 def _find(
-    file: str | None, event: Event | None, at: str | None, robot: str, folder: Path | None
+    file: str | None, event: Event | None, at: str | None, robot: str | None, folder: Path | None
 ) -> tuple[ListedRecording, Moment]:
     """The recording and the moment that are meant. Raises Refused where there is none."""
     from robotctl.recording.listing import list_recording

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robotctl.cli.library import Recordings, find_recording
-from robotctl.cli.options import Json, Robot, new_app
+from robotctl.cli.library import RecordedBy, Recordings, find_recording
+from robotctl.cli.options import Json, new_app
 from robotctl.cli.text import duration, json_text, moment, printable, short_path, size
 from robotctl.cli.topic_table import TopicTable
 from robotctl.errors import UnreadableFile
-from robotctl.paths import DEFAULT_ROBOT
 
 if TYPE_CHECKING:
     from robotctl.recording.events import RecordedEvent
@@ -43,7 +42,7 @@ def info(
         ),
     ],
     folder: Recordings = None,
-    robot: Robot = DEFAULT_ROBOT,
+    robot: RecordedBy = None,
     as_json: Json = False,
 ) -> None:
     """Show what a recording holds: topics, counts, rates, QoS, events.

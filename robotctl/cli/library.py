@@ -1,51 +1,70 @@
-"""Where recordings are: those of the running daemon or, where none runs, of the last one."""
+"""Where recordings are: in a folder that is named, in the one at hand, or in a daemon's."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from robotctl.cli.quick import ROBOT_VARIABLE
 from robotctl.errors import Refused, UsageError
-from robotctl.paths import recordings_note_path
+from robotctl.paths import DEFAULT_ROBOT, recordings_note_path, state_folder
 
 LAST = "last"
+
+_NAME = re.compile(r"(.+)_(\d{8}_\d{6})(?:-(\d+))?")
+"""ROBOT_DATE_TIME, with a number where several began in the same second."""
 
 Recordings = Annotated[
     Path | None,
     typer.Option(
         "--recordings",
         metavar="DIR",
-        help="The folder of recordings [default: the daemon's, or the last daemon's].",
+        help="The folder of recordings [default: ./recordings, or the daemon's, or the last "
+        "daemon's].",
+    ),
+]
+
+RecordedBy = Annotated[
+    str | None,
+    typer.Option(
+        "--robot",
+        metavar="NAME",
+        envvar=ROBOT_VARIABLE,
+        show_envvar=True,
+        help="Only recordings of this robot [default: any].",
     ),
 ]
 
 
-def recordings_folder(robot: str, given: Path | None) -> Path:
-    """The folder that was given, or that of the robot's daemon, or ./recordings.
+def recordings_folder(robot: str | None, given: Path | None) -> Path:
+    """Return the folder that was given, else ./recordings, else that of a daemon.
+
+    ./recordings counts where it holds a recording (of `robot`, unless that is None). The daemon is
+    the robot's running or last one.
 
     Raises:
-        UsageError: What was given is no folder.
+        UsageError: `given` is no folder.
     """
     if given is not None:
         if not given.is_dir():
             raise UsageError(f"--recordings {given}: there is no such folder")
         return given
-    try:
-        noted = Path(recordings_note_path(robot).read_text(encoding="utf-8").rstrip("\n"))
-        if noted.is_dir():
-            return noted
-    except (OSError, ValueError):
-        pass
-    return Path("recordings").absolute()
+    here = Path("recordings")
+    if not recordings_of(robot, here):
+        for noted in _noted_folders(robot):
+            if noted.is_dir():
+                return noted
+    return here.absolute()
 
 
-def find_recording(name: str, robot: str, given: Path | None = None) -> Path:
-    """The recording that is meant: a path, a name in the folder of recordings, or `last`.
+def find_recording(name: str, robot: str | None, given: Path | None = None) -> Path:
+    """Return the recording that is meant: a path, a name in the folder of recordings, or `last`.
 
-    A name that leads nowhere comes back as it is, for whoever opens it to say so.
+    A name that leads nowhere is returned as it is, so that whatever opens it can say so.
 
     Raises:
         Refused: There is no last one.
@@ -57,19 +76,50 @@ def find_recording(name: str, robot: str, given: Path | None = None) -> Path:
     if name == LAST:
         newest = recordings_of(robot, folder)
         if not newest:
-            raise Refused(
-                f"no recording of robot {robot!r} in {folder} (begin one: robotctl start)"
-            )
+            whose = "" if robot is None else f" of robot {robot!r}"
+            raise Refused(f"no recording{whose} in {folder} (begin one: robotctl start)")
         return newest[0]
     return folder / name if (folder / name).exists() else path
 
 
-def recordings_of(robot: str, folder: Path) -> list[Path]:
-    """The robot's recordings in `folder`, the newest first; by their names, ROBOT_DATE_TIME."""
-    pattern = re.compile(re.escape(robot) + r"_(\d{8}_\d{6})(?:-(\d+))?")
+def recordings_of(robot: str | None, folder: Path) -> list[Path]:
+    """Return the recordings in `folder`, of one robot or of any, the newest first by their names.
+
+    A recording is a folder with the name that a daemon gives it.
+    """
     try:
-        found = [(pattern.fullmatch(path.name), path) for path in folder.iterdir()]
+        found = [(_NAME.fullmatch(path.name), path) for path in folder.iterdir()]
     except OSError:
         return []
-    dated = [(match[1], int(match[2] or 1), path) for match, path in found if match]
+    dated = [
+        (match[2], int(match[3] or 1), path)
+        for match, path in found
+        if match and robot in (None, match[1])
+    ]
     return [path for *_, path in sorted(dated, reverse=True)]
+
+
+def robot_of(recording: Path) -> str | None:
+    """Return the robot that the name of a recording names; None where it names none."""
+    match = _NAME.fullmatch(recording.name)
+    return match[1] if match else None
+
+
+def _noted_folders(robot: str | None) -> Iterator[Path]:
+    """Yield where daemons have recorded: the robot's, or the default robot's and then others."""
+    notes = [recordings_note_path(robot or DEFAULT_ROBOT)]
+    if robot is None:
+        others = state_folder().glob(f"*/{notes[0].name}")
+        notes += sorted(others, key=_changed_s, reverse=True)
+    for note in notes:
+        try:
+            yield Path(note.read_text(encoding="utf-8").rstrip("\n"))
+        except (OSError, ValueError):
+            continue
+
+
+def _changed_s(path: Path) -> float:
+    try:
+        return path.stat().st_mtime
+    except OSError:
+        return 0.0

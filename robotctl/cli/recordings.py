@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robotctl.cli.library import Recordings, find_recording, recordings_folder
-from robotctl.cli.options import Json, Robot, new_app
+from robotctl.cli.library import RecordedBy, Recordings, find_recording, recordings_folder
+from robotctl.cli.options import Json, new_app
 from robotctl.cli.progress import progress_bar
 from robotctl.cli.text import duration, elided, json_text, moment, printable, short_path, size
 from robotctl.errors import Refused
-from robotctl.paths import DEFAULT_ROBOT
 
 if TYPE_CHECKING:
     from robotctl.recording.listing import ListedRecording
@@ -33,13 +32,13 @@ _NAME_WIDTH = 26
 def recordings(
     context: typer.Context,
     folder: Recordings = None,
-    robot: Robot = DEFAULT_ROBOT,
+    robot: RecordedBy = None,
     as_json: Json = False,
 ) -> None:
     """List recordings with length, laps and the worst that happened.
 
-    Those of the running daemon or, where none runs, of the robot's last one. The oldest are
-    removed when a daemon starts (see recording.max_total_gb), but for those marked with keep.
+    Those in ./recordings or, where it holds none, those of the running or last daemon. The oldest
+    are removed when a daemon starts (see recording.max_total_gb), except those marked with keep.
 
     \b
     Examples:
@@ -67,7 +66,7 @@ def recordings(
 
 
 @group.command()
-def keep(name: Name, folder: Recordings = None, robot: Robot = DEFAULT_ROBOT) -> None:
+def keep(name: Name, folder: Recordings = None, robot: RecordedBy = None) -> None:
     """Never remove a recording, whatever its age.
 
     \b
@@ -79,7 +78,7 @@ def keep(name: Name, folder: Recordings = None, robot: Robot = DEFAULT_ROBOT) ->
 
 
 @group.command()
-def unkeep(name: Name, folder: Recordings = None, robot: Robot = DEFAULT_ROBOT) -> None:
+def unkeep(name: Name, folder: Recordings = None, robot: RecordedBy = None) -> None:
     """Let a recording be removed again when its time has come.
 
     \b
@@ -90,7 +89,7 @@ def unkeep(name: Name, folder: Recordings = None, robot: Robot = DEFAULT_ROBOT) 
     print(f"{printable(path.name)} is removed again when its time has come")
 
 
-def _set_kept(name: str, folder: Path | None, robot: str, *, kept: bool) -> Path:
+def _set_kept(name: str, folder: Path | None, robot: str | None, *, kept: bool) -> Path:
     from robotctl.recording.catalog import set_kept
 
     path = find_recording(name, robot, folder)

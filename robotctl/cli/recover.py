@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robotctl.cli.library import Recordings, find_recording
-from robotctl.cli.options import Json, Robot, new_app
+from robotctl.cli.library import RecordedBy, Recordings, find_recording
+from robotctl.cli.options import Json, new_app
 from robotctl.cli.progress import progress_bar
 from robotctl.cli.text import json_text, short_path
 from robotctl.errors import RecoveredWithLoss
-from robotctl.paths import DEFAULT_ROBOT
 
 if TYPE_CHECKING:
     from robotctl.recording.recover import Salvage
@@ -33,7 +32,7 @@ def recover(
         ),
     ] = None,
     folder: Recordings = None,
-    robot: Robot = DEFAULT_ROBOT,
+    robot: RecordedBy = None,
     as_json: Json = False,
 ) -> None:
     """Save what can be read of a broken recording into a new one.

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from robotctl.cli.library import find_recording
-from robotctl.cli.options import Json, Robot, new_app
+from robotctl.cli.library import RecordedBy, find_recording
+from robotctl.cli.options import Json, new_app
 from robotctl.cli.playing import Outcome, play
 from robotctl.cli.process import interrupted_by
 from robotctl.cli.replay_screen import Screen, screen
 from robotctl.cli.replay_summary import summary_lines
-from robotctl.cli.text import json_text
+from robotctl.cli.text import json_text, short_path
 from robotctl.errors import UsageError
 from robotctl.paths import DEFAULT_ROBOT, check_robot_name
 from robotctl.replay.job import (
@@ -117,7 +117,7 @@ def replay(
             metavar="N", help="ROS domain [default: ROS_DOMAIN_ID, or the daemon's, or 0]."
         ),
     ] = None,
-    robot: Robot = DEFAULT_ROBOT,
+    robot: RecordedBy = None,
     as_json: Json = False,
 ) -> None:
     """Publish a recording to ROS with its original timing.
@@ -140,7 +140,7 @@ def replay(
     """
     if check and (what_if or resim):
         raise UsageError("--check takes the recorded parameters: leave --what-if and --resim out")
-    robot = check_robot_name(robot)
+    daemon_robot = check_robot_name(robot or DEFAULT_ROBOT)
     if check or what_if or resim:
         _refuse_playing_options(context)
     if check:
@@ -153,9 +153,11 @@ def replay(
 
         what_if_command(files, what_if or [], robot, closed_loop=resim, as_json=as_json)
         return
+    name = _only(files)
+    path = find_recording(str(name), robot)
     job = Job(
-        file=find_recording(str(_only(files)), robot).absolute(),
-        robot=robot,
+        file=path.absolute(),
+        robot=daemon_robot,
         domain_id=_domain_id(domain_id),
         rate=parse_rate(rate),
         topics=_names(topics),
@@ -176,6 +178,8 @@ def replay(
         force=force,
         debug="--debug" in sys.argv,
     )
+    if path != name and not as_json:
+        print(short_path(path), flush=True)
     with interrupted_by((SIGTERM, SIGHUP, SIGQUIT)):
         if see_only:
             _view(job, quiet=as_json)

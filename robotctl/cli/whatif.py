@@ -32,7 +32,12 @@ _LABEL, _COLUMN = 26, 14
 
 
 def what_if_command(
-    files: Sequence[Path], settings: Sequence[str], robot: str, *, closed_loop: bool, as_json: bool
+    files: Sequence[Path],
+    settings: Sequence[str],
+    robot: str | None,
+    *,
+    closed_loop: bool,
+    as_json: bool,
 ) -> None:
     """Compare recordings with what would come of other parameters.
 

@@ -3,17 +3,27 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robotctl.cli.library import LAST, Recordings, find_recording
+from robotctl.cli.library import (
+    LAST,
+    RecordedBy,
+    Recordings,
+    find_recording,
+    recordings_of,
+    robot_of,
+)
 from robotctl.cli.moments import parse_moment
-from robotctl.cli.options import Json, Robot, new_app
-from robotctl.cli.progress import progress_bar
+from robotctl.cli.options import Json, new_app
+from robotctl.cli.progress import Progress, progress_bar
 from robotctl.cli.text import json_text, row, short_path
+from robotctl.errors import NoDaemon, Refused, RobotctlError, UnreadableFile, UsageError
+from robotctl.ipc.client import Client
 from robotctl.paths import DEFAULT_ROBOT
 
 if TYPE_CHECKING:
@@ -21,13 +31,33 @@ if TYPE_CHECKING:
 
 app = new_app()
 
+MAX_RECORDINGS = 20
+"""How many are searched, the newest first: each journal is read whole, seconds for an hour."""
+
+COMMIT_DEADLINE_S = 8.0
+"""Above the daemon's own deadline for it, so that its answer says what the disk did not take."""
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """An incident, the recording that holds it, and the later ones in which nothing happened."""
+
+    path: Path
+    incident: Incident
+    later: Sequence[Path]
+    missing: Sequence[str]
+
 
 @app.command()
 def why(
     file: Annotated[
-        str,
-        typer.Argument(metavar="[FILE]", help="An MCAP file, a recording's folder or name."),
-    ] = LAST,
+        str | None,
+        typer.Argument(
+            metavar="[FILE]",
+            help="An MCAP file, a recording's folder or name, or `last` [default: the running "
+            "daemon's, or the last, or one before that].",
+        ),
+    ] = None,
     at: Annotated[
         str | None,
         typer.Option(
@@ -35,12 +65,14 @@ def why(
         ),
     ] = None,
     folder: Recordings = None,
-    robot: Robot = DEFAULT_ROBOT,
+    robot: RecordedBy = None,
     as_json: Json = False,
 ) -> None:
     """Say why the robot was stopped last, or why a request was refused.
 
-    From the journal of a recording, also of one that goes on; needs neither ROS nor a daemon.
+    From the journal of a recording; needs neither ROS nor a daemon. A running daemon is asked to
+    write down first what it knows. Where nothing happened in the last recording, those of the
+    robot before it are searched.
 
     \b
     Examples:
@@ -48,23 +80,98 @@ def why(
       robotctl why last --at 12:03:04
       robotctl why incident.mcap --json
     """
+    missing: list[str] = []
+    paths = _paths(file, robot, folder, missing)
+    with progress_bar("reading the journal", quiet=as_json) as on_progress:
+        if at is None:
+            found = _find(paths, None, missing, on_progress)
+        else:
+            path, at_ns = _at(paths, at)
+            found = _find([path], at_ns, missing, on_progress)
+    print(json_text(as_object(found)) if as_json else "\n".join(why_lines(found)))
+
+
+def _paths(
+    file: str | None, robot: str | None, folder: Path | None, missing: list[str]
+) -> list[Path]:
+    """Return the recordings to search, the newest first; a live one holds all that is known."""
+    newest = None
+    if file is None and folder is None:
+        newest = _committed(robot or DEFAULT_ROBOT, missing)
+    if newest is None:
+        newest = find_recording(file or LAST, robot, folder)
+        recorded_by = robot_of(newest)
+        if recorded_by is not None:
+            _committed(recorded_by, missing)
+    if file not in (None, LAST):
+        return [newest]
+    paths = recordings_of(robot_of(newest), newest.parent)
+    if newest not in paths:
+        return [newest]
+    return paths[paths.index(newest) :][:MAX_RECORDINGS]
+
+
+def _committed(robot: str, missing: list[str]) -> Path | None:
+    """Have the robot's daemon write down what it knows, and return its recording's folder."""
+    try:
+        with Client(robot) as client:
+            answer = _commit(client, missing)
+    except (NoDaemon, Refused, UsageError):  # nobody listens; or no robot's name
+        return None
+    return None if answer is None else Path(answer["file"]).parent
+
+
+def _commit(client: Client, missing: list[str]) -> dict[str, Any] | None:
+    try:
+        answer = client.call("record_commit", deadline_s=COMMIT_DEADLINE_S)
+    except RobotctlError as error:  # busy, stuck, ending, or of another version
+        missing.append(f"what the daemon has not written yet: {error}")
+        return None
+    if answer["uncommitted"]:
+        reason = answer["failure"] or "the disk is too slow"
+        missing.append(f"{answer['uncommitted']} messages that are not written: {reason}")
+    return answer
+
+
+def _at(paths: Sequence[Path], at: str) -> tuple[Path, int]:
+    """Return the newest recording that begins before the time `at`, and that time [ns]."""
     from robotctl.recording.reader import read_info
+
+    for path in paths:
+        start_ns = read_info(path).start_ns
+        at_ns = parse_moment(at, start_ns)
+        if at_ns >= start_ns:
+            return path, at_ns
+    return paths[0], parse_moment(at, read_info(paths[0]).start_ns)
+
+
+def _find(
+    paths: Sequence[Path], at_ns: int | None, missing: list[str], on_progress: Progress
+) -> Found:
+    """Return the last incident, or the one nearest to `at_ns`; raises Refused if there is none."""
     from robotctl.replay.incident import find_incident
 
-    path = find_recording(file, robot, folder)
-    at_ns = None if at is None else parse_moment(at, read_info(path).start_ns)
-    with progress_bar("reading the journal", quiet=as_json) as on_progress:
-        incident = find_incident(path, at_ns, on_progress)
-    if as_json:
-        print(json_text(as_object(path, incident)))
-    else:
-        print("\n".join(why_lines(path, incident)))
+    for number, path in enumerate(paths):
+        try:
+            searched = find_incident(path, at_ns, on_progress)
+        except UnreadableFile as error:
+            if len(paths) == 1:
+                raise
+            missing.append(str(error))
+            continue
+        missing += searched.missing
+        if searched.incident is not None:
+            return Found(path, searched.incident, paths[:number], missing)
+    before = "" if len(paths) == 1 else f" and {len(paths) - 1} before it"
+    but = f" (but {'; '.join(missing)})" if missing else ""
+    raise Refused(f"{paths[0]}{before}: the robot was not stopped, and nothing was refused{but}")
 
 
-def why_lines(path: Path, incident: Incident) -> Iterator[str]:
-    """The sentences, as operators read them."""
+def why_lines(found: Found) -> Iterator[str]:
+    """Yield the sentences, as operators read them."""
     from robotctl.replay.why import explain
 
+    incident = found.incident
     told = explain(incident)
     yield from row(f"{_clock(incident)}  ", told.what)
     rows = (
@@ -74,25 +181,36 @@ def why_lines(path: Path, incident: Incident) -> Iterator[str]:
         ("asked for", told.asked),
         *(("went out" if not i else "", text) for i, text in enumerate(told.went_out)),
         ("since", told.since),
-        *(("missing", sentence) for sentence in incident.missing),
+        ("then", _later(found)),
+        *(("missing", sentence) for sentence in found.missing),
     )
     for label, text in rows:
         if text:
             yield from row(f"  {label:12}", text)
     after_s = (incident.t_ns - incident.begin_ns) / 1e9
-    yield f"  {'recorded in':12}{short_path(path)}, {after_s:.3f} s after its beginning"
+    yield f"  {'recorded in':12}{short_path(found.path)}, {after_s:.3f} s after its beginning"
 
 
-def as_object(path: Path, incident: Incident) -> dict[str, Any]:
-    """The object of `why --json`; times in seconds, milliseconds and ns since the epoch."""
+def _later(found: Found) -> str:
+    count = len(found.later)
+    if not count:
+        return ""
+    what = "a later recording" if count == 1 else f"{count} later recordings"
+    return f"{what} without a stop or a refusal, up to {short_path(found.later[0])}"
+
+
+def as_object(found: Found) -> dict[str, Any]:
+    """Return the object of `why --json`; times in seconds, milliseconds and ns since the epoch."""
     from robotctl.replay.values import text_of
     from robotctl.replay.why import explain, rule_of
 
+    incident = found.incident
     told = explain(incident)
     rule = rule_of(incident)
     sent_ms = None if incident.zero_ns is None else (incident.zero_ns - incident.log_ns) / 1e6
     return {
-        "path": str(path),
+        "path": str(found.path),
+        "later": [str(path) for path in found.later],
         "kind": incident.kind.value,
         "seq": incident.seq,
         "log_ns": incident.log_ns,
@@ -111,7 +229,7 @@ def as_object(path: Path, incident: Incident) -> dict[str, Any]:
         "asked": told.asked,
         "went_out": list(told.went_out),
         "since": told.since,
-        "missing": incident.missing,
+        "missing": list(found.missing),
     }
 
 

@@ -21,7 +21,7 @@ from robotctl.daemon.recorder_report import RecorderReport
 from robotctl.daemon.recordings import open_recorder, remove_oldest
 from robotctl.daemon.supervisor import Work
 from robotctl.recording.events import EventKind, RecordedEvent
-from robotctl.recording.recorder import Topic
+from robotctl.recording.recorder import RecorderStats, Topic
 from robotctl.recording.topic_filter import TopicFilter
 from robotctl.ros import qos
 from robotctl.ros.diagnostics_publisher import TOPIC, TYPE_NAME, DiagnosticsPublisher
@@ -131,6 +131,10 @@ class FlightRecorder:
         """Go on in a new file, without a gap; returns before that is done."""
         self._recorder.split()
         self._on_file()
+
+    def stats(self) -> RecorderStats:
+        """Return what became of the messages so far."""
+        return self._recorder.stats()
 
     def received(self) -> dict[str, int]:
         """Return how many messages of each topic were received."""

@@ -13,12 +13,30 @@ from robotctl.ipc.params import MarkParams, NoParams
 SPLIT_DEADLINE_S = 5.0
 """For the disk to finish one file and begin another."""
 
+COMMIT_DEADLINE_S = 5.0
+"""For the disk to take what is queued: the writer thread takes it four times a second."""
+
 
 def recording_methods(recorder: FlightRecorder) -> dict[str, Method[Any]]:
-    """Return `record_status`, `record_split` and `mark`."""
+    """Return `record_status`, `record_commit`, `record_split` and `mark`."""
 
     async def status(_: NoParams) -> dict[str, Any]:
         return {**recorder.report.facts(), "warnings": list(recorder.report.warnings())}
+
+    async def commit(_: NoParams) -> dict[str, Any]:
+        """Answer once the file holds all that was received before this request."""
+        received = recorder.stats().received
+
+        def uncommitted() -> int:
+            stats = recorder.stats()
+            return max(received - stats.written - stats.dropped, 0)
+
+        await until(lambda: bool(recorder.failure) or not uncommitted(), COMMIT_DEADLINE_S)
+        return {
+            "file": _file_of(recorder),
+            "uncommitted": uncommitted(),
+            "failure": recorder.failure,
+        }
 
     async def split(_: NoParams) -> dict[str, Any]:
         before = _file_of(recorder)
@@ -40,6 +58,7 @@ def recording_methods(recorder: FlightRecorder) -> dict[str, Method[Any]]:
 
     return {
         "record_status": Method(NoParams, status),
+        "record_commit": Method(NoParams, commit),
         "record_split": Method(NoParams, split, 2 * SPLIT_DEADLINE_S),
         "mark": Method(MarkParams, mark),
     }

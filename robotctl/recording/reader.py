@@ -14,6 +14,7 @@ from mcap.records import Channel, Metadata, Schema
 
 from robotctl.errors import UnreadableFile
 from robotctl.recording.file_index import note_missing
+from robotctl.recording.identity import CLIP_RECORD, LEDGER_RECORD
 from robotctl.recording.indexing import index_of
 from robotctl.recording.lookback import last_before
 from robotctl.recording.mcap_input import Damaged, InputFile
@@ -100,6 +101,18 @@ class Recording:
     def info(self) -> RecordingInfo:
         """What it holds."""
         return describe(self.path, self._files, self.missing)
+
+    @property
+    def is_live(self) -> bool:
+        """Whether a process still writes its last file."""
+        return self._files[-1].file.is_changing()
+
+    @property
+    def is_cut_off(self) -> bool:
+        """Whether the process that recorded it ended without closing it, or stopped recording."""
+        return not self.is_live and not self._files[-1].index.has_metadata(
+            LEDGER_RECORD, CLIP_RECORD
+        )
 
     def metadata(self) -> list[Metadata]:
         """Every metadata record, in the order of the files."""

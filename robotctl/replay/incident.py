@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
-from robotctl.errors import Refused, UnreadableFile
+from robotctl.errors import UnreadableFile
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
@@ -36,13 +36,17 @@ class IncidentKind(StrEnum):
 
     REFUSAL = "refusal"
 
+    KILL = "kill"
+    """The recording ends while the robot is MOVING, and nobody closed it."""
+
 
 @dataclass(slots=True)
 class Incident:
-    """A step of the kernel that stopped the robot or refused a request.
+    """A step of the kernel that stopped the robot or refused a request, or the last one of all.
 
     Times are steady ns; `log_ns` is that of the event, and `zero_ns` that of the first zero
-    command that was sent then, both since the epoch. What is None is not in the recording.
+    command that was sent then, both since the epoch. What is None is not in the recording. For a
+    KILL the event is the last one that was recorded.
     """
 
     kind: IncidentKind
@@ -62,16 +66,22 @@ class Incident:
     """When and by what event a ramp to this stop began."""
 
     next_change: tuple[int, ModeChanged] | None = None
-    missing: list[str] = field(default_factory=list)
-    """What of the journal cannot be read, a sentence each."""
+
+
+@dataclass(frozen=True, slots=True)
+class Searched:
+    """What a recording tells: its last incident, if there is one, and what cannot be read."""
+
+    incident: Incident | None
+    missing: list[str]
 
 
 def find_incident(
     path: Path, at_ns: int | None, on_progress: Callable[[int, int], None]
-) -> Incident:
-    """The last incident of a recording, or the one nearest to `at_ns` since the epoch.
+) -> Searched:
+    """Find the last incident of a recording, or the one nearest to `at_ns` since the epoch.
 
-    Raises UnreadableFile where there is no journal to read, Refused where nothing happened.
+    Raises UnreadableFile where there is no journal to read.
     """
     with Recording(path) as recording:
         topic = journal_topic(recording.info())
@@ -79,12 +89,9 @@ def find_incident(
             raise UnreadableFile(f"{path} holds no journal of robotctl: it does not say why")
         search = _Search(recording, topic, at_ns)
         incident = search.run(on_progress)
-        if incident is None:
-            missing = f" (but {'; '.join(search.missing)})" if search.missing else ""
-            raise Refused(f"{path}: the robot was not stopped, and nothing was refused{missing}")
-        incident.missing = search.missing
-        _Context(recording, topic, incident).fill()
-    return incident
+        if incident is not None:
+            _Context(recording, topic, incident).fill()
+    return Searched(incident, search.missing)
 
 
 class _Search:
@@ -98,6 +105,8 @@ class _Search:
         self._begin_ns: int | None = None
         self._snapshot_seq: int | None = None
         self._moving_since_ns: int | None = None
+        self._mode: Mode | None = None
+        self._last: Step | None = None
         self._best: Incident | None = None
         self._best_apart_ns = 0
         self.missing = list(recording.missing)
@@ -105,16 +114,18 @@ class _Search:
     def run(self, on_progress: Callable[[int, int], None]) -> Incident | None:
         """Read the journal once."""
         for item in steps(self._entries(on_progress)):
-            if isinstance(item, Gap):
-                self._miss(item.text)
-                self._snapshot_seq = self._moving_since_ns = None
-            elif isinstance(item, Step):
-                try:
+            try:
+                if isinstance(item, Gap):
+                    self._miss(item.text)
+                    self._snapshot_seq = self._moving_since_ns = self._mode = None
+                elif isinstance(item, Step):
                     self._step(item)
-                except UnreadableFile as error:
-                    self._miss(str(error))
-            else:
-                self._snapshot_seq = item.seq
+                else:
+                    self._snapshot(item)
+            except UnreadableFile as error:
+                self._miss(str(error))
+        if self._last is not None and self._mode is Mode.MOVING and self._recording.is_cut_off:
+            self._consider(self._last, IncidentKind.KILL)
         return self._best
 
     def _entries(self, on_progress: Callable[[int, int], None]) -> Iterator[JournalEntry]:
@@ -133,15 +144,27 @@ class _Search:
                     self._best.next_change = t_ns, effect
                 if effect.mode is Mode.MOVING:
                     self._moving_since_ns = t_ns
+                self._mode = effect.mode
+        self._last = step
         kind = _kind(step, effects)
+        if kind is not None:
+            self._consider(step, kind)
+
+    def _snapshot(self, entry: JournalEntry) -> None:
+        self._snapshot_seq = entry.seq
+        if self._mode is None:
+            self._mode = read_snapshot(entry).state.mode
+
+    def _consider(self, step: Step, kind: IncidentKind) -> None:
+        """Keep the incident if it is a better answer than those before."""
         apart_ns = 0 if self._at_ns is None else abs(self._log_ns - self._at_ns)
-        if kind is None or (self._best is not None and apart_ns > self._best_apart_ns):
+        if self._best is not None and apart_ns > self._best_apart_ns:
             return
         self._best_apart_ns = apart_ns
         self._best = Incident(
             kind=kind,
             seq=step.event.seq,
-            t_ns=t_ns,
+            t_ns=step.event.t_ns,
             event=read_event(step.event),
             effects=tuple(map(read_effect, step.effects)),
             begin_ns=self._begin_ns or 0,

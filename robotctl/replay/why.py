@@ -83,6 +83,8 @@ def rule_of(incident: Incident) -> Rule | None:
 
 
 def _what(incident: Incident) -> str:
+    if incident.kind is IncidentKind.KILL:
+        return "killed while MOVING: the recording ends there, without a stop"
     for effect in incident.effects:
         if isinstance(effect, ModeChanged):
             return f"{effect.previous.name} -> {effect.mode.name}: {effect.reason}"
@@ -98,6 +100,11 @@ def _refusal(incident: Incident) -> Reply | None:
 
 
 def _came_in(incident: Incident) -> str:
+    if incident.kind is IncidentKind.KILL:
+        return (
+            "nothing that was recorded: the process was killed, the machine lost power, "
+            "or the disk took no more"
+        )
     if incident.ramp is None:
         return sentence_of(incident.event)
     t_ns, event = incident.ramp
@@ -132,7 +139,7 @@ def _known(incident: Incident) -> str:
 def _rule(incident: Incident) -> str:
     """Which rule decided, and against what it measures."""
     before, params = incident.before, incident.params
-    if before is None or params is None:
+    if before is None or params is None or incident.kind is IncidentKind.KILL:
         return ""
     rule = rule_of(incident)
     if rule is None:
@@ -188,6 +195,9 @@ def _asked(incident: Incident) -> str:
 
 
 def _went_out(incident: Incident) -> Iterator[str]:
+    if incident.kind is IncidentKind.KILL:
+        yield "no zero velocity: the robot stops by its own command timeout"
+        return
     for effect in incident.effects:
         match effect:
             case PublishTwist():
@@ -224,6 +234,6 @@ def _since(incident: Incident) -> str:
         t_ns, change = incident.next_change
         after = span(t_ns - incident.t_ns)
         return f"{after} later {change.previous.name} -> {change.mode.name}: {change.reason}"
-    if incident.after is None:
+    if incident.after is None or incident.kind is IncidentKind.KILL:
         return ""
     return f"{incident.after.mode.name} to the end of the recording"

@@ -120,6 +120,32 @@ def test_info_takes_a_name_and_last(library: Path, cli: Cli) -> None:
     assert "no recording of robot 'r2'" in ran.err
 
 
+HERE = "demo_7_20260102_120000"
+
+
+def test_last_is_the_newest_in_the_folder_at_hand(library: Path, cli: Cli) -> None:
+    record(Path("recordings") / "demo_7_20260101_120000")
+    record(Path("recordings") / HERE)
+    for command in ("info", "recover"):
+        assert HERE in cli(command, "last").out
+    assert HERE in cli("recordings").out
+    assert OLDER not in cli("recordings").out
+    for options in (("--robot", "robot"), ("--recordings", str(library))):
+        assert NEWER in cli("info", "last", *options).out
+    assert cli("info", "last", "--recordings", "recordings", "--robot", "robot").exit_code == 4
+
+
+def test_last_leads_to_the_last_daemon_of_any_robot_where_the_default_one_never_ran(
+    cli: Cli, tmp_path: Path
+) -> None:
+    record(tmp_path / "elsewhere" / HERE)
+    note = recordings_note_path("demo_7")
+    note.parent.mkdir(parents=True)
+    note.write_text(f"{tmp_path / 'elsewhere'}\n")
+    assert HERE in cli("info", "last").out
+    assert cli("info", "last", "--robot", "r2").exit_code == 4
+
+
 def test_info_tells_machines_events_ledger_and_metadata(library: Path, cli: Cli) -> None:
     found = json.loads(cli("info", OLDER, "--json").out)
     assert found["events"] == [

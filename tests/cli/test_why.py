@@ -6,12 +6,14 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from robotctl.kernel.types import ModeRequested
+from robotctl.recording.reader import read_info
 from robotctl.testing.drives import BEGIN_NS, Written, drive, drive_requested, record
 
 Cli = Callable[..., Any]
@@ -59,6 +61,40 @@ def test_what_cannot_be_told_has_an_exit_code(cli: Cli) -> None:
     assert ran.exit_code == 4
     assert "nothing was refused" in ran.err
     assert cli("why", "--at", "noon").exit_code == 2
+
+
+LATER = Path("recordings/robot_20260101_130000")
+
+
+def test_a_stop_is_not_forgotten_at_a_restart(cli: Cli, stopped: list[Written]) -> None:
+    record(FOLDER, stopped)
+    record(LATER, drive(0.5, requests=[]))
+    for arguments in ((), ("last",), ("--recordings", "recordings")):
+        out = cli("why", *arguments).out
+        assert "moving is refused in EMERGENCY_STOP" in " ".join(out.split())
+        assert "a later recording without a stop or a refusal" in out
+        assert f"recorded in {FOLDER}" in out
+    found = json.loads(cli("why", "--json").out)
+    assert (found["path"], found["later"]) == (str(FOLDER.absolute()), [str(LATER.absolute())])
+    ran = cli("why", str(LATER))
+    assert (ran.exit_code, "nothing was refused" in ran.err) == (4, True)
+
+
+def test_another_robots_stop_is_not_taken_for_this_ones(cli: Cli, stopped: list[Written]) -> None:
+    record(Path("recordings/other_20260101_120000"), stopped, robot="other")
+    record(LATER, drive(0.5, requests=[]))
+    assert cli("why").exit_code == 4
+    assert cli("why", "--robot", "other").exit_code == 0
+
+
+def test_a_time_before_the_last_recording_is_looked_for_in_those_before(
+    cli: Cli, stopped: list[Written]
+) -> None:
+    record(FOLDER, stopped)
+    start_s = read_info(FOLDER).start_ns / 1e9
+    record(LATER, drive(0.5, requests=[]), clock=lambda time_ns: time_ns + 3_600 * 10**9)
+    at = datetime.fromtimestamp(start_s + 2.1, UTC).isoformat()
+    assert "MOVING -> EMERGENCY_STOP" in cli("why", "--at", at).out
 
 
 def test_no_ros_is_imported(stopped: list[Written]) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.errors import Refused, UnreadableFile
+from robotctl.errors import UnreadableFile
 from robotctl.kernel.types import (
     BatteryReceived,
     Cause,
@@ -20,6 +20,7 @@ from robotctl.kernel.types import (
     Twist,
 )
 from robotctl.recording.journal import JournalEntry
+from robotctl.recording.recording_file import RecordingFile
 from robotctl.replay.check import check
 from robotctl.replay.incident import Incident, IncidentKind, find_incident
 from robotctl.replay.report import Verdict
@@ -33,7 +34,9 @@ def at(seconds: float) -> int:
 
 
 def incident(folder: Path, at_ns: int | None = None) -> Incident:
-    return find_incident(folder, at_ns, lambda done, total: None)
+    found = find_incident(folder, at_ns, lambda done, total: None).incident
+    assert found is not None
+    return found
 
 
 ESTOP = ModeRequested(at(2.0), 2, 3, "robotctl estop (pid 99)")
@@ -166,13 +169,43 @@ def test_without_a_snapshot_before_it_says_what_it_cannot_tell(tmp_path: Path) -
 
 
 def test_where_nothing_happened_it_says_so(tmp_path: Path) -> None:
-    with pytest.raises(Refused, match="the robot was not stopped"):
-        incident(record(tmp_path / "run", drive(1.0)))
+    found = find_incident(record(tmp_path / "run", drive(1.0)), None, lambda done, total: None)
+    assert (found.incident, found.missing) == (None, [])
 
 
 def test_a_recording_without_a_journal_cannot_say_why(tmp_path: Path) -> None:
     (tmp_path / "empty.mcap").touch()
     with pytest.raises(UnreadableFile):
         incident(tmp_path / "empty.mcap")
-    with pytest.raises(Refused):
-        incident(record(tmp_path / "run", [Twist()]))
+    folder = record(tmp_path / "run", [Twist()])
+    assert find_incident(folder, None, lambda done, total: None).incident is None
+
+
+@pytest.fixture
+def unclosed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave recordings as a killed process does."""
+    monkeypatch.setattr(RecordingFile, "finish", RecordingFile.abandon)
+
+
+@pytest.mark.usefixtures("unclosed")
+def test_a_recording_that_ends_by_a_kill_in_moving_says_so(tmp_path: Path) -> None:
+    refused = ModeRequested(at(1.0), 2, 7, "somebody")
+    found = incident(record(tmp_path / "run", drive(2.0, requests=[drive_requested(), refused])))
+    assert found.kind is IncidentKind.KILL
+    told = explain(found)
+    assert told.what.startswith("killed while MOVING")
+    assert told.asked == "a square: somebody, 1.9 s before"
+    assert "from where it should be" in told.known
+    assert told.went_out == ("no zero velocity: the robot stops by its own command timeout",)
+    assert (told.rule, told.since) == ("", "")
+
+
+@pytest.mark.usefixtures("unclosed")
+def test_a_kill_of_a_robot_that_stands_stopped_nothing(tmp_path: Path) -> None:
+    found = incident(record(tmp_path / "run", drive(3.0, requests=[drive_requested(), ESTOP])))
+    assert found.kind is IncidentKind.STOP
+
+
+def test_a_recording_that_was_closed_does_not_tell_of_a_kill(tmp_path: Path) -> None:
+    folder = record(tmp_path / "run", drive(1.0))
+    assert find_incident(folder, None, lambda done, total: None).incident is None

@@ -1,0 +1,69 @@
+"""`robotctl why` beside a real daemon: at once, after a kill, and after a restart."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from robotctl.cli import app
+from robotctl.ipc.client import call
+from robotctl.testing.waiting import until
+from robotctl.testing.world import World
+
+ROUNDS = 5
+
+
+@pytest.fixture
+def here(world: World, monkeypatch: pytest.MonkeyPatch) -> World:
+    """A world that command lines in this very process belong to, too."""
+    for name in ("XDG_RUNTIME_DIR", "XDG_STATE_HOME", "ROS_DOMAIN_ID"):
+        monkeypatch.setenv(name, world.environment[name])
+    monkeypatch.chdir(world.folder)
+    return world
+
+
+def test_why_knows_all_that_the_daemon_has_told_anybody_by_then(
+    here: World, capsys: pytest.CaptureFixture[str]
+) -> None:
+    here.ok("start", "--sim")
+    for number in range(ROUNDS):
+        call("robot", "set_mode", {"mode": 3, "source": f"round {number}"})
+        capsys.readouterr()
+        assert app.run(["why", "--json"]) == 0
+        found = json.loads(capsys.readouterr().out)
+        assert found["what"] == f"IDLE -> EMERGENCY_STOP: requested by round {number}"
+        assert found["missing"] == []
+        call("robot", "reset", {"source": "test"})
+    here.ok("stop")
+
+
+def test_the_running_daemon_is_asked_also_where_other_recordings_lie_at_hand(
+    here: World,
+) -> None:
+    here.ok("start", "--sim")
+    call("robot", "set_mode", {"mode": 3, "source": "test"})
+    elsewhere = here.folder / "elsewhere"
+    older = "robot_20200101_120000"
+    (elsewhere / "recordings" / older).mkdir(parents=True)
+    (live,) = here.recordings.iterdir()
+    process = here.spawn("why", "--json", cwd=elsewhere)
+    found = json.loads(process.communicate()[0])
+    assert found["path"] == str(live)
+    here.ok("stop")
+
+
+def test_a_kill_while_moving_is_told_also_after_a_restart(here: World) -> None:
+    here.ok("start", "--sim")
+    here.ok("drive", "square")
+    until(lambda: here.status()["velocity"]["linear"] > 0.1)
+    (killed,) = here.recordings.iterdir()
+    here.kill(here.status()["pid"])
+    assert "killed while MOVING" in here.ok("why")
+    here.ok("start", "--sim")
+    found = here.answer("why")
+    assert found["kind"] == "kill"
+    assert Path(found["path"]) == killed
+    assert len(found["later"]) == 1
+    here.ok("stop")
