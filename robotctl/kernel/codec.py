@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import fields, is_dataclass
+from dataclasses import MISSING, fields, is_dataclass
 from enum import Enum
 from functools import lru_cache
 from math import isfinite
@@ -25,7 +25,11 @@ def to_json(value: Any) -> str:
 
 
 def from_json(kind: Callable[..., T], text: str) -> T:
-    """Return the `kind` that `to_json` wrote; raises ValueError where the text is not one."""
+    """Return the `kind` that `to_json` wrote; raises ValueError where the text is not one.
+
+    A field that another version of robotctl did not write yet takes its default; a field that
+    this version does not have is passed over.
+    """
     try:
         value: T = _reader(kind)(json.loads(text))
     except (KeyError, TypeError, OverflowError, RecursionError) as error:
@@ -81,9 +85,30 @@ def _reader(kind: Any) -> Callable[[Any], Any]:
         (some,) = (_reader(option) for option in get_args(kind) if option is not NoneType)
         return lambda plain: None if plain is None else some(plain)
     if isinstance(kind, type) and is_dataclass(kind):
-        readers = {name: _reader(hint) for name, hint in get_type_hints(kind).items()}
-        return lambda plain: kind(**{name: read(plain[name]) for name, read in readers.items()})
+        return _fields_reader(kind)
     return lambda plain: kind(plain)
+
+
+def _fields_reader(kind: Any) -> Callable[[Any], Any]:
+    readers = {name: _reader(hint) for name, hint in get_type_hints(kind).items()}
+    optional = {
+        field.name
+        for field in fields(kind)
+        if field.default is not MISSING or field.default_factory is not MISSING
+    }
+
+    def read(plain: Any) -> Any:
+        if not isinstance(plain, dict):
+            raise TypeError(f"{plain!r} is not a {kind.__name__}")
+        return kind(
+            **{
+                name: read_field(plain[name])
+                for name, read_field in readers.items()
+                if name in plain or name not in optional
+            }
+        )
+
+    return read
 
 
 def _exactly(kind: type) -> Callable[[Any], Any]:

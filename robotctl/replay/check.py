@@ -20,6 +20,7 @@ from robotctl.replay.rerun import Divergence, Rerun
 from robotctl.replay.steps import Gap, Step, steps
 from robotctl.replay.traffic import CommandTraffic, command_topic
 from robotctl.replay.values import read_effect, read_snapshot
+from robotctl.replay.vocabulary import Vocabulary
 
 Progress = Callable[[int, int], None]
 """(bytes done, bytes in total)"""
@@ -48,6 +49,7 @@ class _Check:
         self._info = recording.info()
         self._invariants = Invariants()
         self._traffic = CommandTraffic()
+        self._vocabulary: Vocabulary | None = Vocabulary()
         self._rerun: Rerun | None = None
         self._before_snapshot = 0
         self._end_ns = 0
@@ -66,7 +68,8 @@ class _Check:
             )
         for item in steps(self._entries(topic)):
             if isinstance(item, Gap):
-                self._interrupt(item.text)
+                report.miss(item.text)
+                self._stop()
             elif isinstance(item, Step):
                 self._step(item)
             else:
@@ -93,6 +96,7 @@ class _Check:
     def _snapshot(self, entry: JournalEntry) -> None:
         report = self._report
         try:
+            self._compare_vocabulary(entry)
             if self._rerun is None:
                 report.made_by = read_snapshot(entry).made_by
                 comparison = Comparison(report.version, report.made_by)
@@ -101,7 +105,7 @@ class _Check:
                 self._rerun = Rerun(comparison)
             snapshot, divergence = self._rerun.snapshot(entry)
         except UnreadableFile as error:
-            self._interrupt(str(error))
+            self._interrupt_at(error)
             return
         self._note(divergence)
         self._invariants.snapshot(snapshot)
@@ -115,25 +119,45 @@ class _Check:
                 self._before_snapshot += 1
                 self._traffic.step(tuple(map(read_effect, step.effects)))
                 return
+            self._compare_vocabulary(step.event, *step.effects)
             decided = self._rerun.step(step)
             effects = decided.effects
             if effects is None:
                 self._note(decided.divergence)
                 effects = tuple(map(read_effect, step.effects))
         except UnreadableFile as error:
-            self._interrupt(str(error))
+            self._interrupt_at(error)
             return
         if effects:
             self._traffic.step(effects)
         self._invariants.step(step.event.seq, decided.event, effects)
 
     def _note(self, divergence: Divergence | None) -> None:
-        if self._report.divergence is None:
-            self._report.divergence = divergence
+        report = self._report
+        if divergence is None or report.divergence is not None:
+            return
+        report.divergence = divergence
+        if not report.same_version:
+            report.miss_other_rules(divergence.sentence())
 
-    def _interrupt(self, reason: str) -> None:
+    def _compare_vocabulary(self, *entries: JournalEntry) -> None:
+        """Name the first field of another version that this one does not know."""
+        if self._vocabulary is None or self._report.same_version:
+            return
+        for entry in entries:
+            if field := self._vocabulary.unknown_field(entry):
+                self._report.miss_other_rules(f"entry {entry.seq}: {field!r} is not known")
+                self._vocabulary = None
+                return
+
+    def _interrupt_at(self, error: UnreadableFile) -> None:
+        """An entry is none of this version."""
+        report = self._report
+        (report.miss if report.same_version else report.miss_other_rules)(str(error))
+        self._stop()
+
+    def _stop(self) -> None:
         """Nothing can be decided from here to the next snapshot."""
-        self._report.miss(reason)
         self._invariants.stop()
         if self._rerun is not None:
             self._rerun.stop()

@@ -9,6 +9,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
+from robotctl import __version__
 from robotctl.errors import Divergence as DivergenceError
 from robotctl.errors import UnreadableFile
 from robotctl.kernel.codec import to_json
@@ -21,13 +22,14 @@ class Verdict(StrEnum):
     """What came of a check, the gravest first."""
 
     DIVERGED = "diverged"
-    """A fresh kernel decides otherwise."""
+    """A fresh kernel of the version that made the recording decides otherwise."""
 
     BROKEN = "broken"
     """It decides the same, but the recording breaks a promise of robotctl."""
 
     INCOMPLETE = "incomplete"
-    """Not everything could be checked; what could is in order."""
+    """Not everything could be checked, or another version decided by other rules; the rest is in
+    order."""
 
     SAME = "same"
 
@@ -45,7 +47,8 @@ class Report:
 
     `version` and `made_by` are of the recording, "" where it does not say; `missing` says what
     could not be checked, `notes` how the rest was; times in seconds, and steady ns for `begin_ns`,
-    which is `begin_log_ns` since the epoch.
+    which is `begin_log_ns` since the epoch. `divergence` is the first difference, also where the
+    recording is of another version.
     """
 
     path: Path
@@ -65,11 +68,17 @@ class Report:
     violation_count: int = 0
     missing: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    _other_rules: bool = False
+
+    @property
+    def same_version(self) -> bool:
+        """Whether this very version made the recording: only then a difference is a fault."""
+        return self.version == __version__
 
     @property
     def verdict(self) -> Verdict:
         """The gravest of what was found."""
-        if self.divergence is not None:
+        if self.divergence is not None and self.same_version:
             return Verdict.DIVERGED
         if self.violation_count:
             return Verdict.BROKEN
@@ -78,6 +87,18 @@ class Report:
     def miss(self, sentence: str) -> None:
         """Say that something could not be checked."""
         note_missing(self.missing, sentence)
+
+    def miss_other_rules(self, difference: str) -> None:
+        """Say where another version decided by other rules; the first sentence names both."""
+        if self._other_rules:
+            self.miss(difference)
+            return
+        self._other_rules = True
+        theirs = self.version or "unknown"
+        self.miss(
+            f"decided by the rules of another version ({theirs}, this is {__version__}): "
+            f"{difference}"
+        )
 
     def moment(self, t_ns: int) -> dict[str, Any]:
         """A steady time, in seconds after the recording's beginning and as a date with a time."""

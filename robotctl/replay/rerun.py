@@ -38,6 +38,13 @@ class Divergence:
     before: State | None
     differences: tuple[str, ...] = ()
 
+    def sentence(self) -> str:
+        """The difference in one sentence."""
+        differs = "; ".join(self.differences)
+        if not differs:
+            differs = f"recorded {self.recorded or 'nothing'}, decided {self.decided or 'nothing'}"
+        return f"entry {self.seq}, after {self.event.partition(' ')[0]}: {differs}"
+
 
 class Decided(NamedTuple):
     """A step decided again; `effects` are None where there is nothing to compare them with."""

@@ -77,7 +77,7 @@ def _read(kinds: Mapping[str, Any], noun: str, entry: JournalEntry) -> Any:
             raise ValueError(f"no {noun} is called {entry.name[:40]!r}")
         try:
             return _DECODERS[kind].decode(entry.data)
-        except msgspec.DecodeError:  # nan and inf are strings there
+        except (msgspec.DecodeError, RecursionError):  # nan and inf are strings there
             return from_json(kind, entry.data)
     except ValueError as error:
         raise UnreadableFile(f"journal entry {entry.seq} is not ours: {error}") from None

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from robotctl import __version__
 from robotctl.cli import launch, lifecycle
 from robotctl.ipc.client import call
 from robotctl.paths import log_path
@@ -29,7 +30,7 @@ def test_start_returns_when_the_daemon_answers_and_says_what_runs(cli: Callable[
     assert ran.exit_code == 0
     pid = call("robot", "status")["pid"]
     lines = ran.out.splitlines()
-    assert lines[0] == "robotctl 0.1.0: robot robot is ready"
+    assert lines[0] == f"robotctl {__version__}: robot robot is ready"
     for text in ("IDLE", "domain 7, discovery LOCALHOST", "yes", "robot.sock", "daemon.log"):
         assert any(text in line for line in lines)
     assert "  recording   recordings/robot_20260101_120000/robot_20260101_120000_0.mcap" in lines

@@ -118,9 +118,28 @@ def test_the_json_is_strict() -> None:
         (ModeRequested, '{"t_ns": 1, "request_id": 1, "requested": 1, "source": 7}'),
         (PublishTwist, "[" * 100_000),
         (ModeChanged, '{"previous": 9, "mode": 0, "reason": ""}'),
-        (State, '{"mode": 0}'),
+        (State, "[]"),
+        (State, '"mode"'),
+        (State, '{"mode": 9}'),
+        (Snapshot, '{"made_by": "test", "params": {}}'),
     ],
 )
 def test_what_is_not_a_kernel_value_is_a_value_error(kind: type, text: str) -> None:
     with pytest.raises(ValueError, match=r"."):
         from_json(kind, text)
+
+
+def test_a_field_that_an_older_version_did_not_write_takes_its_default() -> None:
+    assert from_json(Tick, '{"t_ns": 7}') == Tick(7)
+    assert from_json(State, '{"mode": 0, "health": {}}') == State()
+    written = json.loads(to_json(Snapshot("test", KernelParams(), moving(ticks=5).state)))
+    del written["params"]["limits"], written["state"]["health"]["odometry"]
+    read = from_json(Snapshot, json.dumps(written))
+    assert read.params == KernelParams()
+    assert read.state.health.odometry is None
+    assert read.state.mode is Mode.MOVING
+
+
+def test_a_field_without_a_default_is_never_made_up() -> None:
+    with pytest.raises(ValueError, match="not a"):
+        from_json(Tick, '{"missed": 0}')
