@@ -1,13 +1,26 @@
 """A writer whose MCAP file is complete and valid after every write.
 
-Each `commit` puts, by one positioned write at the end of the data, whatever is new and then a
-whole trailer: DataEnd, summary, footer, magic. The next commit overwrites that trailer. So any
-reader opens the file at any moment, also after the process was killed, without a recovery step.
+Each `commit` puts what is new at the end of the data, and behind that a whole trailer: DataEnd,
+summary, footer, magic. The next commit overwrites that trailer. So any reader opens the file at
+any moment, also after the process was killed, without a recovery step.
+
+A positioned write is not atomic: Linux looks for a fatal signal between pages. A kill inside a
+write can only harm what the write puts in place of a trailer or behind it, so the moment of danger
+is as long as that takes. A commit therefore takes the cheaper of two ways:
+
+- A chunk that is smaller than the trailer goes out with the new trailer, in one write.
+- A larger one would make the moment longer by its own size. It is written in an order that keeps
+  the file valid between any two writes, and only the first of them has a moment of danger, as long
+  as the old trailer takes: (1) the message indexes and the old trailer, moved to where they belong
+  behind the coming chunk, so that readers of the index find their way from now on; (2) in place of
+  the old trailer the head of a record which sequential readers skip, as long as the chunk; (3) the
+  chunk within it; (4) the chunk's opcode; (5) the end of the new trailer, which is all that has
+  changed; (6) the checksum of the data, which (1) had left out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Self
 
 from isal.isal_zlib import crc32
@@ -22,7 +35,15 @@ from mcap.records import (
     Schema,
 )
 
-from robotctl.recording.mcap_format import MAGIC, Chunk, chunk_bytes, record_bytes
+from robotctl.recording.mcap_format import (
+    MAGIC,
+    RECORD_HEAD_BYTES,
+    UNWRITTEN_CHUNK,
+    Chunk,
+    PlacedChunk,
+    place,
+    record_bytes,
+)
 from robotctl.recording.storage import Buffer, Storage
 from robotctl.recording.trailer import Summary, TrailerState, WrittenFile
 
@@ -96,33 +117,83 @@ class McapFile:
         self.summary.add(Opcode.ATTACHMENT_INDEX, record_bytes(index))
 
     def commit(self, chunk: Chunk | None = None, *, finished: bool = True) -> None:
-        """Write what was added, then `chunk`, then the trailer, by one positioned write.
+        """Write what was added, then `chunk`, then the trailer.
 
         Without the trailer (`finished` False) the file is not valid before another commit: for
         files that nobody needs before they are complete. Raises OSError; the file may then be
         torn until `cut_back` has repaired it.
         """
+        if chunk is not None and finished and self._is_larger_than_trailer(chunk):
+            if self._pending:
+                self._commit_at_once(None, finished=True)
+            if self._good is not None and self._is_larger_than_trailer(chunk):
+                self._commit_in_order(chunk, self._good)
+                return
+        self._commit_at_once(chunk, finished=finished)
+
+    def _is_larger_than_trailer(self, chunk: Chunk) -> bool:
+        return self._good is not None and chunk.stored_size >= self.size - self._data_end
+
+    def _commit_at_once(self, chunk: Chunk | None, *, finished: bool) -> None:
         parts: list[Buffer] = [bytes(self._pending)]
         end = self._data_end + len(self._pending)
         if chunk is not None:
-            chunk_parts, index = chunk_bytes(chunk, end)
-            parts += chunk_parts
-            end = index.chunk_start_offset + index.chunk_length + index.message_index_length
-            self.summary.count(chunk)
-            self.summary.add(Opcode.CHUNK_INDEX, record_bytes(index))
+            placed = place(chunk, end)
+            parts += [placed.head, *placed.parts, placed.message_indexes]
+            end = placed.end
+            self._sum_up(chunk, placed)
+        state = self.summary.state(end, self._crc_with(parts))
+        trailer = self.summary.trailer(state) if finished else None
+        self._storage.write_at([*parts, *(trailer.parts if trailer else ())], self._data_end)
+        self._pending.clear()
+        self._data_end = end
+        self._data_crc = state.data_crc
+        self.size = end
+        if trailer:
+            self.size += trailer.size
+            self.trailer_bytes += trailer.size
+            self._good = state
+
+    def _commit_in_order(self, chunk: Chunk, good: TrailerState) -> None:
+        start = self._data_end
+        placed = place(chunk, start)
+        moved = self.summary.trailer(good.moved_to(placed.end))
+        write_at = self._storage.write_at
+        write_at([placed.message_indexes, *moved.parts], placed.indexes_offset)
+        self.trailer_bytes += moved.size
+        del moved  # the summary cannot grow while a trailer looks at it
+
+        opcode, length = placed.head[:1], placed.head[1:RECORD_HEAD_BYTES]
+        write_at([UNWRITTEN_CHUNK, length], start)
+        body = [placed.head[RECORD_HEAD_BYTES:], *placed.parts]
+        write_at(body, start + RECORD_HEAD_BYTES)
+        write_at([opcode], start)
+
+        self._sum_up(chunk, placed)
+        crc = self._crc_with([placed.head, *placed.parts, placed.message_indexes])
+        state = self.summary.state(placed.end, crc)
+        trailer = self.summary.trailer(state)
+        changed = trailer.behind(good.kept_bytes)
+        write_at(changed, placed.end + good.kept_bytes)
+        write_at([trailer.data_end], placed.end)
+        self.trailer_bytes += sum(map(len, changed))
+        self._data_end = placed.end
+        self._data_crc = crc
+        self.size = placed.end + trailer.size
+        self._good = state
+
+    def _sum_up(self, chunk: Chunk, placed: PlacedChunk) -> None:
+        self.summary.count(chunk)
+        self.summary.add(Opcode.CHUNK_INDEX, record_bytes(placed.entry))
+
+    def _crc_with(self, parts: Sequence[Buffer]) -> int:
+        """The checksum of the data with `parts` behind them; 0, not given, where theirs is not."""
+        if not self._data_crc and self._data_end:
+            return 0
         crc = self._data_crc
         for part in parts:
             crc = crc32(part, crc)
-        state = self.summary.state(end, crc)
-        trailer, trailer_size = self.summary.trailer(state) if finished else ([], 0)
-        self._storage.write_at([*parts, *trailer], self._data_end)
-        self._pending.clear()
-        self._data_end = end
-        self._data_crc = crc
-        self.size = end + trailer_size
-        self.trailer_bytes += trailer_size
-        if finished:
-            self._good = state
+        return crc
 
     def cut_back(self) -> None:
         """After a failed `commit`: restore the file as the last good commit had left it.
@@ -133,9 +204,9 @@ class McapFile:
         if good is None:
             self._storage.truncate(0)
             return
-        trailer, trailer_size = self.summary.trailer(good)
-        self._storage.write_at(trailer, good.data_end)
-        self._storage.truncate(good.data_end + trailer_size)
+        trailer = self.summary.trailer(good)
+        self._storage.write_at(trailer.parts, good.data_end)
+        self._storage.truncate(good.data_end + trailer.size)
 
     def sync(self) -> None:
         """Force everything committed to the disk. Raises OSError."""

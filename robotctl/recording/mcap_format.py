@@ -10,7 +10,7 @@ import struct
 from array import array
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
@@ -24,6 +24,13 @@ MESSAGE_HEAD: Final = struct.Struct("<BQHIQQ")
 
 MESSAGE_FIELDS_BYTES: Final = 22
 """What the record length of a message counts besides its data."""
+
+RECORD_HEAD_BYTES: Final = 9
+"""What precedes the content of each record: its opcode, and the length of the content."""
+
+UNWRITTEN_CHUNK: Final = b"\x86"
+"""An opcode of ours in place of a chunk's while the chunk is being written: the specification
+leaves 0x80 and above to applications, and readers skip what they do not know."""
 
 _CHUNK_HEAD = struct.Struct("<BQQQQI")
 _MESSAGE_INDEX_HEAD = struct.Struct("<BQHI")
@@ -54,15 +61,44 @@ class Chunk:
     end_ns: int
     indexes: Mapping[int, array[int]]
 
+    @property
+    def stored_size(self) -> int:
+        """Bytes of the records as they will be stored."""
+        return sum(map(len, self.parts))
 
-def chunk_bytes(chunk: Chunk, offset: int) -> tuple[list[Buffer], ChunkIndex]:
-    """The chunk and its message indexes as they stand at `offset` of a file; its summary entry."""
+
+class PlacedChunk(NamedTuple):
+    """A chunk as it stands at one place of a file: its record, then its message indexes."""
+
+    head: bytes
+    """The record's beginning, before the stored messages."""
+
+    parts: Sequence[Buffer]
+    """The stored messages, the rest of the record."""
+
+    message_indexes: bytes
+    entry: ChunkIndex
+    """What the summary says of it."""
+
+    @property
+    def indexes_offset(self) -> int:
+        """Where the message indexes begin, behind the record."""
+        return self.entry.chunk_start_offset + self.entry.chunk_length
+
+    @property
+    def end(self) -> int:
+        """The offset behind record and message indexes."""
+        return self.indexes_offset + self.entry.message_index_length
+
+
+def place(chunk: Chunk, offset: int) -> PlacedChunk:
+    """The chunk as it stands at `offset` of a file."""
     compression = chunk.compression.encode()
-    stored_size = sum(map(len, chunk.parts))
+    stored_size = chunk.stored_size
     head = (
         _CHUNK_HEAD.pack(
             Opcode.CHUNK,
-            _CHUNK_HEAD.size - 9 + 4 + len(compression) + 8 + stored_size,
+            _CHUNK_HEAD.size - RECORD_HEAD_BYTES + 4 + len(compression) + 8 + stored_size,
             chunk.start_ns,
             chunk.end_ns,
             chunk.uncompressed_size,
@@ -80,7 +116,7 @@ def chunk_bytes(chunk: Chunk, offset: int) -> tuple[list[Buffer], ChunkIndex]:
         size = len(entries) * entries.itemsize
         indexes += _MESSAGE_INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, size + 6, channel, size)
         indexes += entries.tobytes()
-    index = ChunkIndex(
+    entry = ChunkIndex(
         chunk_length=chunk_length,
         chunk_start_offset=offset,
         compression=chunk.compression,
@@ -91,4 +127,4 @@ def chunk_bytes(chunk: Chunk, offset: int) -> tuple[list[Buffer], ChunkIndex]:
         message_start_time=chunk.start_ns,
         uncompressed_size=chunk.uncompressed_size,
     )
-    return [head, *chunk.parts, indexes], index
+    return PlacedChunk(head, chunk.parts, bytes(indexes), entry)

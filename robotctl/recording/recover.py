@@ -122,7 +122,7 @@ class _Copy:
     def _read(self, place: Place) -> list[PlainMessage]:
         messages: list[PlainMessage] = []
         try:
-            for message in _messages(place.read(self._file)):
+            for message in plain_messages(place.read(self._file)):
                 if message[0] in self._index.channels:
                     messages.append(message)  # noqa: PERF401  # damage may end the loop
         except Damaged as damage:
@@ -132,7 +132,8 @@ class _Copy:
         return messages
 
 
-def _messages(data: bytes) -> Iterator[PlainMessage]:
+def plain_messages(data: bytes) -> Iterator[PlainMessage]:
+    """The messages among these records. Raises Damaged at a tear, behind those before it."""
     for opcode, start, end in walk_records(data):
         if opcode == Opcode.MESSAGE:
             channel, sequence, log_ns, publish_ns = MESSAGE_FIELDS.unpack_from(data, start)

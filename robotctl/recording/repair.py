@@ -2,21 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
+
+from isal.isal_zlib import crc32
 
 from robotctl.errors import RobotctlError
 from robotctl.recording.bag_metadata import rewrite_metadata
+from robotctl.recording.buffer import PlainMessage, pack
 from robotctl.recording.catalog import CatalogFolder, own_recordings
+from robotctl.recording.chunk_encoder import ChunkEncoder
 from robotctl.recording.file_index import FileIndex
 from robotctl.recording.identity import LEDGER_RECORD, RECOVERY_RECORD
 from robotctl.recording.mcap_file import McapFile
 from robotctl.recording.mcap_input import Damaged, InputFile, walk_records
+from robotctl.recording.options import Compression
 from robotctl.recording.recover import recover
 from robotctl.recording.storage import DiskFile
 from robotctl.recording.summary import index_from_summary, read_written_file
+from robotctl.recording.trailer import WrittenFile
+from robotctl.recording.unfinished_commit import find_unfinished_commit, messages_of_chunk
 
 _UNFINISHED = ".repair"
+_PIECE_BYTES = 1 << 20
 
 
 def repair(recordings: Path) -> list[str]:
@@ -51,18 +61,29 @@ def _repair_file(path: Path) -> str:
             if index.has_metadata(LEDGER_RECORD, RECOVERY_RECORD):
                 return ""
             _verify(file, index)
+            written = read_written_file(file)
         except Damaged:
             return _replace(path)
-        written = read_written_file(file)
+        unfinished = find_unfinished_commit(file, index, written.data_end)
+        messages = [] if unfinished is None else messages_of_chunk(file, unfinished)
+        data_end = written.data_end if unfinished is None else unfinished
+        written = replace(written, data_end=data_end, data_crc=_checksum(file, data_end))
+    _close(path, written, messages)
+    count = index.message_count + len(messages)
+    return f"{path.name} was not closed: its {count} messages are whole"
+
+
+def _close(path: Path, written: WrittenFile, messages: Sequence[PlainMessage]) -> None:
+    """End the file behind its data and `messages`, as checked. Raises OSError."""
     storage = DiskFile(path, new=False)
     try:
         mcap = McapFile.resume(storage, written)
         mcap.add_metadata(RECOVERY_RECORD, {"lost": ""})
-        mcap.commit()
+        mcap.commit(ChunkEncoder(Compression.ZSTD, 1).encode(pack(messages)) if messages else None)
+        storage.truncate(mcap.size)
         mcap.sync()
     finally:
         storage.close()
-    return f"{path.name} was not closed: its {index.message_count} messages are whole"
 
 
 def _verify(file: InputFile, index: FileIndex) -> None:
@@ -70,6 +91,14 @@ def _verify(file: InputFile, index: FileIndex) -> None:
     for place in index.places:
         for _ in walk_records(place.read(file)):
             pass
+
+
+def _checksum(file: InputFile, data_end: int) -> int:
+    """The CRC of the file up to `data_end`. Raises Damaged."""
+    crc = 0
+    for offset in range(0, data_end, _PIECE_BYTES):
+        crc = crc32(file.read(offset, min(_PIECE_BYTES, data_end - offset)), crc)
+    return crc
 
 
 def _replace(path: Path) -> str:

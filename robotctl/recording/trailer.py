@@ -5,8 +5,8 @@ from __future__ import annotations
 import struct
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Self
+from dataclasses import dataclass, replace
+from typing import NamedTuple, Self
 
 from isal.isal_zlib import crc32
 from mcap.opcode import Opcode
@@ -18,13 +18,16 @@ from robotctl.recording.storage import Buffer
 _GROUPS = (
     Opcode.SCHEMA,
     Opcode.CHANNEL,
-    Opcode.STATISTICS,
-    Opcode.CHUNK_INDEX,
     Opcode.ATTACHMENT_INDEX,
     Opcode.METADATA_INDEX,
+    Opcode.CHUNK_INDEX,
+    Opcode.STATISTICS,
 )
+"""In the order in which they stand. What each chunk changes comes last, so that a commit which
+adds nothing but a chunk writes only the end of the summary again."""
+
 _CRC = struct.Struct("<I")
-_CRC_AND_MAGIC_BYTES = _CRC.size + len(MAGIC)
+_DATA_END_BYTES = 13
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +52,47 @@ class TrailerState:
     data_crc: int
     statistics: bytes
     group_sizes: Mapping[Opcode, int]
+    """Bytes of the groups that only grow: all but the statistics."""
+
+    @property
+    def kept_bytes(self) -> int:
+        """How far the trailer's bytes stay the same when nothing but a chunk is added."""
+        return _DATA_END_BYTES + sum(self.group_sizes.values())
+
+    def moved_to(self, data_end: int) -> TrailerState:
+        """The same content behind more data, whose checksum is not given (0)."""
+        return replace(self, data_end=data_end, data_crc=0)
+
+
+class Trailer(NamedTuple):
+    """The bytes of a trailer."""
+
+    data_end: bytes
+    """The DataEnd record."""
+
+    summary: list[Buffer]
+    """The groups, one behind the other."""
+
+    end: bytes
+    """Summary offsets, footer and magic."""
+
+    @property
+    def parts(self) -> list[Buffer]:
+        """All of it."""
+        return [self.data_end, *self.summary, self.end]
+
+    def behind(self, position: int) -> list[Buffer]:
+        """What stands `position` bytes behind its beginning, and after that."""
+        parts: list[Buffer] = []
+        for part in self.parts:
+            parts.append(memoryview(part)[max(position, 0) :])
+            position -= len(part)
+        return parts
+
+    @property
+    def size(self) -> int:
+        """Bytes."""
+        return sum(map(len, self.parts))
 
 
 class Summary:
@@ -121,11 +165,11 @@ class Summary:
             group_sizes={opcode: len(group) for opcode, group in self._groups.items()},
         )
 
-    def trailer(self, state: TrailerState) -> tuple[list[Buffer], int]:
-        """The parts of the trailer that belongs to `state`, and their size in bytes."""
+    def trailer(self, state: TrailerState) -> Trailer:
+        """The trailer that belongs to `state`."""
         data_end = record_bytes(DataEnd(data_section_crc=state.data_crc))
         summary_start = state.data_end + len(data_end)
-        parts: list[Buffer] = []
+        groups: list[Buffer] = []
         offsets = bytearray()
         position = summary_start
         for opcode, group in self._groups.items():
@@ -134,13 +178,12 @@ class Summary:
                 content = state.statistics
             if not len(content):
                 continue
-            parts.append(content)
+            groups.append(content)
             offsets += record_bytes(SummaryOffset(opcode, position, len(content)))
             position += len(content)
         footer = record_bytes(Footer(summary_start, position, 0))[: -_CRC.size]
-        parts += [offsets, footer]
         crc = 0
-        for part in parts:
+        for part in (*groups, offsets, footer):
             crc = crc32(part, crc)
-        parts = [data_end, *parts, _CRC.pack(crc), MAGIC]
-        return parts, position - state.data_end + len(offsets) + len(footer) + _CRC_AND_MAGIC_BYTES
+        end = bytes(offsets) + footer + _CRC.pack(crc) + MAGIC
+        return Trailer(data_end, groups, end)

@@ -19,10 +19,10 @@ _MAGIC_BYTES = 8
 
 
 class FailingFile(DiskFile):
-    """A disk whose write number `fail_at` (from 1) and all later ones that grow the file fail.
+    """A disk whose write number `fail_at` (from 1) and all later ones that take room fail.
 
-    A write that fails has put `torn_bytes` of its data into the file, as a full disk does.
-    Writes below the size that was reached still work, as they do on a full disk.
+    A write that fails has put `torn_bytes` of its data into the file, as a full disk does. What
+    was written once can be overwritten, as on a full disk; holes that were left cannot be filled.
     """
 
     def __init__(
@@ -33,7 +33,8 @@ class FailingFile(DiskFile):
         self._writes_left = fail_at - 1
         self._code = code
         self._torn_bytes = torn_bytes
-        self._size = 0
+        self._held = bytearray()
+        """A 1 for each byte that was written."""
 
     def fail_now(self) -> None:
         """Fail from the next write on."""
@@ -42,13 +43,18 @@ class FailingFile(DiskFile):
     def write_at(self, parts: Sequence[Buffer], offset: int) -> None:
         """Write, or write some and raise OSError."""
         data = b"".join(bytes(part) for part in parts)
-        if self._writes_left <= 0 and offset + len(data) > self._size:
-            super().write_at([data[: self._torn_bytes]], offset)
-            self._size = max(self._size, offset + self._torn_bytes)
-            raise OSError(self._code, os.strerror(self._code))
+        end = offset + len(data)
+        takes_room = end > len(self._held) or 0 in self._held[offset:end]
+        fails = self._writes_left <= 0 and takes_room
+        if fails:
+            data = data[: self._torn_bytes]
         self._writes_left -= 1
         super().write_at([data], offset)
-        self._size = max(self._size, offset + len(data))
+        end = offset + len(data)
+        self._held.extend(bytes(max(end - len(self._held), 0)))
+        self._held[offset:end] = b"\1" * len(data)
+        if fails:
+            raise OSError(self._code, os.strerror(self._code))
 
 
 class GatedFile(DiskFile):

@@ -1,0 +1,49 @@
+"""What a kill in the middle of a commit leaves between the data and a trailer that is valid."""
+
+from __future__ import annotations
+
+from mcap.opcode import Opcode
+
+from robotctl.recording.buffer import PlainMessage
+from robotctl.recording.file_index import FileIndex, Place, PlaceKind, read_header, read_record_head
+from robotctl.recording.mcap_input import RECORD_HEAD, Damaged, InputFile
+from robotctl.recording.recover import plain_messages
+
+_DATA = (
+    Opcode.SCHEMA,
+    Opcode.CHANNEL,
+    Opcode.CHUNK,
+    Opcode.MESSAGE_INDEX,
+    Opcode.METADATA,
+)
+"""What our recordings hold before DataEnd."""
+
+
+def find_unfinished_commit(file: InputFile, index: FileIndex, data_end: int) -> int | None:
+    """The offset behind the last record of the data that belongs to the file; None if all do.
+
+    `index` is that of the file's own summary, `data_end` where the data ends according to it.
+    Raises Damaged if not even the header can be read.
+    """
+    indexed = {place.offset for place in index.places}
+    _, offset = read_header(file)
+    while offset < data_end:
+        opcode, length = read_record_head(file, offset)
+        end = offset + RECORD_HEAD.size + length
+        unindexed = opcode == Opcode.CHUNK and offset not in indexed
+        if opcode not in _DATA or unindexed or end > data_end:
+            return offset
+        offset = end
+    return None
+
+
+def messages_of_chunk(file: InputFile, offset: int) -> list[PlainMessage]:
+    """The messages of the chunk at `offset`; none if no whole chunk is there."""
+    try:
+        opcode, length = read_record_head(file, offset)
+        if opcode != Opcode.CHUNK:
+            return []
+        place = Place(PlaceKind.CHUNK, offset, RECORD_HEAD.size + length, 0, 0, None)
+        return list(plain_messages(place.read(file)))
+    except Damaged:
+        return []

@@ -1,0 +1,299 @@
+# mypy: disallow-untyped-calls=False
+"""A kill between any two writes of a commit leaves a file that every reader opens."""
+
+from __future__ import annotations
+
+import errno
+import random
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from enum import IntEnum
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+from isal.isal_zlib import crc32
+from mcap.opcode import Opcode
+from mcap.reader import make_reader
+from mcap.records import ChunkIndex, Footer, Message, Statistics, SummaryOffset
+from mcap.stream_reader import StreamReader
+from rosbags.highlevel import AnyReader
+
+from robotctl.recording.account import TopicAccount
+from robotctl.recording.buffer import pack
+from robotctl.recording.mcap_format import MAGIC
+from robotctl.recording.mcap_input import RECORD_HEAD, parse, walk_records
+from robotctl.recording.options import Compression, RecorderOptions
+from robotctl.recording.reader import read_messages
+from robotctl.recording.recording_file import RecordingFile
+from robotctl.recording.repair import repair
+from robotctl.recording.storage import Buffer, DiskFile
+from robotctl.testing.mcap_faults import PAGE, FailingFile
+from robotctl.testing.recordings import ODOMETRY, TWIST, numbered, read_strictly
+
+COMMITS = 12
+LARGE = 40_000
+
+
+class Write(NamedTuple):
+    """One positioned write."""
+
+    offset: int
+    data: bytes
+
+
+class LoggedFile(DiskFile):
+    """Keeps every write."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self.writes: list[Write] = []
+
+    def write_at(self, parts: Sequence[Buffer], offset: int) -> None:
+        self.writes.append(Write(offset, b"".join(bytes(part) for part in parts)))
+        super().write_at(parts, offset)
+
+
+class Recorded(NamedTuple):
+    """A recording made commit by commit: `commits` holds the writes of each."""
+
+    commits: list[list[Write]]
+
+
+def begin(
+    folder: Path, compression: Compression, open_file: Callable[[Path], DiskFile]
+) -> tuple[RecordingFile, list[TopicAccount]]:
+    folder.mkdir()
+    options = RecorderOptions(open_file=open_file, compression=compression)
+    accounts = [TopicAccount(TWIST)]
+    return RecordingFile(folder / f"{folder.name}_0.mcap", options, {}, accounts), accounts
+
+
+def write_commit(file: RecordingFile, accounts: list[TopicAccount], number: int, size: int) -> None:
+    """One message of `size` random bytes and a small one; in the middle with a new topic."""
+    if number == COMMITS // 2:
+        accounts.append(TopicAccount(ODOMETRY))
+    large = numbered(number) + random.Random(number).randbytes(size)
+    file.write(
+        pack(
+            [
+                (0, numbered(number), number, number, number),
+                (len(accounts) - 1, large, number, 0, 0),
+            ]
+        )
+    )
+
+
+def record(folder: Path, size: int, compression: Compression) -> Recorded:
+    """A recording of COMMITS commits."""
+    files: list[LoggedFile] = []
+
+    def open_file(path: Path) -> LoggedFile:
+        files.append(LoggedFile(path))
+        return files[-1]
+
+    file, accounts = begin(folder, compression, open_file)
+    commits: list[list[Write]] = [list(files[0].writes)]
+    for number in range(1, COMMITS + 1):
+        files[0].writes.clear()
+        write_commit(file, accounts, number, size)
+        commits.append(list(files[0].writes))
+    file.abandon()
+    return Recorded(commits)
+
+
+class Step(IntEnum):
+    """The writes of a commit, counted from its last one."""
+
+    CHECKSUM = 0
+    TRAILER = 1
+    OPCODE = 2
+    BODY = 3
+    FRAME = 4
+    MOVED_TRAILER = 5
+    TOPICS = 6
+
+
+class State(NamedTuple):
+    """What a kill could leave: `chunks` were committed before, the write `step` is done or torn."""
+
+    content: bytes
+    chunks: int
+    step: Step
+    torn: bool
+
+
+def states(recorded: Recorded) -> Iterator[State]:
+    """Each state between two writes, and torn ones within each write, at pages and elsewhere."""
+    dice = random.Random(4)
+    content = bytearray()
+    for chunks, commit in enumerate(recorded.commits, start=-1):
+        for number, write in enumerate(commit, start=1):
+            step = Step(len(commit) - number)
+            to_page = PAGE - write.offset % PAGE
+            cuts = [*range(to_page, len(write.data), PAGE)][-20:]
+            cuts += dice.choices(range(len(write.data)), k=3)
+            for cut in sorted(cuts):
+                torn = put(bytearray(content), Write(write.offset, write.data[:cut]))
+                yield State(bytes(torn), chunks, step, torn=True)
+            put(content, write)
+            yield State(bytes(content), chunks, step, torn=False)
+
+
+def put(content: bytearray, write: Write) -> bytearray:
+    end = write.offset + len(write.data)
+    content.extend(bytes(max(end - len(content), 0)))
+    content[write.offset : end] = write.data
+    return content
+
+
+def read_by_index(path: Path) -> list[bytes]:
+    with path.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        summary = reader.get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        found = [message.data for _, _, message in reader.iter_messages()]
+        assert summary.statistics.message_count == len(found)
+    return found
+
+
+def read_as_stream(path: Path) -> list[bytes]:
+    with path.open("rb") as stream:
+        records = StreamReader(stream, validate_crcs=True).records
+        return [record.data for record in records if isinstance(record, Message)]
+
+
+def read_by_rosbags(path: Path) -> list[bytes]:
+    with AnyReader([path]) as bag:
+        return [bytes(data) for _, _, data in bag.messages()]
+
+
+def read_by_ours(path: Path) -> list[bytes]:
+    missing: list[str] = []
+    found = [message.data for message in read_messages(path, on_missing=missing.append)]
+    assert missing == []
+    return found
+
+
+def read_as_strictly_as_specified(path: Path) -> list[bytes]:
+    """The summary holds what it may and nothing else, and each of its offsets leads there."""
+    data = path.read_bytes()
+    footer_start = len(data) - len(MAGIC) - RECORD_HEAD.size - 20
+    assert RECORD_HEAD.unpack_from(data, footer_start) == (Opcode.FOOTER, 20)
+    assert data.endswith(MAGIC)
+    footer = parse(Footer, data[footer_start + RECORD_HEAD.size : -len(MAGIC)])
+    assert crc32(data[footer.summary_start : -len(MAGIC) - 4]) == footer.summary_crc
+    summary = data[footer.summary_start : footer_start]
+    counted = 0
+    found: list[bytes] = []
+    groups: dict[int, tuple[int, int]] = {}
+    for opcode, start, end in walk_records(summary):
+        content = summary[start:end]
+        begin = footer.summary_start + start - RECORD_HEAD.size
+        if opcode == Opcode.SUMMARY_OFFSET:
+            offset = parse(SummaryOffset, content)
+            assert groups.pop(offset.group_opcode) == (
+                offset.group_start,
+                offset.group_start + offset.group_length,
+            )
+            continue
+        first, behind = groups.get(opcode, (begin, begin))
+        assert behind == begin, "a group is torn apart"
+        groups[opcode] = first, footer.summary_start + end
+        if opcode == Opcode.STATISTICS:
+            counted = parse(Statistics, content).message_count
+        elif opcode == Opcode.CHUNK_INDEX:
+            found += messages_of(data, parse(ChunkIndex, content))
+    assert groups == {}
+    assert counted == len(found)
+    return found
+
+
+def messages_of(data: bytes, entry: ChunkIndex) -> Iterator[bytes]:
+    opcode, length = RECORD_HEAD.unpack_from(data, entry.chunk_start_offset)
+    assert (opcode, length + RECORD_HEAD.size) == (Opcode.CHUNK, entry.chunk_length)
+    for offset in entry.message_index_offsets.values():
+        opcode, length = RECORD_HEAD.unpack_from(data, offset)
+        assert opcode == Opcode.MESSAGE_INDEX
+        yield from [b""] * ((length - 6) // 16)
+
+
+BY_INDEX = (read_by_ours, read_by_index, read_by_rosbags, read_as_strictly_as_specified)
+TRAILERS = (Step.TOPICS, Step.MOVED_TRAILER, Step.TRAILER)
+"""A kill within one of these leaves a torn file; they are as long as the trailer, or shorter."""
+
+HEADS = (Step.FRAME, Step.CHECKSUM)
+"""13 bytes at most: torn where they cross a page, and then only readers from the start suffer."""
+
+
+def opens(path: Path, readers: Sequence[Callable[[Path], list[bytes]]], chunks: int) -> None:
+    """Each reader finds the messages of `chunks` chunks, or of one more."""
+    for read in readers:
+        assert len(read(path)) in (2 * chunks, 2 * chunks + 2), read.__name__
+
+
+@pytest.mark.parametrize("compression", list(Compression))
+def test_between_any_two_writes_of_a_commit_every_reader_opens_the_file(
+    tmp_path: Path, compression: Compression
+) -> None:
+    recorded = record(tmp_path / "run", LARGE, compression)
+    assert {len(commit) for commit in recorded.commits[1:]} == {6, 7}
+    path = tmp_path / "state.mcap"
+    for state in states(recorded):
+        path.write_bytes(state.content)
+        if state.chunks < 1 or (state.torn and state.step in TRAILERS):
+            continue  # before the first chunk there is no index, and rosbags reads from the start
+        only_by_index = state.torn and state.step in HEADS
+        opens(path, BY_INDEX if only_by_index else (*BY_INDEX, read_as_stream), state.chunks)
+
+
+@pytest.mark.parametrize("size", [10, LARGE])
+def test_a_file_torn_within_any_write_is_read_and_repaired(tmp_path: Path, size: int) -> None:
+    recorded = record(tmp_path / "run", size, Compression.NONE)
+    path = tmp_path / "run" / "run_0.mcap"
+    for state in states(recorded):
+        if state.chunks < 0:
+            continue  # the file is not there yet for whoever asked for it
+        path.write_bytes(state.content)
+        found = list(read_messages(path, on_missing=lambda sentence: None))
+        assert len(found) in (2 * state.chunks, 2 * state.chunks + 2), state[1:]
+        assert repair(tmp_path)
+        if not found:
+            continue  # nothing to repair it with
+        assert len(read_strictly(path)) >= 2 * state.chunks, state[1:]
+
+
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EIO])
+def test_a_disk_that_fails_at_any_write_of_a_commit_leaves_the_file_as_it_was(
+    tmp_path: Path, code: int
+) -> None:
+    at = 1
+    chunks = -1
+    while chunks < COMMITS:
+        at += 1
+        folder = tmp_path / f"run{at}"
+        disk = partial(FailingFile, fail_at=at, code=code, torn_bytes=4097)
+        file, accounts = begin(folder, Compression.NONE, disk)
+        chunks = 0
+        with suppress(OSError):
+            while chunks < COMMITS:
+                write_commit(file, accounts, chunks + 1, LARGE)
+                chunks += 1
+        file.abandon()
+        assert len(read_strictly(file.path)) == 2 * chunks, at
+        assert len(read_as_strictly_as_specified(file.path)) == 2 * chunks, at
+    assert at > 3 * COMMITS
+
+
+def test_the_moment_of_danger_does_not_grow_with_the_messages(tmp_path: Path) -> None:
+    exposed = {}
+    for size in (LARGE, 10 * LARGE):
+        recorded = record(tmp_path / f"run{size}", size, Compression.NONE)
+        exposed[size] = [
+            len(commit[0].data) if len(commit) > 1 else sum(len(write.data) for write in commit)
+            for commit in recorded.commits[2:]
+        ]
+    assert max(exposed[LARGE]) < 5000
+    assert exposed[LARGE] == exposed[10 * LARGE]
