@@ -182,7 +182,7 @@ async def test_requests_that_nobody_serves_are_counted_as_not_sent(
     assert (ran.summary["sent"], ran.summary["failed"]) == (0, 1)
 
 
-async def test_last_is_the_newest_recording_of_the_robot(
+async def test_last_is_the_newest_recording_at_hand_of_any_robot_or_of_the_one_named(
     tmp_path: Path, replay: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
@@ -193,6 +193,8 @@ async def test_last_is_the_newest_recording_of_the_robot(
         folder.mkdir(parents=True)
         write_bag(folder / f"{name}_0.mcap", talk("/alpha", count))
     ran = await replay("last", "--json")
+    assert ran.summary["sent"] == 5
+    ran = await replay("last", "--robot", "robot", "--json")
     assert ran.summary["sent"] == 4
     ran = await replay("last", "--robot", "r3")
     assert ran.exit_code == 4
