@@ -14,7 +14,7 @@ import robotctl
 
 ROOT = Path(robotctl.__file__).parent
 
-BOTTOM = {"errors", "paths", "config", "environment", "domains", "processes", "__init__"}
+BOTTOM = {"errors", "paths", "config", "environment", "domains", "processes", "streams", "__init__"}
 """Modules beside the packages, below all of them but the kernel."""
 
 ALLOWED: dict[str, set[str]] = {

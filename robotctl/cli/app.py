@@ -10,10 +10,12 @@ import os
 import sys
 
 from robotctl.errors import INTERRUPTED_EXIT_CODE, RobotctlError
+from robotctl.streams import open_standard_streams
 
 
 def main() -> None:
     """Entry point of `robotctl`."""
+    open_standard_streams()
     sys.exit(run(sys.argv[1:]))
 
 

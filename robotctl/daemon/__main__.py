@@ -9,8 +9,9 @@ import os
 import resource
 import sys
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from functools import partial
+from threading import Thread
 from typing import Any
 
 from robotctl import environment
@@ -20,20 +21,21 @@ from robotctl.daemon.log import log_to_stderr
 from robotctl.daemon.options import DaemonOptions
 from robotctl.errors import INTERRUPTED_EXIT_CODE, RobotctlError
 from robotctl.paths import lock_path
+from robotctl.streams import open_standard_streams
 
 _log = logging.getLogger("robotctl")
 
 
 def main(arguments: list[str]) -> int:
     """Run a daemon to its end and return its exit code."""
-    with ExitStack() as at_end:
-        return _main(arguments, at_end)
-
-
-def _main(arguments: list[str], at_end: ExitStack) -> int:
-    """As `main`; what has to be the last is left to `at_end`."""
+    open_standard_streams()
     note = environment.prepare()
-    log_to_stderr()
+    with ExitStack() as at_end, log_to_stderr():
+        return _main(arguments, [note] if note else [], at_end)
+
+
+def _main(arguments: list[str], notes: list[str], at_end: ExitStack) -> int:
+    """As `main`; what has to be the last, after the log too, is left to `at_end`."""
     ready_fd = command_line.parse_ready_fd(arguments)
     if ready_fd is not None:
         os.set_inheritable(ready_fd, False)
@@ -41,7 +43,7 @@ def _main(arguments: list[str], at_end: ExitStack) -> int:
     try:
         options = command_line.parse(arguments)
         at_end.enter_context(owned(lock_path(options.robot), options.robot))
-        _run(options, partial(_tell, ready_fd), [note] if note else [], at_end)
+        _run(options, partial(_tell, ready_fd), notes, at_end)
     except RobotctlError as error:
         return _fail(ready_fd, error)
     except KeyboardInterrupt:  # before the loop took the signals over
@@ -75,7 +77,8 @@ def _allow_many_files() -> None:
 
 def _fail(ready_fd: int | None, error: RobotctlError) -> int:
     if ready_fd is None:
-        print(f"robotctl: {error}", file=sys.stderr)
+        with suppress(OSError):  # nobody reads stderr
+            print(f"robotctl: {error}", file=sys.stderr)
     else:
         _log.error("%s", error)
         _tell(ready_fd, {"ready": False, "error": str(error), "exit_code": error.exit_code})
@@ -84,15 +87,20 @@ def _fail(ready_fd: int | None, error: RobotctlError) -> int:
 
 def _tell(ready_fd: int | None, said: dict[str, Any]) -> None:
     """Write the one line that a starting process waits for, or to stdout in the foreground."""
-    line = json.dumps(said)
+    line = f"{json.dumps(said)}\n".encode()
+    if ready_fd is None:  # whoever has stdout may not read it: the loop must not wait for that
+        Thread(target=_write, args=(1, line), daemon=True).start()
+    elif _write(ready_fd, line):
+        os.close(ready_fd)
+
+
+def _write(descriptor: int, line: bytes) -> bool:
     try:
-        if ready_fd is None:
-            print(line, flush=True)
-        else:
-            os.write(ready_fd, f"{line}\n".encode())
-            os.close(ready_fd)
+        os.write(descriptor, line)
     except OSError as error:  # told already, or the one who started us is gone
         _log.warning("nobody waited for READY: %s", error)
+        return False
+    return True
 
 
 if __name__ == "__main__":

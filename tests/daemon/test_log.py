@@ -24,6 +24,10 @@ def test_a_name_that_steers_a_terminal_is_escaped() -> None:
     assert formatted("Größe %s", "µ") == "INFO: Größe µ"
 
 
+def test_colours_of_others_are_left_out() -> None:
+    assert formatted("%s", "\x1b[1;31mError\x1b[0m: no \x1b[m route") == "INFO: Error: no  route"
+
+
 def test_a_name_cannot_look_like_an_entry() -> None:
     assert formatted("in %s", "a\nERROR: forged") == "INFO: in a\n    ERROR: forged"
 
