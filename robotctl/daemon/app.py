@@ -53,7 +53,7 @@ async def serve(
         notes += await asyncio.to_thread(remember, options.recordings, options.robot)
         host = Host(options, config, alone, supervisor, stop, session)
         daemon: Daemon = Observer(host) if options.observe else Driver(host)
-        stack.push_async_callback(daemon.recorder.close)
+        session.last.push_async_callback(daemon.recorder.close)  # when nothing is received any more
         identity = Identity(options.robot, __version__, os.getpid())
         server = ControlServer(address, daemon.methods(), identity)
         try:

@@ -64,6 +64,7 @@ class FlightRecorder:
         self._on_failure = on_failure
         self._on_file = on_file
         self._file_finished = asyncio.Event()
+        self._closing = False
         self._disk_work = ThreadPoolExecutor(1)  # what is removed and the end do not overlap
         self._recordings = options.recordings
         self._params = config.recording
@@ -144,7 +145,11 @@ class FlightRecorder:
         return counts
 
     async def close(self) -> None:
-        """Finish the recording; the disk is not waited for in the loop."""
+        """Finish the recording; the disk is not waited for in the loop.
+
+        What comes in from now on is dropped: call this when nothing does any more.
+        """
+        self._closing = True
         stats = await self._work_on_disk(self._recorder.close)
         _log.info(
             "recorded %d messages in %s, %d dropped, %d lost",
@@ -184,7 +189,8 @@ class FlightRecorder:
             self._on_failure(detail)
 
     def _file_full(self, _: Path) -> None:
-        self.split()
+        if not self._closing:
+            self.split()
 
     def _file_begun(self, path: Path) -> None:
         _log.info("recording goes on in %s", path)

@@ -1,0 +1,85 @@
+"""A clean stop loses nothing: what was received, and what the journal says of it, is recorded."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from robotctl.recording.recorder import Recorder, RecorderStats
+from robotctl.testing.world import Peer, World, journal_of, read_back
+
+SLOW_DISK_S = 0.3
+"""What the end of a recording takes here; meanwhile the peer sends 15 samples."""
+
+Closed = list[RecorderStats]
+
+
+@pytest.fixture
+def closed(monkeypatch: pytest.MonkeyPatch) -> Closed:
+    """What each recorder said when it was closed; each takes its time for that."""
+    said: Closed = []
+    close = Recorder.close
+
+    def close_slowly(recorder: Recorder) -> RecorderStats:
+        recorder._closed = True
+        time.sleep(SLOW_DISK_S)
+        said.append(close(recorder))
+        return said[-1]
+
+    monkeypatch.setattr(Recorder, "close", close_slowly)
+    return said
+
+
+@pytest.mark.parametrize("observe", [False, True])
+async def test_nothing_is_received_any_more_when_the_recording_is_finished(
+    in_process: Callable[..., Any],
+    world: World,
+    new_peer: Callable[[World], Peer],
+    closed: Closed,
+    observe: bool,
+) -> None:
+    peer = new_peer(world)
+    async with in_process(observe=observe, sim=None if observe else False) as daemon:
+        peer("be_a_robot")
+        await daemon.until(lambda status: count(status, "/odom") > 20)
+    assert [(stats.dropped, stats.queued) for stats in closed] == [(0, 0)]
+
+
+def count(status: Any, topic: str) -> int:
+    return sum(each["count"] for each in status["topics"] if each["name"] == topic)
+
+
+async def test_a_file_that_is_full_at_the_end_is_followed_by_none(
+    in_process: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    close = Recorder.close
+    said: Closed = []
+
+    def close_full(recorder: Recorder) -> RecorderStats:
+        """The writer thread tells of it as it writes what was queued, the loop hears it after."""
+        stats = close(recorder)
+        on_full = recorder._writer._on_full
+        assert on_full is not None
+        on_full(stats.file)
+        time.sleep(SLOW_DISK_S)
+        said.append(recorder.stats())
+        return stats
+
+    monkeypatch.setattr(Recorder, "close", close_full)
+    async with in_process():
+        pass
+    assert [stats.dropped for stats in said] == [0]
+
+
+@pytest.mark.slow
+def test_a_hundred_clean_stops_lose_no_entry(world: World) -> None:
+    for _ in range(100):
+        world.ok("start", "--sim", "--config", str(world.patient))
+        world.ok("stop")
+    assert world.log().count(", 0 dropped, ") == 100
+    for folder in world.recordings.iterdir():
+        journal = journal_of(read_back(folder)["/robotctl/journal"])
+        assert [entry.seq for entry in journal] == list(range(len(journal)))
