@@ -7,12 +7,19 @@ import re
 from pathlib import Path
 
 from robotctl.errors import UsageError
+from robotctl.trust import Chain
 
 DEFAULT_ROBOT = "robot"
 MAX_SOCKET_PATH_BYTES = 107
 """`sun_path` holds 108 bytes with its terminating zero (unix(7))."""
 
 MAX_ROBOT_NAME_LENGTH = 48
+SHARED_FOLDER = Path("/tmp")
+"""For the sockets of a user without RUNTIME_VARIABLE; anybody may make a folder in it."""
+
+RUNTIME_VARIABLE = "XDG_RUNTIME_DIR"
+STATE_VARIABLE = "XDG_STATE_HOME"
+
 _ROBOT_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
@@ -33,7 +40,7 @@ def namespace_of(robot: str) -> str:
 
 def runtime_folder() -> Path:
     """The folder of sockets and locks: private to the user, gone after a reboot."""
-    base = os.environ.get("XDG_RUNTIME_DIR") or f"/tmp/robotctl-{os.getuid()}"
+    base = os.environ.get(RUNTIME_VARIABLE) or SHARED_FOLDER / f"robotctl-{os.getuid()}"
     return Path(base) / "robotctl"
 
 
@@ -42,21 +49,26 @@ def state_folder() -> Path:
 
     Raises UsageError for a user without a home.
     """
-    base = os.environ.get("XDG_STATE_HOME")
+    base = os.environ.get(STATE_VARIABLE)
     try:
         return Path(base or Path.home() / ".local" / "state") / "robotctl"
     except RuntimeError:  # neither HOME nor the machine's list of users names one
         raise UsageError("you have no home folder: set XDG_STATE_HOME to a folder") from None
 
 
+def chain_to(folder: Path) -> Chain:
+    """What has to be trusted for what lies in a folder of this module; else the folder alone."""
+    runtime = runtime_folder()
+    if folder.is_relative_to(runtime):
+        return Chain(runtime.parent, folder, RUNTIME_VARIABLE)
+    state = state_folder()
+    base = state.parent if folder.is_relative_to(state) else folder
+    return Chain(base, folder, STATE_VARIABLE)
+
+
 def make_private(folder: Path) -> Path:
-    """Create `folder` for this user alone; raises UsageError when somebody else owns it."""
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    if folder.stat().st_uid != os.getuid():
-        raise UsageError(
-            f"{folder} belongs to another user: set XDG_RUNTIME_DIR to a folder of yours"
-        )
-    folder.chmod(0o700)
+    """Create `folder` for this user alone; raises UsageError if another user could change it."""
+    chain_to(folder).make()
     return folder
 
 

@@ -14,7 +14,10 @@ import robotctl
 
 ROOT = Path(robotctl.__file__).parent
 
-BOTTOM = {"errors", "paths", "config", "environment", "domains", "processes", "streams", "__init__"}
+BOTTOM = {
+    *("errors", "paths", "trust", "config", "environment", "domains", "processes", "streams"),
+    "__init__",
+}
 """Modules beside the packages, below all of them but the kernel."""
 
 ALLOWED: dict[str, set[str]] = {
@@ -31,7 +34,7 @@ ALLOWED: dict[str, set[str]] = {
 
 ROS_MODULES = {"rclpy", "ament_index_python", "rosidl_runtime_py", "robot_controller"}
 MESSAGE_SUFFIXES = ("_msgs", "_interfaces", "_srvs")
-PROTOCOL_MAY = {"errors", "paths", "ipc.protocol", "ipc.peer"}
+PROTOCOL_MAY = {"errors", "paths", "trust", "ipc.protocol", "ipc.peer"}
 
 
 def modules(package: str) -> list[Path]:

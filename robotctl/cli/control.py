@@ -10,7 +10,6 @@ from robotctl.cli.text import json_text, printable
 from robotctl.errors import RobotctlError, UsageError
 from robotctl.ipc.client import Client, call, command_for
 from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
-from robotctl.processes import readable_within, watched
 
 MODES = {"idle": 0, "moving": 1, "error": 2, "emergency-stop": EMERGENCY_STOP_MODE}
 
@@ -49,6 +48,8 @@ def stop(robot: str, as_json: bool) -> None:
 
 def stop_daemon(robot: str) -> dict[str, Any]:
     """Ask the daemon to end, and return its answer when its process is gone."""
+    from robotctl.processes import readable_within, watched
+
     with Client(robot) as client, watched(client.daemon_pid) as process:
         answer = client.call("stop")
         if process is not None and not readable_within(process, STOP_DEADLINE_S):

@@ -11,7 +11,7 @@ import typer
 
 from robotctl.cli.quick import ROBOT_VARIABLE
 from robotctl.errors import Refused, UsageError
-from robotctl.paths import DEFAULT_ROBOT, recordings_note_path, state_folder
+from robotctl.paths import DEFAULT_ROBOT, chain_to, recordings_note_path, state_folder
 
 LAST = "last"
 
@@ -47,7 +47,7 @@ def recordings_folder(robot: str | None, given: Path | None) -> Path:
     the robot's running or last one.
 
     Raises:
-        UsageError: `given` is no folder.
+        UsageError: `given` is no folder, or another user could have named the daemon's.
     """
     if given is not None:
         if not given.is_dir():
@@ -106,13 +106,17 @@ def robot_of(recording: Path) -> str | None:
 
 
 def _noted_folders(robot: str | None) -> Iterator[Path]:
-    """Yield where daemons have recorded: the robot's, or the default robot's and then others."""
+    """Yield where daemons have recorded: the robot's, or the default robot's and then others.
+
+    Raises UsageError if another user could have named one of them.
+    """
     notes = [recordings_note_path(robot or DEFAULT_ROBOT)]
     if robot is None:
         others = state_folder().glob(f"*/{notes[0].name}")
         notes += sorted(others, key=_changed_s, reverse=True)
     for note in notes:
         try:
+            chain_to(note.parent).check()
             yield Path(note.read_text(encoding="utf-8").rstrip("\n"))
         except (OSError, ValueError):
             continue

@@ -19,7 +19,7 @@ from robotctl.cli.screen import mode_text
 from robotctl.cli.text import json_text, printable, short_path
 from robotctl.errors import NoDaemon
 from robotctl.ipc.client import command_for
-from robotctl.paths import DEFAULT_ROBOT, check_robot_name, log_path
+from robotctl.paths import DEFAULT_ROBOT, chain_to, check_robot_name, log_path
 
 app = new_app()
 
@@ -146,6 +146,7 @@ def logs(
       robotctl logs -f
     """
     path = log_path(robot)
+    chain_to(path.parent).check()
     if not path.exists():
         raise NoDaemon(
             f"no log of robot {robot!r}: it has not been started in the background ({path})"

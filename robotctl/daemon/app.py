@@ -19,7 +19,7 @@ from robotctl.daemon.supervisor import Supervisor
 from robotctl.domains import is_deserted
 from robotctl.ipc.listener import remove_stale
 from robotctl.ipc.server import ControlServer, Identity
-from robotctl.paths import socket_path
+from robotctl.paths import chain_to, robot_state_folder, socket_path
 from robotctl.ros.session import ros_session
 
 
@@ -51,6 +51,8 @@ async def serve(
     ):
         notes = [*notes, *await asyncio.to_thread(tidy, options.recordings, config.recording)]
         notes += await asyncio.to_thread(remember, options.recordings, options.robot)
+        for folder in (address.parent, robot_state_folder(options.robot)):
+            notes += chain_to(folder).group_writable()
         host = Host(options, config, alone, supervisor, stop, session)
         daemon: Daemon = Observer(host) if options.observe else Driver(host)
         session.last.push_async_callback(daemon.recorder.close)  # when nothing is received any more

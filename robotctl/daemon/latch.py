@@ -10,7 +10,8 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 
-from robotctl.paths import make_private
+from robotctl.errors import RobotctlError
+from robotctl.paths import chain_to, make_private
 
 _log = logging.getLogger(__name__)
 
@@ -24,7 +25,11 @@ class Latch:
         self._last: asyncio.Future[str] | None = None
 
     def read(self) -> str | None:
-        """Return the reason of a latched stop, None where none is latched. Blocks."""
+        """Return the reason of a latched stop, None where none is latched. Blocks.
+
+        Raises UsageError if another user could have removed it.
+        """
+        chain_to(self._path.parent).check()
         try:
             return (
                 self._path.read_text(encoding="utf-8", errors="replace").strip() or "unknown reason"
@@ -77,7 +82,7 @@ class Latch:
 def _tried(change: Callable[[], None]) -> str:
     try:
         change()
-    except OSError as error:
+    except (OSError, RobotctlError) as error:
         problem = f"the emergency-stop latch could not be saved: {error}"
         _log.error(problem)
         return problem

@@ -28,7 +28,8 @@ from robotctl.ipc.protocol import (
     is_emergency_stop,
     parse_response,
 )
-from robotctl.paths import DEFAULT_ROBOT, socket_path
+from robotctl.paths import DEFAULT_ROBOT, chain_to, socket_path
+from robotctl.trust import user_text
 
 CALL_DEADLINE_S = 12.0
 """Above the server's own deadline of a call, so that its answer says what was slow."""
@@ -58,7 +59,8 @@ class Client:
 
     Raises, when entered:
         NoDaemon: The socket is absent, or nobody listens on it.
-        Refused: The socket is another user's.
+        Refused: Another user's process listens on it.
+        UsageError: Another user could have put it where it is.
     """
 
     def __init__(self, robot: str) -> None:
@@ -70,23 +72,37 @@ class Client:
         self._last_id = _HELLO_ID
 
     def __enter__(self) -> Self:
-        # SO_SNDTIMEO, and not settimeout: a non-blocking connect fails at once on a full backlog.
         try:
-            self._set_timeout(socket.SO_SNDTIMEO, CALL_DEADLINE_S)
-            self._sock.connect(str(self._path))
-        except (FileNotFoundError, ConnectionRefusedError):
+            self._connect()
+        except BaseException:
             self._sock.close()
-            raise no_daemon(self._robot) from None
-        except BlockingIOError:
-            self._sock.close()
-            raise self._silent(CALL_DEADLINE_S) from None
-        except PermissionError:
-            self._sock.close()
-            raise Refused(f"{self._path} belongs to another user") from None
+            raise
         return self
 
     def __exit__(self, *_: object) -> None:
         self._sock.close()
+
+    def _connect(self) -> None:
+        chain = chain_to(self._path.parent).for_client()
+        # SO_SNDTIMEO, and not settimeout: a non-blocking connect fails at once on a full backlog.
+        try:
+            chain.check()
+            self._set_timeout(socket.SO_SNDTIMEO, CALL_DEADLINE_S)
+            self._sock.connect(str(self._path))
+            server = peer_of(self._sock)
+            is_trusted = chain.trusts(server.uid)
+        except (FileNotFoundError, NotADirectoryError, ConnectionRefusedError):
+            raise no_daemon(self._robot) from None
+        except BlockingIOError:
+            raise self._silent(CALL_DEADLINE_S) from None
+        except PermissionError:
+            raise Refused(f"{self._path} belongs to another user") from None
+        if not is_trusted:
+            see = f" (see whose it is: ps -fp {server.pid})" if server.pid else ""
+            raise Refused(
+                f"{self._path} is answered by a process of {user_text(server.uid)}, neither you "
+                f"nor root: nothing was sent{see}"
+            )
 
     @property
     def daemon_pid(self) -> int:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from robotctl.errors import NoDaemon, RobotctlError, UsageError
 from robotctl.ipc.client import Client
-from robotctl.paths import runtime_folder
+from robotctl.paths import chain_to, runtime_folder
 from robotctl.replay.job import Job
 
 ANSWER_DEADLINE_S = 2.0
@@ -29,9 +29,14 @@ class Daemon:
 
 
 def running_daemons() -> list[Daemon]:
-    """Every daemon that listens on a control socket of this user, by name."""
+    """Every daemon that listens on a control socket of this user, by name.
+
+    Raises UsageError if another user could have put the sockets there.
+    """
+    folder = runtime_folder()
+    chain_to(folder).for_client().check()
     found = []
-    for path in sorted(runtime_folder().glob("*.sock")):
+    for path in sorted(folder.glob("*.sock")):
         daemon = ask(path.stem)
         if daemon is not None:
             found.append(daemon)
@@ -56,7 +61,10 @@ def domain_of(job: Job) -> int:
 
 
 def ask(robot: str) -> Daemon | None:
-    """The robot's daemon, or None where nobody listens."""
+    """The robot's daemon, or None where nobody listens.
+
+    Raises Refused where another user's process listens in its place.
+    """
     try:
         with Client(robot) as client:
             try:

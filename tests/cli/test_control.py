@@ -111,7 +111,7 @@ def test_stop_returns_when_the_process_is_gone(daemon: None, cli: Callable[..., 
 def test_a_daemon_that_does_not_end_is_named(
     daemon: None, cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(control, "readable_within", lambda process, seconds: False)
+    monkeypatch.setattr(processes, "readable_within", lambda process, seconds: False)
     pid = call("robot", "status")["pid"]
     ran = cli("stop")
     assert ran.exit_code == 1

@@ -98,8 +98,7 @@ def test_a_start_without_a_folder_for_its_log_names_the_cure(
     ran = cli("start")
     assert (ran.exit_code, ran.out) == (2, "")
     assert ran.err == (
-        f"robotctl: there is no folder for the log: Not a directory: {home}/file/robotctl/robot "
-        "(set XDG_STATE_HOME to one of yours)\n"
+        f"robotctl: {home}/file is not a folder: set XDG_STATE_HOME to a folder of yours\n"
     )
 
 

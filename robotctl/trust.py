@@ -1,0 +1,126 @@
+"""Which folders hold what we believe: those that no other user can change; standard library only.
+
+Another user may have made a folder of a well-known name first, in /tmp above all, and could then
+put anything in it: a socket that answers `estop` with success, a log, a latch.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+from robotctl.errors import UsageError
+
+ROOT_UID: Final = 0
+
+OVERFLOW_UID: Final = 65534
+"""How a container sees every user that it does not know (user_namespaces(7))."""
+
+
+class Chain:
+    """The folders from `base`, which `variable` names if it is set, down to `folder`.
+
+    What is above `base` is the machine's, or the choice of the user who sets the variable.
+    """
+
+    def __init__(self, base: Path, folder: Path, variable: str, guest: int | None = None) -> None:
+        self.base = base
+        self.folder = folder
+        self.variable = variable
+        self._trusted = (ROOT_UID, os.getuid(), guest)
+
+    def for_client(self) -> Chain:
+        """The same for a process that only asks, where root may name the folder of another user.
+
+        `sudo -E robotctl estop` stops the robot of the user who calls it.
+        """
+        if os.getuid() != ROOT_UID or not os.environ.get(self.variable):
+            return self
+        try:
+            guest = self.base.stat().st_uid
+        except OSError:  # there is nothing to ask
+            return self
+        return Chain(self.base, self.folder, self.variable, guest)
+
+    def trusts(self, uid: int) -> bool:
+        """Whether a user may speak for us: ourselves and root."""
+        return uid in self._trusted
+
+    def check(self) -> None:
+        """Raise UsageError if another user could change one of the folders that exist.
+
+        A link passes as `base` alone, and only if its owner is trusted.
+        """
+        for path in self._folders():
+            self._check(path)
+
+    def make(self) -> None:
+        """Create the folders that are missing, for this user alone, and close `folder` to others.
+
+        Raises UsageError as `check`, and if `folder` is not this user's own.
+        """
+        missing = [path for path in self.base.parents if not path.exists()]
+        for path in (*reversed(missing), *self._folders()):
+            if not os.path.lexists(path):
+                path.mkdir(mode=0o700, exist_ok=True)
+            if path.is_relative_to(self.base):
+                self._check(path)
+        found = self.folder.stat()
+        if found.st_uid != os.getuid():
+            raise self._error(self.folder, f"belongs to {user_text(found.st_uid)}")
+        if stat.S_IMODE(found.st_mode) != 0o700:
+            self.folder.chmod(0o700)
+
+    def group_writable(self) -> list[str]:
+        """A sentence for each folder that a group may change.
+
+        The private group of a user, which has the user's number, is left out.
+        """
+        return [
+            f"{path} can be written by group {found.st_gid}, whose members could speak for this "
+            f"daemon (if they must not: chmod g-w {path})"
+            for path in self._folders()
+            if path.exists()
+            and (found := path.stat()).st_mode & stat.S_IWGRP
+            and not found.st_mode & stat.S_ISVTX
+            and not found.st_gid == found.st_uid == os.getuid()
+        ]
+
+    def _folders(self) -> Iterator[Path]:
+        path = self.base
+        yield path
+        for name in self.folder.relative_to(self.base).parts:
+            path /= name
+            yield path
+
+    def _check(self, path: Path) -> None:
+        try:
+            found = path.lstat()
+            if stat.S_ISLNK(found.st_mode):
+                if path != self.base or not self.trusts(found.st_uid):
+                    raise self._error(path, f"is a link of {user_text(found.st_uid)}")
+                found = path.stat()
+        except (FileNotFoundError, NotADirectoryError):
+            return
+        if not stat.S_ISDIR(found.st_mode):
+            raise self._error(path, "is not a folder")
+        if not self.trusts(found.st_uid):
+            raise self._error(path, f"belongs to {user_text(found.st_uid)}")
+        if found.st_mode & stat.S_IWOTH and not found.st_mode & stat.S_ISVTX:
+            ours = found.st_uid == os.getuid()
+            cure = f"chmod o-w {path}" if ours else ""
+            raise self._error(path, "can be written by every user", cure)
+
+    def _error(self, path: Path, flaw: str, cure: str = "") -> UsageError:
+        cure = cure or f"set {self.variable} to a folder of yours"
+        return UsageError(f"{path} {flaw}: {cure}")
+
+
+def user_text(uid: int) -> str:
+    """A user by number."""
+    if uid == OVERFLOW_UID:
+        return f"uid {uid} (nobody, or a user that this container does not know)"
+    return f"uid {uid}"
