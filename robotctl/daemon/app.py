@@ -53,7 +53,7 @@ async def serve(
         notes += await asyncio.to_thread(remember, options.recordings, options.robot)
         for folder in (address.parent, robot_state_folder(options.robot)):
             notes += chain_to(folder).group_writable()
-        host = Host(options, config, alone, supervisor, stop, session)
+        host = Host(options, config, alone, supervisor, stop, session, warnings=[])
         daemon: Daemon = Observer(host) if options.observe else Driver(host)
         session.last.push_async_callback(daemon.recorder.close)  # when nothing is received any more
         identity = Identity(options.robot, __version__, os.getpid())

@@ -64,8 +64,9 @@ class Driver:
         session, params, robot = host.session, host.config.kernel, host.options.robot
         latch = Latch(latch_path(robot))
         session.last.push_async_callback(latch.close)
-        reason = latch.read()
-        kernel = Kernel(params, State() if reason is None else latched(reason))
+        host.warnings.append(latch.warning)
+        stop = latch.read()
+        kernel = Kernel(params, State() if stop is None else latched(*stop))
         self.recorder = FlightRecorder(
             host.options,
             host.config,
@@ -93,7 +94,7 @@ class Driver:
         host.supervisor.report_to(self._control.dispatch)
         self._motion = Motion(self._control, params)
         self._status = StatusSource(
-            host.options, self.recorder.report, self._motion, session.scheduling
+            host.options, self.recorder.report, self._motion, session.scheduling, host.warnings
         )
         self._inputs = Inputs(self._control, self._motion, self._velocity)
         self._watchdog = Watchdog(

@@ -7,7 +7,8 @@ from typing import Any
 
 from robotctl.daemon.control import Control
 from robotctl.daemon.motion import Motion
-from robotctl.errors import Refused, UsageError
+from robotctl.daemon.requests import UnsavedReply
+from robotctl.errors import Refused, RobotctlError, UsageError
 from robotctl.ipc.connection import Method
 from robotctl.ipc.params import DriveParams, NoParams, ResetParams, SetModeParams
 from robotctl.kernel.modes import Mode
@@ -120,6 +121,8 @@ class DrivingMethods:
 
 
 def _answer(reply: Reply) -> dict[str, Any]:
+    if isinstance(reply, UnsavedReply):
+        raise RobotctlError(reply.message)
     if not reply.ok:
         raise Refused(reply.message)
     return {"message": reply.message, "mode": reply.mode.name}

@@ -5,13 +5,13 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 
 from robotctl.daemon.latch import Latch
-from robotctl.daemon.requests import Requests
+from robotctl.daemon.requests import Requests, UnsavedReply
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import (
+    Cause,
     DriveEnded,
     Effect,
     LatchEmergencyStop,
@@ -57,7 +57,7 @@ class Effects:
                 if effect.mode in _NOTED:
                     self._note(RecordedEvent(_NOTED[effect.mode], time.time_ns(), effect.reason))
             case LatchEmergencyStop():
-                self._latch.set(effect.reason)
+                self._latch.set(effect.reason, effect.cause or Cause.OPERATOR_STOP)
             case ReleaseEmergencyStop():
                 self._latch.clear()
             case Reply():
@@ -71,6 +71,8 @@ class Effects:
                 self._requests.end_drive(effect)
 
     def _answer(self, reply: Reply, problem: str) -> None:
-        if problem:
-            reply = replace(reply, message=f"{reply.message} ({problem})")
+        if problem and reply.ok:
+            kind = UnsavedReply if reply.mode is Mode.EMERGENCY_STOP else Reply
+            message = f"{reply.message}, but {problem}"
+            reply = kind(reply.request_id, reply.ok, message, reply.mode)
         self._requests.answer(reply)

@@ -11,6 +11,7 @@ from typing import Any, Protocol
 from robotctl.config import Config
 from robotctl.daemon.flight_recorder import FlightRecorder
 from robotctl.daemon.options import DaemonOptions
+from robotctl.daemon.status import PartWarning
 from robotctl.daemon.supervisor import Supervisor, Work
 from robotctl.ipc.connection import Method
 from robotctl.ipc.server import ControlServer
@@ -34,6 +35,9 @@ class Host:
     """Set when the daemon is told to end."""
 
     session: Session
+
+    warnings: list[PartWarning]
+    """Each is asked at every `status`; what a part of the daemon has to say is appended here."""
 
 
 class Daemon(Protocol):

@@ -33,7 +33,7 @@ class Observer:
             lambda: "observing",
         )
         self._status = StatusSource(
-            host.options, self.recorder.report, self, host.session.scheduling
+            host.options, self.recorder.report, self, host.session.scheduling, host.warnings
         )
         host.supervisor.report_to(self._note)
 

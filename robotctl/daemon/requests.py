@@ -3,9 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import dataclass
 from typing import TypeVar
 
 from robotctl.kernel.types import DriveEnded, Reply
+
+
+@dataclass(frozen=True, slots=True)
+class UnsavedReply(Reply):
+    """The reply to a stop that happened, but that a restart would forget."""
+
 
 T = TypeVar("T", Reply, DriveEnded)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, Protocol
 
 from robotctl import __version__
@@ -12,6 +12,9 @@ from robotctl.daemon.options import DaemonOptions
 from robotctl.daemon.recorder_report import RecorderReport
 from robotctl.domains import discovery_range, is_on_this_machine_only
 from robotctl.paths import log_path, socket_path
+
+PartWarning = Callable[[], str]
+"""Returns what is wrong with a part of the daemon in a sentence, "" where nothing is."""
 
 
 class RobotView(Protocol):
@@ -28,12 +31,18 @@ class StatusSource:
     """Gathers the status; `scheduling` is how the kernel schedules the loop's thread."""
 
     def __init__(
-        self, options: DaemonOptions, recording: RecorderReport, robot: RobotView, scheduling: str
+        self,
+        options: DaemonOptions,
+        recording: RecorderReport,
+        robot: RobotView,
+        scheduling: str,
+        parts: Iterable[PartWarning],
     ) -> None:
         self._options = options
         self._recording = recording
         self._robot = robot
         self._scheduling = scheduling
+        self._parts = parts
         self._started = time.monotonic()
 
     def status(self) -> dict[str, Any]:
@@ -67,5 +76,6 @@ class StatusSource:
     def _warnings(self) -> Iterator[str]:
         yield from self._recording.warnings()
         yield from self._robot.warnings()
+        yield from filter(None, (part() for part in self._parts))
         if not is_on_this_machine_only():
             yield "ROS discovery is not limited to this machine"

@@ -346,7 +346,7 @@ class Kernel:
         target = TRANSITIONS[previous, trigger].target
         self._effects.append(PublishTwist(ZERO))
         if target is Mode.EMERGENCY_STOP:
-            self._effects.append(LatchEmergencyStop(reason))
+            self._effects.append(LatchEmergencyStop(reason, cause))
         elif previous is Mode.EMERGENCY_STOP:
             self._effects.append(ReleaseEmergencyStop())
         waiting = self.state.waiting

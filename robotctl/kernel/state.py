@@ -30,6 +30,6 @@ class State:
     waiting: tuple[int, ...] = ()
 
 
-def latched(reason: str) -> State:
+def latched(reason: str, cause: Cause = Cause.OPERATOR_STOP) -> State:
     """Return the state to start in when an earlier emergency stop was never released."""
-    return State(mode=Mode.EMERGENCY_STOP, reason=reason, cause=Cause.OPERATOR_STOP)
+    return State(mode=Mode.EMERGENCY_STOP, reason=reason, cause=cause)

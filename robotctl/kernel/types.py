@@ -178,9 +178,10 @@ class ModeChanged:
 
 @dataclass(frozen=True, slots=True)
 class LatchEmergencyStop:
-    """Remember the emergency stop over restarts, with its reason."""
+    """Remember the emergency stop over restarts; a cause of None is the operator."""
 
     reason: str
+    cause: Cause | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,11 +8,14 @@ from typing import Any
 
 import pytest
 
+from robotctl.daemon import latch_file
 from robotctl.daemon.effects import Effects
 from robotctl.daemon.latch import Latch
-from robotctl.daemon.requests import Requests
+from robotctl.daemon.latch_file import LatchedStop
+from robotctl.daemon.requests import Requests, UnsavedReply
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import (
+    Cause,
     DriveEnded,
     DriveReport,
     LatchEmergencyStop,
@@ -48,21 +51,27 @@ def world(tmp_path: Path) -> World:
 async def test_a_stop_is_confirmed_when_it_is_on_the_disk(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    disk, write = threading.Event(), Latch._write
+    disk, write = threading.Event(), latch_file.write
 
-    def write_slowly(latch: Latch, reason: str) -> None:
+    def write_slowly(path: Path, stop: LatchedStop) -> None:
         disk.wait()
-        write(latch, reason)
+        write(path, stop)
 
-    monkeypatch.setattr(Latch, "_write", write_slowly)
+    monkeypatch.setattr(latch_file, "write", write_slowly)
     reply = world.requests.expect_reply(1)
     world.effects.carry_out(LatchEmergencyStop("test"))
     world.effects.carry_out(REPLY)
     assert not reply.done()
     disk.set()
     assert await reply == REPLY
-    assert world.latch.read() == "test"
+    assert world.latch.read() == LatchedStop("test", Cause.OPERATOR_STOP)
     await world.latch.close()
+
+
+async def test_the_latch_remembers_why_the_robot_stopped(world: World) -> None:
+    world.effects.carry_out(LatchEmergencyStop("empty", Cause.BATTERY_LOW))
+    await world.latch.close()
+    assert world.latch.read() == LatchedStop("empty", Cause.BATTERY_LOW)
 
 
 async def test_a_stop_that_could_not_be_saved_is_confirmed_with_that(world: World) -> None:
@@ -71,8 +80,12 @@ async def test_a_stop_that_could_not_be_saved_is_confirmed_with_that(world: Worl
     world.effects.carry_out(LatchEmergencyStop("test"))
     world.effects.carry_out(REPLY)
     answer = await reply
+    assert isinstance(answer, UnsavedReply)
     assert answer.ok
-    assert "could not be saved" in answer.message
+    assert f"{REPLY.message}, but a restart would forget this stop: " in answer.message
+    refused = world.requests.expect_reply(2)
+    world.effects.carry_out(Reply(2, False, "no", Mode.EMERGENCY_STOP))
+    assert await refused == Reply(2, False, "no", Mode.EMERGENCY_STOP)
     await world.latch.close()
 
 

@@ -6,6 +6,7 @@ import json
 import os
 import signal
 import socket
+import time
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,7 @@ import pytest
 from robotctl.kernel.types import ModeChanged
 from robotctl.replay.rerun import rerun
 from robotctl.testing.waiting import DEADLINE_S, until
-from robotctl.testing.world import World, journal_of, read_back
+from robotctl.testing.world import PATIENT, World, journal_of, read_back
 
 
 def pid_of(world: World, robot: str = "robot") -> int:
@@ -62,10 +63,58 @@ def test_a_latch_that_cannot_be_written_is_told_and_the_robot_stops_all_the_same
     world.ok("start", "--sim")
     partial = world.folder / "state" / "robotctl" / "robot" / "emergency-stop.new"
     partial.mkdir()  # where the latch would be written first
-    out = world.ok("estop")
-    assert "Mode changed to EMERGENCY_STOP" in out
-    assert "could not be saved" in out
+    ran = world.robotctl("estop")
+    assert (ran.exit_code, ran.out) == (1, "")
+    assert "Mode changed to EMERGENCY_STOP, but a restart would forget this stop" in ran.err
+    status = world.status()
+    assert status["mode"] == "EMERGENCY_STOP"
+    (warning,) = (text for text in status["warnings"] if "could not be saved" in text)
+    assert warning.endswith("(tried again each second)")
+    partial.rmdir()
+    until(lambda: not any("saved" in text for text in world.status()["warnings"]))
+    assert partial.with_suffix("").read_text().startswith("requested by robotctl estop")
+    assert world.robotctl("estop").exit_code == 0
+    world.ok("stop")
+
+
+def test_a_stop_answers_whoever_owns_the_folder_of_the_latch(world: World) -> None:
+    if os.getuid() != 0:
+        pytest.skip("only root gives a folder away")
+    world.ok("start", "--sim", "--drive", "circle")
+    folder = world.folder / "state" / "robotctl" / "robot"
+    os.chown(folder, 4711, 4711)
+    for _ in range(2):
+        asked = time.monotonic()
+        ran = world.robotctl("estop")
+        assert time.monotonic() - asked < 10.0, "as long as a client waits for a silent daemon"
+        assert ran.exit_code == 1
+        assert f"{folder} belongs to" in ran.err
+        assert "a restart would forget this stop" in ran.err
     assert world.status()["mode"] == "EMERGENCY_STOP"
+    os.chown(folder, 0, 0)
+    until(lambda: (folder / "emergency-stop").exists())
+    world.ok("stop")
+
+
+def test_a_battery_stop_is_released_by_a_charged_battery_only_also_after_a_restart(
+    world: World,
+) -> None:
+    def start(level: float, life_s: float, *options: str) -> None:
+        config = world.folder / "battery.yaml"
+        config.write_text(f"{PATIENT}sim.battery_start: {level}\nsim.battery_life_s: {life_s}\n")
+        world.ok("start", "--sim", "--config", str(config), *options)
+
+    start(0.155, 100.0, "--drive", "circle")
+    until(lambda: world.status()["mode"] == "EMERGENCY_STOP")
+    assert "at or below 15%" in world.status()["mode_reason"]
+    world.ok("stop")
+    start(0.165, 1e6)
+    refused = world.robotctl("reset")
+    assert refused.exit_code == 4
+    assert "the battery is at 16%, not yet at 20%" in refused.err
+    world.ok("stop")
+    start(0.21, 1e6)
+    assert "released" in world.ok("reset")
     world.ok("stop")
 
 

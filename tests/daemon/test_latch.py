@@ -4,24 +4,33 @@ from __future__ import annotations
 
 import os
 import stat
+import threading
 from pathlib import Path
 
 import pytest
 
+from robotctl.daemon import latch as latch_module
+from robotctl.daemon import latch_file
 from robotctl.daemon.latch import Latch
+from robotctl.daemon.latch_file import LatchedStop
+from robotctl.errors import UsageError
+from robotctl.kernel.types import Cause
+from robotctl.testing.waiting import loop_until
+
+BY_OPERATOR = Cause.OPERATOR_STOP
 
 
 async def test_a_latch_is_on_the_disk_before_it_is_confirmed(tmp_path: Path) -> None:
     latch = Latch(tmp_path / "state" / "emergency-stop")
     assert latch.read() is None
     problems: list[str] = []
-    latch.set("first")
-    latch.set("second")
+    latch.set("first", BY_OPERATOR)
+    latch.set("second", Cause.BATTERY_LOW)
     latch.when_settled(problems.append)
     assert problems == []
     await latch.close()
     assert problems == [""]
-    assert latch.read() == "second"
+    assert latch.read() == LatchedStop("second", Cause.BATTERY_LOW)
     assert [path.name for path in (tmp_path / "state").iterdir()] == ["emergency-stop"]
 
 
@@ -36,7 +45,7 @@ async def test_a_power_cut_leaves_the_old_latch_or_the_new_one(
 
     monkeypatch.setattr(os, "fsync", fsync)
     latch = Latch(path)
-    latch.set("reason")
+    latch.set("reason", BY_OPERATOR)
     latch.clear()
     await latch.close()
     written, named, removed = (False, False), (True, True), (True, False)
@@ -45,31 +54,136 @@ async def test_a_power_cut_leaves_the_old_latch_or_the_new_one(
 
 async def test_a_latch_that_is_released_is_gone(tmp_path: Path) -> None:
     latch = Latch(tmp_path / "emergency-stop")
-    latch.set("reason")
+    latch.set("reason", BY_OPERATOR)
     latch.clear()
     await latch.close()
     assert latch.read() is None
 
 
-async def test_a_latch_that_cannot_be_saved_says_why(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    latch = Latch(tmp_path / "file" / "emergency-stop")
+# What cannot be saved
+
+
+@pytest.mark.parametrize("error", [OSError(30, "read-only"), UsageError("not yours"), KeyError(1)])
+async def test_a_latch_that_cannot_be_saved_says_so_until_it_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    monkeypatch.setattr(latch_module, "RETRY_S", 0.01)
+    failures, write = iter([error, error]), latch_file.write
+
+    def fail_twice(path: Path, stop: LatchedStop) -> None:
+        for failure in failures:
+            raise failure
+        write(path, stop)
+
+    monkeypatch.setattr(latch_file, "write", fail_twice)
+    latch = Latch(tmp_path / "emergency-stop")
     problems: list[str] = []
-    latch.set("reason")
+    latch.set("reason", BY_OPERATOR)
+    latch.when_settled(problems.append)
+    await loop_until(lambda: problems)
+    assert "a restart would forget this stop: the emergency-stop latch could not" in problems[0]
+    assert str(error) in problems[0]
+    latch.when_settled(problems.append)  # as a second emergency stop does
+    assert problems[1] == problems[0]
+    assert latch.warning() == f"{problems[0]} (tried again each second)"
+    await loop_until(lambda: latch.warning() == "")
+    assert latch.read() == LatchedStop("reason", BY_OPERATOR)
+    await latch.close()
+
+
+async def test_a_disk_that_hangs_delays_the_answer_for_a_moment_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(latch_module, "DISK_S", 0.05)
+    disk, write = threading.Event(), latch_file.write
+
+    def hang(path: Path, stop: LatchedStop) -> None:
+        disk.wait()
+        write(path, stop)
+
+    monkeypatch.setattr(latch_file, "write", hang)
+    latch = Latch(tmp_path / "emergency-stop")
+    problems: list[str] = []
+    latch.set("reason", BY_OPERATOR)
+    latch.when_settled(problems.append)
+    await latch.close()  # does not wait for it either
+    assert "has not answered for 0.05 s" in problems[0]
+    assert "has not answered for 0.05 s" in latch.warning()
+    disk.set()
+    await loop_until(lambda: latch.warning() == "")
+    assert len(problems) == 1
+
+
+async def test_of_many_changes_during_one_write_each_is_answered_and_the_last_counts(
+    tmp_path: Path,
+) -> None:
+    latch = Latch(tmp_path / "emergency-stop")
+    answered: list[int] = []
+    for number in range(100):
+        latch.set(f"stop {number}", BY_OPERATOR)
+        latch.when_settled(lambda problem, number=number: answered.append(number))  # type: ignore[misc]
+    await latch.close()
+    assert answered == list(range(100))
+    assert latch.read() == LatchedStop("stop 99", BY_OPERATOR)
+
+
+@pytest.mark.parametrize("name", ["emergency-stop", "emergency-stop.new"])
+async def test_a_fifo_in_the_way_is_replaced_without_waiting(tmp_path: Path, name: str) -> None:
+    os.mkfifo(tmp_path / name)
+    latch = Latch(tmp_path / "emergency-stop")
+    problems: list[str] = []
+    latch.set("reason", BY_OPERATOR)
     latch.when_settled(problems.append)
     await latch.close()
-    latch.when_settled(problems.append)  # as a second emergency stop does
-    assert "the emergency-stop latch could not be saved" in problems[0]
-    assert problems[1] == problems[0]
+    assert problems == [""]
+    assert latch.read() == LatchedStop("reason", BY_OPERATOR)
 
 
-@pytest.mark.parametrize("content", [b"", b"\xff\xfe", b"\0"])
-def test_a_latch_that_a_power_cut_left_is_a_latched_stop(tmp_path: Path, content: bytes) -> None:
+# What is read
+
+
+@pytest.mark.parametrize("content", [b"", b"\xff\xfe", b"\0", b"cause: battery l", b"cause: x"])
+def test_a_latch_that_a_power_cut_left_is_a_stop_by_the_operator(
+    tmp_path: Path, content: bytes
+) -> None:
     path = tmp_path / "emergency-stop"
     path.write_bytes(content)
-    assert Latch(path).read()
+    stop = Latch(path).read()
+    assert stop is not None
+    assert stop.reason
+    assert stop.cause is BY_OPERATOR
 
 
-def test_a_latch_that_cannot_be_read_is_a_latched_stop(tmp_path: Path) -> None:
-    (tmp_path / "emergency-stop").mkdir()
-    assert "cannot be read" in str(Latch(tmp_path / "emergency-stop").read())
+def test_a_latch_of_the_first_version_is_a_stop_by_the_operator(tmp_path: Path) -> None:
+    path = tmp_path / "emergency-stop"
+    path.write_text("requested by robotctl estop (uid 0, pid 1)")
+    assert Latch(path).read() == ("requested by robotctl estop (uid 0, pid 1)", BY_OPERATOR)
+
+
+async def test_a_reason_cannot_name_another_cause(tmp_path: Path) -> None:
+    latch = Latch(tmp_path / "emergency-stop")
+    latch.set("mine\ncause: operator stop", Cause.BATTERY_LOW)
+    await latch.close()
+    assert latch.read() == ("mine cause: operator stop", Cause.BATTERY_LOW)
+
+
+@pytest.fixture(params=["folder", "fifo", "device", "link to nothing"])
+def unreadable(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    path = tmp_path / "emergency-stop"
+    match request.param:
+        case "folder":
+            path.mkdir()
+        case "fifo":
+            os.mkfifo(path)
+        case "device":
+            path.symlink_to("/dev/zero")
+        case _:
+            path.symlink_to(tmp_path / "nothing")
+    return path
+
+
+def test_a_latch_that_cannot_be_read_is_a_stop_by_the_operator(unreadable: Path) -> None:
+    stop = Latch(unreadable).read()
+    assert stop is not None
+    assert f"the latch {unreadable} cannot be read: " in stop.reason
+    assert stop.cause is BY_OPERATOR
