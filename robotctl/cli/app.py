@@ -5,11 +5,9 @@ Imports stand where an interruption of them is caught: half of a quick command's
 
 from __future__ import annotations
 
-import errno
 import os
 import sys
 
-from robotctl.errors import INTERRUPTED_EXIT_CODE, RobotctlError
 from robotctl.streams import open_standard_streams
 
 
@@ -23,6 +21,7 @@ def run(arguments: list[str]) -> int:
     """Carry out one command line and return the exit code of its process."""
     debug = "--debug" in arguments
     arguments = [argument for argument in arguments if argument != "--debug"]
+    as_json = _wants_json(arguments)  # a parser takes the list apart
     # A process may be started with either closed.
     sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     sys.stderr = sys.stderr or sys.stdout
@@ -41,34 +40,19 @@ def run(arguments: list[str]) -> int:
             dispatch(arguments or ["--help"])
         sys.stdout.flush()
     except BrokenPipeError:  # the reader of our output has seen enough
-        _drop_output()
-    except KeyboardInterrupt:
-        return INTERRUPTED_EXIT_CODE
-    except Exception as error:  # no traceback reaches a user who did not ask for it
-        if debug:
+        from robotctl.cli.failure import drop_output
+
+        drop_output()
+    except (Exception, KeyboardInterrupt) as error:  # no traceback unless it was asked for
+        if debug and not isinstance(error, KeyboardInterrupt):
             raise
-        return _report(error)
+        from robotctl.cli.failure import report
+
+        return report(error, as_json=as_json)
     return 0
 
 
-def _drop_output() -> None:
-    """Let what is still to be written vanish: Python tries again when it ends, and complains."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
-def _report(error: Exception) -> int:
-    from robotctl.cli.text import printable
-
-    if isinstance(error, RobotctlError):
-        text, exit_code = str(error), error.exit_code
-    elif isinstance(error, OSError) and error.errno == errno.ENOSPC:
-        text = f"no space left on the disk for {error.filename or 'the output'}: free some"
-        exit_code = RobotctlError.exit_code
-        if error.filename is None:
-            _drop_output()
-    else:
-        kind = type(error).__name__
-        text = f"unexpected {kind}: {error} (see where with: robotctl --debug ...)"
-        exit_code = RobotctlError.exit_code
-    print(f"robotctl: {printable(text)}", file=sys.stderr)
-    return exit_code
+def _wants_json(arguments: list[str]) -> bool:
+    """Whether stdout is read by a machine, also where the rest of the line makes no sense."""
+    options = arguments[: arguments.index("--")] if "--" in arguments else arguments
+    return "--json" in options

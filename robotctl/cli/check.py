@@ -6,10 +6,11 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from robotctl.cli.answer import tell
 from robotctl.cli.library import find_recording
 from robotctl.cli.progress import progress_bar
-from robotctl.cli.text import duration, json_text, row, short_path
-from robotctl.errors import Divergence, UnreadableFile
+from robotctl.cli.text import duration, row, short_path
+from robotctl.errors import Divergence, RobotctlError, UnreadableFile
 from robotctl.kernel.modes import Mode
 from robotctl.replay.check_many import check_many
 from robotctl.replay.report import Verdict
@@ -28,11 +29,9 @@ def check_command(files: Sequence[Path], robot: str | None, *, as_json: bool) ->
     paths = [path for file in files for path in recordings_at(file, robot)]
     with progress_bar("checking", quiet=as_json) as on_progress:
         reports = check_many(paths, on_progress)
-    if as_json:
-        print(json_text({"recordings": reports, **_counts(reports)}))
-    else:
-        print("\n".join(line for report in reports for line in report_lines(report)))
-    _raise_gravest(reports)
+    lines = (line for report in reports for line in report_lines(report))
+    answer = {"recordings": reports, **_counts(reports)}
+    tell(answer, lines, as_json=as_json, error=_gravest(reports))
 
 
 def report_lines(report: dict[str, Any]) -> Iterator[str]:
@@ -94,17 +93,18 @@ def _counts(reports: Sequence[dict[str, Any]]) -> dict[str, int]:
     return {verdict.value: sum(r["verdict"] == verdict for r in reports) for verdict in Verdict}
 
 
-def _raise_gravest(reports: Sequence[dict[str, Any]]) -> None:
+def _gravest(reports: Sequence[dict[str, Any]]) -> RobotctlError | None:
     found = {verdict: [r for r in reports if r["verdict"] == verdict] for verdict in Verdict}
     of = f" of {len(reports)} recordings" if len(reports) > 1 else " recording"
     if found[Verdict.DIVERGED]:
-        raise Divergence(
+        return Divergence(
             f"{len(found[Verdict.DIVERGED])}{of} would be decided differently by this robotctl"
         )
     if found[Verdict.BROKEN]:
-        raise Divergence(f"{len(found[Verdict.BROKEN])}{of} breaks a promise of robotctl")
+        return Divergence(f"{len(found[Verdict.BROKEN])}{of} breaks a promise of robotctl")
     if found[Verdict.INCOMPLETE]:
-        raise UnreadableFile(f"{len(found[Verdict.INCOMPLETE])}{of} could not be checked whole")
+        return UnreadableFile(f"{len(found[Verdict.INCOMPLETE])}{of} could not be checked whole")
+    return None
 
 
 def recordings_at(file: Path, robot: str | None) -> list[Path]:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from robotctl.cli.answer import tell
 from robotctl.cli.library import (
     RecordedBy,
     Recordings,
@@ -21,7 +22,7 @@ from robotctl.cli.library import (
 from robotctl.cli.moments import parse_moment
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.progress import progress_bar
-from robotctl.cli.text import duration, json_text, moment, printable, short_path
+from robotctl.cli.text import duration, moment, printable, short_path
 from robotctl.errors import RecoveredWithLoss, Refused, UnreadableFile, UsageError
 
 if TYPE_CHECKING:
@@ -98,9 +99,10 @@ def clip(
         print(f"robotctl: waiting {wait_s:.0f} s for what comes after it", file=sys.stderr)
     with progress_bar("cutting", quiet=as_json) as on_progress:
         made = make_clip(job, on_progress)
-    print(json_text(_as_object(source.path, made)) if as_json else "\n".join(_lines(made)))
+    error = None
     if made.lost:
-        raise RecoveredWithLoss(f"not all of it could be read: {'; '.join(made.lost)}")
+        error = RecoveredWithLoss(f"not all of it could be read: {'; '.join(made.lost)}")
+    tell(_as_object(source.path, made), _lines(made), as_json=as_json, error=error)
 
 
 def _find(

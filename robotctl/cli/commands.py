@@ -10,7 +10,7 @@ from typer.core import TyperGroup
 
 from robotctl import __version__
 from robotctl.cli.options import new_app
-from robotctl.errors import UsageError
+from robotctl.errors import IN_PARENTHESES, UsageError
 
 GROUPS = {
     "Without a robot": {
@@ -122,5 +122,5 @@ def dispatch(arguments: list[str]) -> None:
         if describe is None:
             raise
         where = getattr(getattr(error, "ctx", None), "command_path", "robotctl")
-        text = f"{' '.join(describe().split()).rstrip('.')} (see: {where} --help)"
-        raise UsageError(text) from error
+        text = " ".join(describe().split()).rstrip(".")
+        raise UsageError(text, f"see: {where} --help", sentence=IN_PARENTHESES) from error

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Mapping
 from enum import StrEnum
 from functools import partial
 from typing import Annotated, Any
 
 import typer
 
+from robotctl.cli.answer import tell
 from robotctl.cli.background import Background
 from robotctl.cli.control import source
 from robotctl.cli.options import Json, Robot, new_app
-from robotctl.cli.text import is_terminal, json_text, number, printable
+from robotctl.cli.text import is_terminal, number, printable
 from robotctl.cli.watch import polled_until, show
-from robotctl.errors import UsageError
+from robotctl.errors import RobotctlError, UsageError
 from robotctl.ipc.client import call, command_for
 from robotctl.paths import DEFAULT_ROBOT
 
@@ -88,31 +90,36 @@ def drive(
         "source": source("drive"),
     }
     if wait:
-        answer = _drive_and_wait(robot, params, quiet=as_json or not is_terminal())
+        answer = _drive_and_wait(robot, params, as_json=as_json)
     else:
         answer = call(robot, "drive", params)
-    if as_json:
-        print(json_text(answer))
-    else:
-        print(printable(answer.get("message", "done")))
-        if wait:
-            print("\n".join(tracking_lines(answer)))
+    lines = [printable(answer.get("message", "done"))]
+    if wait:
+        lines += tracking_lines(answer)
+    tell(answer, lines, as_json=as_json)
 
 
-def _drive_and_wait(robot: str, params: dict[str, Any], *, quiet: bool) -> dict[str, Any]:
-    """What the daemon answers when the drive is done, with the live view until then."""
+def _drive_and_wait(robot: str, params: dict[str, Any], *, as_json: bool) -> dict[str, Any]:
+    """Return what the daemon answers when the drive is done, with the live view until then.
+
+    A drive that was stopped shows its numbers as well.
+    """
     try:
         driving = Background(partial(call, robot, "drive", params, deadline_s=None))
-        if not quiet:
+        if is_terminal() and not as_json:
             show(polled_until(driving, robot))
         return driving.result()
+    except RobotctlError as error:
+        if error.answer and not as_json:
+            print("\n".join(tracking_lines(error.answer)), flush=True)
+        raise
     except KeyboardInterrupt:
         halt = command_for(robot, "set-mode idle")
         print(f"robotctl: the robot drives on (stop it with: {halt})", file=sys.stderr)
         raise
 
 
-def tracking_lines(result: dict[str, Any]) -> list[str]:
+def tracking_lines(result: Mapping[str, Any]) -> list[str]:
     """How well the path was followed, from the result of a drive that was waited for."""
     rms, worst, closure, distance = (
         number(result.get(key), ".3f")

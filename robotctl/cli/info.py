@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from robotctl.cli.answer import tell
 from robotctl.cli.library import RecordedBy, Recordings, find_recording
 from robotctl.cli.options import Json, new_app
-from robotctl.cli.text import duration, json_text, moment, printable, short_path, size
+from robotctl.cli.text import duration, moment, printable, short_path, size
 from robotctl.cli.topic_table import TopicTable
 from robotctl.errors import UnreadableFile
 
@@ -60,9 +62,13 @@ def info(
 
     path = find_recording(file, robot, folder)
     found = read_info(path)
-    print(json_text(as_object(found)) if as_json else "\n".join(info_screen(found)))
+    error = None
     if found.missing:
-        raise UnreadableFile(f"{path} is incomplete: {'; '.join(found.missing)}")
+        error = UnreadableFile(
+            f"{path} is incomplete: {'; '.join(found.missing)}",
+            f"save what can be read: robotctl recover {shlex.quote(short_path(path))}",
+        )
+    tell(as_object(found), info_screen(found), as_json=as_json, error=error)
 
 
 def as_object(found: RecordingInfo) -> dict[str, Any]:

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from robotctl.cli.answer import tell
 from robotctl.cli.library import RecordedBy, Recordings, find_recording
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.progress import progress_bar
-from robotctl.cli.text import json_text, short_path
+from robotctl.cli.text import short_path
 from robotctl.errors import RecoveredWithLoss
 
 if TYPE_CHECKING:
@@ -53,9 +54,10 @@ def recover(
     with progress_bar("recovering", quiet=as_json) as on_progress:
         work = recover_folder if source.is_dir() else recover_file
         salvage = work(source, target, on_progress=on_progress)
-    print(json_text(_as_object(source, salvage)) if as_json else "\n".join(_lines(salvage)))
+    error = None
     if salvage.lost:
-        raise RecoveredWithLoss(f"not all of {source} could be saved: {'; '.join(salvage.lost)}")
+        error = RecoveredWithLoss(f"not all of {source} could be saved: {'; '.join(salvage.lost)}")
+    tell(_as_object(source, salvage), _lines(salvage), as_json=as_json, error=error)
 
 
 def _beside(source: Path) -> Path:

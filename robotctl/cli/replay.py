@@ -12,14 +12,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from robotctl.cli.answer import tell
 from robotctl.cli.library import RecordedBy, find_recording
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.playing import Outcome, play
 from robotctl.cli.process import interrupted_by
 from robotctl.cli.replay_screen import Screen, screen
 from robotctl.cli.replay_summary import summary_lines
-from robotctl.cli.text import json_text, short_path
-from robotctl.errors import UsageError
+from robotctl.cli.text import short_path
+from robotctl.errors import Interrupted, UsageError
 from robotctl.paths import DEFAULT_ROBOT, check_robot_name
 from robotctl.replay.job import (
     Job,
@@ -198,13 +199,12 @@ def _play(job: Job, *, see: bool, as_json: bool) -> None:
 
     outcome = Outcome()
     play(job, outcome, open_screen)
+    error = Interrupted() if outcome.interrupted else outcome.error
     if outcome.summary:
-        text = json_text(outcome.summary) if as_json else "\n".join(summary_lines(outcome.summary))
-        print(text, flush=True)
-    if outcome.interrupted:
-        raise KeyboardInterrupt
-    if outcome.error is not None:
-        raise outcome.error
+        lines = summary_lines(outcome.summary)
+        tell(outcome.summary, lines, as_json=as_json, error=error)
+    elif error is not None:
+        raise error
 
 
 def _view(job: Job, *, quiet: bool) -> None:

@@ -6,9 +6,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from robotctl.cli.answer import tell
 from robotctl.cli.check import recordings_at
 from robotctl.cli.progress import progress_bar
-from robotctl.cli.text import duration, json_text, number, printable, row, short_path
+from robotctl.cli.text import duration, number, printable, row, short_path
 from robotctl.errors import UnreadableFile, UsageError
 from robotctl.replay.resim import resim
 from robotctl.replay.settings import check_scope, parse_settings
@@ -60,13 +61,16 @@ def what_if_command(
             found.append(compare(path, parsed, on_progress))
         if not as_json:
             print("\n".join(lines(found[-1])), flush=True)
-    if as_json:
-        print(json_text({"recordings": found}))
     incomplete = [each for each in found if each["missing"]]
+    error = None
     if incomplete:
-        raise UnreadableFile(
+        error = UnreadableFile(
             f"{len(incomplete)} of {len(found)} recordings: not everything could be read"
         )
+    if as_json:
+        tell({"recordings": found}, (), as_json=True, error=error)
+    elif error is not None:
+        raise error
 
 
 def what_if_lines(found: dict[str, Any]) -> Iterator[str]:

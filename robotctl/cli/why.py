@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from robotctl.cli.answer import tell
 from robotctl.cli.library import (
     LAST,
     RecordedBy,
@@ -21,7 +22,7 @@ from robotctl.cli.library import (
 from robotctl.cli.moments import parse_moment
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.progress import Progress, progress_bar
-from robotctl.cli.text import json_text, row, short_path
+from robotctl.cli.text import row, short_path
 from robotctl.errors import NoDaemon, Refused, RobotctlError, UnreadableFile, UsageError
 from robotctl.ipc.client import Client
 from robotctl.paths import DEFAULT_ROBOT
@@ -88,7 +89,7 @@ def why(
         else:
             path, at_ns = _at(paths, at)
             found = _find([path], at_ns, missing, on_progress)
-    print(json_text(as_object(found)) if as_json else "\n".join(why_lines(found)))
+    tell(as_object(found), why_lines(found), as_json=as_json)
 
 
 def _paths(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
+from math import isfinite
 from typing import Any
 
 from robotctl.daemon.control import Control
@@ -14,7 +16,7 @@ from robotctl.ipc.params import DriveParams, NoParams, ResetParams, SetModeParam
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.patterns import Pattern, PatternKind
-from robotctl.kernel.types import DriveRequested, ModeRequested, Reply, ResetRequested
+from robotctl.kernel.types import DriveReport, DriveRequested, ModeRequested, Reply, ResetRequested
 
 DEFAULT_SIZE_M = {
     PatternKind.SQUARE: 1.0,
@@ -105,19 +107,20 @@ class DrivingMethods:
             ended = await end
         finally:
             end.cancel()
-        report = ended.report
-        stands = self._control.state.mode is Mode.IDLE
-        if not (ended.completed if event.laps else stands):
-            raise Refused(f"the drive ended after {report.laps} laps: {ended.reason}")
-        return {
-            "message": ended.reason,
-            "mode": self._control.state.mode.name,
-            "laps": report.laps,
-            "distance_m": report.distance_m,
-            "cross_track_rms_m": report.cross_track_rms_m,
-            "cross_track_max_m": report.cross_track_max_m,
-            "closure_m": None if report.closure_m != report.closure_m else report.closure_m,
-        }
+        mode = self._control.state.mode
+        result = {"message": ended.reason, "mode": mode.name, **_figures(ended.report)}
+        if not (ended.completed if event.laps else mode is Mode.IDLE):
+            text = f"the drive ended after {ended.report.laps} laps: {ended.reason}"
+            raise Refused(text, answer=result)
+        return result
+
+
+def _figures(report: DriveReport) -> dict[str, float | None]:
+    """Return how well the path was followed; None for what is not known."""
+    return {
+        name: value if isfinite(value) else None
+        for name, value in dataclasses.asdict(report).items()
+    }
 
 
 def _answer(reply: Reply) -> dict[str, Any]:

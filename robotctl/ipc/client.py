@@ -8,6 +8,7 @@ import time
 from typing import Any, Self
 
 from robotctl.errors import (
+    IN_PARENTHESES,
     NoDaemon,
     Refused,
     RobotctlError,
@@ -155,8 +156,8 @@ class Client:
             return refusal
         if version != PROTOCOL_VERSION:
             return Refused(
-                f"the daemon speaks protocol {version!r}, this client {PROTOCOL_VERSION}: "
-                f"stop it with kill {self.daemon_pid} and start again"
+                f"the daemon speaks protocol {version!r}, this client {PROTOCOL_VERSION}",
+                f"stop it with kill {self.daemon_pid} and start again",
             )
         self._greeted = True
         return None
@@ -210,21 +211,25 @@ class Client:
 
     def _silent(self, seconds: float) -> NoDaemon:
         return NoDaemon(
-            f"the daemon of robot {self._robot!r} did not answer within {seconds:g} s "
-            f"(see: {command_for(self._robot, 'logs')})"
+            f"the daemon of robot {self._robot!r} did not answer within {seconds:g} s",
+            f"see: {command_for(self._robot, 'logs')}",
+            sentence=IN_PARENTHESES,
         )
 
     def _closed(self) -> NoDaemon:
         return NoDaemon(
-            f"the daemon of robot {self._robot!r} closed the connection before it answered "
-            f"(see: {command_for(self._robot, 'logs')})"
+            f"the daemon of robot {self._robot!r} closed the connection before it answered",
+            f"see: {command_for(self._robot, 'logs')}",
+            sentence=IN_PARENTHESES,
         )
 
 
 def no_daemon(robot: str) -> NoDaemon:
     """The error of every command that needs a daemon where there is none."""
     return NoDaemon(
-        f"no daemon for robot {robot!r} (start one with: {command_for(robot, 'start')})"
+        f"no daemon for robot {robot!r}",
+        f"start one with: {command_for(robot, 'start')}",
+        sentence=IN_PARENTHESES,
     )
 
 
@@ -237,7 +242,7 @@ def _error(failure: Failure) -> RobotctlError:
     data = failure.data
     exit_code = data.get("exit_code") if isinstance(data, dict) else None
     if isinstance(exit_code, int):
-        return error_for_exit_code(exit_code, failure.message)
+        return error_for_exit_code(exit_code, failure.message, data)
     if failure.code == Code.INVALID_PARAMS:
         return UsageError(failure.message)
     return RobotctlError(failure.message)

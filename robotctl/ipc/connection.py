@@ -122,7 +122,7 @@ class Connection:
 
     async def refuse(self, code: Code, error: RobotctlError) -> None:
         """Say why nothing more will be answered here."""
-        await self._send(encode_error(None, code, str(error), error.exit_code))
+        await self._send(_encode_failure(None, code, error))
 
     async def _read_line(self) -> bytes | None:
         """The next line, or None when the client left, was too slow or sent an endless line."""
@@ -154,14 +154,13 @@ class Connection:
         try:
             request = parse_request(line)
         except ProtocolError as error:
-            return encode_error(error.request_id, error.code, str(error), error.exit_code)
+            return _encode_failure(error.request_id, error.code, error)
         try:
             return _encode_result(request.id, await self._call(request))
         except _Rejected as rejected:
-            cause = rejected.cause
-            return encode_error(request.id, rejected.code, str(cause), cause.exit_code)
+            return _encode_failure(request.id, rejected.code, rejected.cause)
         except RobotctlError as error:
-            return encode_error(request.id, Code.ROBOTCTL_ERROR, str(error), error.exit_code)
+            return _encode_failure(request.id, Code.ROBOTCTL_ERROR, error)
         except asyncio.CancelledError:
             if _being_cancelled():
                 self._send_goodbye(request)
@@ -262,6 +261,10 @@ def _encode_result(request_id: int | str, result: object) -> bytes:
     if len(line) > MAX_RESPONSE_BYTES:
         raise ValueError(f"a reply of {len(line)} bytes: the limit is {MAX_RESPONSE_BYTES}")
     return line
+
+
+def _encode_failure(request_id: int | str | None, code: Code, error: RobotctlError) -> bytes:
+    return encode_error(request_id, code, str(error), error.exit_code, error.details())
 
 
 def _internal_error(request: Request) -> bytes:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Mapping
 from enum import IntEnum
 from typing import Any, NamedTuple, NoReturn
 
@@ -124,10 +125,17 @@ def encode_request(request_id: int, method: str, params: dict[str, Any]) -> byte
 
 
 def encode_error(
-    request_id: int | str | None, code: int, message: str, exit_code: int = 1
+    request_id: int | str | None,
+    code: int,
+    message: str,
+    exit_code: int = 1,
+    details: Mapping[str, Any] | None = None,
 ) -> bytes:
-    """One error line; `exit_code` is what the client's process ends with."""
-    error = {"code": code, "message": message, "data": {"exit_code": exit_code}}
+    """Encode one error line; raises ValueError when `details` holds NaN or infinity.
+
+    `exit_code` is what the client's process ends with, `details` are those of a RobotctlError.
+    """
+    error = {"code": code, "message": message, "data": {"exit_code": exit_code, **(details or {})}}
     return _encode({"jsonrpc": "2.0", "id": request_id, "error": error})
 
 

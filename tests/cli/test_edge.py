@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import json
 import os
 import shlex
 import signal
@@ -17,6 +19,8 @@ from typer.main import get_command
 import robotctl
 from robotctl.cli import commands, control
 from robotctl.cli.commands import MODULES
+from robotctl.recording.recorder import Recorder
+from robotctl.testing.recordings import TWIST, write_numbered
 
 COMMANDS = [*MODULES, "record status", "record split", "recordings keep", "recordings unkeep"]
 
@@ -27,7 +31,6 @@ NO_DAEMON = "robotctl: no daemon for robot 'robot' (start one with: robotctl sta
     "arguments",
     [
         "status",
-        "status --json",
         "set-mode idle",
         "estop",
         "reset",
@@ -72,6 +75,124 @@ def test_a_usage_error_is_one_sentence_with_exit_code_2(
     assert ran.err.startswith("robotctl: ")
     assert ran.err.count("\n") == 1
     assert text in ran.err
+
+
+WITH_JSON = [
+    "start",
+    "status",
+    "set-mode idle",
+    "estop",
+    "reset",
+    "stop",
+    "drive square",
+    "drive square --wait",
+    "mark here",
+    "record status",
+    "record split",
+    "info nowhere",
+    "clip nowhere",
+    "recover nowhere",
+    "why nowhere",
+    "replay nowhere",
+    "replay nowhere --check",
+    "replay nowhere --what-if tracking.k_y=8",
+]
+"""Command lines that fail without a daemon, with another daemon in the place of one."""
+
+
+@pytest.mark.parametrize("arguments", WITH_JSON)
+def test_a_failure_with_json_is_one_object_on_stdout(
+    arguments: str, cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FAKE_START", "run-already")
+    ran = cli(*arguments.split(), "--json")
+    (line,) = ran.out.splitlines()
+    error = json.loads(line)["error"]
+    assert set(error) == {"kind", "message", "cause", "cure", "exit_code"}
+    assert ran.exit_code == error["exit_code"] != 0
+    assert ran.err.endswith(f"robotctl: {error['message']}\n")
+    assert error["cause"] in error["message"]
+
+
+def test_the_object_of_a_failure_separates_cause_and_cure(cli: Callable[..., Any]) -> None:
+    error = json.loads(cli("status", "--robot", "r2", "--json").out)["error"]
+    assert error == {
+        "kind": "no_daemon",
+        "message": NO_DAEMON.removeprefix("robotctl: ").strip().replace("'robot'", "'r2'")[:-1]
+        + " --robot r2)",
+        "cause": "no daemon for robot 'r2'",
+        "cure": "start one with: robotctl start --robot r2",
+        "exit_code": 3,
+    }
+
+
+@pytest.mark.parametrize(
+    ("arguments", "kind"),
+    [
+        ("stat --json", "usage"),
+        ("drive star --json", "usage"),
+        ("--json status --bogus", "usage"),
+        ("set-mode flying --json", "usage"),
+        ("info last --json", "refused"),
+    ],
+)
+def test_also_a_line_that_makes_no_sense_is_answered_in_json(
+    arguments: str, kind: str, cli: Callable[..., Any]
+) -> None:
+    ran = cli(*arguments.split())
+    assert json.loads(ran.out)["error"]["kind"] == kind
+
+
+def test_a_bug_and_ctrl_c_are_answered_in_json_too(
+    cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for raised, kind, exit_code in (
+        (ZeroDivisionError("a bug"), "internal", 1),
+        (KeyboardInterrupt(), "interrupted", 130),
+        (PermissionError(errno.EACCES, "Permission denied", "/root/x"), "internal", 1),
+    ):
+
+        def fail(*_: object, raised: BaseException = raised) -> None:
+            raise raised
+
+        monkeypatch.setattr(control, "call", fail)
+        ran = cli("status", "--json")
+        assert ran.exit_code == exit_code
+        error = json.loads(ran.out)["error"]
+        assert (error["kind"], error["exit_code"]) == (kind, exit_code)
+        assert error["message"]
+
+
+def test_what_was_found_stands_in_the_object_beside_the_error(
+    cli: Callable[..., Any], tmp_path: Path
+) -> None:
+    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
+    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 101))
+    file = recorder.close().file
+    file.write_bytes(file.read_bytes()[:-30])
+    for command, key in (("info", "messages"), ("recover", "messages")):
+        ran = cli(command, str(file), "--json")
+        found = json.loads(ran.out)
+        assert found[key] == 100
+        assert found["error"]["exit_code"] == ran.exit_code != 0
+
+
+def test_an_error_of_the_file_system_names_the_path(
+    cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied", "/root/x")
+
+    monkeypatch.setattr(control, "call", fail)
+    assert cli("status").err == "robotctl: /root/x: Permission denied\n"
+
+
+def test_a_working_folder_that_is_gone_is_named(command: list[str], tmp_path: Path) -> None:
+    gone = tmp_path / "gone"
+    line = f"mkdir {gone}; cd {gone}; rmdir {gone}; {shlex.join([*command, 'recordings'])}"
+    ran = subprocess.run(line, shell=True, capture_output=True, text=True, check=False)
+    assert ran.returncode == 2
+    assert ran.stderr == ("robotctl: the working folder was removed: cd to a folder that exists\n")
 
 
 def test_a_bug_is_one_sentence_that_says_how_to_see_more(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 from robotctl.testing.waiting import DEADLINE_S, until
 from robotctl.testing.world import World
 
@@ -25,12 +27,20 @@ def test_a_client_that_hangs_up_changes_nothing_and_a_waiting_one_is_told_of_the
 
 def test_a_waited_drive_that_a_fault_ends_is_an_error(world: World) -> None:
     world.ok("start", "--sim")
-    drive = world.spawn("drive", "square", "--wait")
-    until(lambda: world.status()["mode"] == "MOVING")
-    world.ok("estop")
-    _, err = drive.communicate(timeout=DEADLINE_S)
-    assert drive.returncode == 4
-    assert "the drive ended after 0 laps: requested by robotctl estop" in err
+    for options in ((), ("--json",)):
+        drive = world.spawn("drive", "square", "--wait", *options)
+        until(lambda: world.status()["velocity"]["linear"] > 0.1)
+        world.ok("estop")
+        out, err = drive.communicate(timeout=DEADLINE_S)
+        assert drive.returncode == 4
+        assert "the drive ended after 0 laps: requested by robotctl estop" in err
+        if options:
+            found = json.loads(out)
+            assert (found["laps"], found["error"]["kind"]) == (0, "refused")
+            assert found["distance_m"] > 0.0
+        else:
+            assert "driven      0 laps, 0." in out
+        world.ok("reset")
     world.ok("stop")
 
 

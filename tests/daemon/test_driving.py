@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from dataclasses import replace
+from math import inf, nan
 from typing import Any
 
 import pytest
@@ -51,9 +53,26 @@ async def test_a_completed_drive_is_told_as_one_whatever_somebody_did_since(mode
     assert (answer["message"], answer["laps"]) == (ENDED.reason, 1)
 
 
-async def test_a_drive_that_ended_early_is_refused() -> None:
-    with pytest.raises(Refused, match=r"ended after 1 laps: stopped"):
+async def test_a_drive_that_ended_early_is_refused_and_gives_its_numbers() -> None:
+    with pytest.raises(Refused, match=r"ended after 1 laps: stopped") as refused:
         await wait_for(replace(ENDED, completed=False, reason="stopped"), Mode.IDLE, laps=2)
+    assert refused.value.answer == {
+        "message": "stopped",
+        "mode": "IDLE",
+        "laps": 1,
+        "distance_m": 4.0,
+        "cross_track_rms_m": 0.01,
+        "cross_track_max_m": 0.02,
+        "closure_m": 0.005,
+    }
+
+
+async def test_a_number_of_a_drive_that_is_not_known_can_be_told() -> None:
+    report = DriveReport(0, 0.4, inf, inf, nan)
+    ended = replace(ENDED, completed=False, reason="stopped", report=report)
+    with pytest.raises(Refused) as refused:
+        await wait_for(ended, Mode.IDLE, laps=2)
+    assert json.dumps(refused.value.answer, allow_nan=False).count("null") == 3
 
 
 @pytest.mark.parametrize("mode", [Mode.ERROR, Mode.EMERGENCY_STOP])
