@@ -1,0 +1,97 @@
+"""What goes on while the robot is stopped: each load is a process beside the daemon."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from recording import publisher
+from stopping import connections, flood
+
+RECORDED_HZ = 1000.0
+RECORDED_BYTES = 724
+CALLS_HZ = 1000.0
+CONNECTIONS = 1000
+END_S = 60.0
+
+TOLD = {
+    "per_second": "messages/s",
+    "calls": "calls/s",
+    "answers": "answers/s",
+    "connections": "connections",
+}
+"""What a load says of itself, and how it is shown."""
+
+
+@dataclass(frozen=True)
+class Bench:
+    """`library` is the publisher in C++, "" without; `socket` the daemon's."""
+
+    library: str
+    socket: str
+    environment: Mapping[str, str]
+    offered: dict[str, list[float]]
+    """What was really done under each load, a round each."""
+
+
+@contextmanager
+def idle(_: Bench) -> Iterator[None]:
+    yield
+
+
+@contextmanager
+def recorded(bench: Bench) -> Iterator[None]:
+    """Odometry on a topic of its own, which the daemon records."""
+    arguments = [bench.library, "/load", "odometry", RECORDED_BYTES, RECORDED_HZ]
+    with _running(bench, publisher.__file__, *arguments, announces=False):
+        yield
+
+
+@contextmanager
+def flooded(bench: Bench) -> Iterator[None]:
+    with _running(bench, flood.__file__, CALLS_HZ):
+        yield
+
+
+@contextmanager
+def connected(bench: Bench) -> Iterator[None]:
+    with _running(bench, connections.__file__, bench.socket, CONNECTIONS):
+        yield
+
+
+SITUATIONS: dict[str, Callable[[Bench], AbstractContextManager[None]]] = {
+    "idle": idle,
+    "recorded": recorded,
+    "flooded": flooded,
+    "connected": connected,
+}
+
+
+@contextmanager
+def _running(
+    bench: Bench, script: str, *arguments: object, announces: bool = True
+) -> Iterator[None]:
+    """A load that ends when its stdin is closed, and says what it did in a line of JSON."""
+    process = subprocess.Popen(
+        [sys.executable, script, *map(str, arguments)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env=dict(bench.environment),
+    )
+    assert process.stdout is not None
+    try:
+        if announces and process.stdout.readline() != "ready\n":
+            raise SystemExit(f"{Path(script).name} did not start")
+        yield
+        said = json.loads(process.communicate(timeout=END_S)[0])
+        for name in TOLD.keys() & said.keys():
+            bench.offered.setdefault(TOLD[name], []).append(said[name])
+    finally:
+        process.kill()
+        process.wait()
