@@ -108,10 +108,13 @@ def replay(
     see_only: Annotated[
         bool, typer.Option("--view-only", help="Draw the recorded robot; nothing goes to ROS.")
     ] = False,
-    force: Annotated[
-        bool,
-        typer.Option("--force", help="Original names beside a daemon; types that have changed."),
+    original_names: Annotated[
+        bool, typer.Option("--original-names", help="Not below /replay beside a daemon.")
     ] = False,
+    force_types: Annotated[
+        bool, typer.Option("--force-types", help="Play types whose definition has changed.")
+    ] = False,
+    force: Annotated[bool, typer.Option("--force", hidden=True)] = False,
     domain_id: Annotated[
         int | None,
         typer.Option(
@@ -123,9 +126,9 @@ def replay(
 ) -> None:
     """Publish a recording to ROS with its original timing.
 
-    While a daemon runs in the same ROS domain, everything goes below /replay; --force uses the
-    original names, unless the robot is moving. Without a daemon, velocity commands and service
-    requests that somebody would obey are withheld unless they are named in --topics.
+    While a daemon runs in the same ROS domain, everything goes below /replay; --original-names
+    does without, unless the robot is moving. Under the original names, velocity commands and
+    service requests are withheld unless --topics names them.
 
     Keys: space pauses, n sends the next message, + and - change the rate, q ends.
 
@@ -139,6 +142,11 @@ def replay(
       robotctl replay run.mcap --resim --what-if tracking.k_y=8
       robotctl replay run.mcap --view-only --start-offset 30
     """
+    if force:
+        raise UsageError(
+            "--force has become two options: --original-names publishes beside a daemon, and "
+            "--force-types plays types that have changed"
+        )
     if check and (what_if or resim):
         raise UsageError("--check takes the recorded parameters: leave --what-if and --resim out")
     daemon_robot = check_robot_name(robot or DEFAULT_ROBOT)
@@ -176,7 +184,8 @@ def replay(
         wait_for=wait_for,
         service_requests=service_requests,
         read_ahead=read_ahead,
-        force=force,
+        original_names=original_names,
+        changed_types=force_types,
         debug="--debug" in sys.argv,
     )
     if path != name and not as_json:

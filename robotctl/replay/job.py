@@ -27,7 +27,8 @@ class Job:
     Times are of the recording: play from `start_offset_s` after its first message, for
     `duration_s`; only `delay_s` is real time. Without `topics` and `regex` every topic is played,
     else those that either selects. `domain_id` None leaves the choice to the robot's daemon.
-    Nothing is sent before `wait_for` subscribers are there, over all topics.
+    Nothing is sent before `wait_for` subscribers are there, over all topics. `original_names` is
+    for a domain with a daemon; `changed_types` plays what has another definition here.
     """
 
     file: Path
@@ -43,7 +44,8 @@ class Job:
     delay_s: float = 0.0
     loop: bool = False
     paused: bool = False
-    force: bool = False
+    original_names: bool = False
+    changed_types: bool = False
     clock_hz: float | None = None
     service_requests: bool = False
     wait_for: int = 0

@@ -22,7 +22,7 @@ def playable(routes: Sequence[Route], ros: ReplaySession, job: Job, record: Reco
     """The routes whose types are installed; the others are skipped.
 
     Raises:
-        Refused: A type has another definition than when it was recorded; not with --force.
+        Refused: A type has another definition than when it was recorded; not with --force-types.
     """
     reasons = plan.unplayable(route.topic for route in routes)
     if job.clock_hz is not None:
@@ -96,9 +96,9 @@ def _check_definitions(
     if not others:
         return
     what = f"recorded with another definition than the installed one: {', '.join(others)}"
-    if not job.force:
+    if not job.changed_types:
         raise Refused(
             f"{what}; subscribers would misread it "
-            "(leave it out: --exclude NAME; play it all the same: --force)"
+            "(leave it out: --exclude NAME; play it all the same: --force-types)"
         )
-    record.note(f"{what}; --force plays it all the same")
+    record.note(f"{what}; --force-types plays it all the same")

@@ -27,12 +27,9 @@ SLICE_NS: Final = 50_000_000
 class Sent:
     """What came of one topic's messages so far."""
 
-    send: Send | None
-    """None once the topic is withheld."""
-
+    send: Send
     sent: int = 0
     failed: int = 0
-    withheld: int = 0
 
 
 class Ticks:
@@ -92,10 +89,6 @@ class Player:
         """Send nothing more."""
         self._stopped = True
 
-    def withhold(self, topic: str) -> None:
-        """Send nothing more of one topic."""
-        self.topics[topic].send = None
-
     def run(self) -> None:
         """Send until the entries end or `stop` is called."""
         self.steering.begin(self._clock.now_ns() + LEAD_NS + self._delay_ns)
@@ -136,14 +129,10 @@ class Player:
         return self.position_ns if schedule.rate is None else schedule.position_ns(now_ns)
 
     def _send(self, topic: Sent, data: bytes, due_ns: int | None) -> None:
-        send = topic.send
-        if send is None:
-            topic.withheld += 1
-            return
         if due_ns is not None:
             self.late_ns = self._clock.now_ns() - due_ns
             self.lateness.add(self.late_ns)
-        taken = send(data)
+        taken = topic.send(data)
         if taken:
             topic.sent += 1
         elif taken is False:

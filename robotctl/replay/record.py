@@ -19,7 +19,7 @@ class Record:
         self.notes: list[str] = []
         self.skipped: dict[str, str] = {}
         self.withheld: dict[str, int] = {}
-        """Messages that were held back before the player saw them."""
+        """How many messages of a topic are held back."""
 
         self.missing: list[str] = []
         """What of the file cannot be read, in sentences."""
@@ -37,9 +37,9 @@ class Record:
         self.skipped[topic] = reason
         self.note(f"{topic} is skipped: it {reason}")
 
-    def withhold(self, route: Route, count: int) -> None:
-        """A route is held back from now on, and so many of its messages with it."""
-        self.withheld[route.topic.name] = count
+    def withhold(self, route: Route) -> None:
+        """A route is held back with all of its messages."""
+        self.withheld[route.topic.name] = route.topic.message_count
         self.note(withheld_note(route))
 
     def miss(self, sentences: Iterable[str]) -> None:

@@ -25,44 +25,36 @@ class Graph(Protocol):
     def robots_with_daemon(self) -> list[str]:
         """The names of the robots whose daemons are in the domain, whoever runs them."""
 
-    def count_subscribers(self, topic: str) -> int:
-        """How many subscribe to the topic."""
-
-    def count_servers(self, service: str) -> int:
-        """How many serve the service."""
-
 
 class Safety:
     """The rules for one replay in one domain; `named` are the topics that the user asked for."""
 
     def __init__(
-        self, graph: Graph, domain_id: int, named: Collection[str], *, force: bool
+        self, graph: Graph, domain_id: int, named: Collection[str], *, original_names: bool
     ) -> None:
         self.prefix = ""
         self._graph = graph
         self._domain_id = domain_id
         self._named = named
-        self._force = force
-        self._beside_daemon = False
+        self._original_names = original_names
 
     def choose_prefix(self) -> str:
         """Choose the prefix of all names; returns a sentence about it, "" where all is as usual.
 
         Raises:
-            Refused: `force`, while a daemon moves its robot, or may do so.
+            Refused: The original names, while a daemon moves its robot, or may do so.
         """
         daemons = self._daemons()
         if not daemons:
             return ""
-        self._beside_daemon = True
         who = f"a daemon ({_names_of(daemons)}) runs in ROS domain {self._domain_id}"
-        if self._force:
+        if self._original_names:
             check_still(daemons)
-            return f"{who}: --force publishes the original names all the same"
+            return f"{who}: --original-names publishes beside it"
         self.prefix = REPLAY_PREFIX
         return (
             f"{who}: everything is published below {REPLAY_PREFIX} "
-            "(the original names: --force; another domain: --domain-id)"
+            "(the original names: --original-names; another domain: --domain-id)"
         )
 
     def prefixed(self, routes: Iterable[Route]) -> list[Route]:
@@ -70,26 +62,24 @@ class Safety:
         return [replace(route, name=absolute(route.name, self.prefix)) for route in routes]
 
     def withheld(self, routes: Iterable[Route]) -> list[Route]:
-        """What a robot would obey and nobody asked for by name; call it again and again.
+        """What a robot would obey and the user has not named; below the prefix no robot listens.
 
-        Below the prefix there is none, and with `force` beside a daemon that is what is wanted.
+        Whether somebody listens now does not matter: a robot may come at any moment.
         """
-        if self.prefix or (self._force and self._beside_daemon):
+        if self.prefix:
             return []
-        return [
-            route
-            for route in routes
-            if is_command(route)
-            and not is_named(route.topic, self._named)
-            and self._would_be_obeyed(route)
-        ]
+        return [route for route in routes if is_command(route) and not self.names(route)]
+
+    def names(self, route: Route) -> bool:
+        """Whether the user has named the topic, or its service."""
+        return is_named(route.topic, self._named)
 
     def check(self) -> None:
         """Raise Refused where a daemon has come, or begun to move; call it again and again."""
         if self.prefix:
             return
         daemons = self._daemons()
-        if self._force:
+        if self._original_names:
             check_still(daemons)
         elif daemons:
             raise Refused(
@@ -107,11 +97,6 @@ class Safety:
         ]
         return daemons + [daemon for daemon in others if daemon.robot not in known]
 
-    def _would_be_obeyed(self, route: Route) -> int:
-        graph = self._graph
-        count = graph.count_servers if route.requests else graph.count_subscribers
-        return count(route.name)
-
 
 def check_still(daemons: Iterable[Daemon]) -> None:
     """Raise Refused if one of the daemons moves its robot, or may do so."""
@@ -120,8 +105,8 @@ def check_still(daemons: Iterable[Daemon]) -> None:
             state = daemon.mode or "in a mode that it does not tell"
             cure = command_for(daemon.robot, "set-mode idle")
             raise Refused(
-                f"--force is refused while robot {daemon.robot!r} is {state}: a replay under the "
-                f"original names would mislead it (first: {cure})"
+                f"--original-names is refused while robot {daemon.robot!r} is {state}: the replay "
+                f"would mislead it (first: {cure})"
             )
 
 
@@ -138,11 +123,8 @@ def is_command(route: Route) -> bool:
 def withheld_note(route: Route) -> str:
     """A sentence about a route that is withheld."""
     name = route.topic.name
-    does = "serves it" if route.requests else "subscribes to it"
-    return (
-        f"{name} is withheld: somebody {does}, and a robot would obey "
-        f"(to send it nevertheless, name it: --topics {name})"
-    )
+    what = "requests" if route.requests else "commands"
+    return f"{name} is withheld: a robot would obey these {what} (send them: --topics {name})"
 
 
 def _names_of(daemons: Sequence[Daemon]) -> str:

@@ -29,7 +29,7 @@ from robotctl.ros.recorded_qos import latched_depth
 from robotctl.ros.replay_session import GLANCE_S, QUIET_S, ReplaySession
 
 PROGRESS_S: Final = 0.1
-"""How often it is told how far the replay is, and looked for somebody who would obey it."""
+"""How often it is told how far the replay is."""
 
 GUARD_S: Final = 0.5
 """How often it is made sure that no daemon has come, or begun to move its robot."""
@@ -84,20 +84,21 @@ class Replay:
             chosen = plan.selected(info.topics, job)
             routes = plan.routes(info.topics, chosen, job)
             span = span_of(info, job)
-            if job.force:
+            if job.original_names:
                 check_still(daemons_in(ros.domain_id))  # before discovery takes its time
             routes = playable(routes, ros, job, self._record)
+            safety = Safety(ros, ros.domain_id, job.topics, original_names=job.original_names)
             # A daemon stops its robot for a second publisher of its commands.
-            ros.settle(QUIET_S if any(map(is_command, routes)) else GLANCE_S)
+            commands = any(is_command(route) and safety.names(route) for route in routes)
+            ros.settle(QUIET_S if commands else GLANCE_S)
             if self._stopped.is_set():
                 routes = []  # perhaps not everybody is known: no robot may see a publisher of ours
-            safety = Safety(ros, ros.domain_id, job.topics, force=job.force)
             self._record.note(safety.choose_prefix())
             routes = safety.prefixed(routes)
             ticks = open_clock(safety.prefix, ros, job, span)
             for route in safety.withheld(routes):
                 routes.remove(route)
-                self._record.withhold(route, route.topic.message_count)
+                self._record.withhold(route)
             routes, sends = open_routes(routes, ros, job, self._record)
             self._wait()
             player = self._play(recording, safety, routes, sends, ticks, span)
@@ -158,8 +159,7 @@ class Replay:
                     carry_out(command, player.steering)
             self._tell({"start": {"length_s": span.length_ns / 1e9, "topics": len(routes)}})
             safety.check()  # waiting may have taken its time
-            self._withhold_unsafe(player, safety, routes)
-            self._run_player(player, ahead, safety, routes)
+            self._run_player(player, ahead, safety)
         self._ros.wait_until_received()
         return player
 
@@ -168,7 +168,6 @@ class Replay:
         player: Player,
         ahead: ReadAhead,
         safety: Safety,
-        routes: Sequence[Route],
     ) -> None:
         """Let the player run in a thread, tell how far it is, and watch over safety."""
         failures: list[BaseException] = []
@@ -197,7 +196,6 @@ class Replay:
                 if behind * PROGRESS_S >= OVERLOADED_S and scheduling:
                     with suppress(ProcessLookupError):  # the thread has just ended
                         scheduling[0].restore()
-                self._withhold_unsafe(player, safety, routes)
                 if time.monotonic() >= guard_at:
                     safety.check()
                     guard_at = time.monotonic() + GUARD_S
@@ -209,10 +207,3 @@ class Replay:
                 thread.join(JOIN_S)
         if failures:
             raise failures[0]
-
-    def _withhold_unsafe(self, player: Player, safety: Safety, routes: Sequence[Route]) -> None:
-        """Send nothing more of what somebody would obey by now."""
-        for route in safety.withheld(routes):
-            if route.topic.name not in self._record.withheld:
-                player.withhold(route.topic.name)
-                self._record.withhold(route, 0)

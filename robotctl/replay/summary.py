@@ -39,10 +39,6 @@ def summary(
 ) -> dict[str, Any]:
     """What came of it, for people and for machines."""
     topics = player.topics
-    withheld = dict(record.withheld)
-    for name, topic in topics.items():
-        if topic.withheld:
-            withheld[name] = withheld.get(name, 0) + topic.withheld
     return {
         "sent": player.sent,
         "failed": sum(topic.failed for topic in topics.values()),
@@ -57,7 +53,7 @@ def summary(
             }
             for route in routes
         ],
-        "withheld": withheld,
+        "withheld": record.withheld,
         "skipped": record.skipped,
         "timing_error_us": _timing(player.lateness),
         "played_s": player.position_ns / 1e9,

@@ -26,6 +26,9 @@ STRING: Final = "std_msgs/msg/String"
 ODOMETRY: Final = "nav_msgs/msg/Odometry"
 STATUS: Final = "robot_controller/msg/RobotStatus"
 
+OTHER_HASH: Final = "RIHS01_" + "ab" * 32
+"""Of no definition that is installed."""
+
 _LITTLE_ENDIAN: Final = b"\0\1\0\0"
 
 

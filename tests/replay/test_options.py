@@ -12,12 +12,21 @@ from rclpy.serialization import serialize_message
 from service_msgs.msg import ServiceEventInfo
 from std_srvs.srv import SetBool
 
-from robotctl.testing.bags import START_NS, STRING, TWIST, Line, data, talk, twist, write_bag
+from robotctl.testing.bags import (
+    OTHER_HASH,
+    START_NS,
+    STRING,
+    TWIST,
+    Line,
+    data,
+    talk,
+    twist,
+    write_bag,
+)
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 
 CLOCK, EVENT = "rosgraph_msgs/msg/Clock", "std_srvs/srv/SetBool_Event"
-OTHER_HASH = "RIHS01_" + "ab" * 32
 
 
 def event(at_ms: float, kind: int, number: int, *, value: bool | None, client: int = 1) -> Line:
@@ -59,7 +68,7 @@ async def test_what_is_remapped_onto_the_command_topic_is_withheld(
     assert listener.heard["/cmd_vel"] == []
 
 
-async def test_a_type_that_has_changed_is_refused_unless_left_out_or_forced(
+async def test_a_type_that_has_changed_is_refused_unless_left_out_or_insisted_on(
     tmp_path: Path, listener: Any, replay: Any, until: Until
 ) -> None:
     alpha, beta = talk("/alpha", 5), talk("/beta", 5, type_hash=OTHER_HASH)
@@ -74,8 +83,8 @@ async def test_a_type_that_has_changed_is_refused_unless_left_out_or_forced(
     ran = await replay(file, "--exclude", "/beta", "--json")
     assert (ran.exit_code, ran.summary["sent"]) == (0, 5)
     await until(lambda: listener.heard == {"/alpha": data(alpha), "/beta": []})
-    ran = await replay(file, "--force", "--topics", "/beta", "--json")
-    assert "--force plays it all the same" in ran.summary["notes"][0]
+    ran = await replay(file, "--force-types", "--topics", "/beta", "--json")
+    assert "--force-types plays it all the same" in ran.summary["notes"][0]
     await until(lambda: listener.heard["/beta"] == data(beta))
 
 
@@ -161,7 +170,7 @@ async def test_recorded_requests_are_sent_once_each_to_the_service_that_is_named
     listener.node.create_service(SetBool, "/light", switch)
     ran = await replay(file, "--publish-service-requests", "--json")
     assert ran.summary["withheld"] == {"/light/_service_event": len(lines)}
-    assert "somebody serves it" in ran.summary["notes"][0]
+    assert "a robot would obey these requests" in ran.summary["notes"][0]
     ran = await replay(file, "--publish-service-requests", "--topics", "/light", "--json")
     assert (ran.summary["sent"], ran.summary["failed"]) == (4, 0)
     await until(lambda: len(asked) == 4)
@@ -178,7 +187,7 @@ async def test_requests_that_nobody_serves_are_counted_as_not_sent(
 ) -> None:
     lines = [event(0, ServiceEventInfo.REQUEST_RECEIVED, 1, value=True)]
     file = write_bag(tmp_path / "run.mcap", lines)
-    ran = await replay(file, "--publish-service-requests", "--json")
+    ran = await replay(file, "--publish-service-requests", "--topics", "/light", "--json")
     assert (ran.summary["sent"], ran.summary["failed"]) == (0, 1)
 
 

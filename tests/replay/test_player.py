@@ -11,7 +11,7 @@ import pytest
 
 from robotctl.recording.reader import Message
 from robotctl.replay.clock import SteadyClock
-from robotctl.replay.player import LEAD_NS, Player, Send
+from robotctl.replay.player import LEAD_NS, Player
 from robotctl.replay.read_ahead import AHEAD_ENTRIES, BATCH_ENTRIES, ReadAhead
 from robotctl.replay.timeline import MIN_PASS_NS, Entry, Span, entries
 from robotctl.replay.timing import Lateness
@@ -74,22 +74,6 @@ def test_at_full_speed_nobody_sleeps_and_no_lateness_is_claimed() -> None:
 def test_what_the_middleware_does_not_take_is_counted_apart() -> None:
     _, player = play([(0, "/a", b"")], sends=False)
     assert (player.topics["/a"].sent, player.topics["/a"].failed) == (0, 1)
-
-
-def test_a_withheld_topic_is_counted_and_the_others_go_on() -> None:
-    sent: list[bytes] = []
-
-    def send(data: bytes) -> bool:
-        sent.append(data)
-        player.withhold("/b")
-        return True
-
-    sends: dict[str, Send] = {"/a": send, "/b": send}
-    timeline = [(0, "/a", b"1"), (1, "/b", b"2"), (2, "/a", b"3")]
-    player = Player([timeline], sends, rate=None, clock=HandClock())
-    player.run()
-    assert sent == [b"1", b"3"]
-    assert player.topics["/b"].withheld == 1
 
 
 def test_a_stop_ends_a_long_wait_at_once() -> None:
