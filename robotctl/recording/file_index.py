@@ -14,22 +14,21 @@ from robotctl.recording.mcap_format import MAGIC
 from robotctl.recording.mcap_input import (
     MAX_RECORD_BYTES,
     RECORD_HEAD,
+    BeyondLimit,
     Damaged,
     InputFile,
     parse,
-    read_chunk,
-    read_chunk_ref,
-    read_torn_chunk,
 )
-
-MAX_ATTACHMENT_BYTES = 256 << 20
-"""A larger attachment is not taken into memory."""
+from robotctl.recording.read_account import ReadAccount
+from robotctl.recording.stored_chunk import read_chunk, read_chunk_ref, read_torn_chunk
 
 MAX_SENTENCES = 20
 """What is missing is said in so many sentences at most."""
 
 
 _CRC = struct.Struct("<I")
+_ATTACHMENT_FIXED_BYTES = 8 + 8 + 4 + 4 + 8
+"""Log time, create time, lengths of name and media type, size of the data."""
 
 
 class PlaceKind(Enum):
@@ -47,7 +46,8 @@ class PlaceKind(Enum):
 class Place:
     """A part of the file that holds messages: `length` bytes at `offset`, log times in ns.
 
-    `channels` are those that have messages there; None if that is not known.
+    `channels` are those that have messages there; None if that is not known. The last two are
+    what the summary says of a chunk; `unpacked_bytes` is None where it says nothing.
     """
 
     kind: PlaceKind
@@ -56,12 +56,26 @@ class Place:
     start_ns: int
     end_ns: int
     channels: frozenset[int] | None
+    unpacked_bytes: int | None = None
+    compression: str = ""
+
+    def size_in_memory(self, file: InputFile) -> int:
+        """The bytes that `read` will return, as the file claims. Raises Damaged."""
+        if self.kind is PlaceKind.LOOSE:
+            return self.length
+        if self.unpacked_bytes is not None:
+            return self.unpacked_bytes
+        return read_chunk_ref(file, self.offset, self.length).uncompressed_size
 
     def read(self, file: InputFile) -> bytes:
-        """The records at this place, unpacked. Raises Damaged."""
+        """The records at this place, unpacked. Raises Damaged, also if the summary tells else."""
         if self.kind is PlaceKind.LOOSE:
             return file.read(self.offset, self.length)
         ref = read_chunk_ref(file, self.offset, self.length)
+        if self.unpacked_bytes is not None:
+            told = self.unpacked_bytes, self.compression, self.start_ns, self.end_ns
+            if (ref.uncompressed_size, ref.compression, ref.start_ns, ref.end_ns) != told:
+                raise Damaged("a chunk is not the one that the summary describes")
         return (read_chunk if self.kind is PlaceKind.CHUNK else read_torn_chunk)(file, ref)
 
 
@@ -93,9 +107,31 @@ class FileIndex:
     scanned: bool = False
     """There was no valid summary."""
 
+    message_compression: str = ""
+    """How each message is compressed by itself; "" where it is as it was sent."""
+
+    gaps: list[tuple[int, int]] = field(default_factory=list)
+    """Parts of the data that the summary does not describe: start and end [bytes]."""
+
+    told_metadata: int = 0
+    told_attachments: int = 0
+    """How many the summary counts, wherever they are."""
+
+    metadata_offsets: set[int] = field(default_factory=set)
+    """Of the records in `metadata`."""
+
+    account: ReadAccount = field(default_factory=ReadAccount)
+
     def miss(self, sentence: str) -> None:
         """Say that something cannot be read."""
         note_missing(self.missing, sentence)
+
+    def unaccounted(self) -> str:
+        """What to say where all was read and is not what the summary counts; else ""."""
+        found = self.account.messages_in(place.offset for place in self.places)
+        if self.scanned or found is None or found == self.message_count:
+            return ""
+        return f"its summary counts {self.message_count} messages, and {found} are there"
 
     def has_metadata(self, *names: str) -> bool:
         """Whether there is a metadata record of one of these names."""
@@ -105,6 +141,17 @@ class FileIndex:
     def message_count(self) -> int:
         """Messages that can be read, over all channels."""
         return sum(self.counts.values())
+
+
+class ZeroedHeader(Damaged):
+    """The file begins with zeros, as a power cut leaves them."""
+
+    def __init__(self) -> None:
+        super().__init__("it is no MCAP file: it begins with zeros")
+
+
+LOST_HEADER = Header(profile="", library=""), len(MAGIC)
+"""What stands for a header that was zeroed, and where the data begins then."""
 
 
 def read_record_head(file: InputFile, offset: int) -> tuple[int, int]:
@@ -121,22 +168,39 @@ def read_content(file: InputFile, offset: int, length: int) -> bytes:
 
 
 def read_attachment(file: InputFile, offset: int) -> Attachment:
-    """The attachment whose record is at `offset`. Raises Damaged."""
-    _, length = read_record_head(file, offset)
-    if length > MAX_ATTACHMENT_BYTES:
-        raise Damaged(f"it has {length} bytes")
+    """The attachment whose record is at `offset`. Raises Damaged.
+
+    What a later version of the format may have added behind its checksum is passed over.
+    """
+    opcode, length = read_record_head(file, offset)
+    if opcode != Opcode.ATTACHMENT:
+        raise Damaged("there is no attachment")
+    if length > file.limits.attachment_bytes:
+        raise BeyondLimit(f"it has {length} bytes, more than {file.limits.attachment_bytes}")
     content = file.read(offset + RECORD_HEAD.size, length)
     attachment: Attachment = parse(Attachment, content)
-    (crc,) = _CRC.unpack(content[-_CRC.size :])
-    if crc and crc != crc32(memoryview(content)[: -_CRC.size]):
+    covered = _attachment_bytes(attachment)
+    (crc,) = _CRC.unpack_from(content, covered)
+    if crc and crc != crc32(memoryview(content)[:covered]):
         raise Damaged("its checksum is wrong")
     return attachment
 
 
+def _attachment_bytes(attachment: Attachment) -> int:
+    """How many bytes of its record the checksum of an attachment covers."""
+    texts = len(attachment.name.encode()) + len(attachment.media_type.encode())
+    return _ATTACHMENT_FIXED_BYTES + texts + len(attachment.data)
+
+
 def read_header(file: InputFile) -> tuple[Header, int]:
-    """The header, and the offset behind it. Raises Damaged if this is no MCAP file."""
+    """The header, and the offset behind it.
+
+    Raises Damaged if this is no MCAP file, ZeroedHeader if it may be one.
+    """
     if file.size == 0:
         raise Damaged("it is empty")
+    if not any(file.read(0, min(file.size, len(MAGIC) + RECORD_HEAD.size))):
+        raise ZeroedHeader
     if file.size < len(MAGIC) or file.read(0, len(MAGIC)) != MAGIC:
         raise Damaged("it is no MCAP file")
     opcode, length = read_record_head(file, len(MAGIC))

@@ -6,8 +6,10 @@ import time
 from collections.abc import Callable
 
 from robotctl.recording.file_index import FileIndex
+from robotctl.recording.identity import OWN_LIBRARY
 from robotctl.recording.mcap_input import Damaged, InputFile
-from robotctl.recording.scan import index_by_scanning
+from robotctl.recording.message_compression import ZSTD, message_compression
+from robotctl.recording.scan import index_by_scanning, read_gaps
 from robotctl.recording.summary import index_from_summary
 
 _GROWING_S = 2.0
@@ -28,12 +30,42 @@ def index_of(
 
     Raises Damaged if not even the header can be read.
     """
+    index = _index_of(file, on_progress, places=places)
+    index.message_compression = message_compression(index.metadata, file.path.parent)
+    if index.message_compression not in ("", ZSTD):
+        index.places = []
+        index.miss(
+            f"its messages are compressed with {index.message_compression[:40]}, one by one: "
+            "this is not supported"
+        )
+    return index
+
+
+def _index_of(file: InputFile, on_progress: Callable[[int], None], *, places: bool) -> FileIndex:
     deadline = time.monotonic() + _GROWING_S
     while True:
         try:
-            return index_from_summary(file, places=places)
+            index = index_from_summary(file, places=places)
+            if places:
+                _complete(file, index)
+            return index
         except Damaged:
             if not file.is_changing() or time.monotonic() > deadline:
                 break
         time.sleep(_LOOK_AGAIN_S)  # a write may be half done for as long as its process waits
     return index_by_scanning(file, on_progress)
+
+
+def _complete(file: InputFile, index: FileIndex) -> None:
+    """Find what the summary leaves out. In a file of ours that is nothing, or told by its counts.
+
+    A commit that a kill has torn leaves a gap in ours which is no part of the file yet.
+    """
+    if not index.library.startswith(OWN_LIBRARY) or index.told_metadata > len(index.metadata):
+        read_gaps(file, index)
+    for told, found, noun in (
+        (index.told_attachments, len(index.attachments), "attachments"),
+        (index.told_metadata, len(index.metadata), "metadata records"),
+    ):
+        if told > found and not index.missing:
+            index.miss(f"its summary counts {told} {noun}, and {found} are there")

@@ -50,6 +50,11 @@ def _messages(source: Source, on_missing: Callable[[str], None]) -> list[Message
         source.load()
     except Damaged as damage:
         on_missing(source.loss(damage))
-    messages = [source.take() for _ in source.entries]
+    messages = []
+    while source.next < len(source.entries):
+        try:
+            messages.append(source.take())
+        except Damaged as damage:
+            on_missing(source.loss(damage))
     source.unload()
     return messages

@@ -4,13 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
 from heapq import heapify, heappop, heappush
-from typing import Final
 
-from robotctl.recording.mcap_input import Damaged
+from robotctl.recording.mcap_input import BeyondLimit, Damaged
 from robotctl.recording.source import ALWAYS, Message, OpenFile, Source, Window, sources
-
-MAX_OPEN_BYTES: Final = 256 << 20
-"""Unpacked chunks held at once because their times overlap; of our own two at most do."""
 
 _AFTER_ALL = (1 << 64, 0)
 
@@ -29,21 +25,28 @@ def merge(
     heap = [(source.place.start_ns, rank) for rank, source in enumerate(found)]
     heapify(heap)
     held = 0
+    most = max((file.file.limits.open_bytes for file in files), default=0)
     while heap:
         _, rank = heappop(heap)
         source = found[rank]
         if not source.loaded:
-            _load(source, MAX_OPEN_BYTES - held, on_missing)
+            _load(source, most - held if held else None, on_missing)
             held += source.size
         entries = source.entries
         ahead = heap[0] if heap else _AFTER_ALL
         while source.next < len(entries) and (entries[source.next][0], rank) < ahead:
-            yield source.take()
+            try:
+                message = source.take()
+            except Damaged as damage:
+                on_missing(source.loss(damage))
+                continue
+            yield message
         if source.next < len(entries):
             heappush(heap, (entries[source.next][0], rank))
         else:
             held -= source.size
             source.unload()
+    _tell_unaccounted(files, on_missing)
 
 
 def in_order_written(
@@ -63,14 +66,23 @@ def in_order_written(
             on_progress(done + source.place.offset + source.place.length, total)
         done += file.file.size
         on_progress(done, total)
+    _tell_unaccounted(files, on_missing)
 
 
-def _load(source: Source, room: int, on_missing: Callable[[str], None]) -> None:
+def _tell_unaccounted(files: Sequence[OpenFile], on_missing: Callable[[str], None]) -> None:
+    """Compare what was read with what the summaries count."""
+    for file in files:
+        sentence = file.index.unaccounted()
+        if sentence:
+            on_missing(f"{file.path.name}: {sentence}")
+
+
+def _load(source: Source, room: int | None, on_missing: Callable[[str], None]) -> None:
+    """Load a place if it fits into `room` [bytes]; None where nothing else is held."""
     try:
+        if room is not None and source.place.size_in_memory(source.file.file) > room:
+            source.loaded = True
+            raise BeyondLimit("too many chunks overlap in time")
         source.load()
-        if source.size > room and room < MAX_OPEN_BYTES:
-            source.unload()
-            source.size = 0
-            raise Damaged("too many chunks overlap in time")
     except Damaged as damage:
         on_missing(source.loss(damage))

@@ -6,25 +6,29 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from mcap.opcode import Opcode
-
 from robotctl.errors import UnreadableFile
 from robotctl.recording.buffer import PlainMessage, pack
 from robotctl.recording.chunk_encoder import ChunkEncoder
 from robotctl.recording.file_index import (
     FileIndex,
     Place,
-    PlaceKind,
     note_missing,
     read_attachment,
+    read_record_head,
 )
 from robotctl.recording.identity import LIBRARY, RECOVERY_RECORD
 from robotctl.recording.indexing import index_of
 from robotctl.recording.mcap_file import McapFile
-from robotctl.recording.mcap_input import MESSAGE_FIELDS, Damaged, InputFile, walk_records
+from robotctl.recording.mcap_input import Damaged, InputFile
+from robotctl.recording.message_compression import without_compression
 from robotctl.recording.new_file import new_file
 from robotctl.recording.options import Compression
+from robotctl.recording.rosbag2 import METADATA_RECORD
+from robotctl.recording.source import ALWAYS, OpenFile, Source, names_of
 from robotctl.recording.storage import DiskFile, Storage
+
+_BATCH_BYTES = 8 << 20
+"""Messages that become one chunk of the copy: a chunk of the original may be larger by far."""
 
 Progress = Callable[[int, int], None]
 """Is told bytes done and bytes in total."""
@@ -79,6 +83,8 @@ class _Copy:
     ) -> None:
         self._file = file
         self._index = index
+        self._open_file = OpenFile(file.path, file, index)
+        self._names = names_of(index)
         self._on_progress = on_progress
         self.lost = list(index.missing)
         self.message_count = 0
@@ -97,21 +103,30 @@ class _Copy:
             mcap.add_channel(channel if known else replace(channel, schema_id=0))
         encoder = ChunkEncoder(Compression.ZSTD, 1)
         for place in index.places:
-            messages = self._read(place)
-            if messages:
+            for messages in self._read(place):
                 mcap.commit(encoder.encode(pack(messages)), finished=False)
                 self.message_count += len(messages)
             self._on_progress(place.offset)
+        if sentence := index.unaccounted():
+            note_missing(self.lost, sentence)
         self._copy_attachments(mcap)
         for record in index.metadata:
-            mcap.add_metadata(record.name, record.metadata)
+            values = record.metadata
+            if record.name == METADATA_RECORD and index.message_compression:
+                values = without_compression(values)
+            mcap.add_metadata(record.name, values)
         mcap.add_metadata(RECOVERY_RECORD, {"lost": "\n".join(self.lost)})
         mcap.commit()
         mcap.sync()
 
     def _copy_attachments(self, mcap: McapFile) -> None:
-        for offset in self._index.attachments:
+        behind = 0
+        for offset in sorted(self._index.attachments):
             try:
+                if offset < behind:
+                    raise Damaged("it lies within another one")
+                _, length = read_record_head(self._file, offset)
+                behind = offset + length
                 mcap.add_attachment(read_attachment(self._file, offset))
             except Damaged as damage:
                 note_missing(self.lost, f"the attachment at byte {offset} is lost: {damage}")
@@ -119,25 +134,23 @@ class _Copy:
                 mcap.commit(finished=False)  # one at a time in memory
                 self.attachment_count += 1
 
-    def _read(self, place: Place) -> list[PlainMessage]:
+    def _read(self, place: Place) -> Iterator[list[PlainMessage]]:
+        """The messages at a place, some megabytes at a time."""
+        source = Source(self._open_file, place, self._names, ALWAYS)
         messages: list[PlainMessage] = []
+        size = 0
         try:
-            for message in plain_messages(place.read(self._file)):
-                if message[0] in self._index.channels:
-                    messages.append(message)  # noqa: PERF401  # damage may end the loop
+            for message in source.plain_messages():
+                messages.append(message)
+                size += len(message[1])
+                if size >= _BATCH_BYTES:
+                    yield messages
+                    messages, size = [], 0
         except Damaged as damage:
-            if place.kind is not PlaceKind.TORN_CHUNK:  # that was said before
-                end = place.offset + place.length
-                note_missing(self.lost, f"bytes {place.offset} to {end} are lost: {damage}")
-        return messages
-
-
-def plain_messages(data: bytes) -> Iterator[PlainMessage]:
-    """The messages among these records. Raises Damaged at a tear, behind those before it."""
-    for opcode, start, end in walk_records(data):
-        if opcode == Opcode.MESSAGE:
-            channel, sequence, log_ns, publish_ns = MESSAGE_FIELDS.unpack_from(data, start)
-            yield channel, data[start + MESSAGE_FIELDS.size : end], log_ns, publish_ns, sequence
+            end = place.offset + place.length
+            note_missing(self.lost, f"bytes {place.offset} to {end} are lost: {damage}")
+        if messages:
+            yield messages
 
 
 def _reason(error: Exception) -> str:

@@ -7,12 +7,12 @@ import struct
 
 from robotctl.recording.mcap_input import (
     RECORD_HEAD,
+    BeyondLimit,
     Damaged,
     InputFile,
-    read_chunk,
-    read_chunk_ref,
     walk_records,
 )
+from robotctl.recording.stored_chunk import UnpackBudget, read_chunk, read_chunk_ref
 
 _WINDOW_BYTES = 4 << 20
 _HEAD = re.compile(
@@ -26,13 +26,17 @@ _HEAD_BYTES = _NAME_OFFSET + 4 + 4 + 8
 """At most, from the opcode to the data."""
 
 
-def find_chunk(file: InputFile, offset: int) -> int | None:
-    """The offset of the first chunk at or behind `offset` that is whole; None if there is none."""
+def find_chunk(file: InputFile, offset: int, budget: UnpackBudget) -> int | None:
+    """The offset of the first chunk at or behind `offset` that is whole; None if there is none.
+
+    Raises BeyondLimit where looking on would cost more than `budget`.
+    """
     while offset < file.size:
         window = file.read(offset, min(_WINDOW_BYTES + _HEAD_BYTES, file.size - offset))
         for match in _HEAD.finditer(window):
-            if _lengths_agree(window, match.start()) and _is_whole(file, offset + match.start()):
-                return offset + match.start()
+            at = offset + match.start()
+            if _lengths_agree(window, match.start()) and _is_whole(file, at, budget):
+                return at
         offset += _WINDOW_BYTES
     return None
 
@@ -48,10 +52,13 @@ def _lengths_agree(window: bytes, start: int) -> bool:
     return bool(length == _NAME_OFFSET - RECORD_HEAD.size + 4 + name + 8 + data)
 
 
-def _is_whole(file: InputFile, offset: int) -> bool:
+def _is_whole(file: InputFile, offset: int, budget: UnpackBudget) -> bool:
     try:
         _, length = RECORD_HEAD.unpack(file.read(offset, RECORD_HEAD.size))
         ref = read_chunk_ref(file, offset, RECORD_HEAD.size + length)
+        budget.spend(ref.uncompressed_size + ref.data_size)
         return any(True for _ in walk_records(read_chunk(file, ref)))
+    except BeyondLimit:
+        raise
     except Damaged:
         return False

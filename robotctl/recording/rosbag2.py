@@ -61,17 +61,21 @@ def write_metadata(folder: Path, topics: Iterable[Topic], files: Sequence[BagFil
     unfinished.replace(folder / METADATA_FILE)
 
 
+def metadata_text(folder: Path) -> str:
+    """The folder's `metadata.yaml`; "" where it has none that can be read."""
+    try:
+        with (folder / METADATA_FILE).open(encoding="utf-8") as stream:
+            return stream.read(_MAX_METADATA_CHARACTERS)
+    except (OSError, ValueError):
+        return ""  # the files speak for themselves
+
+
 def named_files(folder: Path) -> list[str]:
     """The file names in the folder's `metadata.yaml`; none where there is no such list.
 
     Only the list as rosbag2 and we write it, a line each: a YAML parser takes a second for 1 MB.
     """
-    try:
-        with (folder / METADATA_FILE).open(encoding="utf-8") as stream:
-            text = stream.read(_MAX_METADATA_CHARACTERS)
-    except (OSError, ValueError):
-        return []  # the files speak for themselves
-    block = _FILE_LIST.search(text)
+    block = _FILE_LIST.search(metadata_text(folder))
     if block is None:
         return []
     lines = block[1].splitlines()

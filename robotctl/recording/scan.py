@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -9,9 +10,11 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema, Statistics
 
 from robotctl.recording.file_index import (
+    LOST_HEADER,
     FileIndex,
     Place,
     PlaceKind,
+    ZeroedHeader,
     read_content,
     read_header,
     read_record_head,
@@ -21,12 +24,15 @@ from robotctl.recording.mcap_format import MAGIC
 from robotctl.recording.mcap_input import (
     MESSAGE_FIELDS,
     RECORD_HEAD,
+    TOO_MANY_RECORDS,
+    BeyondLimit,
     Damaged,
     InputFile,
     parse,
     walk_records,
 )
 from robotctl.recording.resync import find_chunk
+from robotctl.recording.stored_chunk import UnpackBudget, read_chunk_ref
 
 _LOOSE_RUN_BYTES = 1 << 20
 """Messages outside chunks are gathered into places of about this size."""
@@ -42,7 +48,10 @@ def index_by_scanning(
 
     Raises Damaged if not even the header can be read.
     """
-    header, offset = read_header(file)
+    try:
+        header, offset = read_header(file)
+    except ZeroedHeader:
+        header, offset = LOST_HEADER
     index = FileIndex(profile=header.profile, library=header.library, scanned=True)
     scan = _Scan(file, index)
     while True:
@@ -51,28 +60,58 @@ def index_by_scanning(
                 offset = scan.next_offset
                 on_progress(offset)
             break
+        except BeyondLimit as limit:
+            index.miss(f"what follows byte {offset} is not read: {limit}")
+            break
         except Damaged as damage:
             if scan.data_ended:
                 index.miss("its end is damaged: what was written last may be lost")
                 break
-            found = find_chunk(file, offset + 1)
+            try:
+                found = find_chunk(file, offset + 1, scan.budget)
+            except BeyondLimit as limit:
+                index.miss(f"what follows byte {offset} is not read: {limit}")
+                break
             end = file.size if found is None else found
             index.miss(f"bytes {offset} to {end} are lost: {damage}")
             if found is None:
                 break
             offset = found
     scan.finish()
+    if header is LOST_HEADER[0] and not index.places:
+        raise ZeroedHeader
     return index
+
+
+def read_gaps(file: InputFile, index: FileIndex) -> None:
+    """Take in what stands in the gaps of a summary: records without an index, loose messages."""
+    counts, start_ns, end_ns = dict(index.counts), index.start_ns, index.end_ns
+    scan = _Scan(file, index)
+    for start, end in index.gaps:
+        offset = start
+        try:
+            while offset < end and scan.step(offset):
+                offset = scan.next_offset
+        except Damaged as damage:
+            index.miss(f"bytes {offset} to {end} are lost: {damage}")
+    scan.finish()
+    index.places.sort(key=lambda place: place.offset)
+    index.attachments.sort()
+    index.counts, index.start_ns, index.end_ns = counts, start_ns, end_ns  # those of the summary
 
 
 class _Scan:
     def __init__(self, file: InputFile, index: FileIndex) -> None:
         self._file = file
         self._index = index
+        self.budget = UnpackBudget(file.limits)
+        self._records = 0
+        self._definitions: dict[tuple[int, int], bytes] = {}
         self._loose_start = 0
         self._loose_end = 0
         self._empty = True
         self._counted = 0
+        self._attachments = frozenset(index.attachments)
         self.next_offset = 0
         self.data_ended = False
         self.own = index.library.startswith(OWN_LIBRARY)
@@ -85,7 +124,10 @@ class _Scan:
             return False
         opcode, length = read_record_head(file, offset)
         if opcode not in _OPCODES:
-            raise Damaged("they make no sense")
+            raise Damaged("they make no sense" if opcode else "they are zeros")
+        self._records += 1
+        if self._records > file.limits.records:
+            raise BeyondLimit(TOO_MANY_RECORDS)
         self.next_offset = end = offset + RECORD_HEAD.size + length
         if opcode == Opcode.CHUNK:
             self.data_ended = False
@@ -97,15 +139,17 @@ class _Scan:
                 raise Damaged("they make no sense")
             return False
         elif opcode == Opcode.MESSAGE:
-            if self.own:  # we write chunks only
+            if self.own or length < MESSAGE_FIELDS.size:  # we write chunks only
                 raise Damaged("they make no sense")
             self._loose(offset, end)
         elif opcode == Opcode.METADATA:
-            index.metadata.append(parse(Metadata, read_content(file, offset, length)))
+            if offset not in index.metadata_offsets:
+                index.metadata.append(parse(Metadata, read_content(file, offset, length)))
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             self._define(opcode, read_content(file, offset, length))
         elif opcode == Opcode.ATTACHMENT:
-            index.attachments.append(offset)
+            if offset not in self._attachments:
+                index.attachments.append(offset)
         elif opcode == Opcode.DATA_END:
             self.data_ended = True
         elif opcode == Opcode.STATISTICS:
@@ -126,6 +170,8 @@ class _Scan:
         if end <= self._file.size:
             try:
                 self._add(PlaceKind.CHUNK, offset, end)
+            except BeyondLimit:
+                raise
             except Damaged as damage:
                 self._index.miss(f"bytes {offset} to {end} are lost: {damage}")
             return
@@ -149,24 +195,36 @@ class _Scan:
     def _add(self, kind: PlaceKind, offset: int, end: int) -> None:
         """Count the messages at a place. Raises Damaged if it cannot be read."""
         place = Place(kind, offset, end - offset, 0, 0, None)
+        if kind is not PlaceKind.LOOSE:
+            ref = read_chunk_ref(self._file, offset, end - offset)
+            self.budget.spend(ref.uncompressed_size)
         data = place.read(self._file)
         counts: dict[int, int] = {}
-        times: list[int] = []
         definitions: list[tuple[int, bytes]] = []
+        times: list[int] = []
+        records, most = 0, sys.maxsize
+        if kind is not PlaceKind.LOOSE:  # those of a loose run were counted one by one
+            most = self._file.limits.records - self._records
         try:
-            for opcode, start, stop in walk_records(data):
+            for opcode, start, stop in walk_records(data, most):
+                records += 1
                 if opcode == Opcode.MESSAGE:
                     channel, _, log_ns, _ = MESSAGE_FIELDS.unpack_from(data, start)
                     counts[channel] = counts.get(channel, 0) + 1
                     times.append(log_ns)
                 elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                     definitions.append((opcode, data[start:stop]))
+        except BeyondLimit:
+            raise
         except Damaged:
             if kind is not PlaceKind.TORN_CHUNK:
                 raise
+        finally:
+            if kind is not PlaceKind.LOOSE:
+                self._records += records
         for opcode, content in definitions:
             self._define(opcode, content)
-        if times:
+        if counts:
             self._take_in(place, counts, min(times), max(times))
 
     def _take_in(self, place: Place, counts: dict[int, int], start_ns: int, end_ns: int) -> None:
@@ -181,6 +239,10 @@ class _Scan:
         )
 
     def _define(self, opcode: int, content: bytes) -> None:
+        known = opcode, int.from_bytes(content[:2], "little")
+        if self._definitions.get(known) == content:
+            return  # repeated in each chunk
+        self._definitions[known] = content
         if opcode == Opcode.SCHEMA:
             schema = parse(Schema, content)
             self._index.schemas[schema.id] = schema

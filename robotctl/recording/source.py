@@ -9,8 +9,16 @@ from typing import Final, NamedTuple
 
 from mcap.opcode import Opcode
 
+from robotctl.recording.buffer import PlainMessage
 from robotctl.recording.file_index import FileIndex, Place, PlaceKind
-from robotctl.recording.mcap_input import MESSAGE_FIELDS, Damaged, InputFile, walk_records
+from robotctl.recording.mcap_input import (
+    MESSAGE_FIELDS,
+    BeyondLimit,
+    Damaged,
+    InputFile,
+    walk_records,
+)
+from robotctl.recording.message_compression import MessageDecompressor
 
 Window = tuple[int, int]
 """The first and the last log time that are wanted [ns]."""
@@ -49,7 +57,18 @@ class Source:
     which gives topic and type of each.
     """
 
-    __slots__ = ("_data", "_names", "entries", "file", "loaded", "next", "place", "size", "window")
+    __slots__ = (
+        "_data",
+        "_decompressor",
+        "_names",
+        "entries",
+        "file",
+        "loaded",
+        "next",
+        "place",
+        "size",
+        "window",
+    )
 
     def __init__(
         self, file: OpenFile, place: Place, names: dict[int, tuple[str, str]], window: Window
@@ -63,6 +82,11 @@ class Source:
         self.size = 0
         self._names = names
         self._data = b""
+        self._decompressor: MessageDecompressor | None = None
+        if file.index.message_compression:
+            self._decompressor = MessageDecompressor(
+                place.offset, file.file.limits, file.index.account
+            )
 
     def may_hold(self, topics: Collection[str]) -> bool:
         """Whether a message of one of the topics may be among the wanted ones."""
@@ -85,40 +109,68 @@ class Source:
             self.entries.sort()
 
     def take(self) -> Message:
-        """The next message."""
+        """The next message. Raises Damaged if it cannot be decompressed; go on with the next."""
         _, start, end = self.entries[self.next]
         self.next += 1
         return self._message(self._data, start, end, MESSAGE_FIELDS.unpack_from(self._data, start))
 
     def as_written(self) -> Iterator[Message]:
         """All messages in the order of the file, without `load`. Raises Damaged behind the last."""
+        for channel, content, log_ns, publish_ns, sequence in self.plain_messages():
+            topic, type_name = self._names[channel]
+            yield Message(topic, type_name, content, log_ns, publish_ns, sequence)
+
+    def plain_messages(self) -> Iterator[PlainMessage]:
+        """As `as_written`, with the channel's number."""
         data = self.place.read(self.file.file)
-        for start, end, fields in self._wanted(data):
-            yield self._message(data, start, end, fields)
+        failure: Damaged | None = None
+        for start, end, (channel, sequence, log_ns, publish_ns) in self._wanted(data):
+            try:
+                content = self._content(data, start, end)
+            except Damaged as damage:
+                failure = damage
+                continue
+            yield channel, content, log_ns, publish_ns, sequence
+        if failure is not None:
+            raise failure
 
     def _wanted(self, data: bytes) -> Iterator[tuple[int, int, _Fields]]:
         """Start, end and fields of the messages of wanted channels. Raises Damaged at last."""
-        unknown = 0
+        unknown = messages = others = 0
         names, unpack = self._names, MESSAGE_FIELDS.unpack_from
+        offset, account = self.place.offset, self.file.index.account
+        most = account.records_left(offset, self.file.file.limits.records)
         try:
-            for opcode, start, end in walk_records(data):
+            for opcode, start, end in walk_records(data, most):
                 if opcode == Opcode.MESSAGE:
+                    messages += 1
                     fields = unpack(data, start)
                     if fields[0] in names:
                         yield start, end, fields
                     elif fields[0] not in self.file.index.channels:
                         unknown += 1
-        except Damaged:
-            if self.place.kind is not PlaceKind.TORN_CHUNK:  # where the tear was told before
+                else:
+                    others += 1
+            account.note_messages(offset, messages)
+        except Damaged as damage:
+            # Where a chunk is torn was told before.
+            if self.place.kind is not PlaceKind.TORN_CHUNK or isinstance(damage, BeyondLimit):
                 raise
-        if unknown:
+        finally:
+            account.note_records(offset, messages + others)
+        if unknown and not self.file.index.scanned:  # else it was told before
             raise Damaged(f"{unknown} messages belong to no channel")
 
     def _message(self, data: bytes, start: int, end: int, fields: _Fields) -> Message:
         channel, sequence, log_ns, publish_ns = fields
         topic, type_name = self._names[channel]
-        content = data[start + MESSAGE_FIELDS.size : end]
+        content = self._content(data, start, end)
         return Message(topic, type_name, content, log_ns, publish_ns, sequence)
+
+    def _content(self, data: bytes, start: int, end: int) -> bytes:
+        """The message's data, as it was sent. Raises Damaged."""
+        stored = data[start + MESSAGE_FIELDS.size : end]
+        return stored if self._decompressor is None else self._decompressor.decompress(stored)
 
     def loss(self, damage: Damaged) -> str:
         """What to say where the place cannot be read."""
@@ -139,14 +191,15 @@ def sources(
 ) -> Iterator[Source]:
     """The places that may hold messages of `topics` (None: all) in the window."""
     for file in files:
-        names = _names(file.index, topics)
+        names = names_of(file.index, topics)
         for place in file.index.places:
             in_time = place.start_ns <= window[1] and place.end_ns >= window[0]
             if in_time and (place.channels is None or not place.channels.isdisjoint(names)):
                 yield Source(file, place, names, window)
 
 
-def _names(index: FileIndex, topics: Collection[str] | None) -> dict[int, tuple[str, str]]:
+def names_of(index: FileIndex, topics: Collection[str] | None = None) -> dict[int, tuple[str, str]]:
+    """Topic and type of each channel in a file whose topic is one of `topics` (None: all)."""
     return {
         channel.id: (channel.topic, index.schemas[channel.schema_id].name)
         if channel.schema_id in index.schemas

@@ -7,7 +7,6 @@ from mcap.opcode import Opcode
 from mcap.records import (
     AttachmentIndex,
     Channel,
-    ChunkIndex,
     DataEnd,
     Footer,
     Metadata,
@@ -16,16 +15,26 @@ from mcap.records import (
     Statistics,
 )
 
+from robotctl.recording.chunk_index import ChunkEntry, read_chunk_index
 from robotctl.recording.file_index import (
+    LOST_HEADER,
     FileIndex,
     Place,
-    PlaceKind,
+    ZeroedHeader,
     read_content,
     read_header,
     read_record_head,
 )
 from robotctl.recording.mcap_format import MAGIC
-from robotctl.recording.mcap_input import RECORD_HEAD, Damaged, InputFile, parse, walk_records
+from robotctl.recording.mcap_input import (
+    RECORD_HEAD,
+    BeyondLimit,
+    Damaged,
+    InputFile,
+    parse,
+    walk_records,
+)
+from robotctl.recording.stored_chunk import UnpackBudget
 from robotctl.recording.trailer import WrittenFile
 
 MAX_SUMMARY_BYTES = 256 << 20
@@ -41,30 +50,33 @@ def index_from_summary(file: InputFile, *, places: bool = True) -> FileIndex:
 
     Without `places` it takes a fraction of the time, and its messages cannot be read.
     """
-    header, _ = read_header(file)
+    try:
+        header, data_start = read_header(file)
+    except ZeroedHeader:
+        header, data_start = LOST_HEADER
     data, data_end = _read_summary(file)
     index = FileIndex(profile=header.profile, library=header.library)
     statistics: Statistics | None = None
     metadata: list[MetadataIndex] = []
+    chunks: list[ChunkEntry] = []
     chunk_count = 0
     for opcode, start, end in walk_records(data):
-        content = data[start:end]
-        if opcode == Opcode.SCHEMA:
-            schema = parse(Schema, content)
-            index.schemas[schema.id] = schema
-        elif opcode == Opcode.CHANNEL:
-            channel = parse(Channel, content)
-            index.channels[channel.id] = channel
-        elif opcode == Opcode.CHUNK_INDEX:
+        if opcode == Opcode.CHUNK_INDEX:
             chunk_count += 1
             if places:
-                index.places.append(_place(parse(ChunkIndex, content), data_end))
+                chunks.append(read_chunk_index(data, start, end))
+        elif opcode == Opcode.SCHEMA:
+            schema = parse(Schema, data[start:end])
+            index.schemas[schema.id] = schema
+        elif opcode == Opcode.CHANNEL:
+            channel = parse(Channel, data[start:end])
+            index.channels[channel.id] = channel
         elif opcode == Opcode.METADATA_INDEX:
-            metadata.append(parse(MetadataIndex, content))
+            metadata.append(parse(MetadataIndex, data[start:end]))
         elif opcode == Opcode.ATTACHMENT_INDEX:
-            index.attachments.append(parse(AttachmentIndex, content).offset)
+            index.attachments.append(parse(AttachmentIndex, data[start:end]).offset)
         elif opcode == Opcode.STATISTICS:
-            statistics = parse(Statistics, content)
+            statistics = parse(Statistics, data[start:end])
     if statistics is None or statistics.chunk_count != chunk_count:
         raise Damaged("its summary is incomplete")
     if statistics.message_count != sum(statistics.channel_message_counts.values()):
@@ -73,13 +85,17 @@ def index_from_summary(file: InputFile, *, places: bool = True) -> FileIndex:
         raise Damaged("its summary does not say where its messages are")
     if not index.channels.keys() >= statistics.channel_message_counts.keys():
         raise Damaged("its summary does not name all its channels")
-    if statistics.attachment_count != len(index.attachments):
-        raise Damaged("its summary does not say where its attachments are")
     index.counts = dict(statistics.channel_message_counts)
     index.start_ns = statistics.message_start_time
     index.end_ns = statistics.message_end_time
-    for entry in metadata:
-        _read_metadata(file, index, entry)
+    index.told_metadata = statistics.metadata_count
+    index.told_attachments = statistics.attachment_count
+    index.attachments = sorted(set(index.attachments))
+    if places:
+        chunks.sort(key=lambda chunk: chunk.place.offset)
+        index.gaps = _gaps(chunks, data_start, data_end)
+        index.places = _affordable([chunk.place for chunk in chunks], file, index)
+    _read_metadata(file, index, metadata)
     return index
 
 
@@ -124,27 +140,49 @@ def _read_summary(file: InputFile) -> tuple[bytes, int]:
     return summary, start
 
 
-def _place(entry: ChunkIndex, data_end: int) -> Place:
-    if entry.chunk_start_offset + entry.chunk_length > data_end:
+def _gaps(chunks: list[ChunkEntry], data_start: int, data_end: int) -> list[tuple[int, int]]:
+    """The parts of the data without a chunk or a message index. Raises Damaged at an overlap."""
+    gaps = []
+    position = data_start
+    for chunk in chunks:
+        if chunk.place.offset < position:
+            raise Damaged("its summary tells of a chunk within another")
+        if chunk.place.offset > position:
+            gaps.append((position, chunk.place.offset))
+        position = chunk.end
+    if position > data_end:
         raise Damaged("its summary points beyond its data")
-    channels = frozenset(entry.message_index_offsets) or None
-    return Place(
-        PlaceKind.CHUNK,
-        entry.chunk_start_offset,
-        entry.chunk_length,
-        entry.message_start_time,
-        entry.message_end_time,
-        channels,
-    )
+    if position < data_end:
+        gaps.append((position, data_end))
+    return gaps
 
 
-def _read_metadata(file: InputFile, index: FileIndex, entry: MetadataIndex) -> None:
-    try:
-        opcode, length = read_record_head(file, entry.offset)
-        if opcode != Opcode.METADATA:
-            raise Damaged("there is no metadata record")
-        record = parse(Metadata, read_content(file, entry.offset, length))
-    except Damaged as damage:
-        index.miss(f"metadata {entry.name[:80]!r} cannot be read: {damage}")
-    else:
-        index.metadata.append(record)
+def _affordable(places: list[Place], file: InputFile, index: FileIndex) -> list[Place]:
+    """The places that may be unpacked, as far as the file's limits go."""
+    budget = UnpackBudget(file.limits)
+    for number, place in enumerate(places):
+        try:
+            budget.spend(place.unpacked_bytes or 0)
+        except BeyondLimit as limit:
+            index.miss(f"only {number} of {len(places)} chunks are read: {limit}")
+            return places[:number]
+    return places
+
+
+def _read_metadata(file: InputFile, index: FileIndex, entries: list[MetadataIndex]) -> None:
+    """Take in the metadata records, each once. Together they are no larger than the file."""
+    room = file.size
+    for entry in {entry.offset: entry for entry in entries}.values():
+        try:
+            opcode, length = read_record_head(file, entry.offset)
+            if opcode != Opcode.METADATA:
+                raise Damaged("there is no metadata record")
+            room -= length
+            if room < 0:
+                raise Damaged("the records overlap")
+            record = parse(Metadata, read_content(file, entry.offset, length))
+        except Damaged as damage:
+            index.miss(f"metadata {entry.name[:80]!r} cannot be read: {damage}")
+        else:
+            index.metadata.append(record)
+            index.metadata_offsets.add(entry.offset)

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from mcap.opcode import Opcode
 
 from robotctl.recording.buffer import PlainMessage
 from robotctl.recording.file_index import FileIndex, Place, PlaceKind, read_header, read_record_head
-from robotctl.recording.mcap_input import RECORD_HEAD, Damaged, InputFile
-from robotctl.recording.recover import plain_messages
+from robotctl.recording.mcap_input import (
+    MESSAGE_FIELDS,
+    RECORD_HEAD,
+    Damaged,
+    InputFile,
+    walk_records,
+)
 
 _DATA = (
     Opcode.SCHEMA,
@@ -44,6 +51,13 @@ def messages_of_chunk(file: InputFile, offset: int) -> list[PlainMessage]:
         if opcode != Opcode.CHUNK:
             return []
         place = Place(PlaceKind.CHUNK, offset, RECORD_HEAD.size + length, 0, 0, None)
-        return list(plain_messages(place.read(file)))
+        return list(_messages(place.read(file)))
     except Damaged:
         return []
+
+
+def _messages(data: bytes) -> Iterator[PlainMessage]:
+    for opcode, start, end in walk_records(data):
+        if opcode == Opcode.MESSAGE:
+            channel, sequence, log_ns, publish_ns = MESSAGE_FIELDS.unpack_from(data, start)
+            yield channel, data[start + MESSAGE_FIELDS.size : end], log_ns, publish_ns, sequence

@@ -9,6 +9,8 @@ import struct
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
+from mcap.opcode import Opcode
+
 from robotctl.recording.storage import Buffer, DiskFile
 
 PAGE = 4096
@@ -149,3 +151,22 @@ def mutated(data: bytes, dice: random.Random) -> bytes:
         else:
             damaged[at:at] = damaged[at : at + size]
     return bytes(damaged)
+
+
+def chunks_of(data: bytes) -> list[tuple[int, int]]:
+    """Where each chunk's record begins and ends in a valid MCAP file."""
+    found = []
+    for offset in record_boundaries(data):
+        opcode, length = _RECORD_HEAD.unpack_from(data, offset)
+        if opcode == Opcode.CHUNK:
+            found.append((offset, offset + _RECORD_HEAD.size + length))
+        elif opcode == Opcode.FOOTER:
+            break
+    return found
+
+
+def zero(path: Path, start: int, end: int) -> None:
+    """Have these bytes of a file be zeros, as a power cut leaves what was never written."""
+    with path.open("r+b") as stream:
+        stream.seek(start)
+        stream.write(bytes(end - start))

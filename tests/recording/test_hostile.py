@@ -87,7 +87,8 @@ def test_what_claims_to_be_huge_is_refused_before_memory_is_taken(
 def test_chunks_that_all_overlap_are_not_all_held_in_memory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("robotctl.recording.merge.MAX_OPEN_BYTES", 10_000)
+    monkeypatch.setattr("robotctl.recording.read_limits.OPEN_BYTES", 10_000)
+    monkeypatch.setattr("robotctl.recording.read_limits.OPEN_RATIO", 0)
     path = tmp_path / "overlap.mcap"
     with path.open("wb") as stream:
         writer = Writer(stream, chunk_size=3000)

@@ -10,6 +10,7 @@ import pytest
 
 from robotctl.recording.mcap_format import MAGIC
 from robotctl.testing.bags import STRING, TWIST, Line, data, in_order, talk, text, twist, write_bag
+from robotctl.testing.mcap_faults import chunks_of, zero
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 SAMPLES = Path(__file__).parents[3] / "shared" / "samples" / "rosbag2"
@@ -32,6 +33,18 @@ async def test_a_damaged_chunk_costs_its_own_messages_and_is_named(
     await until(lambda: len(listener.heard["/alpha"]) == ran.summary["sent"])
     sent = iter(recorded)
     assert all(message in sent for message in listener.heard["/alpha"])
+
+
+async def test_a_zeroed_chunk_costs_its_own_messages_and_is_named(
+    tmp_path: Path, replay: Any
+) -> None:
+    file = write_bag(tmp_path / "run.mcap", talk("/alpha", 200, 1.0), chunk_bytes=1000)
+    chunks = chunks_of(file.read_bytes())
+    zero(file, *chunks[len(chunks) // 2])
+    ran = await replay(file, "--json")
+    assert ran.exit_code == 6
+    assert "is zeros now, as a power cut leaves them" in ran.err
+    assert 100 < ran.summary["sent"] < 200
 
 
 async def test_a_file_of_another_profile_is_played_as_far_as_its_messages_are_ours(

@@ -1,0 +1,50 @@
+"""What has been read of a file so far: the work it took, and the messages that were found."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+
+class ReadAccount:
+    """Counts by the offset of a place, so that a place read twice counts once."""
+
+    def __init__(self) -> None:
+        self._records: dict[int, int] = {}
+        self._unpacked: dict[int, int] = {}
+        self._messages: dict[int, int] = {}
+        self._record_total = 0
+        self._unpacked_total = 0
+
+    def records_left(self, offset: int, limit: int) -> int:
+        """How many of `limit` records the place at `offset` may hold, beside all other places."""
+        return limit - self._record_total + self._records.get(offset, 0)
+
+    def note_records(self, offset: int, count: int) -> None:
+        """So many records were found at a place, up to its end or to a tear."""
+        self._record_total += count - self._records.get(offset, 0)
+        self._records[offset] = count
+
+    def unpacked_left(self, offset: int, limit: int) -> int:
+        """What of `limit` the messages at a place may cost to decompress one by one."""
+        return limit - self._unpacked_total + self._unpacked.get(offset, 0)
+
+    def note_unpacked(self, offset: int, cost: int) -> None:
+        """The messages at a place have cost so much to decompress one by one, in one reading."""
+        known = self._unpacked.get(offset, 0)
+        if cost > known:
+            self._unpacked_total += cost - known
+            self._unpacked[offset] = cost
+
+    def note_messages(self, offset: int, count: int) -> None:
+        """A place was read to its end and holds so many messages."""
+        self._messages[offset] = count
+
+    def messages_in(self, offsets: Iterable[int]) -> int | None:
+        """The messages at these places; None if not all of them were read to their end."""
+        total = 0
+        for offset in offsets:
+            count = self._messages.get(offset)
+            if count is None:
+                return None
+            total += count
+        return total

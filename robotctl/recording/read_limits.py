@@ -1,0 +1,117 @@
+"""How much work a file may cause, measured by the bytes it takes on the disk.
+
+A compressed file may claim any size. Each limit is checked before the work is done, and what it
+leaves out is named together with `CURE`.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from math import isfinite
+from typing import Final, Self
+
+from robotctl.errors import UsageError
+
+VARIABLE: Final = "ROBOTCTL_READ_LIMITS"
+"""Environment variable: a factor for every limit here."""
+
+CURE: Final = f"to read it all, set {VARIABLE}=10: ten times the limit"
+
+MAX_FACTOR: Final = 1_000_000.0
+
+UNPACKED_BYTES: Final = 1 << 30
+"""What a file of any size may unpack to: half a second."""
+
+UNPACKED_RATIO: Final = 1024
+"""A larger file: so many times its size. A MB of it then takes half a second."""
+
+FAST_CHUNK_BYTES: Final = 8 << 20
+FAST_CHUNK_DISCOUNT: Final = 8
+"""Chunks up to FAST_CHUNK_BYTES unpack ten times as fast (22 instead of 2 GB/s, measured with
+zeros) and count an eighth: so a day of black images passes, which shrink to 1/4000."""
+
+CHUNK_BYTES: Final = 72 << 20
+CHUNK_RATIO: Final = 32
+"""One chunk may unpack to CHUNK_BYTES, a large one to CHUNK_RATIO times its stored size. 64 MB
+is the largest message that robotctl records; with a copy of it this stays below 256 MB."""
+
+OPEN_BYTES: Final = 96 << 20
+OPEN_RATIO: Final = 32
+MAX_OPEN_BYTES: Final = 256 << 20
+"""Unpacked chunks of a recording held at once because their times overlap: OPEN_BYTES, of a
+larger file OPEN_RATIO times its size, but no more than MAX_OPEN_BYTES. Of ours two do."""
+
+ATTACHMENT_BYTES: Final = 256 << 20
+"""A larger attachment is not taken into memory."""
+
+RECORDS: Final = 100_000
+BYTES_PER_RECORD: Final = 4
+"""A file may hold RECORDS messages (and other records), a larger one that for every 4 bytes. The
+densest honest one, constant data without message indexes, takes 6; ours takes 22."""
+
+JOURNAL_ENTRIES: Final = 30_000
+BYTES_PER_JOURNAL_ENTRY: Final = 32
+"""To decide an entry again takes 25 us; ours takes at least 16 bytes of index and its share of
+a compressed chunk."""
+
+JOURNAL_TEXT_BYTES: Final = 16 << 20
+JOURNAL_TEXT_RATIO: Final = 16
+"""The JSON of a journal, as a multiple of the file: ours shrinks to a tenth at best."""
+
+ZSTD_FILE_BYTES: Final = 256 << 20
+ZSTD_FILE_RATIO: Final = 64
+"""A file compressed as a whole unpacks onto the disk, where it may take no more than this."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReadLimits:
+    """The limits of one file; `unpacked_cost` is in bytes as `unpacking_cost` counts them."""
+
+    unpacked_cost: int
+    chunk_bytes: int
+    chunk_ratio: int
+    open_bytes: int
+    attachment_bytes: int
+    records: int
+    journal_entries: int
+    journal_text_bytes: int
+    zstd_file_bytes: int
+
+    @classmethod
+    def of(cls, stored_bytes: int) -> Self:
+        """Those of a file that takes `stored_bytes` on the disk. Raises UsageError."""
+        factor = _factor()
+
+        def limit(least: int, share: float) -> int:
+            return int(factor * max(least, stored_bytes * share))
+
+        return cls(
+            unpacked_cost=limit(UNPACKED_BYTES, UNPACKED_RATIO),
+            chunk_bytes=int(factor * CHUNK_BYTES),
+            chunk_ratio=int(factor * CHUNK_RATIO),
+            open_bytes=min(limit(OPEN_BYTES, OPEN_RATIO), int(factor * MAX_OPEN_BYTES)),
+            attachment_bytes=int(factor * ATTACHMENT_BYTES),
+            records=limit(RECORDS, 1 / BYTES_PER_RECORD),
+            journal_entries=limit(JOURNAL_ENTRIES, 1 / BYTES_PER_JOURNAL_ENTRY),
+            journal_text_bytes=limit(JOURNAL_TEXT_BYTES, JOURNAL_TEXT_RATIO),
+            zstd_file_bytes=limit(ZSTD_FILE_BYTES, ZSTD_FILE_RATIO),
+        )
+
+
+def unpacking_cost(unpacked_bytes: int) -> int:
+    """What a chunk of this size counts against `unpacked_cost`."""
+    return unpacked_bytes // (FAST_CHUNK_DISCOUNT if unpacked_bytes <= FAST_CHUNK_BYTES else 1)
+
+
+def _factor() -> float:
+    text = os.environ.get(VARIABLE, "").strip()
+    if not text:
+        return 1.0
+    try:
+        factor = float(text)
+    except ValueError:
+        factor = 0.0
+    if not (isfinite(factor) and 1 <= factor <= MAX_FACTOR):
+        raise UsageError(f"{VARIABLE}={text[:40]}: give a number from 1 to {MAX_FACTOR:g}")
+    return factor
