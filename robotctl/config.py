@@ -40,7 +40,7 @@ PATTERN_HELP = "a topic (/scan), a glob (/camera/*) or a type (type:sensor_msgs/
 class RecordingParams:
     """How traffic is recorded, and for how long.
 
-    `compression` is zstd or none. At a start the oldest recordings are removed until no more than
+    `compression` is zstd or none. The oldest recordings are removed until no more than
     `max_total_gb` are left and none is older than `max_age_days`; 0 keeps all. Of the topics
     those are recorded that a pattern of `include` matches, all where there is none, but for those
     that a pattern of `exclude` matches. A clip is cut out around each emergency stop and error,

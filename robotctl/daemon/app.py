@@ -6,6 +6,7 @@ import asyncio
 import gc
 import os
 from contextlib import AsyncExitStack, ExitStack
+from typing import Any
 
 from robotctl import __version__
 from robotctl.config import Config, load
@@ -14,7 +15,7 @@ from robotctl.daemon.ending import told_to_end
 from robotctl.daemon.host import Daemon, Host, Ready
 from robotctl.daemon.observer import Observer
 from robotctl.daemon.options import DaemonOptions
-from robotctl.daemon.recordings import remember, tidy
+from robotctl.daemon.recordings import remember
 from robotctl.daemon.supervisor import Supervisor
 from robotctl.domains import is_deserted
 from robotctl.ipc.listener import remove_stale
@@ -49,8 +50,7 @@ async def serve(
         ) as session,
         AsyncExitStack() as stack,
     ):
-        notes = [*notes, *await asyncio.to_thread(tidy, options.recordings, config.recording)]
-        notes += await asyncio.to_thread(remember, options.recordings, options.robot)
+        notes = [*notes, *await asyncio.to_thread(remember, options.recordings, options.robot)]
         for folder in (address.parent, robot_state_folder(options.robot)):
             notes += chain_to(folder).group_writable()
         host = Host(options, config, alone, supervisor, stop, session, warnings=[])
@@ -65,8 +65,13 @@ async def serve(
             raise
         gc.collect()
         gc.freeze()  # a full collection over all that was imported would hold the loop for 70 ms
+
+        def ready(summary: dict[str, Any]) -> None:
+            on_ready(summary)
+            daemon.recorder.tidier.begin()  # not before: files of any number, size and origin
+
         try:
-            await daemon.run(server, notes, on_ready)
+            await daemon.run(server, notes, ready)
         except BaseException:
             await daemon.cut()
             raise

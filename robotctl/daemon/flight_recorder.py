@@ -7,19 +7,18 @@ import logging
 import time
 from collections import Counter
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from shutil import rmtree
-from typing import TypeVar
 
 from robotctl.config import Config
 from robotctl.daemon.black_box import BlackBox
 from robotctl.daemon.handover import in_loop
 from robotctl.daemon.options import DaemonOptions
 from robotctl.daemon.recorder_report import RecorderReport
-from robotctl.daemon.recordings import open_recorder, remove_oldest
+from robotctl.daemon.recordings import open_recorder, retention_policy
 from robotctl.daemon.supervisor import Work
+from robotctl.daemon.tidier import Tidier
 from robotctl.recording.events import EventKind, RecordedEvent
 from robotctl.recording.recorder import RecorderStats, Topic
 from robotctl.recording.topic_filter import TopicFilter
@@ -32,8 +31,6 @@ from robotctl.ros.session import Session
 from robotctl.ros.tap import Tap, TappedTopic
 
 _log = logging.getLogger(__name__)
-
-T = TypeVar("T")
 
 SAMPLE_PERIOD_S = 1.0
 
@@ -63,11 +60,7 @@ class FlightRecorder:
         """
         self._on_failure = on_failure
         self._on_file = on_file
-        self._file_finished = asyncio.Event()
         self._closing = False
-        self._disk_work = ThreadPoolExecutor(1)  # what is removed and the end do not overlap
-        self._recordings = options.recordings
-        self._params = config.recording
         self._must_record = config.on_recorder_failure == "stop"
         self._recorder = open_recorder(
             options.recordings,
@@ -86,8 +79,12 @@ class FlightRecorder:
         diagnostics = DiagnosticsPublisher(session, options.robot)
         self._marks = MarkPublisher(session)
         self._write_mark = self.tap.reserve(self._marks.description)
-        self._black_box = BlackBox(config.recording, self._recorder.stats().file.parent)
-        self.report = RecorderReport(self._recorder, self.tap, topic_filter, diagnostics)
+        recording = self._recorder.stats().file.parent
+        self._black_box = BlackBox(config.recording, recording)
+        self.tidier = Tidier(retention_policy(config.recording), recording)
+        self.report = RecorderReport(
+            self._recorder, self.tap, topic_filter, diagnostics, self.tidier.problems
+        )
 
     def work(self) -> dict[str, Work]:
         """Return the tasks."""
@@ -95,7 +92,7 @@ class FlightRecorder:
             "recorder": self.tap.run,
             "recorder's statistics": self._keep_statistics,
             "black box": self._black_box.run,
-            "retention": self._remove_oldest,
+            "tidier": self.tidier.run,
         }
 
     def open_journal(self, publisher: JournalPublisher) -> Callable[[bytes, int], None]:
@@ -150,7 +147,7 @@ class FlightRecorder:
         What comes in from now on is dropped: call this when nothing does any more.
         """
         self._closing = True
-        stats = await self._work_on_disk(self._recorder.close)
+        stats = await asyncio.to_thread(self._recorder.close)
         _log.info(
             "recorded %d messages in %s, %d dropped, %d lost",
             stats.written,
@@ -162,26 +159,13 @@ class FlightRecorder:
 
     async def discard(self) -> None:
         """Leave nothing behind of a start that failed before anything ran."""
-        stats = await self._work_on_disk(self._recorder.close)
-        await self._work_on_disk(partial(rmtree, stats.file.parent, ignore_errors=True))
+        stats = await asyncio.to_thread(self._recorder.close)
+        await asyncio.to_thread(rmtree, stats.file.parent, ignore_errors=True)
 
     async def _keep_statistics(self) -> None:
         while True:
             self.report.sample()
             await asyncio.sleep(SAMPLE_PERIOD_S)
-
-    async def _remove_oldest(self) -> None:
-        """Keep to the limits also while it runs for weeks."""
-        while True:
-            await self._file_finished.wait()
-            self._file_finished.clear()
-            for sentence in await self._work_on_disk(
-                partial(remove_oldest, self._recordings, self._params)
-            ):
-                _log.info("%s", sentence)
-
-    def _work_on_disk(self, work: Callable[[], T]) -> asyncio.Future[T]:
-        return asyncio.get_running_loop().run_in_executor(self._disk_work, work)
 
     def _failed(self, detail: str) -> None:
         _log.error("%s", detail)
@@ -194,7 +178,7 @@ class FlightRecorder:
 
     def _file_begun(self, path: Path) -> None:
         _log.info("recording goes on in %s", path)
-        self._file_finished.set()
+        self.tidier.file_finished()
 
     def _open_sink(self, topic: TappedTopic) -> Sink:
         described = Topic(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from robotctl.daemon.diagnosis import diagnose
@@ -29,11 +29,14 @@ class RecorderReport:
         tap: Tap,
         topic_filter: TopicFilter,
         diagnostics: DiagnosticsPublisher,
+        problems: Sequence[str],
     ) -> None:
+        """`problems` grows: what is wrong with the other recordings in the folder."""
         self._recorder = recorder
         self._tap = tap
         self._filter = topic_filter
         self._diagnostics = diagnostics
+        self._problems = problems
         self._rates = RateMeter()
         self._heavy = HeavyTopics()
         self._heavy_warnings: list[str] = []
@@ -76,6 +79,7 @@ class RecorderReport:
             )
         yield from self._tap.problems.values()
         yield from self._heavy_warnings
+        yield from self._problems
 
     def sample(self) -> None:
         """Take the counts that rates are made of, and tell ROS; to be called once a second."""

@@ -1,4 +1,4 @@
-"""The recordings folder: tidied when a daemon starts, and one recording opened in it."""
+"""The recordings folder: how much of it is kept, and one recording opened in it."""
 
 from __future__ import annotations
 
@@ -12,42 +12,14 @@ from robotctl.daemon.provenance import provenance
 from robotctl.errors import RobotctlError
 from robotctl.paths import make_private, recordings_note_path
 from robotctl.recording.recorder import Compression, Recorder, RecorderOptions
-from robotctl.recording.repair import repair
-from robotctl.recording.retention import DAY_S, RetentionPolicy, enforce
+from robotctl.recording.retention import DAY_S, RetentionPolicy
 
 
-def tidy(recordings: Path, params: RecordingParams) -> list[str]:
-    """Repair what a killed daemon left, remove what is too old; a sentence for each.
-
-    Blocks. A recording that cannot be tidied does not keep the robot from starting.
-    """
-    if not recordings.is_dir():
-        return []
-    repaired = _attempt(
-        recordings, lambda: [f"repaired: {sentence}" for sentence in repair(recordings)]
-    )
-    return [*repaired, *remove_oldest(recordings, params)]
-
-
-def remove_oldest(recordings: Path, params: RecordingParams) -> list[str]:
-    """Remove what is too old or too much; a sentence for each file. Blocks."""
-    policy = RetentionPolicy(
+def retention_policy(params: RecordingParams) -> RetentionPolicy:
+    """Return how much is kept, as configured; 0 there means no limit."""
+    return RetentionPolicy(
         round(params.max_total_gb * 1e9) or None, params.max_age_days * DAY_S or None
     )
-    return _attempt(
-        recordings,
-        lambda: [
-            f"removed for its age or the space: {removed.path}"
-            for removed in enforce(recordings, policy, time.time())
-        ],
-    )
-
-
-def _attempt(recordings: Path, tidy_up: Callable[[], list[str]]) -> list[str]:
-    try:
-        return tidy_up()
-    except Exception as error:  # noqa: BLE001 - files of any origin; ours to read, not to trust
-        return [f"{recordings} could not be tidied: {type(error).__name__}: {error}"]
 
 
 def remember(recordings: Path, robot: str) -> list[str]:

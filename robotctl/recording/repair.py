@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +22,7 @@ from robotctl.recording.options import Compression
 from robotctl.recording.recover import recover
 from robotctl.recording.storage import DiskFile
 from robotctl.recording.summary import index_from_summary, read_written_file
+from robotctl.recording.tidied import Tidied
 from robotctl.recording.trailer import WrittenFile
 from robotctl.recording.unfinished_commit import find_unfinished_commit, messages_of_chunk
 
@@ -29,37 +30,35 @@ _UNFINISHED = ".repair"
 _PIECE_BYTES = 1 << 20
 
 
-def repair(recordings: Path) -> list[str]:
-    """Repair the recordings below `recordings` that nobody is writing.
+def repair(recordings: Path) -> Iterator[Tidied]:
+    """Repair the recordings below `recordings` that nobody is writing; yield what is done.
 
     A file that is whole but was never closed is marked as checked, so that it is read once only;
-    a torn one is replaced by what can be read of it. Returns a sentence for each. Blocks: it
-    reads the whole of each such file. Raises OSError if `recordings` cannot be listed.
+    a torn one is replaced by what can be read of it. Blocks: it reads the whole of each such file.
+    Raises OSError if `recordings` cannot be listed.
     """
-    done: list[str] = []
     for folder in own_recordings(recordings):
         if not folder.live:
             with suppress(OSError):  # the next start tries again
-                done += _repair_folder(folder)
-    return done
+                yield from _repair_folder(folder)
 
 
-def _repair_folder(folder: CatalogFolder) -> list[str]:
+def _repair_folder(folder: CatalogFolder) -> list[Tidied]:
     for leftover in folder.path.glob(f"*{_UNFINISHED}"):
         leftover.unlink()
-    done = [sentence for file in folder.files if (sentence := _repair_file(file.path))]
+    done = [tidied for file in folder.files if (tidied := _repair_file(file.path))]
     if done:
         rewrite_metadata(folder.path, [file.path for file in folder.files])
     return done
 
 
-def _repair_file(path: Path) -> str:
-    """What was done to the file; "" if it was closed properly."""
+def _repair_file(path: Path) -> Tidied | None:
+    """What was done to the file; None if it was closed properly."""
     with InputFile(path) as file:
         try:
             index = index_from_summary(file)
             if index.has_metadata(LEDGER_RECORD, RECOVERY_RECORD):
-                return ""
+                return None
             _verify(file, index)
             written = read_written_file(file)
         except Damaged:
@@ -70,7 +69,7 @@ def _repair_file(path: Path) -> str:
         written = replace(written, data_end=data_end, data_crc=_checksum(file, data_end))
     _close(path, written, messages)
     count = index.message_count + len(messages)
-    return f"{path.name} was not closed: its {count} messages are whole"
+    return Tidied(f"repaired: {path.name} was not closed: its {count} messages are whole")
 
 
 def _close(path: Path, written: WrittenFile, messages: Sequence[PlainMessage]) -> None:
@@ -101,12 +100,13 @@ def _checksum(file: InputFile, data_end: int) -> int:
     return crc
 
 
-def _replace(path: Path) -> str:
+def _replace(path: Path) -> Tidied:
     repaired = path.with_name(path.name + _UNFINISHED)
     try:
         salvage = recover(path, repaired)
     except RobotctlError as error:
-        return f"{path.name} was torn and cannot be repaired: {error}"
+        return Tidied(f"{path.name} was torn and cannot be repaired: {error}", problem=True)
     repaired.replace(path)
     lost = "; ".join(salvage.lost)
-    return f"{path.name} was torn: {salvage.message_count} messages are whole ({lost})"
+    text = f"repaired: {path.name} was torn: {salvage.message_count} messages are whole ({lost})"
+    return Tidied(text, problem=True)

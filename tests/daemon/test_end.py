@@ -128,9 +128,9 @@ def test_after_a_kill_the_next_start_cleans_up_and_repairs(world: World) -> None
     assert world.sockets() != []
     assert world.robotctl("status").exit_code == 3
     killed = next(world.recordings.iterdir())
-    out = world.ok("start", "--sim")
+    world.ok("start", "--sim")
     assert world.status()["mode"] == "IDLE"
-    assert f"{killed.name}_0.mcap" in out  # what was repaired
+    until(lambda: f"repaired: {killed.name}_0.mcap" in world.log())
     world.ok("stop")
     journal = journal_of(read_back(killed)["/robotctl/journal"])
     assert any(entry.name == ModeChanged.__name__ for entry in journal)

@@ -11,10 +11,14 @@ import yaml
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
+from robotctl.recording import repair as repairing
 from robotctl.recording.reader import read_info
 from robotctl.recording.recorder import Recorder, RecorderOptions
-from robotctl.recording.repair import repair
 from robotctl.testing.recordings import TWIST, numbered, read_strictly, write_numbered
+
+
+def repair(recordings: Path) -> list[str]:
+    return [done.text for done in repairing.repair(recordings)]
 
 
 def crashed(folder: Path, count: int) -> Path:
@@ -41,7 +45,7 @@ def test_a_file_that_was_not_closed_is_checked_once_and_the_bag_counts_it(tmp_pa
     file = crashed(tmp_path / "run", 200)
     assert listed_messages(tmp_path / "run") == 0
     before = read_strictly(file)
-    assert repair(tmp_path) == ["run_0.mcap was not closed: its 200 messages are whole"]
+    assert repair(tmp_path) == ["repaired: run_0.mcap was not closed: its 200 messages are whole"]
     assert read_strictly(file) == before
     assert listed_messages(tmp_path / "run") == 200
     with file.open("rb") as stream:
@@ -73,7 +77,7 @@ def test_a_chunk_that_a_power_cut_has_emptied_is_taken_out(tmp_path: Path) -> No
     data[middle : middle + 50] = bytes(50)
     file.write_bytes(data)
     (sentence,) = repair(tmp_path)
-    assert sentence.startswith("run_0.mcap was torn: ")
+    assert sentence.startswith("repaired: run_0.mcap was torn: ")
     assert 400 < len(read_strictly(file)) < 500
 
 
