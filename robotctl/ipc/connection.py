@@ -67,8 +67,9 @@ class Limits:
     clients: int = 64
     """Beyond these a connection is told that the daemon is busy."""
     overflow: int = 256
-    """Connections over the cap that are listened to, each for one emergency stop; further ones
-    wait in the backlog. Together with `clients` well below the usual 1,024 open files."""
+    """Connections over the cap that are listened to, each for one emergency stop; for a further one
+    the oldest that says nothing is closed. Together with `clients` well below the usual 1,024 open
+    files."""
     request_s: float = 10.0
     """For a request to arrive whole, from the connection's start or the reply before it."""
     overflow_request_s: float = 1.0
@@ -107,6 +108,15 @@ class Connection:
         self._over_cap = over_cap
         self._lines = Lines(MAX_REQUEST_BYTES)
         self._greeted = False
+        self._is_listening = False
+
+    def is_idle(self) -> bool:
+        """Whether the client has sent nothing that is still to be read or answered."""
+        return self._is_listening and not _is_readable(self._sock)
+
+    def dismiss(self) -> None:
+        """Tell an idle client that another one takes its place; it is not waited for."""
+        self._say_last(None, Code.BUSY, self._busy())
 
     async def run(self) -> None:
         """Serve until the connection is to be closed; raises OSError when the client is gone."""
@@ -126,13 +136,12 @@ class Connection:
 
     async def _read_line(self) -> bytes | None:
         """The next line, or None when the client left, was too slow or sent an endless line."""
-        loop = asyncio.get_running_loop()
         limits = self._limits
         deadline_s = limits.overflow_request_s if self._over_cap else limits.request_s
         try:
             async with asyncio.timeout(deadline_s):
                 while (line := self._lines.next_line()) is None:
-                    data = await loop.sock_recv(self._sock, MAX_REQUEST_BYTES)
+                    data = await self._receive()
                     if not data:
                         return None
                     self._lines.receive(data)
@@ -143,6 +152,22 @@ class Connection:
             text = f"no whole request within {deadline_s:g} s: the connection is closed"
             await self.refuse(Code.TIMEOUT, RobotctlError(text))
         return None
+
+    async def _receive(self) -> bytes:
+        """As `loop.sock_recv`, but what was not yet given to this task is still in the socket."""
+        loop = asyncio.get_running_loop()
+        while True:
+            try:
+                return self._sock.recv(MAX_REQUEST_BYTES)
+            except BlockingIOError:
+                readable = loop.create_future()
+                loop.add_reader(self._sock, _wake, readable)
+                self._is_listening = True
+                try:
+                    await readable
+                finally:
+                    self._is_listening = False
+                    loop.remove_reader(self._sock)
 
     async def _send(self, line: bytes) -> None:
         """Write a reply, in this very loop turn where the socket takes it whole."""
@@ -163,7 +188,7 @@ class Connection:
             return _encode_failure(request.id, Code.ROBOTCTL_ERROR, error)
         except asyncio.CancelledError:
             if _being_cancelled():
-                self._send_goodbye(request)
+                self._say_last(request.id, Code.STOPPING, NoDaemon("the daemon is stopping"))
                 raise
             return _internal_error(request)
         except Exception:  # noqa: BLE001 - logged; a mishap ends one request, not the daemon
@@ -210,11 +235,13 @@ class Connection:
 
     def _check_admitted(self) -> None:
         if self._over_cap:
-            text = f"the daemon is busy with {self._limits.clients} clients: try again"
-            raise _Rejected(Code.BUSY, Refused(text))
+            raise _Rejected(Code.BUSY, self._busy())
         if not self._greeted:
             text = f"the first request is hello with protocol {PROTOCOL_VERSION}"
             raise _Rejected(Code.INVALID_REQUEST, UsageError(text))
+
+    def _busy(self) -> Refused:
+        return Refused(f"the daemon is busy with {self._limits.clients} clients: try again")
 
     @contextmanager
     def _until_hangup(self, deadline: asyncio.Timeout) -> Iterator[None]:
@@ -239,11 +266,10 @@ class Connection:
         finally:
             timer.cancel()
 
-    def _send_goodbye(self, request: Request) -> None:
-        """Tell the client of a call under way that the daemon ends; no time is left to wait."""
-        line = encode_error(request.id, Code.STOPPING, "the daemon is stopping", NoDaemon.exit_code)
+    def _say_last(self, request_id: int | str | None, code: Code, error: RobotctlError) -> None:
+        """Send an error without waiting: the connection ends now."""
         with suppress(OSError):
-            self._sock.send(line)
+            self._sock.send(encode_error(request_id, code, str(error), error.exit_code))
 
 
 def _decode(request: Request, kind: type[P]) -> P:
@@ -279,7 +305,20 @@ def _being_cancelled() -> bool:
     return task is not None and task.cancelling() > 0
 
 
+def _wake(waiting: asyncio.Future[None]) -> None:
+    if not waiting.done():
+        waiting.set_result(None)
+
+
 def _is_hung_up(sock: socket.socket) -> bool:
+    return _is_ready(sock, 0)
+
+
+def _is_readable(sock: socket.socket) -> bool:
+    return _is_ready(sock, select.POLLIN)
+
+
+def _is_ready(sock: socket.socket, events: int) -> bool:
     poll = select.poll()
-    poll.register(sock, 0)
+    poll.register(sock, events)
     return bool(poll.poll(0))

@@ -8,6 +8,7 @@ import logging
 import os
 import socket
 import stat
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -65,8 +66,12 @@ class Listener:
         if self._is_in_place():
             self._path.unlink(missing_ok=True)
 
-    async def accept(self) -> socket.socket:
-        """Return the next client; where the system has no more to give, wait until it has."""
+    async def accept(self, make_room: Callable[[], bool]) -> socket.socket:
+        """Return the next client.
+
+        Without a free descriptor `make_room` is asked to close a connection; if it cannot, this
+        waits until there is one.
+        """
         loop = asyncio.get_running_loop()
         while True:
             try:
@@ -74,7 +79,7 @@ class Listener:
             except OSError as error:
                 if error.errno in _OUT_OF_RESOURCES:
                     _log.warning("no connection can be accepted: %s", error)
-                    await asyncio.sleep(_RETRY_ACCEPT_S)
+                    await asyncio.sleep(0.0 if make_room() else _RETRY_ACCEPT_S)
                 elif error.errno != errno.ECONNABORTED:
                     raise
 

@@ -20,6 +20,9 @@ __all__ = ["ControlServer", "Identity", "Limits", "Method"]
 
 _log = logging.getLogger(__name__)
 
+_FULL_POLL_S = 0.005
+"""How often a connection looks for a place while all the others are being answered."""
+
 
 class ControlServer:
     """Listens from `with` on, answers while `serve` runs, removes the socket at the end.
@@ -43,8 +46,9 @@ class ControlServer:
         self._methods = dict(methods)
         self._identity = identity
         self._limits = limits
-        self._places = asyncio.Semaphore(limits.clients + limits.overflow)
         self._admitted = 0
+        self._overflow: dict[asyncio.Task[None], Connection] = {}
+        """Over the cap, the oldest first."""
 
     def __enter__(self) -> Self:
         """Listen: from here on clients wait instead of failing. Raises as Listener.open does."""
@@ -67,31 +71,54 @@ class ControlServer:
 
     async def _accept_clients(self, connections: asyncio.TaskGroup) -> None:
         while True:
-            await self._places.acquire()
+            sock = await self._listener.accept(self._dismiss_idle)
             try:
-                sock = await self._listener.accept()
+                while self._is_full() and not self._dismiss_idle():  # noqa: ASYNC110
+                    await asyncio.sleep(_FULL_POLL_S)
             except BaseException:
-                self._places.release()
-                raise
-            over_cap = self._admitted >= self._limits.clients
-            self._admitted += not over_cap
-            task = connections.create_task(self._handle(sock, over_cap))
-
-            # Not in the task itself: one that is cancelled before its first step runs nothing.
-            def release(
-                _: asyncio.Task[None], sock: socket.socket = sock, over_cap: bool = over_cap
-            ) -> None:
                 sock.close()
-                self._admitted -= not over_cap
-                self._places.release()
+                raise
+            self._take_in(sock, connections)
+            await asyncio.sleep(0)  # many that come at once must not hold up a tick
 
-            task.add_done_callback(release)
-
-    async def _handle(self, sock: socket.socket, over_cap: bool) -> None:
-        """Serve one client; whatever happens here, the others do not notice."""
+    def _take_in(self, sock: socket.socket, connections: asyncio.TaskGroup) -> None:
+        over_cap = self._admitted >= self._limits.clients
         connection = Connection(
             sock, self._methods, self._identity, self._limits, over_cap=over_cap
         )
+        task = connections.create_task(self._handle(sock, connection))
+        if over_cap:
+            self._overflow[task] = connection
+        else:
+            self._admitted += 1
+
+        # Not in the task itself: one that is cancelled before its first step runs nothing.
+        def release(ended: asyncio.Task[None]) -> None:
+            sock.close()
+            self._admitted -= not over_cap
+            self._overflow.pop(ended, None)
+
+        task.add_done_callback(release)
+
+    def _is_full(self) -> bool:
+        limits = self._limits
+        return self._admitted >= limits.clients and len(self._overflow) >= limits.overflow
+
+    def _dismiss_idle(self) -> bool:
+        """Close the connection over the cap that has been idle for the longest, if there is one.
+
+        An emergency stop must find a place, however many connections say nothing.
+        """
+        for task, connection in self._overflow.items():
+            if connection.is_idle():
+                connection.dismiss()
+                task.cancel()
+                del self._overflow[task]
+                return True
+        return False
+
+    async def _handle(self, sock: socket.socket, connection: Connection) -> None:
+        """Serve one client; whatever happens here, the others do not notice."""
         try:
             uid = peer_of(sock).uid
             if uid not in (0, os.getuid()):

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import json
 import os
 import resource
 import socket
+import time
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +25,9 @@ def request(method: str, **params: object) -> bytes:
 
 
 HELLO = request("hello", protocol=1)
+STOP_WITHIN_S = 0.2
+"""Ten times the target of 20 ms."""
+
 ESTOP = request("set_mode", mode=3, source="test")
 
 
@@ -157,14 +162,108 @@ async def test_a_client_over_the_cap_may_still_stop_the_robot(
         assert robot.mode == 3
 
 
-async def test_a_silent_client_over_the_cap_loses_its_place(serve: Any, connect: Any) -> None:
+async def test_a_silent_client_over_the_cap_loses_its_place_at_its_deadline(
+    serve: Any, connect: Any
+) -> None:
     async with serve(Limits(clients=1, overflow=1, overflow_request_s=0.05)):
         await connect()
         silent = await connect(greet=False)
-        waiting = await connect(greet=False)
-        await waiting.send(ESTOP)
         assert (await silent.reply())["error"]["code"] == Code.TIMEOUT
-        assert "result" in await waiting.reply()
+        assert await silent.is_closed()
+
+
+async def test_the_oldest_silent_client_over_the_cap_makes_room_for_the_next(
+    serve: Any, connect: Any
+) -> None:
+    async with serve(Limits(clients=1, overflow=2, overflow_request_s=DEADLINE_S)):
+        await connect()
+        silent, half = await connect(greet=False), await connect(greet=False)
+        await half.send(ESTOP[:-5])
+        stops = [await connect(greet=False) for _ in range(2)]
+        for peer in stops:
+            await peer.send(ESTOP)
+            assert "result" in await peer.reply()
+        for peer in (silent, half):
+            assert (await peer.reply())["error"]["code"] == Code.BUSY
+            assert await peer.is_closed()
+
+
+async def test_a_request_that_is_being_answered_keeps_its_place(
+    serve: Any, connect: Any, robot: Any
+) -> None:
+    asked, may_stop, stop = asyncio.Event(), asyncio.Event(), robot.set_mode
+
+    async def stop_slowly(params: Any) -> Any:
+        asked.set()
+        await may_stop.wait()
+        return await stop(params)
+
+    robot.set_mode = stop_slowly
+    async with serve(Limits(clients=1, overflow=1)):
+        await connect()
+        first = await connect(greet=False)
+        await first.send(ESTOP)
+        await asked.wait()
+        second = await connect(greet=False)  # waits, for nobody is idle
+        await second.send(ESTOP)
+        may_stop.set()
+        for peer in (first, second):
+            assert "result" in await peer.reply()
+
+
+@pytest.mark.parametrize("idle", [1300])
+async def test_idle_connections_delay_no_emergency_stop(
+    idle: int, serve: Any, path: Path, robot: Any
+) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, min(hard, 4096)), hard))
+    silent = [socket.socket(socket.AF_UNIX) for _ in range(idle)]
+    took_s = []
+
+    def stop() -> None:
+        with socket.socket(socket.AF_UNIX) as client:
+            begun = time.monotonic()
+            client.connect(str(path))
+            client.sendall(ESTOP)
+            assert b'"result"' in client.recv(65536)
+            took_s.append(time.monotonic() - begun)
+
+    def attack() -> None:
+        for client in silent:
+            client.connect(str(path))
+        for _ in range(20):
+            stop()
+
+    async with serve():
+        await asyncio.to_thread(attack)
+        assert robot.mode_requests == 20
+    for client in silent:
+        client.close()
+    assert max(took_s) < STOP_WITHIN_S
+
+
+async def test_without_a_free_descriptor_an_idle_connection_makes_room(
+    serve: Any, connect: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loop = asyncio.get_running_loop()
+    accept, closed = loop.sock_accept, asyncio.Event()
+
+    async def fail_until_closed(listener: socket.socket) -> tuple[socket.socket, Any]:
+        if len(accepted) == 2 and not closed.is_set():
+            raise OSError(errno.EMFILE, "too many open files")
+        accepted.append(await accept(listener))
+        return accepted[-1]
+
+    accepted: list[tuple[socket.socket, Any]] = []
+    monkeypatch.setattr(loop, "sock_accept", fail_until_closed)
+    async with serve(Limits(clients=1, overflow_request_s=DEADLINE_S)):
+        await connect()
+        idle = await connect(greet=False)
+        stopping = await connect(greet=False)
+        await stopping.send(ESTOP)
+        assert (await idle.reply())["error"]["code"] == Code.BUSY
+        closed.set()
+        assert "result" in await stopping.reply()
 
 
 async def test_a_place_is_free_again_when_its_client_leaves(serve: Any, connect: Any) -> None:
