@@ -200,8 +200,8 @@ def _checked(key: str, value: object, kind: Any, metadata: Mapping[str, Any]) ->
         return _checked_patterns(key, value)
     if issubclass(kind, Enum):
         choices = {member.value: member for member in kind}
-        if isinstance(value, str) and value in choices:
-            return choices[value]
+        if type(value) in (str, int) and str(value) in choices:  # 100 is an int in YAML
+            return choices[str(value)]
         raise _not_allowed(key, value, f"use {', '.join(choices)}")
     if kind is float:
         low, high, unit = metadata.get("range", Range(-1e12, 1e12))

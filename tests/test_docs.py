@@ -65,6 +65,7 @@ def test_the_safety_page_has_a_cause_for_every_rule_that_ends_a_motion() -> None
         "recorder failed": "the recorder failed",
         "odometry wrong": "odometry not finite",
         "odometry lost": "older than 0.5 s",
+        "odometry contradicted": "a second publisher of odometry",
         "tracking lost": "on the path",
         "foreign publisher": "another node publishes",
         "tick overrun": "no control tick",

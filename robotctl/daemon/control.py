@@ -41,13 +41,19 @@ class Control:
         carry_out: Callable[[Effect], None],
         requests: Requests,
         on_failure: Callable[[Exception, str], None],
+        urgent: Callable[[], Event | None] = lambda: None,
     ) -> None:
-        """`on_failure(error, where)` is told of an effect that could not be carried out."""
+        """`on_failure(error, where)` is told of an effect that could not be carried out.
+
+        `urgent()` is asked before each event for what the kernel must know first: that the loop
+        has stalled.
+        """
         self._kernel = kernel
         self._journal = journal
         self._carry_out = carry_out
         self._requests = requests
         self._on_failure = on_failure
+        self._urgent = urgent
         self._events: deque[Event] = deque()
         self._busy = False
         self._failing = ""
@@ -60,9 +66,13 @@ class Control:
 
     def dispatch(self, event: Event) -> None:
         """Let the kernel decide on `event`, and carry out what it decides."""
-        self._events.append(event)
         if self._busy:
+            self._events.append(event)
             return
+        urgent = self._urgent()
+        if urgent is not None:
+            self._events.append(urgent)
+        self._events.append(event)
         self._busy = True
         try:
             while self._events:

@@ -15,14 +15,14 @@ from robotctl.daemon.driving import DrivingMethods
 from robotctl.daemon.effects import Effects
 from robotctl.daemon.ending import stand_still, until
 from robotctl.daemon.flight_recorder import FlightRecorder
-from robotctl.daemon.handover import in_loop
+from robotctl.daemon.foreign_commands import ForeignCommands
 from robotctl.daemon.host import Host, Ready, running
 from robotctl.daemon.inputs import Inputs
 from robotctl.daemon.journal import Journal
 from robotctl.daemon.latch import Latch
 from robotctl.daemon.methods import common_methods
 from robotctl.daemon.motion import Motion
-from robotctl.daemon.neighbours import somebody_is_driven, watch_publishers
+from robotctl.daemon.neighbours import somebody_is_driven, watch_graph
 from robotctl.daemon.recording_methods import recording_methods
 from robotctl.daemon.requests import Requests
 from robotctl.daemon.status import StatusSource
@@ -31,10 +31,18 @@ from robotctl.daemon.watchdog import Watchdog
 from robotctl.errors import RobotctlError
 from robotctl.ipc.connection import Method
 from robotctl.ipc.server import ControlServer
+from robotctl.kernel.battery import full_level, is_level
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.state import State, latched
-from robotctl.kernel.types import ZERO, DriveRequested, Tick
+from robotctl.kernel.types import (
+    ZERO,
+    DriveRequested,
+    FaultReported,
+    LoopStalled,
+    Odometry,
+    Tick,
+)
 from robotctl.paths import latch_path
 from robotctl.ros import qos
 from robotctl.ros.battery_subscriber import BatterySubscriber
@@ -42,8 +50,9 @@ from robotctl.ros.journal_publisher import JournalPublisher
 from robotctl.ros.mode_service import EVENTS_OF_SERVICES, ModeService, Shown
 from robotctl.ros.odom_subscriber import OdomSubscriber
 from robotctl.ros.simulated_robot import SimulatedRobot
+from robotctl.ros.tapped import LATENCY_S
 from robotctl.ros.ticker import Ticker
-from robotctl.ros.velocity_publisher import VelocityPublisher
+from robotctl.ros.velocity_publisher import TYPE_NAME, VelocityPublisher
 
 _log = logging.getLogger(__name__)
 
@@ -54,6 +63,9 @@ DRAIN_S = 1.0
 """How long a stop waits for the recorder to see the last command."""
 
 SHOW_PERIOD_S = 1.0
+
+MAX_COMMAND_LATENCY_S = 0.01
+"""How long commands collect where the ticks, which look at them, are more than 20 ms apart."""
 
 
 class Driver:
@@ -76,11 +88,18 @@ class Driver:
             on_file=lambda: self._control.journal_snapshot(time.monotonic_ns()),
         )
         tap = self.recorder.tap
-        tap.subscribe_own(params.command.topic, "geometry_msgs/msg/Twist", qos.COMMAND)
+        self._look_at_commands = tap.subscribe_own(
+            params.command.topic,
+            TYPE_NAME,
+            qos.COMMAND,
+            heard=lambda gid: self._foreign_commands.heard(gid),
+            latency_s=LATENCY_S if params.rate_hz >= 50.0 else MAX_COMMAND_LATENCY_S,
+        )
         tap.subscribe_own("robot_status", "robot_controller/msg/RobotStatus", qos.LATCHED)
         for service, calls in EVENTS_OF_SERVICES.items():
             tap.subscribe_own(f"{service}/_service_event", calls, qos.SERVICE_EVENTS)
         self._velocity = VelocityPublisher(session, params.command.topic)
+        self._watchdog = Watchdog(params.rate_hz, self._velocity)
         requests = Requests()
         self._control = Control(
             kernel,
@@ -90,17 +109,20 @@ class Driver:
             ).carry_out,
             requests,
             host.supervisor.callback_failed,
+            self._urgent,
+        )
+        self._foreign_commands = ForeignCommands(
+            self._velocity.gid, self._velocity.name_of, self._moves, self._control.dispatch
         )
         host.supervisor.report_to(self._control.dispatch)
         self._motion = Motion(self._control, params)
         self._status = StatusSource(
             host.options, self.recorder.report, self._motion, session.scheduling, host.warnings
         )
-        self._inputs = Inputs(self._control, self._motion, self._velocity)
-        self._watchdog = Watchdog(
-            params.rate_hz, params.max_tick_gap_s, self._velocity, in_loop(self._stalled)
+        self._inputs = Inputs(self._control, self._motion)
+        self._odometry = OdomSubscriber(
+            session, params.odometry.topic, self._take_odometry, self._inputs.odometry_source
         )
-        self._odometry = OdomSubscriber(session, params.odometry.topic, self._inputs.odometry)
         if params.battery.topic:
             BatterySubscriber(session, params.battery.topic, self._inputs.battery)
         self._modes = ModeService(session, robot, self._inputs.service_call)
@@ -148,7 +170,9 @@ class Driver:
         work: dict[str, Work] = {
             "control": self._tick,
             **self.recorder.work(),
-            "publisher watch": partial(watch_publishers, self._velocity, self._control.dispatch),
+            "graph watch": partial(
+                watch_graph, self._velocity, self._odometry, self._control.dispatch
+            ),
             "status": self._show_status,
         }
         if sim:
@@ -166,10 +190,12 @@ class Driver:
             command_topic=params.command.topic,
             odometry_topic=params.odometry.topic,
             battery_topic=params.battery.topic,
+            full_level=full_level(params.battery.scale),
         )
 
     async def _tick(self) -> None:
         async for tick in Ticker(self._host.config.kernel.rate_hz):
+            self._look_at_commands()
             self._control.dispatch(Tick(tick.t_ns, tick.missed))
             self._watchdog.ping()
 
@@ -181,12 +207,21 @@ class Driver:
     def _show_mode(self, mode: Mode) -> None:
         level = self._control.state.health.battery_level
         self._modes.publish(
-            Shown(mode, nan if level is None else level, self._motion.is_connected())
+            Shown(mode, level if is_level(level) else nan, self._motion.is_connected())
         )
 
-    def _stalled(self, detail: str) -> None:
-        self._inputs.stalled(detail)
-        self._watchdog.taken()
+    def _take_odometry(self, odometry: Odometry, source: int, sequence: int) -> None:
+        self._look_at_commands()  # with the ticks: twice as soon as with these alone
+        self._inputs.odometry(odometry, source, sequence)
+
+    def _moves(self) -> bool:
+        return self._control.state.mode is Mode.MOVING
+
+    def _urgent(self) -> LoopStalled | FaultReported | None:
+        event = self._watchdog.take()
+        if isinstance(event, LoopStalled):
+            _log.warning("the loop stalled for %.2f s: %s", event.stalled_s, event.detail)
+        return event
 
     def _is_drained(self) -> bool:
         received = self.recorder.received()

@@ -10,29 +10,32 @@ from robotctl.daemon.motion import Motion
 from robotctl.kernel.types import (
     BatteryReceived,
     Cause,
-    FaultCleared,
     FaultReported,
     ModeRequested,
     Odometry,
+    OdometrySourceFound,
     OdomReceived,
     Reply,
 )
-from robotctl.ros.velocity_publisher import VelocityPublisher
 
 
 class Inputs:
     """Every method belongs to the loop's thread."""
 
-    def __init__(self, control: Control, motion: Motion, velocity: VelocityPublisher) -> None:
+    def __init__(self, control: Control, motion: Motion) -> None:
         self._control = control
         self._motion = motion
-        self._velocity = velocity
 
-    def odometry(self, odometry: Odometry) -> None:
-        """The robot measured where it is."""
-        self._control.dispatch(OdomReceived(time.monotonic_ns(), odometry))
-        if self._control.state.drive is not None:
+    def odometry(self, odometry: Odometry, source: int, sequence: int) -> None:
+        """Take a measurement of where the robot is, by the publisher with this number."""
+        self._control.dispatch(OdomReceived(time.monotonic_ns(), odometry, source, sequence))
+        state = self._control.state
+        if state.drive is not None and state.health.odometry is odometry:  # it was not dropped
             self._motion.drove_to(odometry.pose)
+
+    def odometry_source(self, source: int, gid: str, name: str) -> None:
+        """Take note of a publisher of odometry that was not heard before."""
+        self._control.dispatch(OdometrySourceFound(time.monotonic_ns(), source, gid, name))
 
     def battery(self, level: float) -> None:
         """The robot measured its battery."""
@@ -48,9 +51,3 @@ class Inputs:
     def recorder_failed(self, detail: str) -> None:
         """Nothing is recorded any more, and the robot is not to go on so."""
         self._control.dispatch(FaultReported(time.monotonic_ns(), Cause.RECORDER_FAILED, detail))
-
-    def stalled(self, detail: str) -> None:
-        """The loop turns again after a stall: stop by the rules, then let commands through."""
-        self._control.dispatch(FaultReported(time.monotonic_ns(), Cause.LOOP_STALLED, detail))
-        self._control.dispatch(FaultCleared(time.monotonic_ns(), Cause.LOOP_STALLED))
-        self._velocity.open_gate()

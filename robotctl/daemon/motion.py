@@ -7,11 +7,21 @@ from collections.abc import Iterator
 from typing import Any
 
 from robotctl.daemon.control import Control
+from robotctl.kernel.battery import is_level
 from robotctl.kernel.geometry import Pose
+from robotctl.kernel.health import Health
 from robotctl.kernel.params import KernelParams
+from robotctl.kernel.safety import FOREIGN_COMMAND_S, RULE_OF
+from robotctl.kernel.types import NS_PER_S, Cause
 
 MAX_DRIVEN_POSES = 20_000
 """Of the driven path; beyond it every second pose is forgotten."""
+
+WARNED = (Cause.FOREIGN_PUBLISHER, Cause.SECOND_ODOMETRY, Cause.COMMAND_UNHEARD)
+"""Failed start conditions that `status` tells also while nobody asks for motion."""
+
+RECENT_S = 600.0
+"""How long `status` goes on telling of what is over."""
 
 MIN_STEP_M = 0.005
 """Poses nearer to the one before are not kept."""
@@ -76,19 +86,38 @@ class Motion:
             "velocity": None
             if odometry is None
             else {"linear": odometry.velocity.linear, "angular": odometry.velocity.angular},
-            "battery": None if level is None or level != level else level,
+            "battery": level if is_level(level) else None,
             "sim": self.sim,
+            "stalls": state.health.stalls.count,
+            "odometry_dropped": state.health.odometry_sources.dropped,
         }
 
     def warnings(self) -> Iterator[str]:
         """Say what is wrong with the robot, or could be."""
-        health = self._control.state.health
-        if health.foreign_publishers:
-            names = ", ".join(health.foreign_publishers)
-            yield f"{names} also publishes velocity commands"
+        health, now_ns = self._control.state.health, time.monotonic_ns()
+        for cause in WARNED:
+            problem = RULE_OF[cause].present(health, self._params, now_ns)
+            if problem:
+                yield problem
+        yield from _recent(health, now_ns)
         if health.odometry_fault:
             yield health.odometry_fault
         if health.odometry is not None and not self.is_connected():
             yield "odometry is older than its timeout"
         if not self._params.battery.topic:
             yield "no battery topic is configured: the battery is not checked"
+
+
+def _recent(health: Health, now_ns: int) -> Iterator[str]:
+    """Say what happened within RECENT_S and is over."""
+    stalls, topic = health.stalls, health.command_topic
+    age_s = (now_ns - stalls.last_t_ns) / NS_PER_S
+    if stalls.count and age_s <= RECENT_S:
+        yield (
+            f"the control loop stalled {stalls.count} times, last {age_s:.0f} s ago for "
+            f"{stalls.last_s:.2f} s ({stalls.detail}): zeros were sent meanwhile"
+        )
+    if topic.foreign_t_ns is not None:
+        age_s = (now_ns - topic.foreign_t_ns) / NS_PER_S
+        if FOREIGN_COMMAND_S < age_s <= RECENT_S and not health.foreign_publishers:
+            yield f"{topic.foreign_by} published a velocity command {age_s:.0f} s ago"

@@ -10,7 +10,7 @@ from robotctl.daemon.flight_recorder import FlightRecorder
 from robotctl.daemon.host import Host, Ready, running
 from robotctl.daemon.methods import common_methods
 from robotctl.daemon.recording_methods import recording_methods
-from robotctl.daemon.status import StatusSource
+from robotctl.daemon.status import ROBOT_FACTS, StatusSource
 from robotctl.errors import Refused
 from robotctl.ipc.connection import Method
 from robotctl.ipc.params import DriveParams, NoParams, ResetParams, SetModeParams
@@ -62,8 +62,7 @@ class Observer:
 
     def facts(self) -> dict[str, Any]:
         """Return the robot's part of the status: nothing is known."""
-        unknown = ("mode", "phase", "mode_reason", "pose", "velocity", "battery", "sim")
-        return dict.fromkeys(unknown)
+        return dict.fromkeys(ROBOT_FACTS)
 
     def warnings(self) -> Iterator[str]:
         """Say what failed in the daemon itself."""

@@ -8,6 +8,7 @@ from contextlib import ExitStack
 
 from robotctl.config import Config
 from robotctl.daemon.ending import told_to_end
+from robotctl.kernel.battery import full_level
 from robotctl.ros.session import ros_session
 from robotctl.ros.simulated_robot import SimulatedRobot
 
@@ -30,6 +31,7 @@ async def simulate(
             command_topic=topics.command.topic,
             odometry_topic=topics.odometry.topic,
             battery_topic=topics.battery.topic,
+            full_level=full_level(topics.battery.scale),
         )
         running = asyncio.create_task(robot.run())
         on_ready()

@@ -16,12 +16,25 @@ from robotctl.paths import log_path, socket_path
 PartWarning = Callable[[], str]
 """Returns what is wrong with a part of the daemon in a sentence, "" where nothing is."""
 
+ROBOT_FACTS = (
+    "mode",
+    "phase",
+    "mode_reason",
+    "pose",
+    "velocity",
+    "battery",
+    "sim",
+    "stalls",
+    "odometry_dropped",
+)
+"""The keys of `RobotView.facts`."""
+
 
 class RobotView(Protocol):
     """What is known of the robot."""
 
     def facts(self) -> dict[str, Any]:
-        """Return mode, phase, mode_reason, pose, velocity, battery and sim, None where unknown."""
+        """Return the value of each of ROBOT_FACTS, None where unknown."""
 
     def warnings(self) -> Iterator[str]:
         """Say what is wrong, a sentence each."""

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import logging
 import sys
 import threading
 import time
-import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
+from types import FrameType
 from typing import Protocol, Self
 
-from robotctl.daemon.processor_time import ProcessorTime
-
-_log = logging.getLogger(__name__)
+from robotctl.daemon.processor_time import ProcessorTime, pressure
+from robotctl.kernel.types import NS_PER_S, Cause, FaultReported, LoopStalled
 
 STALL_S = 0.1
-"""A loop that has not ticked for so long has stalled..."""
+"""A loop that has not ticked for this long has stalled..."""
 
 CONFIRM_S = 0.02
-"""...unless it ticks within this: a process that was not let run for a while catches up first."""
+"""...unless it ticks within this: after a pause of the whole process the loop catches up first."""
 
 STALL_TICKS = 2.5
 """...unless its ticks lie so far apart that it may only be late."""
@@ -27,15 +25,24 @@ STALL_TICKS = 2.5
 ZERO_PERIOD_S = 0.05
 """How often the thread repeats the zero while the loop stalls."""
 
+SHOWN_FRAMES = 3
+"""How much of the stack a stall names: the innermost calls."""
+
+BUSY_SHARE = 0.5
+"""A loop that waited for a processor for more of its stall than this was held up by others."""
+
 
 class Gate(Protocol):
-    """What stands between the loop and the robot; both calls come from the watchdog's thread."""
+    """What stands between the loop and the robot."""
 
     def close_gate(self) -> None:
-        """Let only zeros through from now on."""
+        """Let only zeros through from now on; called by the watchdog's thread."""
 
     def publish_zero(self) -> None:
-        """Send a zero, past the loop."""
+        """Send a zero past the loop while the gate is closed; called by the watchdog's thread."""
+
+    def open_gate(self) -> tuple[int, int]:
+        """Let commands through; return the zeros that were sent and the commands withheld."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,24 +56,25 @@ class Turn:
 class Watchdog:
     """Watches the ticks from a thread, from the first `ping` to the end of the `with` block.
 
-    While others have the processors that it waits for, a loop does not stall; but after
-    `patience_s` without a tick it counts as stalled whatever held it up. When the ticks stop it
-    closes the gate, sends zeros and calls `on_stall(detail)` once, from its thread. It watches
-    again after `taken`. A C call that holds the GIL holds this thread as well: then the robot's
-    own command timeout is the last layer.
+    When the ticks stop it closes the gate and sends zeros until the loop calls `take`. Before the
+    first zero is out, the thread opens no file, imports nothing, logs nothing and takes no lock but
+    the publisher's own, which it waits for at most `LOCK_TIMEOUT_S`. A C call that holds the GIL
+    holds this thread as well: then the robot's own command timeout is the last layer.
     """
 
     def __init__(
-        self, rate_hz: float, patience_s: float, gate: Gate, on_stall: Callable[[str], None]
+        self, rate_hz: float, gate: Gate, now_ns: Callable[[], int] = time.monotonic_ns
     ) -> None:
-        self._limit_ns = round(max(STALL_S, STALL_TICKS / rate_hz) * 1e9)
-        self._patience_ns = max(round(patience_s * 1e9), self._limit_ns)
+        self._limit_ns = round(max(STALL_S, STALL_TICKS / rate_hz) * NS_PER_S)
         self._gate = gate
-        self._on_stall = on_stall
+        self._now_ns = now_ns
         self._last = Turn(0, 0)
-        self._taken = False
+        self._holding = False
+        self._where = ""
+        self._unsent = 0
+        self._failure = ""
         self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._watch, name="watchdog", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="watchdog", daemon=True)
 
     def __enter__(self) -> Self:
         self._watched = threading.get_ident()
@@ -80,22 +88,53 @@ class Watchdog:
         self._processor.close()
 
     def ping(self) -> None:
-        """The loop turns: it has just carried out a tick."""
+        """Note that the loop turns: it has just carried out a tick."""
         self._last = self._now()
         if self._thread.ident is None:
             self._thread.start()
 
-    def taken(self) -> None:
-        """The kernel knows of the stall, and the loop turns again."""
-        self._last = self._now()
-        self._taken = True
+    def take(self) -> LoopStalled | FaultReported | None:
+        """Return what the kernel must know before anything else, each once; open the gate.
+
+        Belongs to the loop's thread.
+        """
+        if self._holding:
+            return self._end_stall()
+        if self._failure:
+            detail, self._failure = self._failure, ""
+            return FaultReported(self._now_ns(), Cause.TASK_DIED, detail)
+        return None
+
+    # In the loop's thread
+
+    def _end_stall(self) -> LoopStalled:
+        now, last = self._now(), self._last
+        zeros, withheld = self._gate.open_gate()
+        self._last, self._holding = now, False
+        stalled_s = (now.t_ns - last.t_ns) / NS_PER_S
+        waited_s = (now.waited_ns - last.waited_ns) / NS_PER_S
+        if waited_s > BUSY_SHARE * stalled_s:
+            detail = f"the machine was busy: no processor for {waited_s:.2f} s{pressure()}"
+        else:
+            detail = f"in {self._where}" if self._where else "the loop was held up"
+        if self._unsent:
+            detail = f"{detail}; {self._unsent} zeros could not be sent"
+            self._unsent = 0
+        return LoopStalled(now.t_ns, stalled_s, zeros, withheld, detail)
+
+    # In the watchdog's thread
+
+    def _run(self) -> None:
+        try:
+            self._watch()
+        except BaseException as error:  # noqa: BLE001 - the loop must learn of it, whatever it was
+            self._failure = "the watchdog failed"
+            self._failure = f"the watchdog failed ({type(error).__name__}: {error})"
 
     def _watch(self) -> None:
         while not self._ended.wait(self._due_s()):
             if not self._is_due():  # it has ticked in time
                 continue
-            while self._is_due() and not self._is_impatient() and self._processor.is_starved():
-                pass
             self._ended.wait(CONFIRM_S)
             if self._is_due():
                 self._hold()
@@ -103,39 +142,36 @@ class Watchdog:
     def _is_due(self) -> bool:
         return self._due_s() <= 0.0 and not self._ended.is_set()
 
-    def _is_impatient(self) -> bool:
-        return self._silent_ns() >= self._patience_ns
-
-    def _now(self) -> Turn:
-        return Turn(time.monotonic_ns(), self._processor.waited_ns())
-
-    def _silent_ns(self) -> int:
-        """Since the last tick."""
-        return self._now().t_ns - self._last.t_ns
-
     def _due_s(self) -> float:
-        """Seconds until the loop counts as stalled, negative when it does."""
-        now, last = self._now(), self._last
-        allowed_ns = self._limit_ns + now.waited_ns - last.waited_ns
-        return (last.t_ns + min(allowed_ns, self._patience_ns) - now.t_ns) / 1e9
+        """Return the seconds until the loop counts as stalled, negative when it does."""
+        return (self._last.t_ns + self._limit_ns - self._now_ns()) / NS_PER_S
 
     def _hold(self) -> None:
-        """Send zeros until the kernel has taken the stall over."""
-        self._taken = False
+        """Send zeros until the loop has taken the stall."""
+        self._where = ""
         self._gate.close_gate()
+        self._holding = True
         self._send_zero()
-        silent_s = self._silent_ns() / 1e9
-        _log.error("the loop stalls: no tick for %.2f s, at\n%s", silent_s, self._where())
-        self._on_stall(f"the control loop stalled for more than {silent_s:.2f} s")
-        while not self._taken and not self._ended.wait(ZERO_PERIOD_S):
+        self._where = where(sys._current_frames().get(self._watched))
+        while self._holding and not self._ended.wait(ZERO_PERIOD_S):
             self._send_zero()
 
     def _send_zero(self) -> None:
         try:
             self._gate.publish_zero()
         except Exception:  # noqa: BLE001 - the next zero may pass; the thread must live
-            _log.exception("the watchdog could not send a zero")
+            self._unsent += 1
 
-    def _where(self) -> str:
-        frame = sys._current_frames().get(self._watched)
-        return "".join(traceback.format_stack(frame, limit=8)) if frame else "unknown"
+    def _now(self) -> Turn:
+        return Turn(self._now_ns(), self._processor.waited_ns())
+
+
+def where(frame: FrameType | None) -> str:
+    """Return the innermost calls of a stack, from names alone: no source file is opened."""
+    calls: list[str] = []
+    while frame is not None and len(calls) < SHOWN_FRAMES:
+        code = frame.f_code
+        file = code.co_filename.rpartition("/")[2]
+        calls.append(f"{code.co_qualname} ({file}:{frame.f_lineno})")
+        frame = frame.f_back
+    return ", called by ".join(calls)

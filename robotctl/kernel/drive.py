@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf, nan, sqrt
 
 from robotctl.kernel.geometry import Pose
@@ -117,6 +117,10 @@ class Drive:
                 Progress(at.laps, at.segment, segment.length, 0.0, settling_s, at.closure_m)
             )
         return self._next_segment(0.0, 0.0, pose)
+
+    def from_standstill(self) -> Drive:
+        """Return the drive whose reference goes on from where it is, at first without speed."""
+        return self._at(replace(self.progress, speed=0.0))
 
     def measured(self, pose: Pose, moved_m: float) -> Drive:
         """Return the drive with one more measurement: the robot is at `pose`, `moved_m` further."""

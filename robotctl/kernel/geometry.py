@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import atan2, cos, hypot, pi, sin, tau
+from math import atan2, cos, hypot, nan, pi, sin, tau
 
 
 def wrap_angle(angle_rad: float) -> float:
@@ -42,6 +42,14 @@ class Pose:
 ORIGIN = Pose()
 
 
+QUATERNION_TOLERANCE = 0.1
+"""How far the length of an orientation may be from 1, for drivers that round."""
+
+_SHORTEST, _LONGEST = (1.0 - QUATERNION_TOLERANCE) ** 2, (1.0 + QUATERNION_TOLERANCE) ** 2
+
+
 def yaw_of(x: float, y: float, z: float, w: float) -> float:
-    """Return the rotation about the vertical [rad] of a quaternion."""
+    """Return the rotation about the vertical [rad] of a quaternion, NaN where it is none."""
+    if not _SHORTEST <= x * x + y * y + z * z + w * w <= _LONGEST:
+        return nan
     return atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

@@ -5,11 +5,19 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import assert_never
 
+from robotctl.kernel.battery import counts_in_percent, level_of
 from robotctl.kernel.drive import MAX_LAPS, Drive, Progress
-from robotctl.kernel.health import Health
+from robotctl.kernel.health import Health, Stalls
 from robotctl.kernel.limits import allowed, limit, within
 from robotctl.kernel.modes import REQUESTS, TRANSITIONS, Guard, Mode, Trigger
-from robotctl.kernel.odometry import is_finite, is_repeated, odometry_fault
+from robotctl.kernel.odometry import (
+    dropped,
+    is_finite,
+    is_repeated,
+    may_follow,
+    odometry_fault,
+    source_found,
+)
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.patterns import Pattern
 from robotctl.kernel.safety import (
@@ -27,6 +35,7 @@ from robotctl.kernel.types import (
     ZERO,
     BatteryReceived,
     Cause,
+    CommandListenersSeen,
     CommandPublishersSeen,
     DriveEnded,
     DriveRequested,
@@ -34,9 +43,12 @@ from robotctl.kernel.types import (
     Event,
     FaultCleared,
     FaultReported,
+    ForeignCommandHeard,
     LatchEmergencyStop,
+    LoopStalled,
     ModeChanged,
     ModeRequested,
+    OdometrySourceFound,
     OdomReceived,
     Phase,
     PublishTwist,
@@ -77,8 +89,11 @@ class Kernel:
                 self._tick(event)
             case OdomReceived():
                 self._odometry(event)
+            case OdometrySourceFound():
+                sources = source_found(self.state.health.odometry_sources, event)
+                self._learn(event.t_ns, odometry_sources=sources)
             case BatteryReceived():
-                self._learn(event.t_ns, battery_level=event.level, battery_t_ns=event.t_ns)
+                self._battery(event)
             case ModeRequested():
                 self._request(event)
             case ResetRequested():
@@ -87,6 +102,16 @@ class Kernel:
                 self._request_drive(event)
             case CommandPublishersSeen():
                 self._learn(event.t_ns, foreign_publishers=event.names)
+            case ForeignCommandHeard():
+                topic = self.state.health.command_topic
+                topic = replace(topic, foreign_t_ns=event.t_ns, foreign_by=event.publisher)
+                self._learn(event.t_ns, command_topic=topic)
+            case CommandListenersSeen():
+                topic = self.state.health.command_topic
+                topic = replace(topic, listeners=event.count, other_types=event.other_types)
+                self._learn(event.t_ns, command_topic=topic)
+            case LoopStalled():
+                self._stalled(event)
             case FaultReported():
                 others = self._reported_without(event.cause)
                 self._learn(event.t_ns, reported=(*others, (event.cause, event.detail)))
@@ -105,16 +130,25 @@ class Kernel:
         """Take a sample that can be true; while MOVING, drop any other and count on the next."""
         self._notice_gap(event.t_ns)
         state, odometry, health = self.state, event.odometry, self.state.health
+        sources = health.odometry_sources
+        if event.source != sources.followed:
+            if state.mode is Mode.MOVING or not may_follow(health, event, self.params.odometry):
+                self._learn(event.t_ns, odometry_sources=dropped(health, event))
+                return
+            sources = replace(sources, followed=event.source, second=None)
         fault = odometry_fault(health, odometry, self.params.odometry)
         drive, error_m, last = state.drive, health.path_error_m, health.odometry
         if drive is not None and last is not None and not fault:
             drive = drive.measured(odometry.pose, last.pose.distance(odometry.pose))
-            error_m = drive.score.error_m
-        dropped = fault and (state.mode is Mode.MOVING or not is_finite(odometry))
+            # A robot that ramps down leaves a reference that stands; that is no loss of tracking.
+            error_m = drive.score.error_m if state.phase is Phase.DRIVING else 0.0
+        unusable = fault and (state.mode is Mode.MOVING or not is_finite(odometry))
+        if unusable:
+            sources = replace(sources, dropped=sources.dropped + 1)
         is_news = not fault and not is_repeated(health, odometry)
         # Written out, as in `_move`: with `replace` a step would take a tenth longer.
         health = Health(
-            odometry=last if dropped else odometry,
+            odometry=last if unusable else odometry,
             odometry_t_ns=event.t_ns if is_news else health.odometry_t_ns,
             odometry_stamp_ns=odometry.stamp_ns,
             odometry_fault=fault,
@@ -124,6 +158,10 @@ class Kernel:
             reported=health.reported,
             path_error_m=error_m,
             tick_gap_s=health.tick_gap_s,
+            odometry_sources=sources,
+            command_topic=health.command_topic,
+            stalls=health.stalls,
+            battery_in_percent=health.battery_in_percent,
         )
         self.state = State(
             mode=state.mode,
@@ -138,6 +176,27 @@ class Kernel:
             waiting=state.waiting,
         )
         self._raise_fault(event.t_ns)
+
+    def _battery(self, event: BatteryReceived) -> None:
+        before, scale = self.state.health.battery_in_percent, self.params.battery.scale
+        in_percent = counts_in_percent(event.level, before, scale)
+        self._learn(
+            event.t_ns,
+            battery_level=level_of(event.level, in_percent),
+            battery_t_ns=event.t_ns,
+            battery_in_percent=in_percent,
+        )
+
+    def _stalled(self, event: LoopStalled) -> None:
+        """Go on from the zeros that the watchdog has sent; stop where they were too many."""
+        state, limit_s = self.state, self.params.max_tick_gap_s
+        stalls = Stalls(state.health.stalls.count + 1, event.t_ns, event.stalled_s, event.detail)
+        drive = None if state.drive is None else state.drive.from_standstill()
+        health = replace(state.health, stalls=stalls)
+        self.state = replace(state, command=ZERO, tick_t_ns=event.t_ns, health=health, drive=drive)
+        if state.mode is Mode.MOVING and not event.stalled_s <= limit_s:
+            detail = f"the control loop stalled for {event.stalled_s:.2f} s ({event.detail})"
+            self._stop_for(Finding(RULE_OF[Cause.LOOP_STALLED], detail))
 
     def _learn(self, t_ns: int, **changes: object) -> None:
         self._notice_gap(t_ns)

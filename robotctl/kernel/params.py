@@ -6,6 +6,7 @@ The limits stand beside the defaults; `robotctl.config` reads both and checks a 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from enum import Enum
 
 from robotctl.kernel.patterns import Pattern
 from robotctl.kernel.ranges import bounded, topic
@@ -48,11 +49,20 @@ class OdometryParams:
     max_jump_rad: float = bounded(1.0, 0.01, 3.2, "rad")
 
 
+class BatteryScale(Enum):
+    """What a full battery is: 1 (REP-147), 100, or 100 once a level above 1 was seen."""
+
+    AUTO = "auto"
+    ONE = "1"
+    PERCENT = "100"
+
+
 @dataclass(frozen=True, slots=True)
 class BatteryParams:
     """When the battery allows motion; a robot that reports none has "" as its topic."""
 
     topic: str = topic("battery_state", optional=True)
+    scale: BatteryScale = BatteryScale.ONE
     stop_level: float = bounded(0.15, 0.0, 1.0)
     clear_level: float = bounded(0.20, 0.0, 1.0)
     timeout_s: float = bounded(5.0, 0.5, 600.0, "s")

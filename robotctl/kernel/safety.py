@@ -10,15 +10,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import inf
 from types import MappingProxyType
-from typing import TypeGuard
 
+from robotctl.kernel.battery import is_level
 from robotctl.kernel.health import Health
 from robotctl.kernel.modes import Mode, Trigger
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.types import NS_PER_S, Cause
 
-FULLEST_LEVEL = 1.05
-"""Gauges overshoot; a level above this one is a gauge that counts in percent, or broken."""
+FOREIGN_COMMAND_S = 1.0
+"""How long a command of another node hinders motion: its publisher may send only now and then."""
 
 
 def _age_s(then_ns: int, t_ns: int) -> float:
@@ -46,24 +46,20 @@ def _reported(cause: Cause) -> Check:
 
 def _battery_at_stop(health: Health, params: KernelParams, t_ns: int) -> str:
     level, stop_level = health.battery_level, params.battery.stop_level
-    if not params.battery.topic or not _is_level(level) or level > stop_level:
+    if not params.battery.topic or not is_level(level) or level > stop_level:
         return ""
     return f"the battery is at {_shown(level)}, at or below {stop_level:.0%}"
 
 
 def _battery_before_clear(health: Health, params: KernelParams, t_ns: int) -> str:
     level, clear_level = health.battery_level, params.battery.clear_level
-    if not params.battery.topic or (_is_level(level) and level >= clear_level):
+    if not params.battery.topic or (is_level(level) and level >= clear_level):
         return ""
     return f"the battery is at {_shown(level)}, not yet at {clear_level:.0%}"
 
 
-def _is_level(level: float | None) -> TypeGuard[float]:
-    return level is not None and 0.0 <= level <= FULLEST_LEVEL
-
-
 def _shown(level: float | None) -> str:
-    return f"{level:.0%}" if _is_level(level) else "an unknown level"
+    return f"{level:.0%}" if is_level(level) else "an unknown level"
 
 
 def _battery_unknown(health: Health, params: KernelParams, t_ns: int) -> str:
@@ -71,8 +67,9 @@ def _battery_unknown(health: Health, params: KernelParams, t_ns: int) -> str:
         return ""
     if health.battery_level is None:
         return f"no battery level was received on {params.battery.topic} yet"
-    if not _is_level(health.battery_level):
-        return f"the battery reports an unknown level ({health.battery_level:g}, not 0 to 1)"
+    if not is_level(health.battery_level):
+        full, reported = (100, 100.0) if health.battery_in_percent else (1, 1.0)
+        return f"the battery reports {health.battery_level * reported:g}, not 0 to {full}"
     age_s = _age_s(health.battery_t_ns, t_ns)
     return f"no battery level for {age_s:.1f} s" if age_s > params.battery.timeout_s else ""
 
@@ -92,6 +89,32 @@ def _odometry_lost(health: Health, params: KernelParams, t_ns: int) -> str:
     return f"no odometry on {params.odometry.topic} for {age_s:.2f} s"
 
 
+def _odometry_contradicted(health: Health, params: KernelParams, t_ns: int) -> str:
+    second, limits = health.odometry_sources.second, params.odometry
+    if second is None or _age_s(second.t_ns, t_ns) > limits.timeout_s:
+        return ""
+    if second.distance_m <= limits.max_jump_m and second.angle_rad <= limits.max_jump_rad:
+        return ""
+    return (
+        f"{_two_sources(health)}, and they are {second.distance_m:.2f} m and "
+        f"{second.angle_rad:.2f} rad apart"
+    )
+
+
+def _second_odometry(health: Health, params: KernelParams, t_ns: int) -> str:
+    second = health.odometry_sources.second
+    if second is None or _age_s(second.t_ns, t_ns) > params.odometry.timeout_s:
+        return ""
+    return _two_sources(health)
+
+
+def _two_sources(health: Health) -> str:
+    sources = health.odometry_sources
+    assert sources.second is not None
+    names = sources.name_of(sources.followed), sources.name_of(sources.second.source)
+    return f"odometry comes from two publishers, {names[0]} and {names[1]}"
+
+
 def _tracking_lost(health: Health, params: KernelParams, t_ns: int) -> str:
     error_m, limit_m = health.path_error_m, params.tracking.max_error_m
     if error_m <= limit_m:
@@ -102,9 +125,22 @@ def _tracking_lost(health: Health, params: KernelParams, t_ns: int) -> str:
 
 
 def _foreign_publisher(health: Health, params: KernelParams, t_ns: int) -> str:
-    if not health.foreign_publishers:
+    if health.foreign_publishers:
+        return f"{', '.join(health.foreign_publishers)} also publishes velocity commands"
+    topic = health.command_topic
+    if topic.foreign_t_ns is None or _age_s(topic.foreign_t_ns, t_ns) > FOREIGN_COMMAND_S:
         return ""
-    return f"{', '.join(health.foreign_publishers)} also publishes velocity commands"
+    return f"{topic.foreign_by} also published a velocity command"
+
+
+def _command_unheard(health: Health, params: KernelParams, t_ns: int) -> str:
+    topic = health.command_topic
+    if topic.listeners is None or topic.listeners > 0:
+        return ""
+    if not topic.other_types:
+        return f"no node subscribes to {params.command.topic}"
+    types = ", ".join(topic.other_types)
+    return f"the robot takes {types} on {params.command.topic}, not geometry_msgs/msg/Twist"
 
 
 def _tick_overrun(health: Health, params: KernelParams, t_ns: int) -> str:
@@ -143,7 +179,6 @@ _REPORTED: tuple[Rule, ...] = tuple(
             _ALWAYS,
             "see robotctl logs, then restart: robotctl stop, robotctl start",
         ),
-        (Cause.LOOP_STALLED, _ALWAYS, "see robotctl logs for what held the process up"),
         (
             Cause.RECORDER_FAILED,
             _ALWAYS,
@@ -166,6 +201,13 @@ RULES: tuple[Rule, ...] = (
     ),
     *_REPORTED,
     _rule(
+        Cause.LOOP_STALLED,
+        Mode.ERROR,
+        _MOVING,
+        _healthy,
+        "free the processor, or see robotctl logs for what held it up",
+    ),
+    _rule(
         Cause.TICK_OVERRUN,
         Mode.ERROR,
         _MOVING,
@@ -187,6 +229,20 @@ RULES: tuple[Rule, ...] = (
         "check that the robot publishes odometry (robotctl status lists the topics)",
     ),
     _rule(
+        Cause.ODOMETRY_CONTRADICTED,
+        Mode.ERROR,
+        _MOVING,
+        _odometry_contradicted,
+        "stop one of the two publishers",
+    ),
+    _rule(
+        Cause.SECOND_ODOMETRY,
+        Mode.ERROR,
+        _NEVER,
+        _second_odometry,
+        "stop one of the two publishers",
+    ),
+    _rule(
         Cause.TRACKING_LOST,
         Mode.ERROR,
         _MOVING,
@@ -201,11 +257,19 @@ RULES: tuple[Rule, ...] = (
         "stop the other publisher",
     ),
     _rule(
+        Cause.COMMAND_UNHEARD,
+        Mode.ERROR,
+        _NEVER,
+        _command_unheard,
+        "start the robot's base, and check command.topic: robotctl sends geometry_msgs/msg/Twist",
+    ),
+    _rule(
         Cause.BATTERY_UNKNOWN,
         Mode.ERROR,
         _MOVING,
         _battery_unknown,
-        'check the battery topic, or set battery.topic to "" for a robot without one',
+        "check the battery topic, set battery.scale to 100 for a gauge that counts in percent, "
+        'or battery.topic to "" for a robot without a battery',
     ),
     _rule(Cause.OPERATOR_ERROR, Mode.ERROR, _NEVER, _healthy, "clear it: robotctl reset"),
 )

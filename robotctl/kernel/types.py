@@ -46,8 +46,11 @@ class Cause(Enum):
     DAEMON_ENDS = "daemon ends"
     ODOMETRY_WRONG = "odometry wrong"
     ODOMETRY_LOST = "odometry lost"
+    ODOMETRY_CONTRADICTED = "odometry contradicted"
+    SECOND_ODOMETRY = "second odometry source"
     TRACKING_LOST = "tracking lost"
     FOREIGN_PUBLISHER = "foreign publisher"
+    COMMAND_UNHEARD = "command unheard"
     TICK_OVERRUN = "tick overrun"
     BATTERY_UNKNOWN = "battery unknown"
     OPERATOR_ERROR = "operator error"
@@ -74,15 +77,35 @@ class Tick:
 
 @dataclass(frozen=True, slots=True)
 class OdomReceived:
-    """The robot measured where it is; values may be anything, also NaN."""
+    """The robot measured where it is; values may be anything, also NaN.
+
+    `source` is the number of the publisher (`OdometrySourceFound`), 0 if unknown, and `sequence`
+    the publisher's own number of the sample.
+    """
 
     t_ns: int
     odometry: Odometry
+    source: int = 0
+    sequence: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class OdometrySourceFound:
+    """A publisher of odometry sent its first sample, or its node became known.
+
+    From now on `source` is its number; `gid` is its DDS identity in hexadecimal digits, and `name`
+    its node, "" where that is not known yet.
+    """
+
+    t_ns: int
+    source: int
+    gid: str
+    name: str
 
 
 @dataclass(frozen=True, slots=True)
 class BatteryReceived:
-    """The battery's level, 0..1; NaN is unknown."""
+    """The battery's level as the gauge reports it; `battery.scale` says what is full."""
 
     t_ns: int
     level: float
@@ -128,6 +151,41 @@ class CommandPublishersSeen:
 
 
 @dataclass(frozen=True, slots=True)
+class ForeignCommandHeard:
+    """A velocity command that another node published reached the robot's command topic."""
+
+    t_ns: int
+    publisher: str
+
+
+@dataclass(frozen=True, slots=True)
+class CommandListenersSeen:
+    """How many nodes take the command with the type that we send.
+
+    `other_types` are the types with which others subscribe to the same topic.
+    """
+
+    t_ns: int
+    count: int
+    other_types: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class LoopStalled:
+    """The control loop did not turn for `stalled_s`, and the watchdog stood in for it.
+
+    It sent `zeros` zero commands past the kernel, and replaced `withheld` commands of the kernel
+    by zeros; `detail` says what held the loop up.
+    """
+
+    t_ns: int
+    stalled_s: float
+    zeros: int
+    withheld: int
+    detail: str
+
+
+@dataclass(frozen=True, slots=True)
 class FaultReported:
     """A part of the daemon failed; `detail` says what."""
 
@@ -151,7 +209,11 @@ Event = (
     | ModeRequested
     | ResetRequested
     | DriveRequested
+    | OdometrySourceFound
     | CommandPublishersSeen
+    | ForeignCommandHeard
+    | CommandListenersSeen
+    | LoopStalled
     | FaultReported
     | FaultCleared
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
+from robotctl.kernel.battery import full_level
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.types import (
     NS_PER_S,
@@ -35,6 +36,8 @@ def closed_loop(
     if health.odometry is not None:
         robot.truth = robot.odometry = health.odometry.pose
     stamp_ns = health.odometry_stamp_ns - begin_ns
+    source = health.odometry_sources.followed
+    full = 100.0 if health.battery_in_percent else full_level(kernel.params.battery.scale)
     odometry_ns = round(NS_PER_S / sim.odometry_rate_hz)
     tick_ns = round(NS_PER_S / kernel.params.rate_hz)
     next_odometry_ns = next_battery_ns = begin_ns
@@ -49,10 +52,11 @@ def closed_loop(
         elif t_ns == next_odometry_ns:
             next_odometry_ns += odometry_ns
             robot.advance(1.0 / sim.odometry_rate_hz)
-            event = OdomReceived(t_ns, Odometry(robot.odometry, robot.measured, stamp_ns + t_ns))
+            measured = Odometry(robot.odometry, robot.measured, stamp_ns + t_ns)
+            event = OdomReceived(t_ns, measured, source)
         elif t_ns == next_battery_ns:
             next_battery_ns += NS_PER_S
-            event = BatteryReceived(t_ns, robot.battery)
+            event = BatteryReceived(t_ns, full * robot.battery)
         else:
             next_tick_ns += tick_ns
             event = Tick(t_ns)

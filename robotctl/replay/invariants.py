@@ -19,7 +19,9 @@ from robotctl.kernel.types import (
     DriveRequested,
     Effect,
     Event,
+    ForeignCommandHeard,
     LatchEmergencyStop,
+    LoopStalled,
     ModeChanged,
     ModeRequested,
     OdomReceived,
@@ -88,6 +90,10 @@ class Invariants:
             self._open_requests.add(event.request_id)
         elif isinstance(event, CommandPublishersSeen):
             self.foreign.update(event.names)
+        elif isinstance(event, ForeignCommandHeard):
+            self.foreign.add(event.publisher)
+        elif isinstance(event, LoopStalled):
+            self._command, self._tick_t_ns = ZERO, event.t_ns
         for effect in effects:
             match effect:
                 case PublishTwist():

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from robotctl.kernel.battery import FULLEST_LEVEL
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import (
     NS_PER_S,
     BatteryReceived,
+    CommandListenersSeen,
     CommandPublishersSeen,
     DriveRequested,
     Event,
     FaultCleared,
     FaultReported,
+    ForeignCommandHeard,
+    LoopStalled,
     ModeRequested,
+    OdometrySourceFound,
     OdomReceived,
     ResetRequested,
     Tick,
@@ -28,7 +33,9 @@ def sentence_of(event: Event) -> str:
             pose = event.odometry.pose
             return f"odometry: x {pose.x:.3f} m, y {pose.y:.3f} m, theta {pose.theta:.3f} rad"
         case BatteryReceived():
-            return f"a battery level of {event.level:.1%}"
+            level = event.level
+            shown = f"{level:.1%}" if level <= FULLEST_LEVEL else f"{level:g} as its gauge counts"
+            return f"a battery level of {shown}"
         case ModeRequested():
             return f"a request for {_mode_name(event.requested)} by {event.source}"
         case ResetRequested():
@@ -38,6 +45,14 @@ def sentence_of(event: Event) -> str:
         case CommandPublishersSeen():
             names = ", ".join(event.names) or "nobody else"
             return f"{names} publishes velocity commands, too"
+        case ForeignCommandHeard():
+            return f"a velocity command of {event.publisher}"
+        case CommandListenersSeen():
+            return f"{event.count} nodes take the velocity command"
+        case OdometrySourceFound():
+            return f"odometry of one more publisher, {event.name}"
+        case LoopStalled():
+            return f"a stall of the control loop for {event.stalled_s:.2f} s ({event.detail})"
         case FaultReported():
             return f"a report of the daemon, {event.cause.value}: {event.detail}"
         case FaultCleared():

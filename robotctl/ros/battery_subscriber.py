@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from math import nan
 
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import BatteryState
 
 from robotctl.ros import qos
@@ -19,8 +20,12 @@ class BatterySubscriber:
         self._on_level = on_level
         node = session.node("battery_subscriber")
         self._subscription = node.create_subscription(
-            BatteryState, topic, self._receive, qos.SENSOR
+            BatteryState, topic, self._receive, qos.SENSOR, raw=True
         )
 
-    def _receive(self, message: Any) -> None:
-        self._on_level(to_battery_level(message))
+    def _receive(self, data: bytes) -> None:
+        try:
+            level = to_battery_level(deserialize_message(data, BatteryState))
+        except Exception:  # noqa: BLE001 - bytes of any origin must not fail the daemon
+            level = nan
+        self._on_level(level)

@@ -31,16 +31,15 @@ def to_twist(message: Any) -> Twist:
 
 
 def to_battery_level(message: Any) -> float:
-    """Return the level of a sensor_msgs/BatteryState, 0..1, or NaN where it is outside.
+    """Return the level of a sensor_msgs/BatteryState as it is reported.
 
-    REP-147 and the message ask for 0..1; a driver that reports 0..100 is not guessed at.
+    REP-147 and the message ask for 0..1; the kernel knows what `battery.scale` says of others.
     """
-    level = float(message.percentage)
-    return level if 0.0 <= level <= 1.0 else nan
+    return float(message.percentage)
 
 
 def battery_message(level: float, stamp_ns: int) -> BatteryState:
-    """Return a BatteryState with `level` 0..1, and unknown (NaN) where nothing was measured."""
+    """Return a BatteryState with this level, and unknown (NaN) where nothing was measured."""
     message = BatteryState()
     message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, NS_PER_S)
     message.percentage = level

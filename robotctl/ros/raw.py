@@ -11,6 +11,10 @@ Sink = Callable[[bytes, int, int, int, bytes], object]
 UNKNOWN_GID = b""
 
 
+def _nothing() -> None:
+    """Do nothing: no executor serves the subscription."""
+
+
 class RawTap:
     """The callback of a raw subscription that wants the publisher's gid, and wants it fast.
 
@@ -28,12 +32,15 @@ class RawTap:
     an ordinary callback; the gid is then `UNKNOWN_GID`.
     """
 
-    __slots__ = ("__weakref__", "latency_s", "sink")
+    __slots__ = ("__weakref__", "latency_s", "look", "sink")
 
     def __init__(self, sink: Sink, *, latency_s: float = 0.01) -> None:
         """Call `sink` at most about `latency_s` seconds late; with 0 at every single message."""
         self.sink = sink
         self.latency_s = latency_s
+        self.look: Callable[[], None] = _nothing
+        """Takes what has come by now, without waiting for more to collect; an AsyncioExecutor
+        sets it."""
 
     def __call__(self, data: bytes, info: Mapping[str, Any]) -> None:
         """Take a message from an executor of rclpy."""

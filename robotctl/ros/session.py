@@ -13,6 +13,9 @@ from robotctl.ros.context import close_context, open_context
 from robotctl.ros.executor import AsyncioExecutor
 from robotctl.ros.runtime import ExceptionHandler
 
+RECORDER_NODE = "recorder"
+"""The node whose subscriptions only record."""
+
 
 class Session:
     """Makes nodes whose callbacks run in the loop, until the session ends."""

@@ -32,9 +32,12 @@ class SimulatedRobot:
         command_topic: str,
         odometry_topic: str,
         battery_topic: str,
+        full_level: float,
     ) -> None:
+        """`full_level` is what the gauge reports of a full battery."""
         self._params = params
         self._robot = Robot(params)
+        self._full_level = full_level
         node = session.node("simulated_robot")
         tap: Any = RawTap(self._command, latency_s=0.0)
         self._subscription = node.create_subscription(
@@ -62,7 +65,7 @@ class SimulatedRobot:
             self._odometry.publish(encoder.encode(robot.odometry, robot.measured, stamp_ns))
             if self._battery is not None and tick.t_ns >= next_battery_ns:
                 next_battery_ns += 1_000_000_000
-                self._battery.publish(battery_message(robot.battery, stamp_ns))
+                self._battery.publish(battery_message(self._full_level * robot.battery, stamp_ns))
 
     def _command(
         self, data: bytes, received_ns: int, source_ns: int, sequence: int, gid: bytes

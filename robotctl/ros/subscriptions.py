@@ -143,6 +143,16 @@ class RawTapSource(_TakenSource):
         if rest_s > 0.0:
             self.pool = runtime.pool(rest_s)
 
+    def attach(self) -> None:
+        super().attach()
+        self.entity.callback.look = self.look_now
+
+    def look_now(self) -> None:
+        """Take what has come by now; nothing where nothing was announced."""
+        if not self.closed:
+            with suppress(BlockingIOError):
+                self.look()
+
     def receiver(self) -> Callable[..., Any]:
         sink: Callable[..., Any] = self.entity.callback.sink
         return sink

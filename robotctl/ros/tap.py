@@ -16,8 +16,8 @@ from rclpy.qos import QoSProfile
 from robotctl.ros import proof, qos
 from robotctl.ros.message_types import message_class
 from robotctl.ros.raw import Sink
-from robotctl.ros.session import Session
-from robotctl.ros.tapped import TappedSubscription
+from robotctl.ros.session import RECORDER_NODE, Session
+from robotctl.ros.tapped import LATENCY_S, TappedSubscription
 from robotctl.ros.type_definition import definition_of, type_hash_of
 
 _log = logging.getLogger(__name__)
@@ -69,7 +69,7 @@ class Tap:
         open_sink: Callable[[TappedTopic], Sink],
         wanted: Callable[[str, str], bool] = lambda topic, type_name: True,
     ) -> None:
-        self._node = session.node("recorder")
+        self._node = session.node(RECORDER_NODE)
         self._open_sink = open_sink
         self._wanted = wanted
         self._reserved: set[str] = set()
@@ -89,12 +89,30 @@ class Tap:
             await self._look()
             await asyncio.sleep(POLL_S)
 
-    def subscribe_own(self, name: str, type_name: str, offered: QoSProfile) -> None:
-        """Tap a topic of ours, before its publisher exists."""
+    def subscribe_own(
+        self,
+        name: str,
+        type_name: str,
+        offered: QoSProfile,
+        *,
+        heard: Callable[[bytes], None] | None = None,
+        latency_s: float = LATENCY_S,
+    ) -> Callable[[], None]:
+        """Tap a topic of ours, before its publisher exists; `heard(gid)` is told of each message.
+
+        Messages collect for `latency_s`, or until the function is called that this returns.
+        """
         topic = self._node.resolve_topic_name(name)
         if self._wanted(topic, type_name):
             self._own.add(topic)
-            self._subscribe(topic, type_name, [offered])
+            self._subscribe(topic, type_name, [offered], heard, latency_s)
+
+        def look() -> None:
+            tapped = self._tapped.get(topic)
+            if tapped is not None:
+                tapped.look()
+
+        return look
 
     def reserve(self, topic: TappedTopic) -> Sink:
         """Return the sink of a topic whose messages come to it from elsewhere, not from here."""
@@ -175,7 +193,14 @@ class Tap:
             self._said.add(problem)
             _log.warning("%s", problem)
 
-    def _subscribe(self, topic: str, type_name: str, offered: list[QoSProfile]) -> None:
+    def _subscribe(
+        self,
+        topic: str,
+        type_name: str,
+        offered: list[QoSProfile],
+        heard: Callable[[bytes], None] | None = None,
+        latency_s: float = LATENCY_S,
+    ) -> None:
         """Raises whatever rclpy raises, and TooManyTopics."""
         limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
         if len(self._tapped) >= max(limit - RESERVED_FILES, limit // 2):
@@ -183,7 +208,11 @@ class Tap:
         definition, type_hash = definition_of(type_name), type_hash_of(type_name)
         described = TappedTopic(topic, type_name, definition, type_hash, qos.to_yaml(offered))
         sink = self._open_sink(described)
-        self._tapped[topic] = TappedSubscription(self._node, topic, type_name, sink, offered)
+        if heard is not None:
+            sink = _overheard(sink, heard)
+        self._tapped[topic] = TappedSubscription(
+            self._node, topic, type_name, sink, offered, latency_s
+        )
 
     def _offered(self, topic: str) -> dict[str, list[QoSProfile]]:
         """What the publishers of a topic offer, by its types; the one with most comes first."""
@@ -191,6 +220,16 @@ class Tap:
         for info in self._node.get_publishers_info_by_topic(topic):
             found.setdefault(info.topic_type, []).append(info.qos_profile)
         return dict(sorted(found.items(), key=lambda entry: (-len(entry[1]), entry[0])))
+
+
+def _overheard(sink: Sink, heard: Callable[[bytes], None]) -> Sink:
+    """Return a sink that tells of the publisher of each message, once it is recorded."""
+
+    def take(data: bytes, received_ns: int, source_ns: int, sequence: int, gid: bytes) -> None:
+        sink(data, received_ns, source_ns, sequence, gid)
+        heard(gid)
+
+    return take
 
 
 def _is_abandoned(tapped: TappedSubscription) -> bool:

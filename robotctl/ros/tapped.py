@@ -27,9 +27,15 @@ class TappedSubscription:
     """Hands the messages of a topic to its sink until it is closed."""
 
     def __init__(
-        self, node: Node, topic: str, type_name: str, sink: Sink, offered: Sequence[QoSProfile]
+        self,
+        node: Node,
+        topic: str,
+        type_name: str,
+        sink: Sink,
+        offered: Sequence[QoSProfile],
+        latency_s: float = LATENCY_S,
     ) -> None:
-        """Subscribe to publishers that offer this."""
+        """Subscribe to publishers that offer this; messages collect for `latency_s`."""
         self.topic = topic
         self.type_name = type_name
         self.publishers = 0
@@ -40,6 +46,8 @@ class TappedSubscription:
 
         self._node = node
         self._sink = sink
+        self._latency_s = latency_s
+        self._taps: list[RawTap] = []
         self._merge = LatchedMerge(sink)
         self._requests = self._requests_for(offered)
         self._subscriptions = list(self._subscribe())
@@ -52,6 +60,11 @@ class TappedSubscription:
             self._requests = requests
             self._subscriptions = list(self._subscribe())
 
+    def look(self) -> None:
+        """Take what has come by now."""
+        for tap in self._taps:
+            tap.look()
+
     def close(self) -> None:
         """Subscribe no more."""
         for subscription in self._subscriptions:
@@ -60,6 +73,7 @@ class TappedSubscription:
     def _subscribe(self) -> Iterator[Any]:
         requested, latched = self._requests
         self._merge.subscribe_anew()
+        self._taps.clear()
         if latched is not None:
             yield self._create(self._merge.live, requested)
             yield self._create(self._merge.latched, latched)
@@ -73,12 +87,14 @@ class TappedSubscription:
         return qos.recording(offered, bulky=bulky), qos.recording_latched(offered, bulky=bulky)
 
     def _create(self, sink: Sink, requested: QoSProfile) -> Any:
+        tap = RawTap(sink, latency_s=self._latency_s)
+        self._taps.append(tap)
         # rclpy's own types know a callback of one argument only.
-        tap: Any = RawTap(sink, latency_s=LATENCY_S)
+        callback: Any = tap
         return self._node.create_subscription(
             message_class(self.type_name),
             self.topic,
-            tap,
+            callback,
             requested,
             # No events: each would take a file of its own, and what they tell is seen in the graph.
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),

@@ -9,13 +9,16 @@ from geometry_msgs.msg import Twist as TwistMessage
 from robotctl.kernel.types import ZERO, Twist
 from robotctl.ros import qos
 from robotctl.ros.cdr import encode_twist
-from robotctl.ros.session import Session
+from robotctl.ros.publishers import full_name, gid_in, gid_of, publisher_names
+from robotctl.ros.session import RECORDER_NODE, Session
+
+TYPE_NAME = "geometry_msgs/msg/Twist"
+
+MAX_OTHER_TYPES = 4
+"""Types of other subscriptions that are named."""
 
 LOCK_TIMEOUT_S = 0.02
 """Longer than any publication: whoever holds the lock for longer hangs in the middleware."""
-
-_UNKNOWN_NAME = "_NODE_NAME_UNKNOWN_"
-"""What rmw says of a publisher that it discovered before its node."""
 
 
 class VelocityPublisher:
@@ -31,6 +34,8 @@ class VelocityPublisher:
         self._zero = encode_twist(ZERO)
         self._lock = Lock()
         self._gated = False
+        self._zeros = 0
+        self._withheld = 0
         self.published = 0
 
     @property
@@ -38,19 +43,37 @@ class VelocityPublisher:
         """The full name of the command topic."""
         return str(self._publisher.topic_name)
 
+    @property
+    def gid(self) -> bytes:
+        """The identity that our commands carry."""
+        return gid_of(self._publisher)
+
+    def name_of(self, gid: bytes) -> str:
+        """Return the node that publishes commands with this identity, "" where unknown."""
+        return publisher_names(self._node, self.topic).get(gid, "")
+
     def publish(self, twist: Twist) -> None:
         """Send the command; zero while the gate is closed."""
         with self._lock:
-            self._publisher.publish(self._zero if self._gated else encode_twist(twist))
+            if self._gated:
+                self._withheld += twist != ZERO
+                self._publisher.publish(self._zero)
+            else:
+                self._publisher.publish(encode_twist(twist))
             self.published += 1
 
     def publish_zero(self) -> None:
-        """Send a zero past the loop; raises TimeoutError where a publication hangs."""
+        """Send a zero past the loop while the gate is closed.
+
+        Raises TimeoutError where a publication of the loop hangs.
+        """
         if not self._lock.acquire(timeout=LOCK_TIMEOUT_S):
             raise TimeoutError("a publication of the loop hangs in the middleware")
         try:
-            self._publisher.publish(self._zero)
-            self.published += 1
+            if self._gated:
+                self._publisher.publish(self._zero)
+                self._zeros += 1
+                self.published += 1
         finally:
             self._lock.release()
 
@@ -58,22 +81,46 @@ class VelocityPublisher:
         """Let only zeros through."""
         self._gated = True
 
-    def open_gate(self) -> None:
-        """Let every command through again."""
-        self._gated = False
+    def open_gate(self) -> tuple[int, int]:
+        """Let every command through again.
+
+        Returns the zeros that `publish_zero` sent meanwhile, and the commands that were withheld.
+        """
+        with self._lock:
+            self._gated = False
+            counts = self._zeros, self._withheld
+            self._zeros = self._withheld = 0
+        return counts
 
     def other_publishers(self) -> tuple[str, ...]:
         """Return the full names of the other nodes that publish the command topic now."""
-        own = (self._node.get_name(), self._node.get_namespace())
-        others = []
-        for info in self._node.get_publishers_info_by_topic(self.topic):
-            if (info.node_name, info.node_namespace) == own:
-                own = ("", "")  # only once: a second node of our name is not ours
-            elif info.node_name == _UNKNOWN_NAME:
-                others.append("a node whose name is not known yet")
-            else:
-                others.append(f"{info.node_namespace.rstrip('/')}/{info.node_name}")
-        return tuple(sorted(others))
+        own = self.gid
+        try:
+            infos = self._node.get_publishers_info_by_topic(self.topic)
+        except Exception:  # noqa: BLE001 - a name on the graph may be any bytes
+            return ("a node whose name cannot be read",)
+        others = [full_name(info) for info in infos if gid_in(info) != own]
+        return tuple(sorted(name or "a node whose name is not known yet" for name in others))
+
+    def listeners(self) -> tuple[int, tuple[str, ...]]:
+        """Return how many nodes take our commands, and the other types that others subscribe to.
+
+        Recorders are not counted: they take everything, and drive nothing.
+        """
+        recorder = f"{self._node.get_namespace().rstrip('/')}/{RECORDER_NODE}"
+        infos = [
+            info
+            for info in self._node.get_subscriptions_info_by_topic(self.topic)
+            if full_name(info) != recorder
+        ]
+        others = {info.topic_type for info in infos if info.topic_type != TYPE_NAME}
+        return len(infos) - sum(info.topic_type in others for info in infos), tuple(
+            sorted(others)[:MAX_OTHER_TYPES]
+        )
+
+    def count_listeners(self) -> int:
+        """Return how many subscriptions the command topic has, recorders included."""
+        return int(self._node.count_subscribers(self.topic))
 
     def count_publishers(self) -> int:
         """Return how many publishers the command topic has, ours included."""

@@ -10,7 +10,7 @@ from contextlib import suppress
 from typing import Any
 
 import rclpy
-from geometry_msgs.msg import Twist
+from geometry_msgs.msg import Twist, TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
@@ -160,6 +160,40 @@ class Peer:
         message = Twist()
         message.linear.x = linear
         publisher.publish(message)
+
+    def command_and_go(self, linear: float, namespace: str = "") -> int:
+        """Publish one command as soon as somebody takes it, and publish no more.
+
+        Returns the steady time [ns] just before the command was sent.
+        """
+        publisher = self.node.create_publisher(Twist, f"{namespace}/cmd_vel", DEEP)
+        until(lambda: publisher.get_subscription_count() >= 2)  # robot and recorder
+        message = Twist()
+        message.linear.x = linear
+        sent_ns = time.monotonic_ns()
+        publisher.publish(message)
+        assert publisher.wait_for_all_acked(Duration(seconds=DEADLINE_S))
+        self.node.destroy_publisher(publisher)
+        return sent_ns
+
+    def measure(self, x: float) -> None:
+        """Publish odometry at 100 Hz that says the robot is at `x`, until the end."""
+        odometry = self.node.create_publisher(Odometry, "/odom", 10)
+        message = Odometry()
+        message.pose.pose.position.x, message.pose.pose.orientation.w = x, 1.0
+
+        def run() -> None:
+            while not self.stop.wait(0.01):
+                message.header.stamp = self.node.get_clock().now().to_msg()
+                odometry.publish(message)
+
+        self.robot = threading.Thread(target=run)
+        self.robot.start()
+
+    def take_commands(self, kind: str) -> None:
+        """Subscribe to the command topic with this type."""
+        message_type = {"Twist": Twist, "TwistStamped": TwistStamped}[kind]
+        self._subscribe(message_type, "/cmd_vel", lambda message: None, DEEP)
 
     def publish(self, kind: str, topic: str) -> None:
         """Offer a topic as a type of which we know the name."""

@@ -11,13 +11,17 @@ from robotctl.kernel.patterns import Pattern, PatternKind
 from robotctl.kernel.types import (
     BatteryReceived,
     Cause,
+    CommandListenersSeen,
     CommandPublishersSeen,
     DriveRequested,
     Event,
     FaultCleared,
     FaultReported,
+    ForeignCommandHeard,
+    LoopStalled,
     ModeRequested,
     Odometry,
+    OdometrySourceFound,
     OdomReceived,
     ResetRequested,
     Tick,
@@ -32,6 +36,7 @@ COORDINATE = st.one_of(NEAR, NEAR, ANY_FLOAT, SPECIAL_FLOAT)
 LEVEL = st.one_of(st.floats(0.0, 1.0), st.sampled_from((0.15, 0.2)), ANY_FLOAT, SPECIAL_FLOAT)
 MODE_NUMBER = st.one_of(st.integers(0, 3), st.integers(-1, 260))
 SOURCE = st.text(max_size=8)
+NAMES = st.lists(SOURCE, max_size=2).map(tuple)
 DAEMON_CAUSE = st.sampled_from(
     (Cause.TASK_DIED, Cause.LOOP_STALLED, Cause.RECORDER_FAILED, Cause.DAEMON_ENDS)
 )
@@ -53,7 +58,8 @@ def event(
     cause = st.one_of(DAEMON_CAUSE, st.sampled_from(Cause))
     return st.one_of(
         st.builds(Tick, t_ns, st.integers(0, 10)),
-        st.builds(OdomReceived, t_ns, ODOMETRY),
+        st.builds(OdomReceived, t_ns, ODOMETRY, st.integers(0, 3), st.integers(0, 2**40)),
+        st.builds(OdometrySourceFound, t_ns, st.integers(0, 3), SOURCE, SOURCE),
         st.builds(BatteryReceived, t_ns, LEVEL),
         st.builds(ModeRequested, t_ns, request_id, MODE_NUMBER, SOURCE),
         st.builds(ResetRequested, t_ns, request_id, SOURCE),
@@ -66,7 +72,10 @@ def event(
             st.booleans(),
             SOURCE,
         ),
-        st.builds(CommandPublishersSeen, t_ns, st.lists(SOURCE, max_size=2).map(tuple)),
+        st.builds(CommandPublishersSeen, t_ns, NAMES),
+        st.builds(ForeignCommandHeard, t_ns, SOURCE),
+        st.builds(CommandListenersSeen, t_ns, st.integers(0, 3), NAMES),
+        st.builds(LoopStalled, t_ns, LEVEL, st.integers(0, 9), st.integers(0, 9), SOURCE),
         st.builds(FaultReported, t_ns, cause, SOURCE),
         st.builds(FaultCleared, t_ns, cause),
     )

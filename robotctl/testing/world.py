@@ -42,6 +42,8 @@ STATUS_KEYS = {
     "velocity",
     "battery",
     "sim",
+    "stalls",
+    "odometry_dropped",
     "topics",
     "recorder",
     "warnings",

@@ -60,6 +60,8 @@ class FakeDaemon:
             "velocity": {"linear": 0.2, "angular": 0.0},
             "battery": 0.87,
             "sim": True,
+            "stalls": 0,
+            "odometry_dropped": 0,
             "topics": [
                 {"name": "/odom", "type": "nav_msgs/msg/Odometry", "count": 20, "rate": 50.0}
             ],
@@ -142,6 +144,8 @@ class FakeDaemon:
                     "domain_id": options.domain_id,
                     "discovery_range": "LOCALHOST",
                     "sim": True,
+                    "stalls": 0,
+                    "odometry_dropped": 0,
                     "socket": str(socket_path(options.robot)),
                     "recording": str(self.file),
                     "log": str(log_path(options.robot)),

@@ -8,18 +8,24 @@ from typing import Any
 import pytest
 
 from robotctl.daemon import neighbours
-from robotctl.daemon.inputs import Inputs
-from robotctl.daemon.neighbours import watch_publishers
-from robotctl.kernel.types import Cause, CommandPublishersSeen, Event, FaultCleared, FaultReported
+from robotctl.daemon.foreign_commands import NAMELESS, ForeignCommands
+from robotctl.daemon.neighbours import watch_graph
+from robotctl.kernel.types import (
+    CommandListenersSeen,
+    CommandPublishersSeen,
+    Event,
+    ForeignCommandHeard,
+)
 from robotctl.testing.waiting import loop_until
 
 
 class Velocity:
-    """A command topic with the publishers that a test puts there; ours is one of them."""
+    """A command topic with what a test puts there; one publisher is ours."""
 
     def __init__(self) -> None:
         self.others: tuple[str, ...] = ()
-        self.calls: list[Any] = []
+        self.taking: tuple[int, tuple[str, ...]] = (1, ())
+        self.calls: list[Event] = []
         self.looks = 0
 
     def count_publishers(self) -> int:
@@ -29,23 +35,17 @@ class Velocity:
     def other_publishers(self) -> tuple[str, ...]:
         return self.others
 
-    def open_gate(self) -> None:
-        self.calls.append("gate opened")
+    def count_listeners(self) -> int:
+        return self.taking[0] + len(self.taking[1])
+
+    def listeners(self) -> tuple[int, tuple[str, ...]]:
+        return self.taking
+
+    def find_names(self) -> None:
+        pass
 
     def dispatch(self, event: Event) -> None:
         self.calls.append(event)
-
-
-def test_after_a_stall_the_kernel_stops_the_robot_before_commands_pass_again() -> None:
-    velocity: Any = Velocity()
-    motion: Any = None
-    Inputs(velocity, motion, velocity).stalled("for 0.2 s")
-    reported, cleared, gate = velocity.calls
-    assert isinstance(reported, FaultReported)
-    assert (reported.cause, reported.detail) == (Cause.LOOP_STALLED, "for 0.2 s")
-    assert isinstance(cleared, FaultCleared)
-    assert cleared.cause is Cause.LOOP_STALLED
-    assert gate == "gate opened"
 
 
 async def test_other_publishers_are_told_when_they_come_and_when_they_go(
@@ -53,17 +53,74 @@ async def test_other_publishers_are_told_when_they_come_and_when_they_go(
 ) -> None:
     monkeypatch.setattr(neighbours, "PUBLISHER_POLL_S", 0.0)
     velocity: Any = Velocity()
-    watching = asyncio.create_task(watch_publishers(velocity, velocity.dispatch))
+    watching = asyncio.create_task(watch_graph(velocity, velocity, velocity.dispatch))
 
     async def seen(*names: str) -> list[tuple[str, ...]]:
         velocity.others = names
         looks = velocity.looks
         await loop_until(lambda: velocity.looks > looks + 3)
-        assert all(isinstance(call, CommandPublishersSeen) for call in velocity.calls)
-        return [call.names for call in velocity.calls]
+        return [call.names for call in velocity.calls if isinstance(call, CommandPublishersSeen)]
 
     assert await seen() == []
     assert await seen("/a") == [("/a",)]
     assert await seen("/a", "/b") == [("/a",), ("/a", "/b")]
     assert await seen() == [("/a",), ("/a", "/b"), ()]
     watching.cancel()
+
+
+async def test_who_takes_the_command_is_told_when_it_changes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(neighbours, "PUBLISHER_POLL_S", 0.0)
+    velocity: Any = Velocity()
+    watching = asyncio.create_task(watch_graph(velocity, velocity, velocity.dispatch))
+    told: list[tuple[int, tuple[str, ...]]] = []
+    for taking in ((0, ()), (1, ()), (0, ("x/msg/Other",)), (1, ("x/msg/Other",))):
+        velocity.taking = taking
+        told.append(taking)
+        looks = velocity.looks
+        await loop_until(lambda looks=looks: velocity.looks > looks + 12)
+        seen = [call for call in velocity.calls if isinstance(call, CommandListenersSeen)]
+        assert [(each.count, each.other_types) for each in seen] == told
+    watching.cancel()
+
+
+class Publishers:
+    """Nodes by the identity of their publisher, and a robot that moves or stands."""
+
+    def __init__(self, *, moves: bool) -> None:
+        self.names = {b"theirs": "/teleop"}
+        self.events: list[Event] = []
+        self.heard = ForeignCommands(
+            b"ours", lambda gid: self.names.get(gid, ""), lambda: moves, self.events.append
+        ).heard
+
+    @property
+    def told(self) -> list[str]:
+        assert all(isinstance(event, ForeignCommandHeard) for event in self.events)
+        return [event.publisher for event in self.events]  # type: ignore[union-attr]
+
+
+def test_our_own_commands_are_nobody_elses() -> None:
+    publishers = Publishers(moves=True)
+    publishers.heard(b"ours")
+    assert publishers.told == []
+
+
+def test_the_first_command_of_another_publisher_is_enough() -> None:
+    publishers = Publishers(moves=True)
+    publishers.heard(b"theirs")
+    assert publishers.told == ["/teleop"]
+
+
+def test_a_publisher_that_is_gone_already_is_told_all_the_same() -> None:
+    publishers = Publishers(moves=True)
+    publishers.heard(b"gone")
+    assert publishers.told == [NAMELESS]
+
+
+def test_a_flood_at_a_robot_that_stands_is_told_now_and_then() -> None:
+    publishers = Publishers(moves=False)
+    for _ in range(1000):
+        publishers.heard(b"theirs")
+    assert len(publishers.told) < 50

@@ -18,6 +18,7 @@ def test_no_robot_is_simulated_where_one_is(
 ) -> None:
     peer = new_peer(world)
     peer("be_a_robot")
+    peer("take_commands", kind="Twist")
     out = world.ok("start")
     assert "simulator   no" in out
     assert "note: no simulator: /odom has a publisher already" in out
@@ -27,7 +28,7 @@ def test_no_robot_is_simulated_where_one_is(
     assert status["pose"] == {"x": 0.0, "y": 0.0, "theta": 0.0}
     assert status["battery"] == 1.0
     # it is driven as any other
-    assert world.ok("set-mode", "moving") == "Mode changed to MOVING\n"
+    until(lambda: world.robotctl("set-mode", "moving").out == "Mode changed to MOVING\n")
     world.ok("stop")
 
 

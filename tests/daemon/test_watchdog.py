@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import os
+import re
+import resource
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from robotctl.daemon.processor_time import ProcessorTime
-from robotctl.daemon.watchdog import CONFIRM_S, Turn, Watchdog
+from robotctl.daemon.watchdog import CONFIRM_S, SHOWN_FRAMES, Watchdog, where
+from robotctl.kernel.types import Cause, FaultReported, LoopStalled
 from robotctl.testing.waiting import DEADLINE_S, until
-
-PATIENCE_S = 0.3
 
 
 class Gate:
@@ -22,8 +25,10 @@ class Gate:
 
     def __init__(self) -> None:
         self.closed = 0
+        self.opened = 0
         self.zeros = 0
         self.broken = 0
+        self.error: BaseException = RuntimeError("broken")
 
     def close_gate(self) -> None:
         self.closed += 1
@@ -31,46 +36,57 @@ class Gate:
     def publish_zero(self) -> None:
         if self.broken:
             self.broken -= 1
-            raise RuntimeError("broken")
+            raise self.error
         self.zeros += 1
 
+    def open_gate(self) -> tuple[int, int]:
+        self.opened += 1
+        return self.zeros, 2
 
-def watching(gate: Gate, rate_hz: float = 50.0) -> tuple[Watchdog, list[str]]:
-    stalls: list[str] = []
-    return Watchdog(rate_hz, PATIENCE_S, gate, stalls.append), stalls
+
+def stall_of(watchdog: Watchdog) -> LoopStalled:
+    """Wait until there is a stall to take, and take it."""
+    found: list[object] = []
+    until(lambda: found.append(watchdog.take()) or found[-1] is not None)
+    assert isinstance(found[-1], LoopStalled)
+    return found[-1]
 
 
 def test_before_the_first_tick_nothing_is_watched() -> None:
     gate = Gate()
-    watchdog, stalls = watching(gate)
-    with watchdog:
+    with Watchdog(50.0, gate) as watchdog:
         assert "watchdog" not in {thread.name for thread in threading.enumerate()}
-    assert (gate.closed, stalls) == (0, [])
+        assert watchdog.take() is None
+    assert gate.closed == 0
 
 
-def test_a_loop_that_stops_ticking_is_stopped_once_and_zeros_go_on() -> None:
+def test_a_loop_that_stops_ticking_is_stopped_and_zeros_go_on_until_the_stall_is_taken() -> None:
     gate = Gate()
-    watchdog, stalls = watching(gate)
-    with watchdog:
+    with Watchdog(50.0, gate) as watchdog:
         watchdog.ping()
         until(lambda: gate.zeros > 3)
-        assert (gate.closed, len(stalls)) == (1, 1)
+        assert (gate.closed, gate.opened) == (1, 0)
+        zeros = gate.zeros
+        stall = stall_of(watchdog)
+        assert stall.zeros >= zeros
+        assert stall.withheld == 2
+        assert stall.stalled_s > 0.25
+        assert gate.opened == 1
+        assert watchdog.take() is None
 
 
 def test_after_it_was_taken_the_loop_is_watched_again() -> None:
     gate = Gate()
-    watchdog, stalls = watching(gate)
-    with watchdog:
+    with Watchdog(50.0, gate) as watchdog:
         watchdog.ping()
-        for count in (1, 2):
-            until(lambda count=count: len(stalls) == count)
-            watchdog.taken()
+        for _ in range(2):
+            stall_of(watchdog)
     assert gate.closed == 2
 
 
 def test_a_loop_that_ticks_is_left_alone() -> None:
     gate = Gate()
-    watchdog, stalls = watching(gate, rate_hz=5.0)  # ticks may be 0.5 s apart
+    watchdog = Watchdog(5.0, gate)  # ticks may be 0.5 s apart
     looks = threading.Semaphore(0)
     wait = watchdog._ended.wait
 
@@ -84,75 +100,23 @@ def test_a_loop_that_ticks_is_left_alone() -> None:
         watchdog.ping()
         for _ in range(100):
             assert looks.acquire(timeout=DEADLINE_S)
-    assert (gate.closed, gate.zeros, stalls) == (0, 0, [])
-
-
-def test_a_starved_loop_is_given_its_patience(monkeypatch: pytest.MonkeyPatch) -> None:
-    gate = Gate()
-    watchdog, stalls = watching(gate)
-    looks: list[int] = []
-
-    def starved(_: ProcessorTime) -> bool:
-        looks.append(watchdog._silent_ns())
-        return True
-
-    monkeypatch.setattr(ProcessorTime, "is_starved", starved)
-    with watchdog:
-        watchdog.ping()
-        until(lambda: stalls)
-    assert len(looks) > 1
-    assert float(stalls[0].split()[-2]) >= PATIENCE_S
-
-
-def test_the_time_for_which_the_loop_waited_for_a_processor_does_not_count(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    watchdog, stalls = watching(Gate())
-    waited_ns = [0, *range(0, 10**12, 10**12 // 100)]
-    monkeypatch.setattr(ProcessorTime, "waited_ns", lambda _: waited_ns.pop(0))
-    with watchdog:
-        watchdog.ping()
-        until(lambda: stalls)
-    assert float(stalls[0].split()[-2]) >= PATIENCE_S
-
-
-def test_a_loop_that_starves_and_ticks_again_is_left_alone(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    gate = Gate()
-    watchdog, stalls = watching(gate)
-    ticked = threading.Event()
-
-    def starved(_: ProcessorTime) -> bool:
-        watchdog.ping()
-        ticked.set()
-        return True
-
-    monkeypatch.setattr(ProcessorTime, "is_starved", starved)
-    with watchdog:
-        watchdog.ping()
-        assert ticked.wait(DEADLINE_S)
-    assert (gate.closed, stalls) == (0, [])
+    assert (gate.closed, gate.zeros) == (0, 0)
 
 
 class VirtualTime:
     """In which a loop ticks at `ticks_ms`, and the watchdog's waits take no time of ours."""
 
-    def __init__(self, watchdog: Watchdog, ticks_ms: list[int]) -> None:
+    def __init__(self, ticks_ms: list[int]) -> None:
         self.now_ns = 0
-        self._watchdog = watchdog
-        self._ticks_ms = ticks_ms
+        self.ticks_ms = ticks_ms
 
-    def now(self) -> Turn:
-        return Turn(self.now_ns, 0)
-
-    def wait(self, timeout: float) -> bool:
-        end_ns = self.now_ns + max(round(timeout * 1e9), 0)
-        while self._ticks_ms and self._ticks_ms[0] * 1_000_000 <= end_ns:
-            self.now_ns = self._ticks_ms.pop(0) * 1_000_000
-            self._watchdog._last = self.now()
+    def until_stalled(self, watchdog: Watchdog, timeout: float | None = None) -> bool:
+        end_ns = self.now_ns + max(round((timeout or 0.0) * 1e9), 0)
+        while self.ticks_ms and self.ticks_ms[0] * 1_000_000 <= end_ns:
+            self.now_ns = self.ticks_ms.pop(0) * 1_000_000
+            watchdog._last = watchdog._now()
         self.now_ns = end_ns
-        return not self._ticks_ms
+        return not self.ticks_ms
 
 
 @pytest.mark.parametrize(
@@ -164,28 +128,16 @@ class VirtualTime:
         ([0, 125, 145], True),
     ],
 )
-def test_every_late_tick_is_given_its_confirmation(
-    ticks_ms: list[int], stalled: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(ProcessorTime, "is_starved", lambda _: False)
+def test_every_late_tick_is_given_its_confirmation(ticks_ms: list[int], stalled: bool) -> None:
     gate = Gate()
-    watchdog, stalls = watching(gate)
-    virtual = VirtualTime(watchdog, ticks_ms)
+    virtual = VirtualTime(ticks_ms)
+    watchdog = Watchdog(50.0, gate, lambda: virtual.now_ns)
+    watchdog._ended.wait = lambda timeout=None: virtual.until_stalled(  # type: ignore[method-assign]
+        watchdog, timeout
+    )
     with watchdog:
-        watchdog._now = virtual.now  # type: ignore[method-assign]
-        watchdog._ended.wait = virtual.wait  # type: ignore[method-assign]
         watchdog._watch()
-    assert bool(stalls) == stalled
-
-
-def test_a_thread_that_waits_is_not_starved() -> None:
-    asked = ProcessorTime()
-    starved: list[bool] = []
-    asking = threading.Thread(target=lambda: starved.append(asked.is_starved()))
-    asking.start()
-    asking.join()  # waits meanwhile
-    asked.close()
-    assert starved == [False]
+    assert bool(gate.closed) == stalled
 
 
 def keeps_accounts() -> bool:
@@ -211,26 +163,90 @@ def test_a_thread_that_has_to_share_its_processor_has_waited() -> None:
         asked.close()
 
 
+def test_a_stall_names_the_calls_that_held_the_loop_up() -> None:
+    with Watchdog(50.0, Gate()) as watchdog:
+        watchdog.ping()
+        stall = stall_of(watchdog)
+    assert "(waiting.py:" in stall.detail
+
+
+def test_a_stall_that_was_spent_waiting_for_a_processor_says_so(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with Watchdog(50.0, Gate()) as watchdog:
+        watchdog.ping()
+        monkeypatch.setattr(ProcessorTime, "waited_ns", lambda _: 10**12)
+        stall = stall_of(watchdog)
+    assert re.match(r"the machine was busy: no processor for \d+\.\d\d s", stall.detail)
+
+
+def test_where_a_stack_stands_is_told_without_its_source() -> None:
+    code = compile(
+        "import sys\ndef held():\n    return sys._getframe()\nframe = held()", "/x/y.py", "exec"
+    )
+    names: dict[str, object] = {}
+    exec(code, names)
+    frame: object = names["frame"]
+    assert where(frame).startswith("held (y.py:3), called by <module> (y.py:4)")  # type: ignore[arg-type]
+    assert where(frame).count("called by") == SHOWN_FRAMES - 1  # type: ignore[arg-type]
+    assert where(None) == ""
+
+
+@contextmanager
+def no_descriptor_left() -> Iterator[None]:
+    """Let nothing be opened."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (0, hard))
+    try:
+        with pytest.raises(OSError, match="Too many open files"):
+            os.open("/proc/self/stat", os.O_RDONLY)
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+def test_with_no_descriptor_free_zeros_are_sent_all_the_same() -> None:
+    gate = Gate()
+    with Watchdog(50.0, gate) as watchdog, no_descriptor_left():
+        watchdog.ping()
+        until(lambda: gate.zeros > 3)
+        assert stall_of(watchdog).zeros > 3
+
+
 @pytest.mark.filterwarnings("error::pytest.PytestUnhandledThreadExceptionWarning")
-def test_a_zero_that_cannot_be_sent_is_followed_by_the_next() -> None:
+def test_a_zero_that_cannot_be_sent_is_counted_and_followed_by_the_next() -> None:
     gate = Gate()
     gate.broken = 2
-    watchdog, stalls = watching(gate)
-    with watchdog:
+    with Watchdog(50.0, gate) as watchdog:
         watchdog.ping()
         until(lambda: gate.zeros > 1)
-    assert len(stalls) == 1
+        assert "2 zeros could not be sent" in stall_of(watchdog).detail
+
+
+@pytest.mark.filterwarnings("error::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_watchdog_that_dies_is_a_fault_and_told_once() -> None:
+    gate = Gate()
+    gate.broken, gate.error = 1, SystemExit("out of everything")
+    with Watchdog(50.0, gate) as watchdog:
+        watchdog.ping()
+        assert isinstance(stall_of(watchdog), LoopStalled)  # the gate must not stay closed
+        found: list[object] = []
+        until(lambda: found.append(watchdog.take()) or found[-1] is not None)
+        (fault,) = (each for each in found if each is not None)
+        assert isinstance(fault, FaultReported)
+        assert fault.cause is Cause.TASK_DIED
+        assert "the watchdog failed (SystemExit: out of everything)" in fault.detail
+        assert watchdog.take() is None
 
 
 @pytest.mark.parametrize(("rate_hz", "limit_s"), [(1000.0, 0.1), (50.0, 0.1), (5.0, 0.5)])
 def test_slow_ticks_are_given_their_time(rate_hz: float, limit_s: float) -> None:
-    watchdog, _ = watching(Gate(), rate_hz)
-    assert watchdog._limit_ns == round(limit_s * 1e9)
+    assert Watchdog(rate_hz, Gate())._limit_ns == round(limit_s * 1e9)
 
 
 def test_a_loop_that_catches_up_after_a_pause_of_the_process_is_left_alone() -> None:
     gate = Gate()
-    watchdog, stalls = watching(gate)
+    watchdog = Watchdog(50.0, gate)
     caught_up = threading.Semaphore(0)
     wait = watchdog._ended.wait
 
@@ -245,4 +261,4 @@ def test_a_loop_that_catches_up_after_a_pause_of_the_process_is_left_alone() -> 
         watchdog.ping()
         for _ in range(3):
             assert caught_up.acquire(timeout=DEADLINE_S)
-    assert (gate.closed, gate.zeros, stalls) == (0, 0, [])
+    assert (gate.closed, gate.zeros) == (0, 0)

@@ -9,12 +9,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from robotctl.config import Config
 from robotctl.kernel.drive import Drive, Progress
 from robotctl.kernel.geometry import ORIGIN, Pose, wrap_angle
+from robotctl.kernel.kernel import Kernel
+from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams, VelocityLimits
 from robotctl.kernel.patterns import MIN_SIZE_M, Pattern, PatternKind, lap_of
 from robotctl.kernel.tracking import Reference, track
-from robotctl.kernel.types import ZERO, DriveEnded
+from robotctl.kernel.types import ZERO, DriveEnded, DriveRequested, ModeChanged, ModeRequested
+from robotctl.replay.closed_loop import closed_loop
 from robotctl.sim.robot import SimParams
 from robotctl.testing.kernels import Driven, drive_simulated, moving, while_moving
 
@@ -253,3 +257,21 @@ def test_the_reference_keeps_below_the_limits() -> None:
     drive = bench.state.drive
     assert drive is not None
     assert 0.2 < drive.reference().linear < 0.3
+
+
+def test_a_ramp_down_with_gentle_limits_is_not_held_against_a_reference_that_stands() -> None:
+    limits = VelocityLimits(linear_accel_mps2=0.15)
+    config = replace(Config(), kernel=replace(KernelParams(), limits=limits))
+    kernel = Kernel(config.kernel)
+    asked = (
+        DriveRequested(100_000_000, 1, Pattern(PatternKind.SQUARE, 3.0, 0.6), 0, False, "test"),
+        ModeRequested(7_000_000_000, 2, Mode.IDLE, "test"),
+    )
+    stopped = None
+    for event, effects in closed_loop(kernel, config.sim, asked, 0):
+        changes = [each for each in effects if isinstance(each, ModeChanged)]
+        if event.t_ns > 7_000_000_000 and changes:
+            (stopped,) = changes
+            break
+    assert stopped is not None
+    assert (stopped.mode, kernel.state.cause) == (Mode.IDLE, None)

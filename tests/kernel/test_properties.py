@@ -24,6 +24,7 @@ from robotctl.kernel.types import (
     Effect,
     Event,
     LatchEmergencyStop,
+    LoopStalled,
     ModeChanged,
     ModeRequested,
     Phase,
@@ -81,6 +82,8 @@ class Auditor:
         if isinstance(event, Tick):
             assert sum(isinstance(effect, PublishTwist) for effect in effects) == 1
             self.tick_t_ns = event.t_ns
+        elif isinstance(event, LoopStalled):  # the watchdog has sent zeros until now
+            self.command, self.tick_t_ns = ZERO, event.t_ns
         return effects
 
     @staticmethod

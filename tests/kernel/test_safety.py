@@ -8,9 +8,10 @@ from math import inf, nan
 
 import pytest
 
+from robotctl.kernel.battery import FULLEST_LEVEL
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import BatteryParams, KernelParams
-from robotctl.kernel.safety import FULLEST_LEVEL, RULE_OF, RULES
+from robotctl.kernel.safety import RULE_OF, RULES
 from robotctl.kernel.types import (
     ZERO,
     Cause,
@@ -33,7 +34,7 @@ from robotctl.testing.kernels import (
     while_moving,
 )
 
-DAEMON_CAUSES = (Cause.TASK_DIED, Cause.LOOP_STALLED, Cause.RECORDER_FAILED)
+DAEMON_CAUSES = (Cause.TASK_DIED, Cause.RECORDER_FAILED)
 
 
 def test_every_cause_has_one_rule_and_a_cure() -> None:
@@ -235,8 +236,8 @@ def test_the_gravest_of_two_faults_names_the_stop() -> None:
     assert bench.state.cause is Cause.BATTERY_LOW
     bench = moving()
     bench.t_ns += 600_000_000
-    bench.give(FaultReported(bench.t_ns, Cause.LOOP_STALLED, "stalled"))
-    assert bench.state.cause is Cause.LOOP_STALLED
+    bench.give(FaultReported(bench.t_ns, Cause.RECORDER_FAILED, "the disk is full"))
+    assert bench.state.cause is Cause.RECORDER_FAILED
 
 
 def test_a_daemon_that_ends_lets_no_motion_begin() -> None:

@@ -116,8 +116,14 @@ async def test_odometry_of_any_quality_of_service_is_taken(
 ) -> None:
     from nav_msgs.msg import Odometry as OdometryMessage
 
-    measured: list[Odometry] = []
-    subscriber = OdomSubscriber(session, "odom", measured.append)
+    measured: list[tuple[Odometry, int, int]] = []
+    sources: list[tuple[int, str, str]] = []
+    subscriber = OdomSubscriber(
+        session,
+        "odom",
+        lambda odometry, source, sequence: measured.append((odometry, source, sequence)),
+        lambda *source: sources.append(source),
+    )
     publisher = node.create_publisher(OdometryMessage, "/r2/odom", offered)
     await until(lambda: publisher.get_subscription_count() and subscriber.count_publishers())
     message = OdometryMessage()
@@ -128,17 +134,93 @@ async def test_odometry_of_any_quality_of_service_is_taken(
     message.header.stamp.sec, message.header.stamp.nanosec = 2, 3
     publisher.publish(message)
     await until(lambda: measured)
-    (odometry,) = measured
+    ((odometry, source, sequence),) = measured
+    assert (source, sequence) == (1, 1)
+    await until(lambda: subscriber.find_names() or sources[-1][2])
+    assert [(number, len(gid)) for number, gid, _ in sources] == len(sources) * [(1, 32)]
+    assert sources[-1][2] == "/tested"
     assert odometry.pose.theta == pytest.approx(0.5)
     assert (odometry.pose.x, odometry.velocity.linear) == (1.5, 0.3)
     assert odometry.stamp_ns == 2_000_000_003
 
 
-@pytest.mark.parametrize(("percentage", "level"), [(0.5, 0.5), (80.0, math.nan), (-1.0, math.nan)])
-async def test_a_battery_level_outside_0_to_1_is_unknown(
-    session: Session, node: Any, until: Until, percentage: float, level: float
+async def test_publishers_of_odometry_are_told_apart_and_numbered(
+    session: Session, node: Any, until: Until
+) -> None:
+    from nav_msgs.msg import Odometry as OdometryMessage
+
+    heard: list[int] = []
+    sources: list[int] = []
+    OdomSubscriber(
+        session,
+        "odom",
+        lambda odometry, source, sequence: heard.append(source),
+        lambda source, gid, name: sources.append(source),
+    )
+    publishers = [node.create_publisher(OdometryMessage, "/r2/odom", 10) for _ in range(2)]
+    turns = []
+    for publisher in (publishers[0], publishers[1], publishers[0]):
+        heard.clear()
+        # Again and again: what a best-effort subscription misses while it is found is lost.
+        await until(lambda publisher=publisher: publisher.publish(OdometryMessage()) or heard)
+        turns.append(heard[-1])
+    assert turns == [1, 2, 1]
+    assert set(sources) == {1, 2}
+
+
+@pytest.mark.parametrize(
+    "data", [b"", b"\x00\x01", b"\xff" * 1000, b"\x00\x01\x00\x00" + b"\xff" * 99]
+)
+async def test_bytes_that_are_no_message_fail_nothing(
+    session: Session, node: Any, until: Until, data: bytes
+) -> None:
+    from nav_msgs.msg import Odometry as OdometryMessage
+    from sensor_msgs.msg import BatteryState
+
+    poses: list[float] = []
+    levels: list[float] = []
+    OdomSubscriber(session, "odom", lambda odometry, *_: poses.append(odometry.pose.x), print)
+    BatterySubscriber(session, "battery_state", levels.append)
+    odometry = node.create_publisher(OdometryMessage, "/r2/odom", 10)
+    battery = node.create_publisher(BatteryState, "/r2/battery_state", 10)
+
+    def publish() -> None:
+        odometry.publish(data)
+        odometry.publish(OdometryMessage())
+        battery.publish(data)
+        battery.publish(BatteryState(percentage=0.5))
+
+    await until(lambda: publish() or (poses.count(0.0) > 1 and levels.count(0.5) > 1))
+    assert all(math.isnan(x) or x == 0.0 for x in poses)
+
+
+async def test_who_takes_the_command_is_counted_by_type_and_without_recorders(
+    session: Session, node: Any, new_context: Callable[[], Any], until: Until
+) -> None:
+    from geometry_msgs.msg import Twist as TwistMessage
+    from geometry_msgs.msg import TwistStamped
+    from rclpy.node import Node
+
+    velocity = VelocityPublisher(session, "cmd_vel")
+    recorder = session.node("recorder")
+    recorder.create_subscription(TwistMessage, "cmd_vel", print, 10)
+    await until(lambda: velocity.count_listeners() == 1)
+    assert velocity.listeners() == (0, ())
+    stamped = Node("stamped", context=new_context())  # Fast DDS: one type a topic and context
+    stamped.create_subscription(TwistStamped, "/r2/cmd_vel", print, 10)
+    await until(lambda: velocity.listeners() == (0, ("geometry_msgs/msg/TwistStamped",)))
+    node.create_subscription(TwistMessage, "/r2/cmd_vel", print, 10)
+    await until(lambda: velocity.listeners() == (1, ("geometry_msgs/msg/TwistStamped",)))
+    stamped.destroy_node()
+
+
+@pytest.mark.parametrize("percentage", [0.5, 80.0, -1.0, math.nan])
+async def test_a_battery_level_is_handed_on_as_it_is_reported(
+    session: Session, node: Any, until: Until, percentage: float
 ) -> None:
     from sensor_msgs.msg import BatteryState
+
+    level = percentage
 
     levels: list[float] = []
     subscription = BatterySubscriber(session, "battery_state", levels.append)._subscription
@@ -256,7 +338,7 @@ async def test_requests_beyond_the_limit_are_refused_as_busy_and_stops_are_not(
 
 async def test_the_roles_are_the_nodes_that_are_promised(session: Session, node: Any) -> None:
     VelocityPublisher(session, "cmd_vel")
-    OdomSubscriber(session, "odom", print)
+    OdomSubscriber(session, "odom", print, print)
     service = ModeService(session, "r2", lambda requested, source: asyncio.Future())
     assert service.status_topic == "/r2/robot_status"
     names = {owner.get_fully_qualified_name() for owner in session._nodes}

@@ -1,0 +1,119 @@
+"""One publisher of odometry is followed; a second one is named, and believed in nothing."""
+
+from __future__ import annotations
+
+import pytest
+
+from robotctl.kernel.geometry import ORIGIN, Pose
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.types import (
+    NS_PER_S,
+    ZERO,
+    Cause,
+    Odometry,
+    OdometrySourceFound,
+    OdomReceived,
+)
+from robotctl.testing.kernels import Bench, reset, start, stopped_by
+
+FAR = Pose(10.0, 0.0, 0.0)
+TURNED = Pose(0.0, 0.0, 2.0)
+NEAR = Pose(0.01, 0.0, 0.0)
+
+
+def sample(bench: Bench, source: int, pose: Pose) -> None:
+    bench.give(OdomReceived(bench.t_ns, Odometry(pose, ZERO, bench.t_ns), source, 1))
+
+
+def bench_of_two(ticks: int = 3) -> Bench:
+    """Return a kernel in IDLE that follows /base, and knows of /other."""
+    bench = Bench()
+    for number, name in ((1, "/base"), (2, "/other")):
+        bench.give(OdometrySourceFound(bench.t_ns, number, f"{number:032x}", name))
+    go_on(bench, ticks)
+    return bench
+
+
+def go_on(bench: Bench, ticks: int = 1) -> None:
+    for _ in range(ticks):
+        sample(bench, 1, ORIGIN)
+        bench.battery(1.0)
+        bench.tick()
+
+
+@pytest.mark.parametrize("pose", [FAR, NEAR])
+def test_a_second_publisher_of_odometry_is_a_failed_start_condition(pose: Pose) -> None:
+    bench = bench_of_two()
+    sample(bench, 2, pose)
+    assert "two publishers, /base and /other" in start(bench)
+    assert bench.state.mode is Mode.IDLE
+    assert bench.state.health.odometry.pose == ORIGIN  # type: ignore[union-attr]
+
+
+def test_the_start_is_free_again_once_the_second_publisher_is_silent_for_the_timeout() -> None:
+    bench = bench_of_two()
+    sample(bench, 2, FAR)
+    go_on(bench, 26)  # 0.52 s
+    assert not start(bench)
+
+
+@pytest.mark.parametrize("pose", [FAR, TURNED, Pose(float("nan"), 0.0, 0.0)])
+def test_in_moving_a_second_publisher_that_contradicts_the_first_stops_the_robot(
+    pose: Pose,
+) -> None:
+    bench = bench_of_two()
+    assert not start(bench)
+    go_on(bench, 5)
+    sample(bench, 2, pose)
+    assert stopped_by(bench, Cause.ODOMETRY_CONTRADICTED, Mode.ERROR)
+    assert "/base and /other" in bench.state.reason
+    assert not reset(bench)
+    go_on(bench, 26)
+    assert reset(bench)
+
+
+def test_in_moving_a_second_publisher_that_agrees_is_counted_and_not_used() -> None:
+    bench = bench_of_two()
+    assert not start(bench)
+    go_on(bench, 5)
+    sample(bench, 2, NEAR)
+    assert bench.state.mode is Mode.MOVING
+    health = bench.state.health
+    assert health.odometry.pose == ORIGIN  # type: ignore[union-attr]
+    assert health.odometry_sources.dropped == 1
+
+
+def test_a_standing_robot_follows_another_publisher_once_the_first_is_silent() -> None:
+    bench = bench_of_two()
+    bench.t_ns += round(0.6 * NS_PER_S)
+    for _ in range(3):
+        sample(bench, 2, FAR)
+        bench.battery(1.0)
+        bench.tick()
+    assert bench.state.health.odometry_sources.followed == 2
+    assert not start(bench)
+
+
+def test_a_moving_robot_follows_no_other_publisher() -> None:
+    bench = bench_of_two()
+    assert not start(bench)
+    for _ in range(30):  # the first is silent
+        sample(bench, 2, NEAR)
+        bench.battery(1.0)
+        bench.tick()
+    assert bench.state.mode is Mode.ERROR
+    assert bench.state.cause is Cause.ODOMETRY_LOST
+
+
+def test_samples_that_cannot_be_true_are_counted() -> None:
+    bench = bench_of_two()
+    sample(bench, 1, Pose(float("inf"), 0.0, 0.0))
+    assert bench.state.health.odometry_sources.dropped == 1
+    assert bench.state.health.odometry_fault == "odometry is not finite"
+
+
+def test_an_orientation_that_is_none_is_dropped_and_named() -> None:
+    bench = bench_of_two()
+    sample(bench, 1, Pose(0.0, 0.0, float("nan")))
+    assert "no valid orientation" in bench.state.health.odometry_fault
+    assert bench.state.health.odometry.pose == ORIGIN  # type: ignore[union-attr]
