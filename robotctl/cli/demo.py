@@ -183,7 +183,7 @@ def _report(robot: str, outcome: Outcome, png: Path, *, keep: bool) -> Iterator[
     yield f"  messages    {found.message_count}, {outcome.missing_messages} lost"
     yield from tracking_lines(outcome.drive)
     heard = [topic for topic in found.topics if topic.message_count]
-    table = TopicTable(topic.name for topic in heard)
+    table = TopicTable((topic.name, topic.type_name) for topic in heard)
     yield f"\n{table.header}"
     for topic in heard:
         yield table.row(topic.name, topic.type_name, topic.message_count, topic.rate_hz)

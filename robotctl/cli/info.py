@@ -127,7 +127,7 @@ def info_screen(found: RecordingInfo) -> Iterator[str]:
     if not found.indexed:
         yield "  index      missing: the file was scanned from its beginning"
     yield f"  writer     {printable(found.library)}, profile {printable(found.profile) or 'none'}"
-    table = TopicTable(topic.name for topic in found.topics)
+    table = TopicTable((topic.name, topic.type_name) for topic in found.topics)
     if found.topics:
         yield ""
         yield table.header

@@ -9,7 +9,16 @@ import typer
 
 from robotctl.cli.control import source
 from robotctl.cli.options import Json, Robot, new_app
-from robotctl.cli.text import columns, elided, json_text, moment, printable, short_path, size
+from robotctl.cli.text import (
+    column_width,
+    columns,
+    elided,
+    json_text,
+    moment,
+    printable,
+    short_path,
+    size,
+)
 from robotctl.errors import UsageError
 from robotctl.ipc.client import call
 from robotctl.ipc.protocol import MAX_MARK_LENGTH
@@ -23,6 +32,8 @@ SPLIT_DEADLINE_S = 15.0
 
 _COUNTS = {"received": 8, "written": 8, "queued": 6, "dropped": 7, "lost": 6, "unseen": 6}
 """What is counted of each topic, and the width of its column."""
+
+_MIN_NAME_WIDTH = 24
 
 _COUNT_HEADER = " ".join(f"{title:>{width}}" for title, width in _COUNTS.items())
 
@@ -96,7 +107,9 @@ def status_lines(answer: dict[str, Any]) -> Iterator[str]:
     recorder = answer.get("recorder") or {}
     written = size(recorder.get("bytes") or 0)
     yield f"{printable(recorder.get('state'))}: {short_path(recorder.get('file'))}, {written}"
-    name_width = columns() - len("   ") - len(_COUNT_HEADER)
+    names = [topic.get("name") for topic in answer.get("topics") or []]
+    most = columns() - len("   ") - len(_COUNT_HEADER)
+    name_width = column_width(names, at_least=_MIN_NAME_WIDTH, at_most=most)
     yield f"  {'topic':{name_width}} {_COUNT_HEADER}"
     for topic in answer.get("topics") or []:
         known = {"received": topic.get("count"), **topic}

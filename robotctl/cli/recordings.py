@@ -11,7 +11,17 @@ import typer
 from robotctl.cli.library import RecordedBy, Recordings, find_recording, recordings_folder
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.progress import progress_bar
-from robotctl.cli.text import duration, elided, json_text, moment, printable, short_path, size
+from robotctl.cli.text import (
+    column_width,
+    columns,
+    duration,
+    elided,
+    json_text,
+    moment,
+    printable,
+    short_path,
+    size,
+)
 from robotctl.errors import Refused
 
 if TYPE_CHECKING:
@@ -26,6 +36,7 @@ Name = Annotated[
 ]
 
 _NAME_WIDTH = 26
+_OTHER_COLUMNS_WIDTH = 54
 
 
 @group.callback(invoke_without_command=True)
@@ -126,12 +137,15 @@ def _screen(place: Path, found: Sequence[ListedRecording]) -> Iterator[str]:
         yield f"no recordings in {short_path(place)} (begin one: robotctl start)"
         return
     yield f"{short_path(place)}: {size(sum(each.size_bytes for each in found))}"
-    yield (f"  {'name':{_NAME_WIDTH}} {'start':16} {'size':>8} {'duration':>11} {'laps':>4}  worst")
+    names = (each.path.name for each in found)
+    most = max(columns() - _OTHER_COLUMNS_WIDTH, _NAME_WIDTH)
+    width = column_width(names, at_least=_NAME_WIDTH, at_most=most)
+    yield (f"  {'name':{width}} {'start':16} {'size':>8} {'duration':>11} {'laps':>4}  worst")
     for each in found:
         begun_ns = each.start_ns or round(each.modified_s * 1e9)
         worst = "-" if each.worst is None else each.worst.value
         yield (
-            f"  {elided(each.path.name, _NAME_WIDTH):{_NAME_WIDTH}} {moment(begun_ns)[:16]} "
+            f"  {elided(each.path.name, width):{width}} {moment(begun_ns)[:16]} "
             f"{size(each.size_bytes):>8} {duration(each.duration_s):>11} {each.laps:>4}  "
             f"{worst:5} {', '.join(_remarks(each))}"
         ).rstrip()

@@ -21,7 +21,7 @@ def status_screen(status: dict[str, Any]) -> Iterator[str]:
     yield from (f"  {label:{_LABEL_WIDTH}} {text}" for label, text in status_rows(status))
     topics = status.get("topics") or []
     if topics:
-        table = TopicTable(topic.get("name") for topic in topics)
+        table = TopicTable((topic.get("name"), topic.get("type")) for topic in topics)
         yield ""
         yield table.header
         for topic in topics:

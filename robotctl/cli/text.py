@@ -6,10 +6,13 @@ import json
 import os
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 COLUMNS = 80
+
+UNLIMITED = 1 << 20
+"""In a pipe or a file: nothing is cut or wrapped, so that others can search and cut lines."""
 
 _LAST_MOMENT_NS = 253_402_300_800 * 10**9
 """The end of the year 9999."""
@@ -61,12 +64,23 @@ def short_path(path: object) -> str:
 
 
 def columns() -> int:
-    """How wide a line may be: 80 columns, or those of the terminal where it has fewer."""
+    """Return how wide a line may be: at most 80 columns on a terminal, UNLIMITED elsewhere."""
+    wide = _terminal_columns()
+    return UNLIMITED if wide is None else min(wide or COLUMNS, COLUMNS)
+
+
+def _terminal_columns() -> int | None:
+    """Return the columns of the terminal, 0 where it does not know them; None without one."""
     try:
-        wide = os.get_terminal_size(sys.stdout.fileno()).columns
-    except (OSError, ValueError):  # no terminal
-        return COLUMNS
-    return min(wide or COLUMNS, COLUMNS)  # 0 where the terminal does not know
+        return os.get_terminal_size(sys.stdout.fileno()).columns
+    except (OSError, ValueError):
+        return None
+
+
+def column_width(texts: Iterable[object], *, at_least: int, at_most: int) -> int:
+    """Return how wide a column is that shows these texts, within the limits."""
+    longest = max((len(printable(text)) for text in texts), default=0)
+    return min(max(longest, at_least), at_most)
 
 
 def is_terminal() -> bool:

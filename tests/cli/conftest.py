@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 import robotctl
-from robotctl.cli import app, launch
+from robotctl.cli import app, launch, text
 from robotctl.errors import NoDaemon
 from robotctl.ipc.client import Client
 from robotctl.processes import Child
@@ -79,6 +79,12 @@ def cli(capsys: pytest.CaptureFixture[str]) -> Callable[..., Ran]:
 
 
 @pytest.fixture
+def wide_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lines as on a terminal of 200 columns."""
+    monkeypatch.setattr(text, "_terminal_columns", lambda: 200)
+
+
+@pytest.fixture
 def daemon(cli: Callable[..., Ran]) -> None:
     """A daemon for robot 'robot' that runs until the test ends."""
     ran = cli("start")
@@ -87,7 +93,7 @@ def daemon(cli: Callable[..., Ran]) -> None:
 
 PROGRAM = """
 import sys
-from robotctl.cli import app, launch
+from robotctl.cli import app, launch, text
 launch.DAEMON = (sys.executable, sys.argv.pop(1))
 app.main()
 """

@@ -67,6 +67,7 @@ def test_many_are_checked_and_the_gravest_decides_the_exit_code(
     assert "1 of 4 recordings would be decided differently" in ran.err
 
 
+@pytest.mark.usefixtures("wide_terminal")
 def test_a_divergence_is_told_with_what_led_to_it(cli: Cli, written: list[Written]) -> None:
     record(Path("run"), diverging(written))
     ran = cli("replay", "run", "--check")

@@ -25,6 +25,7 @@ def mode() -> str:
     return str(call("robot", "status")["mode"])
 
 
+@pytest.mark.usefixtures("wide_terminal")
 def test_status_is_one_screen_of_80_columns(daemon: None, cli: Callable[..., Any]) -> None:
     ran = cli("status")
     lines = ran.out.splitlines()

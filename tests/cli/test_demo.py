@@ -22,6 +22,7 @@ def sockets(home: Path) -> list[str]:
     return [path.stem for path in (home / "run" / "robotctl").glob("*.sock")]
 
 
+@pytest.mark.usefixtures("wide_terminal")
 def test_the_demo_shows_recording_numbers_picture_and_what_comes_next(
     cli: Callable[..., Any], home: Path
 ) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from robotctl.paths import recordings_note_path
 from robotctl.recording.events import EventKind, RecordedEvent
-from robotctl.recording.recorder import Recorder
+from robotctl.recording.recorder import Recorder, Topic
 from robotctl.testing.recordings import START_NS, TWIST, read_strictly, write_numbered
 
 Cli = Callable[..., Any]
@@ -39,6 +39,7 @@ def library(tmp_path: Path) -> Path:
     return folder
 
 
+@pytest.mark.usefixtures("wide_terminal")
 def test_the_list_is_that_of_the_last_daemon_from_any_directory(library: Path, cli: Cli) -> None:
     ran = cli("recordings")
     assert ran.exit_code == 0
@@ -118,6 +119,20 @@ def test_info_takes_a_name_and_last(library: Path, cli: Cli) -> None:
     ran = cli("info", "last", "--robot", "r2")
     assert ran.exit_code == 4
     assert "no recording of robot 'r2'" in ran.err
+
+
+def test_a_table_in_a_pipe_is_not_cut(cli: Cli) -> None:
+    name = "a_recording_with_a_name_" + "of_many_words" * 10
+    topic = Topic("/a" * 60, "some_package/msg/" + "Type" * 30)
+    recorder = Recorder(Path("recordings") / name, on_failure=pytest.fail)
+    write_numbered(recorder, recorder.add_topic(topic), range(1, 10))
+    recorder.close()
+    assert f"  {name} " in cli("recordings").out
+    found = cli("info", name).out
+    (line,) = (line for line in found.splitlines() if topic.name in line)
+    assert line.split()[:3] == [topic.name, topic.type_name.replace("/msg/", "/"), "9"]
+    (header,) = (line for line in found.splitlines() if line.endswith("Hz"))
+    assert len(header) == len(line)
 
 
 HERE = "demo_7_20260102_120000"

@@ -15,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robotctl.cli.text import (
+    UNLIMITED,
     columns,
     duration,
     elided,
@@ -107,9 +108,10 @@ def test_a_line_is_as_wide_as_the_terminal_and_at_most_80_columns(
         assert columns() == taken
         monkeypatch.undo()
     os.close(controller)
-    assert columns() == 80
+    assert columns() == UNLIMITED
 
 
+@pytest.mark.usefixtures("wide_terminal")
 def test_long_text_is_wrapped_beside_its_label() -> None:
     assert list(row("  reason  ", "word " * 20)) == [
         "  reason  " + "word " * 13 + "word",

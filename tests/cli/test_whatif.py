@@ -20,6 +20,7 @@ def written() -> list[Written]:
     return drive(23.0, requests=[drive_requested(laps=1)])
 
 
+@pytest.mark.usefixtures("wide_terminal")
 def test_an_open_loop_says_that_the_robot_does_not_react(cli: Cli, written: list[Written]) -> None:
     record(Path("run"), written)
     ran = cli("replay", "run", "--what-if", "tracking.k_y=8")

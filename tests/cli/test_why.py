@@ -35,6 +35,7 @@ def test_the_last_recording_is_meant_where_none_is_named(cli: Cli, stopped: list
     assert ran.out == cli("why", "last").out == cli("why", str(FOLDER)).out
 
 
+@pytest.mark.usefixtures("wide_terminal")
 def test_the_lines_fit_and_nothing_steers_the_terminal(cli: Cli, stopped: list[Written]) -> None:
     record(FOLDER, stopped)
     out = cli("why", "--at", "2.1").out
