@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from collections.abc import Mapping
 from enum import StrEnum
@@ -19,6 +18,8 @@ from robotctl.cli.text import is_terminal, number, printable
 from robotctl.cli.watch import polled_until, show
 from robotctl.errors import RobotctlError, UsageError
 from robotctl.ipc.client import call, command_for
+from robotctl.kernel.drive import MAX_LAPS
+from robotctl.kernel.patterns import MAX_SIZE_M, MAX_SPEED_MPS, MIN_SIZE_M, MIN_SPEED_MPS
 from robotctl.paths import DEFAULT_ROBOT
 
 app = new_app()
@@ -76,9 +77,10 @@ def drive(
         raise UsageError(f"a {pattern.value} has no side: use --radius")
     if radius is not None and pattern is Pattern.SQUARE:
         raise UsageError("a square has no radius: use --side")
-    for option, value in (("--side", side), ("--radius", radius), ("--speed", speed)):
-        if value is not None and not math.isfinite(value):
-            raise UsageError(f"{option} {value}: give a finite number")
+    _check("--side", side, MIN_SIZE_M, MAX_SIZE_M, " m")
+    _check("--radius", radius, MIN_SIZE_M, MAX_SIZE_M, " m")
+    _check("--speed", speed, MIN_SPEED_MPS, MAX_SPEED_MPS, " m/s")
+    _check("--laps", laps, 0, MAX_LAPS)
     params = {
         "pattern": pattern.value,
         "side_m": side,
@@ -97,6 +99,12 @@ def drive(
     if wait:
         lines += tracking_lines(answer)
     tell(answer, lines, as_json=as_json)
+
+
+def _check(option: str, value: float | None, low: float, high: float, unit: str = "") -> None:
+    """Raise UsageError for a value that no robot takes; the daemon's own limits may be lower."""
+    if value is not None and not low <= value <= high:  # so is NaN
+        raise UsageError(f"{option} {value:g}", f"use {low:g} to {high:g}{unit}")
 
 
 def _drive_and_wait(robot: str, params: dict[str, Any], *, as_json: bool) -> dict[str, Any]:

@@ -24,6 +24,7 @@ from robotctl.cli.options import Json, new_app
 from robotctl.cli.progress import Progress, progress_bar
 from robotctl.cli.text import row, short_path
 from robotctl.errors import NoDaemon, Refused, RobotctlError, UnreadableFile, UsageError
+from robotctl.ipc.advice import advice
 from robotctl.ipc.client import Client
 from robotctl.paths import DEFAULT_ROBOT
 
@@ -172,16 +173,16 @@ def why_lines(found: Found) -> Iterator[str]:
     """Yield the sentences, as operators read them."""
     from robotctl.replay.why import explain
 
-    incident = found.incident
+    incident, robot = found.incident, robot_of(found.path) or DEFAULT_ROBOT
     told = explain(incident)
-    yield from row(f"{_clock(incident)}  ", told.what)
+    yield from row(f"{_clock(incident)}  ", advice(told.what, robot).sentence)
     rows = (
         ("came in", told.came_in),
         ("known", told.known),
         ("rule", told.rule),
         ("asked for", told.asked),
         *(("went out" if not i else "", text) for i, text in enumerate(told.went_out)),
-        ("since", told.since),
+        ("since", advice(told.since, robot).sentence),
         ("then", _later(found)),
         *(("missing", sentence) for sentence in found.missing),
     )
@@ -205,7 +206,7 @@ def as_object(found: Found) -> dict[str, Any]:
     from robotctl.replay.values import text_of
     from robotctl.replay.why import explain, rule_of
 
-    incident = found.incident
+    incident, robot = found.incident, robot_of(found.path) or DEFAULT_ROBOT
     told = explain(incident)
     rule = rule_of(incident)
     sent_ms = None if incident.zero_ns is None else (incident.zero_ns - incident.log_ns) / 1e6
@@ -219,17 +220,17 @@ def as_object(found: Found) -> dict[str, Any]:
         "mode_before": incident.before.mode.name if incident.before else None,
         "mode": incident.after.mode.name if incident.after else None,
         "cause": rule.cause.value if rule else None,
-        "cure": rule.cure if rule else None,
+        "cure": advice(rule.cure, robot).sentence if rule else None,
         "zero_after_ms": sent_ms,
         "event": text_of(incident.event),
         "effects": [text_of(effect) for effect in incident.effects],
-        "what": told.what,
+        "what": advice(told.what, robot).sentence,
         "came_in": told.came_in,
         "known": told.known,
         "rule": told.rule,
         "asked": told.asked,
         "went_out": list(told.went_out),
-        "since": told.since,
+        "since": advice(told.since, robot).sentence,
         "missing": list(found.missing),
     }
 

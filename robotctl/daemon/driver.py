@@ -126,7 +126,7 @@ class Driver:
         if params.battery.topic:
             BatterySubscriber(session, params.battery.topic, self._inputs.battery)
         self._modes = ModeService(session, robot, self._inputs.service_call)
-        self._driving = DrivingMethods(self._control, self._motion, params)
+        self._driving = DrivingMethods(self._control, self._motion, params, robot)
 
     def methods(self) -> Mapping[str, Method[Any]]:
         """Return what the control socket offers."""

@@ -11,12 +11,14 @@ from robotctl.daemon.control import Control
 from robotctl.daemon.motion import Motion
 from robotctl.daemon.requests import UnsavedReply
 from robotctl.errors import Refused, RobotctlError, UsageError
+from robotctl.ipc.advice import advice
 from robotctl.ipc.connection import Method
 from robotctl.ipc.params import DriveParams, NoParams, ResetParams, SetModeParams
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.patterns import Pattern, PatternKind
 from robotctl.kernel.types import DriveReport, DriveRequested, ModeRequested, Reply, ResetRequested
+from robotctl.paths import DEFAULT_ROBOT
 
 DEFAULT_SIZE_M = {
     PatternKind.SQUARE: 1.0,
@@ -32,7 +34,14 @@ MODE_DEADLINE_S = 30.0
 class DrivingMethods:
     """The handlers of the control socket that ask something of the robot."""
 
-    def __init__(self, control: Control, motion: Motion, params: KernelParams) -> None:
+    def __init__(
+        self,
+        control: Control,
+        motion: Motion,
+        params: KernelParams,
+        robot: str = DEFAULT_ROBOT,
+    ) -> None:
+        self._robot = robot
         self._control = control
         self._motion = motion
         self._params = params
@@ -73,12 +82,12 @@ class DrivingMethods:
             raise UsageError(f"{params.mode} is not a mode: use {names}")
         request_id = self._control.new_request_id()
         event = ModeRequested(time.monotonic_ns(), request_id, params.mode, params.source)
-        return _answer(await self._control.request(event))
+        return self._answer(await self._control.request(event))
 
     async def _reset(self, params: ResetParams) -> dict[str, Any]:
         request_id = self._control.new_request_id()
         event = ResetRequested(time.monotonic_ns(), request_id, params.source)
-        return _answer(await self._control.request(event))
+        return self._answer(await self._control.request(event))
 
     async def _drive(self, params: DriveParams) -> dict[str, Any]:
         kind = PatternKind(params.pattern)
@@ -90,6 +99,7 @@ class DrivingMethods:
                 f"a {kind.value} has no {'radius' if kind is PatternKind.SQUARE else 'side'}: "
                 f"use --{'side' if kind is PatternKind.SQUARE else 'radius'}"
             )
+        self._check_speed(params.speed_mps)
         request_id = self._control.new_request_id()
         event = DriveRequested(
             time.monotonic_ns(),
@@ -101,7 +111,7 @@ class DrivingMethods:
         )
         end = self._control.expect_end(request_id)
         try:
-            answer = _answer(await self._control.request(event))
+            answer = self._answer(await self._control.request(event))
             if not params.wait:
                 return answer
             ended = await end
@@ -111,8 +121,24 @@ class DrivingMethods:
         result = {"message": ended.reason, "mode": mode.name, **_figures(ended.report)}
         if not (ended.completed if event.laps else mode is Mode.IDLE):
             text = f"the drive ended after {ended.report.laps} laps: {ended.reason}"
-            raise Refused(text, answer=result)
+            raise Refused(*advice(text, self._robot), answer=result)
         return result
+
+    def _check_speed(self, speed_mps: float | None) -> None:
+        """Raise UsageError for a speed that this robot is configured not to drive."""
+        limit_mps = self._params.limits.linear_mps
+        if speed_mps is not None and speed_mps > limit_mps:
+            raise UsageError(
+                f"a speed of {speed_mps:g} m/s is above limits.linear_mps, {limit_mps:g} m/s",
+                f"use at most {limit_mps:g}, or start with a configuration that allows more",
+            )
+
+    def _answer(self, reply: Reply) -> dict[str, Any]:
+        if isinstance(reply, UnsavedReply):
+            raise RobotctlError(*advice(reply.message, self._robot))
+        if not reply.ok:
+            raise Refused(*advice(reply.message, self._robot))
+        return {"message": reply.message, "mode": reply.mode.name}
 
 
 def _figures(report: DriveReport) -> dict[str, float | None]:
@@ -121,11 +147,3 @@ def _figures(report: DriveReport) -> dict[str, float | None]:
         name: value if isfinite(value) else None
         for name, value in dataclasses.asdict(report).items()
     }
-
-
-def _answer(reply: Reply) -> dict[str, Any]:
-    if isinstance(reply, UnsavedReply):
-        raise RobotctlError(reply.message)
-    if not reply.ok:
-        raise Refused(reply.message)
-    return {"message": reply.message, "mode": reply.mode.name}

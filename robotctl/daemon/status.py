@@ -11,6 +11,7 @@ from robotctl import __version__
 from robotctl.daemon.options import DaemonOptions
 from robotctl.daemon.recorder_report import RecorderReport
 from robotctl.domains import discovery_range, is_on_this_machine_only
+from robotctl.ipc.advice import advice
 from robotctl.paths import log_path, socket_path
 
 PartWarning = Callable[[], str]
@@ -60,13 +61,16 @@ class StatusSource:
 
     def status(self) -> dict[str, Any]:
         """Return the object of `robotctl status --json`."""
+        robot, facts = self._options.robot, self._robot.facts()
+        if facts["mode_reason"]:
+            facts["mode_reason"] = advice(facts["mode_reason"], robot).sentence
         return {
-            "robot": self._options.robot,
+            "robot": robot,
             "version": __version__,
             "pid": os.getpid(),
-            **self._robot.facts(),
+            **facts,
             **self._recording.facts(),
-            "warnings": list(self._warnings()),
+            "warnings": [advice(warning, robot).sentence for warning in self._warnings()],
             "domain_id": self._options.domain_id,
             "discovery_range": discovery_range(),
             "scheduling": self._scheduling,

@@ -14,7 +14,7 @@ from typing import Any, Generic, TypeVar
 import msgspec
 
 from robotctl.errors import NoDaemon, Refused, RobotctlError, UsageError
-from robotctl.ipc.params import HelloParams
+from robotctl.ipc.params import HelloParams, decode
 from robotctl.ipc.protocol import (
     MAX_REQUEST_BYTES,
     MAX_RESPONSE_BYTES,
@@ -274,11 +274,10 @@ class Connection:
 
 def _decode(request: Request, kind: type[P]) -> P:
     try:
-        return msgspec.convert(request.params, type=kind)
-    except msgspec.ValidationError as error:
-        problem, _, where = str(error).partition(" - at `$.")
-        text = f"{where.rstrip('`')}: {problem}" if where else problem
-        raise _Rejected(Code.INVALID_PARAMS, UsageError(f"{request.method}: {text}")) from None
+        return decode(request.params, kind)
+    except UsageError as error:
+        text = f"{request.method}: {error}"
+        raise _Rejected(Code.INVALID_PARAMS, UsageError(text)) from None
 
 
 def _encode_result(request_id: int | str, result: object) -> bytes:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from reprlib import repr as short_repr
+from typing import Annotated, Any, Literal, TypeVar
 
+import msgspec
 from msgspec import Meta, Struct
 
+from robotctl.errors import UsageError
 from robotctl.ipc.protocol import MAX_MARK_LENGTH
 from robotctl.kernel.drive import MAX_LAPS
 from robotctl.kernel.patterns import MAX_SIZE_M, MAX_SPEED_MPS, MIN_SIZE_M, MIN_SPEED_MPS
@@ -61,3 +64,50 @@ class DriveParams(Struct, frozen=True, forbid_unknown_fields=True):
     speed_mps: Annotated[float, Meta(ge=MIN_SPEED_MPS, le=MAX_SPEED_MPS)] | None = None
     replace: bool = False
     wait: bool = False
+
+
+P = TypeVar("P")
+
+
+def decode(given: dict[str, Any], kind: type[P]) -> P:
+    """Return the parameters as `kind`; raises UsageError, which names value and limits."""
+    try:
+        return msgspec.convert(given, type=kind)
+    except msgspec.ValidationError:
+        raise UsageError(_refusal(given, kind)) from None
+
+
+def _refusal(given: dict[str, Any], kind: type[Any]) -> str:
+    fields = {field.name: field for field in msgspec.structs.fields(kind)}
+    for name, value in given.items():
+        if name not in fields:
+            known = f"use {', '.join(fields)}" if fields else "there are none"
+            return f"no parameter {name[:40]!r}: {known}"
+        try:
+            msgspec.convert(value, type=fields[name].type)
+        except msgspec.ValidationError:
+            return f"{name}: {short_repr(value)} is not allowed: use {_allowed(fields[name].type)}"
+    missing = [name for name, field in fields.items() if field.required and name not in given]
+    return f"{', '.join(missing)}: missing"
+
+
+def _allowed(kind: Any) -> str:
+    """Return in words what a parameter may be."""
+    from msgspec import inspect
+
+    info = inspect.type_info(kind)
+    if isinstance(info, inspect.UnionType):
+        (info,) = (each for each in info.types if not isinstance(each, inspect.NoneType))
+    match info:
+        case inspect.IntType(ge=None, le=None):
+            return "a whole number"
+        case inspect.IntType(ge=low, le=high):
+            return f"a whole number from {low} to {high}"
+        case inspect.FloatType(ge=low, le=high):
+            return f"a number from {low:g} to {high:g}"
+        case inspect.StrType(min_length=low, max_length=high):
+            return f"a text of {low or 0} to {high} characters"
+        case inspect.LiteralType(values=values):
+            return ", ".join(map(str, values))
+        case _:
+            return "true or false"

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from robotctl.daemon.driving import DrivingMethods
-from robotctl.errors import Refused
+from robotctl.errors import Refused, UsageError
 from robotctl.ipc.params import DriveParams
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
@@ -81,3 +81,12 @@ async def test_a_drive_without_end_that_a_fault_ends_is_refused(mode: Mode) -> N
     assert (await wait_for(ended, Mode.IDLE, laps=0))["message"] == "stopped"
     with pytest.raises(Refused):
         await wait_for(ended, mode, laps=0)
+
+
+async def test_a_speed_above_the_configured_limit_is_refused_by_name() -> None:
+    nobody: Any = None  # is asked
+    drive = DrivingMethods(nobody, nobody, KernelParams()).table()["drive"].handler
+    with pytest.raises(UsageError, match=r"5 m/s is above limits.linear_mps, 0.6 m/s: use at most"):
+        await drive(DriveParams(pattern="circle", source="test", speed_mps=5.0))
+    with pytest.raises(AttributeError):  # the kernel is asked
+        await drive(DriveParams(pattern="circle", source="test", speed_mps=0.6))
