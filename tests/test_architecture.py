@@ -16,6 +16,7 @@ ROOT = Path(robotctl.__file__).parent
 
 BOTTOM = {
     *("errors", "paths", "trust", "config", "environment", "domains", "processes", "streams"),
+    "printable",
     "__init__",
 }
 """Modules beside the packages, below all of them but the kernel."""

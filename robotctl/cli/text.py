@@ -9,6 +9,8 @@ import time
 from collections.abc import Iterable, Iterator
 from typing import Any
 
+from robotctl.printable import printable as printable
+
 COLUMNS = 80
 
 UNLIMITED = 1 << 20
@@ -16,14 +18,6 @@ UNLIMITED = 1 << 20
 
 _LAST_MOMENT_NS = 253_402_300_800 * 10**9
 """The end of the year 9999."""
-
-
-def printable(text: object) -> str:
-    """`text` on one line, with whatever is not plainly printable shown escaped."""
-    line = str(text)
-    if line.isprintable():
-        return line
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
 
 
 def json_text(value: object) -> str:

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 
 from robotctl.daemon.log_queue import StderrQueue
 from robotctl.daemon.log_repeats import Repeats
+from robotctl.printable import printable
 
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 
@@ -22,7 +23,7 @@ class PlainFormatter(logging.Formatter):
         Colours are left out because libraries colour what they say, and escaped they are noise.
         """
         lines = _COLOUR.sub("", super().formatMessage(record)).split("\n")
-        return "\n    ".join(_escaped(line) for line in lines)
+        return "\n    ".join(printable(line) for line in lines)
 
 
 class QueueHandler(logging.Handler):
@@ -64,7 +65,3 @@ def log_to_stderr() -> Iterator[None]:
             logging.captureWarnings(False)
             root.removeHandler(handler)
             handler.close()
-
-
-def _escaped(line: str) -> str:
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)

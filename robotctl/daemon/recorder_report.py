@@ -77,7 +77,7 @@ class RecorderReport:
                 f"{stats.dropped} messages are not recorded, most of {worst.name}: "
                 "they came faster than the disk writes, or are larger than the queue"
             )
-        yield from self._tap.problems.values()
+        yield from self._tap.warnings()
         yield from self._heavy_warnings
         yield from self._problems
 

@@ -22,6 +22,7 @@ from robotctl.recording.merge import in_order_written, merge
 from robotctl.recording.recording_files import absent_files, recording_files
 from robotctl.recording.recording_info import RecordingInfo, TopicInfo, describe, metadata_in
 from robotctl.recording.source import ALWAYS, Message, OpenFile, Window
+from robotctl.recording.type_names import type_name_of
 
 __all__ = [
     "Message",
@@ -124,7 +125,7 @@ class Recording:
         for each in self._files:
             for channel in each.index.channels.values():
                 schema = each.index.schemas.get(channel.schema_id)
-                key = channel.topic, schema.name if schema else ""
+                key = channel.topic, type_name_of(channel, schema)
                 channels.setdefault(key, (channel, schema))
         return channels
 

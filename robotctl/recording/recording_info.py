@@ -11,6 +11,7 @@ from mcap.records import Metadata
 from robotctl.recording.events import RecordedEvent, events_in
 from robotctl.recording.file_index import FileIndex
 from robotctl.recording.source import OpenFile
+from robotctl.recording.type_names import type_name_of
 
 _QOS_KEY = "offered_qos_profiles"
 _HASH_KEY = "topic_type_hash"
@@ -93,7 +94,7 @@ def _topics(indexes: list[FileIndex], duration_s: float) -> tuple[TopicInfo, ...
     for index in indexes:
         for channel in index.channels.values():
             schema = index.schemas.get(channel.schema_id)
-            type_name = schema.name if schema else ""
+            type_name = type_name_of(channel, schema)
             known = topics.get((channel.topic, type_name))
             count = index.counts.get(channel.id, 0) + (known.message_count if known else 0)
             topics[channel.topic, type_name] = TopicInfo(

@@ -19,6 +19,7 @@ from robotctl.recording.mcap_input import (
     walk_records,
 )
 from robotctl.recording.message_compression import MessageDecompressor
+from robotctl.recording.type_names import type_name_of
 
 Window = tuple[int, int]
 """The first and the last log time that are wanted [ns]."""
@@ -201,9 +202,7 @@ def sources(
 def names_of(index: FileIndex, topics: Collection[str] | None = None) -> dict[int, tuple[str, str]]:
     """Topic and type of each channel in a file whose topic is one of `topics` (None: all)."""
     return {
-        channel.id: (channel.topic, index.schemas[channel.schema_id].name)
-        if channel.schema_id in index.schemas
-        else (channel.topic, "")
+        channel.id: (channel.topic, type_name_of(channel, index.schemas.get(channel.schema_id)))
         for channel in index.channels.values()
         if topics is None or channel.topic in topics
     }

@@ -11,6 +11,7 @@ from typing import Final
 from rclpy.node import Node
 
 from robotctl.domains import is_on_this_machine_only, participants_here
+from robotctl.ros import graph
 
 _DISCOVERY_TOPIC: Final = "ros_discovery_info"
 """By it every process of ROS says which endpoints each of its nodes has."""
@@ -56,10 +57,10 @@ class Discovery:
 
 def _known(node: Node) -> Iterator[tuple[str, str, bytes]]:
     """Every endpoint in the domain: its topic, its node's name, and its identity."""
-    for topic, _ in node.get_topic_names_and_types(no_demangle=True):
-        for infos in (node.get_publishers_info_by_topic, node.get_subscriptions_info_by_topic):
-            for info in infos(topic, no_mangle=True):
-                yield topic, info.node_name, bytes(info.endpoint_gid)
+    for topic in graph.topics(node, dds_names=True):
+        for endpoints in (graph.publishers, graph.subscriptions):
+            for each in endpoints(node, topic, dds_names=True):
+                yield topic, each.node_name, each.gid
 
 
 def _heard(known: frozenset[tuple[str, str, bytes]]) -> int:

@@ -1,30 +1,89 @@
-"""From the name of an installed type to its class."""
+"""From the name of an installed type to its class. No other name is imported.
+
+Any process of the domain chooses the type names of its topics, and the writer of a file those of
+its channels: neither may choose what Python imports.
+"""
 
 from __future__ import annotations
 
+import re
+import threading
+from functools import lru_cache
 from importlib import import_module
-from typing import Any
+from typing import Any, NamedTuple
+
+from ament_index_python.resources import get_resource
+
+MAX_TYPE_NAME = 255
+"""Characters; no longer name fits into what Fast DDS announces."""
+
+_CALL = r"(?:_Request|_Response|_Event)?"
+_IMPLIED = {
+    "msg": "",
+    "srv": _CALL,
+    "action": rf"(?:_Goal|_Result|_Feedback|_FeedbackMessage|_(?:SendGoal|GetResult){_CALL})?",
+}
+"""What a service and an action imply besides themselves, by kind."""
+
+_TYPE_NAMES = {
+    kind: re.compile(rf"([a-z](?:_?[a-z0-9])*)/{kind}/([A-Z][A-Za-z0-9]*){implied}")
+    for kind, implied in _IMPLIED.items()
+}
+"""The names that rosidl allows (rosidl_adapter.parser)."""
 
 
+class UnusableType(ImportError):
+    """A type that cannot be had here; the text goes on after "the type, which"."""
+
+
+class TypeName(NamedTuple):
+    """`package/kind/short`; `interface` is the installed one that `short` is, or is implied by."""
+
+    package: str
+    kind: str
+    short: str
+    interface: str
+
+
+def parse_type_name(type_name: str) -> TypeName:
+    """Split a name; raises UnusableType where ROS has no such names."""
+    if len(type_name) <= MAX_TYPE_NAME:
+        for kind, pattern in _TYPE_NAMES.items():
+            if match := pattern.fullmatch(type_name):
+                return TypeName(match[1], kind, type_name.rpartition("/")[2], match[2])
+    raise UnusableType("is not the name of a ROS type")
+
+
+@lru_cache(maxsize=1024)
 def message_class(type_name: str) -> Any:
-    """Return the class of `pkg/msg/T`; raises ImportError where it is not installed.
+    """Return the class of `pkg/msg/T`, or of a type that a service or an action implies.
 
-    Types that services and actions imply are found as well: `pkg/srv/T_Event`,
-    `pkg/action/T_FeedbackMessage`, `pkg/action/T_SendGoal_Event`.
+    Raises UnusableType where the ament index does not list the interface, and where loading it
+    fails, whatever it raises.
     """
+    name = parse_type_name(type_name)
+    if not _is_installed(name):
+        raise UnusableType("is not installed")
     try:
-        package, kind, short = type_name.split("/")
-    except ValueError:
-        raise ImportError(f"{type_name!r} is not the name of a type") from None
-    module = import_module(f"{package}.{kind}")
-    interface = getattr(module, interface_of(short), None)
-    if interface is not None:  # what it implies is defined beside it, and not always exported
-        module = import_module(interface.__module__)
-    if not hasattr(module, short):
-        raise ImportError(f"{package} has no {kind} {short}")
-    return getattr(module, short)
+        module = import_module(f"{name.package}.{name.kind}")
+        # What an interface implies is defined beside it, and not always exported.
+        module = import_module(getattr(module, name.interface).__module__)
+        return getattr(module, name.short)
+    except BaseException as error:
+        if isinstance(error, KeyboardInterrupt) and _is_ctrl_c():
+            raise
+        raise UnusableType(f"cannot be loaded ({type(error).__name__}: {error})") from error
 
 
-def interface_of(short: str) -> str:
-    """Return T of `T_Event` and the like; an interface's own name has no underscore."""
-    return short.partition("_")[0]
+def _is_installed(name: TypeName) -> bool:
+    try:
+        content, _ = get_resource("rosidl_interfaces", name.package)
+    except (OSError, ValueError, LookupError):
+        return False
+    listed = {line.strip().rpartition(".")[0] for line in content.splitlines()}
+    return f"{name.kind}/{name.interface}" in listed
+
+
+def _is_ctrl_c() -> bool:
+    """Python raises what a signal asks for in the main thread only."""
+    return threading.current_thread() is threading.main_thread()

@@ -87,7 +87,7 @@ def _set_callback(signal: Signal, pointer: int, callback: int | None, data: int 
     code = _setter(signal)(pointer, callback, data)
     if code == _RET_OK:
         return
-    reason = _take_error_text()
+    reason = take_error_text()
     if code == _RET_UNSUPPORTED:
         raise UnsupportedPlatform(
             f"the middleware does not announce new data ({signal.name.lower()}: {reason}); "
@@ -121,7 +121,9 @@ class _ErrorString(ctypes.Structure):
     _fields_ = (("text", ctypes.c_char * 1024),)
 
 
-class _Allocator(ctypes.Structure):
+class Allocator(ctypes.Structure):
+    """rcutils_allocator_t"""
+
     _fields_ = tuple(
         (name, ctypes.c_void_p)
         for name in ("allocate", "deallocate", "reallocate", "zero_allocate", "state")
@@ -135,21 +137,22 @@ class _SerializedMessage(ctypes.Structure):
         ("buffer", ctypes.c_void_p),
         ("length", ctypes.c_size_t),
         ("capacity", ctypes.c_size_t),
-        ("allocator", _Allocator),
+        ("allocator", Allocator),
     )
 
 
 @cache
-def _rcutils() -> Any:
+def rcutils() -> Any:
+    """The library of allocators and error texts; the GIL is kept."""
     library = ctypes.PyDLL("librcutils.so")
-    library.rcutils_get_default_allocator.restype = _Allocator
+    library.rcutils_get_default_allocator.restype = Allocator
     library.rcutils_get_error_string.restype = _ErrorString
     return library
 
 
-def _take_error_text() -> str:
+def take_error_text() -> str:
     """rcl's reason for the last failure in this thread, which is then forgotten."""
-    library = _rcutils()
+    library = rcutils()
     text: bytes = library.rcutils_get_error_string().text
     library.rcutils_reset_error()
     return text.decode(errors="replace")
@@ -210,7 +213,7 @@ class SerializedTaker:
         """Take from the rcl_subscription_t at `pointer`, which must outlive this object."""
         self._pointer = pointer
         self._take = _take_serialized()
-        self._message = _SerializedMessage(allocator=_rcutils().rcutils_get_default_allocator())
+        self._message = _SerializedMessage(allocator=rcutils().rcutils_get_default_allocator())
         self._message_address = ctypes.addressof(self._message)
         self._head = (ctypes.c_size_t * 3).from_buffer(self._message)
         self._info_memory = ctypes.create_string_buffer(_MESSAGE_INFO_SIZE)
@@ -237,7 +240,7 @@ class SerializedTaker:
             return self._buffer[:length], received_ns, source_ns, sequence, gid
         if code == _RET_SUBSCRIPTION_TAKE_FAILED:
             return None
-        raise RclCallFailed(f"rcl_take_serialized_message failed with {code}: {_take_error_text()}")
+        raise RclCallFailed(f"rcl_take_serialized_message failed with {code}: {take_error_text()}")
 
     def info(self) -> dict[str, int | None]:
         """What rclpy tells a callback of two arguments, about the message that was taken last."""
@@ -252,7 +255,7 @@ class SerializedTaker:
     def close(self) -> None:
         """Give the buffer back; the object takes nothing any more."""
         self._buffer = None
-        _rcutils().rcutils_uint8_array_fini(self._message_address_argument())
+        rcutils().rcutils_uint8_array_fini(self._message_address_argument())
 
     def _message_address_argument(self) -> ctypes.c_void_p:
         return ctypes.c_void_p(self._message_address)

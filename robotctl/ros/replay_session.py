@@ -3,13 +3,11 @@
 
 from __future__ import annotations
 
-import re
 import threading
 import time
 from collections.abc import Callable
 from typing import Any, Final
 
-from ament_index_python.resources import has_resource
 from rclpy.client import Client
 from rclpy.duration import Duration
 from rclpy.exceptions import InvalidTopicNameException
@@ -17,9 +15,11 @@ from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.publisher import Publisher
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 
+from robotctl.printable import short_name
+from robotctl.ros import graph
 from robotctl.ros.discovery import Discovery
 from robotctl.ros.membership import NODE_NAME, Membership
-from robotctl.ros.message_types import message_class
+from robotctl.ros.message_types import UnusableType, message_class
 from robotctl.ros.recorded_qos import replay_qos
 from robotctl.ros.replay_senders import RequestSender, clock_sender, patient_sender, sender
 from robotctl.ros.type_definition import type_hash_of
@@ -47,7 +47,6 @@ ACKNOWLEDGE_S: Final = 7.0
 """A message that was lost is asked for at the next heartbeat, which may be due only after 3 s."""
 
 _POLL_S: Final = 0.02
-_TYPE_NAME = re.compile(r"([a-z][a-z0-9_]*)/(?:msg|srv|action)/[A-Za-z][A-Za-z0-9_]*")
 
 
 class Unpublishable(Exception):
@@ -90,7 +89,7 @@ class ReplaySession:
         """The full names of the other nodes that publish the topic."""
         return sorted(
             f"{info.node_namespace.rstrip('/')}/{info.node_name}"
-            for info in self._node.get_publishers_info_by_topic(topic)
+            for info in graph.publishers(self._node, topic)
             if info.node_name != NODE_NAME
         )
 
@@ -98,9 +97,9 @@ class ReplaySession:
         """The names of the robots whose daemons are in this domain, whoever runs them."""
         return sorted(
             info.node_namespace.strip("/") or "robot"
-            for topic, types in self._node.get_topic_names_and_types()
+            for topic, types in graph.topics(self._node).items()
             if DAEMON_TYPE in types
-            for info in self._node.get_publishers_info_by_topic(topic)
+            for info in graph.publishers(self._node, topic)
             if info.node_name != NODE_NAME
         )
 
@@ -203,11 +202,7 @@ class ReplaySession:
 
 
 def _installed_class(type_name: str) -> Any:
-    match = _TYPE_NAME.fullmatch(type_name)
-    # The index is asked first: a file must not choose what Python imports.
-    if match is None or not has_resource("rosidl_interfaces", match[1]):
-        raise Unpublishable(f"has type {type_name}, which is not installed")
     try:
         return message_class(type_name)
-    except ImportError:
-        raise Unpublishable(f"has type {type_name}, which is not installed") from None
+    except UnusableType as error:
+        raise Unpublishable(f"has type {short_name(type_name)}, which {error}") from None

@@ -6,19 +6,19 @@ import asyncio
 import logging
 import resource
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from itertools import count
-from typing import Any
+from itertools import count, islice
 
 from rclpy.qos import QoSProfile
 
-from robotctl.ros import proof, qos
-from robotctl.ros.message_types import message_class
+from robotctl.printable import printable, short_name
+from robotctl.ros import graph, proof, qos
 from robotctl.ros.raw import Sink
 from robotctl.ros.session import RECORDER_NODE, Session
 from robotctl.ros.tapped import LATENCY_S, TappedSubscription
 from robotctl.ros.type_definition import definition_of, type_hash_of
+from robotctl.ros.type_loader import SLOW_LOAD_S, TypeLoader
 
 _log = logging.getLogger(__name__)
 
@@ -39,6 +39,15 @@ ABANDONED_S = 60.0
 
 RESERVED_FILES = 256
 """Open files that the rest of the process may need; each subscription takes one."""
+
+MAX_WARNINGS = 50
+"""Topics that are named as not recorded; of more than that, the number is told."""
+
+MAX_TYPES_NAMED = 5
+"""Other types of a topic that its sentence names."""
+
+MAX_SAID = 1_000
+"""Such sentences that the log gets: a neighbour may invent new topics forever."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +87,10 @@ class Tap:
         self._left_out: dict[str, list[str]] = {}
         """Topic -> its types when it was found that none of them is to be taken."""
 
+        self._failed: set[str] = set()
+        """Topics that are left out for a failure that may pass; they are tried again."""
+
+        self._types = TypeLoader()
         self._looks = count()
         self._said: set[str] = set()
         self.problems: dict[str, str] = {}
@@ -87,7 +100,7 @@ class Tap:
         """Watch the graph until cancelled."""
         while True:
             await self._look()
-            await asyncio.sleep(POLL_S)
+            await self._types.pause(POLL_S)
 
     def subscribe_own(
         self,
@@ -119,49 +132,91 @@ class Tap:
         self._reserved.add(topic.name)
         return self._open_sink(topic)
 
+    def warnings(self) -> Iterator[str]:
+        """Say what is not recorded, and why: a sentence for each topic, up to MAX_WARNINGS."""
+        yield from islice(self.problems.values(), MAX_WARNINGS)
+        if len(self.problems) > MAX_WARNINGS:
+            yield f"{len(self.problems) - MAX_WARNINGS} more topics are not recorded, or not whole"
+
     async def _look(self) -> None:
         look = next(self._looks)
-        present = dict(self._node.get_topic_names_and_types())
+        present = graph.topics(self._node)
         for number, (topic, type_names) in enumerate(present.items()):
             if number % TOPICS_PER_TURN == TOPICS_PER_TURN - 1:
                 await asyncio.sleep(0)
-            tapped = self._tapped.get(topic)
-            turn = (look + number) % LOOKS_PER_INSPECTION
-            if tapped is not None:
-                mixed = len(type_names) > 1 or topic in self.problems
-                if mixed or turn % LOOKS_PER_COUNT == 0:
-                    self._follow(tapped, inspect=mixed or turn == 0)
-            elif self._left_out.get(topic) != type_names and topic not in self._reserved:
-                await self._tap(topic, type_names)
+            try:
+                self._look_at(topic, type_names, (look + number) % LOOKS_PER_INSPECTION)
+            except Exception as error:  # noqa: BLE001 - somebody else's topic must not stop us
+                self._give_up(topic, type_names, error)
         for topic in (self._left_out.keys() | self.problems.keys()) - present.keys():
             self._left_out.pop(topic, None)
+            self._failed.discard(topic)
             self.problems.pop(topic, None)
 
-    async def _tap(self, topic: str, type_names: list[str]) -> None:
-        """Subscribe to what is published there, if it can be had and is wanted."""
-        if not self._node.count_publishers(topic) or topic.startswith(proof.TOPIC_PREFIX):
+    def _look_at(self, topic: str, type_names: list[str], turn: int) -> None:
+        tapped = self._tapped.get(topic)
+        if tapped is not None:
+            mixed = len(type_names) > 1 or topic in self.problems
+            if mixed or turn % LOOKS_PER_COUNT == 0:
+                self._follow(tapped, inspect=mixed or turn == 0)
+        elif topic not in self._reserved:
+            again = turn == 0 and topic in self._failed
+            if again or self._left_out.get(topic) != type_names:
+                self._tap(topic, type_names)
+
+    def _tap(self, topic: str, type_names: list[str]) -> None:
+        """Subscribe to what is published there, if it can be had and is wanted.
+
+        Raises whatever rclpy and the sink raise.
+        """
+        if topic.startswith(proof.TOPIC_PREFIX):
+            return
+        if not graph.is_topic_name(topic):
+            if graph.publishers(self._node, topic):
+                self._leave_out(topic, type_names, "ROS does not allow its name")
+            return
+        if not self._node.count_publishers(topic):
             return
         offered = self._offered(topic)
         problem = ""
         for type_name in offered:
             if not self._wanted(topic, type_name):
                 continue
-            try:
-                # Loading a foreign type takes tens of milliseconds, which the loop does not have.
-                await asyncio.to_thread(_load, type_name)
+            unusable = self._types.problem(type_name)
+            if unusable is None:
+                self._await(topic, type_name)
+                return
+            if not unusable:
                 self._subscribe(topic, type_name, offered[type_name])
-            except ImportError:
-                problem = f"it has type {type_name}, which is not installed"
-            except TooManyTopics as error:
-                problem = f"there are {error}"
-            except Exception as error:  # noqa: BLE001 - somebody else's topic must not stop us
-                problem = f"it cannot be subscribed to ({type(error).__name__}: {error})"
-            else:
+                self._failed.discard(topic)
                 self._tell_types(topic, type_name, list(offered))
                 return
+            problem = f"it has type {short_name(type_name)}, which {unusable}"
+        self._leave_out(topic, type_names, problem)
+
+    def _await(self, topic: str, type_name: str) -> None:
+        """Look again when the type is loaded; say it where that takes long."""
+        if self._types.is_slow(type_name):
+            problem = f"its type {type_name} is not loaded after {SLOW_LOAD_S:g} s"
+            self._note(topic, f"{topic} is not recorded yet: {problem}")
+
+    def _leave_out(self, topic: str, type_names: list[str], problem: str) -> None:
         self._left_out[topic] = type_names
         if problem:
-            self._note(topic, f"{topic} is not recorded: {problem}")
+            self._note(topic, f"{short_name(topic)} is not recorded: {problem}")
+
+    def _give_up(self, topic: str, type_names: list[str], error: Exception) -> None:
+        """Go on without a topic that cannot be subscribed to."""
+        tapped = self._tapped.pop(topic, None)
+        if tapped is not None:
+            tapped.close()
+        if isinstance(error, TooManyTopics):
+            problem = f"there are {error}"
+        else:
+            reason = printable(f"{type(error).__name__}: {error}")
+            problem = f"it cannot be subscribed to ({reason})"
+            self._failed.add(topic)
+        self._leave_out(topic, type_names, problem)
 
     def _follow(self, tapped: TappedSubscription, *, inspect: bool) -> None:
         """Go along with publishers that come and go, and with what they offer."""
@@ -181,7 +236,10 @@ class Tap:
 
     def _tell_types(self, topic: str, recorded: str, published: list[str]) -> None:
         """Name the types of a topic that are published and not recorded."""
-        others = ", ".join(name for name in published if name != recorded)
+        names = [short_name(name) for name in published if name != recorded]
+        others = ", ".join(names[:MAX_TYPES_NAMED])
+        if len(names) > MAX_TYPES_NAMED:
+            others += f" and {len(names) - MAX_TYPES_NAMED} more"
         if others:
             self._note(topic, f"{topic} is recorded as {recorded}, not as {others}")
         else:
@@ -189,7 +247,7 @@ class Tap:
 
     def _note(self, topic: str, problem: str) -> None:
         self.problems[topic] = problem
-        if problem not in self._said:
+        if problem not in self._said and len(self._said) < MAX_SAID:
             self._said.add(problem)
             _log.warning("%s", problem)
 
@@ -217,7 +275,7 @@ class Tap:
     def _offered(self, topic: str) -> dict[str, list[QoSProfile]]:
         """What the publishers of a topic offer, by its types; the one with most comes first."""
         found: dict[str, list[QoSProfile]] = {}
-        for info in self._node.get_publishers_info_by_topic(topic):
+        for info in graph.publishers(self._node, topic):
             found.setdefault(info.topic_type, []).append(info.qos_profile)
         return dict(sorted(found.items(), key=lambda entry: (-len(entry[1]), entry[0])))
 
@@ -238,10 +296,3 @@ def _is_abandoned(tapped: TappedSubscription) -> bool:
     if tapped.abandoned_since is None:
         tapped.abandoned_since = now
     return now >= tapped.abandoned_since + ABANDONED_S
-
-
-def _load(type_name: str) -> Any:
-    message_type = message_class(type_name)
-    definition_of(type_name)
-    type_hash_of(type_name)
-    return message_type

@@ -10,7 +10,7 @@ from typing import Any
 
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 
-from robotctl.ros.message_types import interface_of
+from robotctl.ros.message_types import UnusableType, parse_type_name
 from robotctl.ros.type_description import texts_of
 
 _SEPARATOR = "=" * 80
@@ -20,7 +20,7 @@ _BUILT_IN = frozenset(
     {"bool", "byte", "char", "float32", "float64", "string", "wstring"}
     | {f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)}
 )
-_UNKNOWN = (OSError, PackageNotFoundError, ValueError, KeyError)
+_UNKNOWN = (OSError, PackageNotFoundError, UnusableType, ValueError, KeyError)
 """What a type that is not installed, or not as ROS 2 Jazzy installs types, ends in."""
 
 
@@ -33,9 +33,9 @@ def definition_of(type_name: str) -> str:
     services and actions imply has no such file, and its text is made from its fields.
     """
     try:
-        package, kind, short = type_name.split("/")
-        if kind == "msg":
-            texts = _texts_of_message(f"{package}/{short}")
+        name = parse_type_name(type_name)
+        if name.kind == "msg":
+            texts = _texts_of_message(f"{name.package}/{name.short}")
         else:
             texts = texts_of(type_name, _described(type_name)["type_description_msg"])
     except _UNKNOWN:
@@ -83,8 +83,8 @@ def _texts_of_message(root: str) -> dict[str, str]:
 
 
 def _described(type_name: str) -> Any:
-    package, kind, short = type_name.split("/")
-    return json.loads(_interface_file(package, kind, f"{interface_of(short)}.json"))
+    name = parse_type_name(type_name)
+    return json.loads(_interface_file(name.package, name.kind, f"{name.interface}.json"))
 
 
 def _interface_file(package: str, kind: str, name: str) -> str:

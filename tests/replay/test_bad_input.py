@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Awaitable, Callable
+from dataclasses import replace as changed
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from robotctl.recording.mcap_format import MAGIC
+from robotctl.recording.reader import read_info
 from robotctl.testing.bags import STRING, TWIST, Line, data, in_order, talk, text, twist, write_bag
 from robotctl.testing.mcap_faults import chunks_of, zero
 
@@ -95,13 +98,27 @@ async def test_of_a_bag_from_elsewhere_what_is_installed_is_played_and_the_rest_
     assert ran.summary["skipped"] == skipped
 
 
+async def test_a_type_name_of_two_parts_is_that_of_a_message(
+    tmp_path: Path, listener: Any, replay: Any, until: Until
+) -> None:
+    lines = talk("/alpha", 3)
+    short = [changed(line, type_name="std_msgs/String") for line in lines]
+    file = write_bag(tmp_path / "run.mcap", short)
+    (topic,) = read_info(file).topics
+    assert topic.type_name == STRING
+    listener.listen("/alpha", STRING)
+    ran = await replay(file, "--json")
+    assert (ran.exit_code, ran.summary["skipped"]) == (0, {})
+    await until(lambda: listener.heard["/alpha"] == data(lines))
+
+
 async def test_what_cannot_be_published_is_named_and_skipped(
     tmp_path: Path, listener: Any, replay: Any, until: Until
 ) -> None:
     alpha = talk("/alpha", 10)
     others = [
         Line("/unknown", "no_msgs/msg/Nothing", 1.0, b"\0\1\0\0"),
-        Line("/old", "std_msgs/String", 1.0, text("ros 1")),
+        Line("/old", "std_msgs/String", 1.0, text("ros 1"), encoding="ros1"),
         Line("/json", STRING, 1.0, b"{}", encoding="json"),
         Line("/two", STRING, 1.0, text("a")),
         Line("/two", TWIST, 1.0, twist(0.0)),
@@ -116,6 +133,8 @@ async def test_what_cannot_be_published_is_named_and_skipped(
     skipped = ran.summary["skipped"]
     assert set(skipped) == {line.topic for line in others}
     assert skipped["/unknown"] == "has type no_msgs/msg/Nothing, which is not installed"
+    assert skipped["/relative"] == "has type ../msg/Flight, which is not the name of a ROS type"
+    assert "antigravity" not in sys.modules
     assert skipped["/two"] == "is recorded with several types"
     assert len(ran.summary["notes"]) == len(skipped)
     await until(lambda: listener.heard["/alpha"] == data(alpha))

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import yaml
 
-from robotctl.ros import qos, tap
+from robotctl.ros import qos, type_loader
 from robotctl.ros.session import Session
 from robotctl.ros.tap import Tap, TappedTopic
 from robotctl.ros.tapped import TappedSubscription
@@ -106,14 +106,12 @@ async def test_a_type_that_is_not_installed_is_named_and_the_others_go_on(
 ) -> None:
     from std_msgs.msg import String
 
-    load = tap._load
+    load = type_loader.load_type
 
-    def missing(type_name: str) -> Any:
-        if type_name == "std_msgs/msg/String":
-            raise ImportError(type_name)
-        return load(type_name)
+    def missing(type_name: str) -> str:
+        return "is not installed" if type_name == "std_msgs/msg/String" else load(type_name)
 
-    monkeypatch.setattr(tap, "_load", missing)
+    monkeypatch.setattr(type_loader, "load_type", missing)
     problems = taken.tap.problems
     told = (
         f"{topic}_foreign is not recorded: it has type std_msgs/msg/String, which is not installed"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import resource
 from collections.abc import Awaitable, Callable, Iterator
@@ -13,6 +14,7 @@ import pytest
 from robotctl.ros import proof, qos, tap
 from robotctl.ros.session import Session
 from robotctl.ros.tap import Tap
+from robotctl.testing.waiting import DEADLINE_S
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 
@@ -45,6 +47,14 @@ def number(value: int) -> Any:
     from std_msgs.msg import UInt64
 
     return UInt64(data=value)
+
+
+async def look_until(tap: Tap, condition: Callable[[], object]) -> None:
+    """Let a tap look again and again; what it finds it must load first."""
+    async with asyncio.timeout(DEADLINE_S):
+        while not condition():
+            await tap._look()
+            await asyncio.sleep(0.005)
 
 
 # Topics
@@ -105,7 +115,7 @@ async def test_of_several_types_the_most_published_is_taken_and_the_others_are_n
     taken = new_taken()
     tap = Tap(session, taken.open)
     await until(lambda: len(tap._node.get_publishers_info_by_topic(topic)) == len(kept))
-    await tap._look()
+    await look_until(tap, lambda: topic in taken.topics)
     assert taken.topics[topic].type_name == "std_msgs/msg/UInt64"
     assert tap.problems == {
         topic: f"{topic} is recorded as std_msgs/msg/UInt64, not as std_msgs/msg/String"
@@ -243,7 +253,7 @@ async def test_a_topic_too_many_is_named_and_the_process_keeps_its_files(
     tap = Tap(session, taken.open)
     kept = [publisher(node, f"{topic}_{index}") for index in range(2)]
     await until(lambda: all(tap._node.count_publishers(each.topic_name) for each in kept))
-    await tap._look()
+    await look_until(tap, lambda: tap.problems)
     assert len(taken.topics) == 1
     (problem, *_) = tap.problems.values()
     assert "there are more topics than 2 open files allow (see ulimit -n)" in problem

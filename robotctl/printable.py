@@ -1,0 +1,20 @@
+"""Text that others chose, made safe to show and to log."""
+
+from __future__ import annotations
+
+MAX_NAME = 120
+"""Characters of a name that a sentence shows; the rest is cut, so that a line stays readable."""
+
+
+def printable(text: object) -> str:
+    """Return `text` on one line, with what is not plainly printable shown escaped."""
+    line = str(text)
+    if line.isprintable():
+        return line
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
+
+
+def short_name(name: str) -> str:
+    """Return a name of any length and content as a sentence shows it."""
+    shown = printable(name[: MAX_NAME + 1])
+    return shown if len(shown) <= MAX_NAME else f"{shown[: MAX_NAME - 3]}..."
