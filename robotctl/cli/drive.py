@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from enum import StrEnum
 from functools import partial
@@ -13,11 +12,13 @@ import typer
 from robotctl.cli.answer import tell
 from robotctl.cli.background import Background
 from robotctl.cli.control import source
+from robotctl.cli.interrupted_drive import LOST, stopped, wait_while_read
 from robotctl.cli.options import Json, Robot, new_app
+from robotctl.cli.process import interrupted_by
 from robotctl.cli.text import is_terminal, number, printable
 from robotctl.cli.watch import polled_until, show
 from robotctl.errors import RobotctlError, UsageError
-from robotctl.ipc.client import call, command_for
+from robotctl.ipc.client import call
 from robotctl.kernel.drive import MAX_LAPS
 from robotctl.kernel.patterns import MAX_SIZE_M, MAX_SPEED_MPS, MIN_SIZE_M, MIN_SPEED_MPS
 from robotctl.paths import DEFAULT_ROBOT
@@ -55,7 +56,10 @@ def drive(
         float | None, typer.Option(metavar="M/S", help="Speed along the path.")
     ] = None,
     wait: Annotated[
-        bool, typer.Option("--wait", help="Return when done, with the tracking numbers.")
+        bool,
+        typer.Option(
+            "--wait", help="Return when done, with the tracking numbers; Ctrl-C stops the robot."
+        ),
     ] = False,
     replace: Annotated[
         bool, typer.Option("--replace", help="Take the place of a drive under way.")
@@ -65,7 +69,9 @@ def drive(
 ) -> None:
     """Drive a square, a circle or a figure-eight.
 
-    What is not given comes from the daemon's configuration.
+    What is not given comes from the daemon's configuration. With --wait the drive ends with this
+    command: Ctrl-C, SIGHUP and SIGTERM ramp the robot down, a second Ctrl-C is the emergency stop,
+    and a lost connection ramps down as well. Without --wait the robot drives on.
 
     \b
     Examples:
@@ -110,21 +116,23 @@ def _check(option: str, value: float | None, low: float, high: float, unit: str 
 def _drive_and_wait(robot: str, params: dict[str, Any], *, as_json: bool) -> dict[str, Any]:
     """Return what the daemon answers when the drive is done, with the live view until then.
 
-    A drive that was stopped shows its numbers as well.
+    A drive that was stopped shows its numbers as well. Raises Interrupted once the robot stands.
     """
-    try:
+    with interrupted_by(LOST):
         driving = Background(partial(call, robot, "drive", params, deadline_s=None))
-        if is_terminal() and not as_json:
-            show(polled_until(driving, robot))
-        return driving.result()
-    except RobotctlError as error:
-        if error.answer and not as_json:
-            print("\n".join(tracking_lines(error.answer)), flush=True)
-        raise
-    except KeyboardInterrupt:
-        halt = command_for(robot, "set-mode idle")
-        print(f"robotctl: the robot drives on (stop it with: {halt})", file=sys.stderr)
-        raise
+        try:
+            if is_terminal() and not as_json:
+                show(polled_until(driving, robot))
+            else:
+                wait_while_read(driving)
+            return driving.result()
+        except KeyboardInterrupt:
+            error: RobotctlError = stopped(robot, driving)
+        except RobotctlError as refused:
+            error = refused
+    if error.answer and not as_json:
+        print("\n".join(tracking_lines(error.answer)), flush=True)
+    raise error
 
 
 def tracking_lines(result: Mapping[str, Any]) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import dataclasses
 import time
 from math import isfinite
@@ -13,7 +14,7 @@ from robotctl.daemon.requests import UnsavedReply
 from robotctl.errors import Refused, RobotctlError, UsageError
 from robotctl.ipc.advice import advice
 from robotctl.ipc.connection import Method
-from robotctl.ipc.params import DriveParams, NoParams, ResetParams, SetModeParams
+from robotctl.ipc.params import DriveParams, EndDriveParams, NoParams, ResetParams, SetModeParams
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.patterns import Pattern, PatternKind
@@ -53,6 +54,7 @@ class DrivingMethods:
             "set_mode": Method(SetModeParams, self._set_mode, MODE_DEADLINE_S),
             "reset": Method(ResetParams, self._reset, MODE_DEADLINE_S),
             "drive": Method(DriveParams, self._drive, None),
+            "end_drive": Method(EndDriveParams, self._end_drive, None),
         }
 
     def pattern(
@@ -115,6 +117,10 @@ class DrivingMethods:
             if not params.wait:
                 return answer
             ended = await end
+        except asyncio.CancelledError:
+            if params.wait:
+                self._end_unattended(event)
+            raise
         finally:
             end.cancel()
         mode = self._control.state.mode
@@ -123,6 +129,24 @@ class DrivingMethods:
             text = f"the drive ended after {ended.report.laps} laps: {ended.reason}"
             raise Refused(*advice(text, self._robot), answer=result)
         return result
+
+    async def _end_drive(self, params: EndDriveParams) -> dict[str, Any]:
+        """Ramp down; unlike a request for IDLE this never releases an error or a latched stop."""
+        state = self._control.state
+        if state.mode is not Mode.MOVING:
+            return {"message": f"The robot stands, in {state.mode.name}", "mode": state.mode.name}
+        return self._answer(await self._control.request(self._idle_request(params.source)))
+
+    def _end_unattended(self, event: DriveRequested) -> None:
+        """Ramp down the drive that `event` began: the client that waited for its end is gone."""
+        state = self._control.state
+        is_ours = state.drive is not None and state.drive.request_id == event.request_id
+        if is_ours and state.mode is Mode.MOVING:
+            self._control.begin(self._idle_request(f"{event.source}, whose connection closed"))
+
+    def _idle_request(self, source: str) -> ModeRequested:
+        request_id = self._control.new_request_id()
+        return ModeRequested(time.monotonic_ns(), request_id, Mode.IDLE, source)
 
     def _check_speed(self, speed_mps: float | None) -> None:
         """Raise UsageError for a speed that this robot is configured not to drive."""

@@ -30,8 +30,8 @@ from robotctl.ipc.protocol import (
 
 _log = logging.getLogger(__name__)
 
-_HANGUP_POLL_S = 0.5
-"""How soon a call without a deadline notices that its client is gone."""
+_HANGUP_POLL_S = 0.1
+"""How soon a call without a deadline notices that its client is gone: a robot may be driving."""
 
 P = TypeVar("P")
 

@@ -42,6 +42,12 @@ class ResetParams(Struct, frozen=True, forbid_unknown_fields=True):
     source: Source
 
 
+class EndDriveParams(Struct, frozen=True, forbid_unknown_fields=True):
+    """Ramps a drive down to IDLE; in any other mode than MOVING nothing changes."""
+
+    source: Source
+
+
 class MarkParams(Struct, frozen=True, forbid_unknown_fields=True):
     """Marks the present moment in the recording."""
 

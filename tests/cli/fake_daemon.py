@@ -1,7 +1,7 @@
 """Stands in for `python -m robotctl.daemon`: the protocol and the ready line, without a robot.
 
 FAKE_START makes a start go wrong: refuse, run-already, crash, garbage or hang. FAKE_ENDLESS makes
-every drive endless; FAKE_MODE is the mode that it is ready in.
+every drive endless, FAKE_GENTLE every ramp; FAKE_MODE is the mode that it is ready in.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import json
 import os
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from mcap.writer import Writer
 
 from robotctl import __version__
 from robotctl.errors import Refused
-from robotctl.ipc.params import DriveParams, NoParams, ResetParams, SetModeParams
+from robotctl.ipc.params import DriveParams, EndDriveParams, NoParams, ResetParams, SetModeParams
 from robotctl.ipc.server import ControlServer, Identity, Method
 from robotctl.paths import log_path, socket_path
 
@@ -43,6 +44,7 @@ class FakeDaemon:
         self.asked_by = ""
         self.started = time.monotonic()
         self.stopped = asyncio.Event()
+        self.halted = asyncio.Event()
         name = f"{options.robot}_20260101_120000"
         self.file = Path(options.recordings).absolute() / name / f"{name}_0.mcap"
         self.file.parent.mkdir(parents=True)
@@ -102,7 +104,9 @@ class FakeDaemon:
         }
         if params.wait:
             endless = params.laps == 0 or "FAKE_ENDLESS" in os.environ
-            await asyncio.sleep(3600 if endless else DRIVE_S)
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self.halted.wait(), 3600 if endless else DRIVE_S)
+                raise Refused("the drive ended after 0 laps: stopped", answer={"laps": 0})
             self.mode = 0
             answer |= {
                 "message": "Drive finished",
@@ -114,6 +118,13 @@ class FakeDaemon:
                 "closure_m": 0.012,
             }
         return answer
+
+    async def end_drive(self, params: EndDriveParams) -> dict[str, Any]:
+        self.mode, self.asked_by = 0, params.source
+        self.halted.set()
+        if "FAKE_GENTLE" in os.environ:
+            await asyncio.sleep(3600)
+        return {"message": "Mode changed to IDLE", "mode": "IDLE"}
 
     async def path(self, _: NoParams) -> dict[str, Any]:
         return {"reference": SQUARE, "driven": [[x + 0.01, y] for x, y in SQUARE]}
@@ -129,6 +140,7 @@ class FakeDaemon:
             "set_mode": Method(SetModeParams, self.set_mode),
             "reset": Method(ResetParams, self.reset),
             "drive": Method(DriveParams, self.drive, deadline_s=None),
+            "end_drive": Method(EndDriveParams, self.end_drive, deadline_s=None),
             "path": Method(NoParams, self.path),
             "stop": Method(NoParams, self.stop),
         }

@@ -18,6 +18,7 @@ from robotctl.cli import control
 from robotctl.ipc.client import Client, call
 from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
 from robotctl.kernel.modes import Mode
+from robotctl.testing.waiting import until
 from robotctl.testing.world import STATUS_KEYS
 
 
@@ -150,17 +151,79 @@ def test_a_size_outside_the_limits_is_named(daemon: None, cli: Callable[..., Any
     assert mode() == "IDLE"
 
 
-def test_ctrl_c_while_waiting_says_that_the_robot_drives_on(
+@pytest.fixture
+def daemon_that_ramps_slowly(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Comes before the daemon, which inherits it."""
+    monkeypatch.setenv("FAKE_GENTLE", "1")
+
+
+@pytest.fixture
+def waiting(
     daemon: None, spawn: Callable[..., subprocess.Popen[str]]
+) -> Callable[..., subprocess.Popen[str]]:
+    """Begin a drive that is waited for."""
+
+    def begin(*options: str) -> subprocess.Popen[str]:
+        process = spawn("drive", "square", "--laps", "0", "--wait", *options)
+        while mode() != "MOVING":
+            assert process.poll() is None
+        return process
+
+    return begin
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_drive_that_is_waited_for_ends_with_its_command(
+    number: int, waiting: Callable[..., subprocess.Popen[str]]
 ) -> None:
-    waiting = spawn("drive", "square", "--laps", "0", "--wait")
-    while mode() != "MOVING":
-        assert waiting.poll() is None
-    waiting.send_signal(signal.SIGINT)
-    _, err = waiting.communicate(timeout=30)
-    assert waiting.returncode == 130
-    assert err == "robotctl: the robot drives on (stop it with: robotctl set-mode idle)\n"
-    assert mode() == "MOVING"
+    process = waiting()
+    process.send_signal(number)
+    out, err = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert out.startswith("  driven      0 laps")
+    assert err == (
+        "robotctl: stopping the robot (Ctrl-C again: emergency stop)\n"
+        "robotctl: Mode changed to IDLE\n"
+    )
+    assert mode() == "IDLE"
+
+
+def test_an_interrupted_drive_answers_a_machine_with_one_object(
+    waiting: Callable[..., subprocess.Popen[str]],
+) -> None:
+    process = waiting("--json")
+    process.send_signal(signal.SIGINT)
+    answer = json.loads(process.communicate(timeout=30)[0])
+    assert (answer["laps"], answer["error"]["kind"], process.returncode) == (0, "interrupted", 130)
+
+
+def test_a_second_ctrl_c_is_the_emergency_stop_and_a_closing_terminal_is_not(
+    daemon_that_ramps_slowly: None, waiting: Callable[..., subprocess.Popen[str]]
+) -> None:
+    process = waiting()
+    assert process.stderr is not None
+    process.send_signal(signal.SIGHUP)
+    assert "Ctrl-C again" in process.stderr.readline()
+    until(lambda: mode() == "IDLE")
+    process.send_signal(signal.SIGHUP)
+    process.send_signal(signal.SIGTERM)
+    assert process.poll() is None
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert err.endswith("Mode changed to EMERGENCY_STOP (release it with: robotctl reset)\n")
+    assert mode() == "EMERGENCY_STOP"
+
+
+def test_a_drive_whose_output_nobody_reads_any_more_is_stopped(
+    waiting: Callable[..., subprocess.Popen[str]],
+) -> None:
+    """As an ssh without a terminal ends: no signal comes."""
+    process = waiting()
+    assert process.stdout is not None
+    process.stdout.close()
+    process.wait(30)
+    assert mode() == "IDLE"
 
 
 def test_on_a_terminal_the_live_view_is_shown_while_a_drive_is_waited_for(
@@ -186,7 +249,8 @@ def test_on_a_terminal_the_live_view_is_shown_while_a_drive_is_waited_for(
                 seen += data.decode(errors="ignore")
         assert waiting.wait(30) == 130
         os.close(controller)
-    assert "the robot drives on (stop it with: robotctl set-mode idle)" in seen
+    assert "stopping the robot (Ctrl-C again: emergency stop)" in seen
+    assert mode() == "IDLE"
 
 
 def test_another_robots_hints_name_it(cli: Callable[..., Any]) -> None:

@@ -12,11 +12,14 @@ import pytest
 
 from robotctl.daemon.driving import DrivingMethods
 from robotctl.errors import Refused, UsageError
-from robotctl.ipc.params import DriveParams
+from robotctl.ipc.params import DriveParams, EndDriveParams
+from robotctl.kernel.drive import Drive
+from robotctl.kernel.geometry import Pose
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
+from robotctl.kernel.patterns import Pattern, PatternKind
 from robotctl.kernel.state import State
-from robotctl.kernel.types import DriveEnded, DriveReport, Reply
+from robotctl.kernel.types import DriveEnded, DriveReport, ModeRequested, Reply
 
 ENDED = DriveEnded(1, True, "drive finished: 1 lap", DriveReport(1, 4.0, 0.01, 0.02, 0.005))
 
@@ -90,3 +93,71 @@ async def test_a_speed_above_the_configured_limit_is_refused_by_name() -> None:
         await drive(DriveParams(pattern="circle", source="test", speed_mps=5.0))
     with pytest.raises(AttributeError):  # the kernel is asked
         await drive(DriveParams(pattern="circle", source="test", speed_mps=0.6))
+
+
+class RampingControl(FakeControl):
+    """Notes what it is asked for; `state` is what the kernel knows then."""
+
+    def __init__(self, state: State) -> None:
+        super().__init__(ENDED, state.mode)
+        self.state = state
+        self.asked: list[ModeRequested] = []
+
+    def new_request_id(self) -> int:
+        return 7
+
+    def expect_end(self, request_id: int) -> asyncio.Future[DriveEnded]:
+        return asyncio.get_running_loop().create_future()
+
+    def begin(self, event: Any) -> None:
+        self.asked.append(event)
+
+    async def request(self, event: Any) -> Reply:
+        if isinstance(event, ModeRequested):
+            self.asked.append(event)
+        return await super().request(event)
+
+
+def driving(request_id: int, mode: Mode = Mode.MOVING) -> State:
+    pattern = Pattern(PatternKind.SQUARE, 1.0, 0.2)
+    return State(mode=mode, drive=Drive(request_id, pattern, 0, Pose(0.0, 0.0, 0.0)))
+
+
+async def leave(state: State, *, wait: bool = True) -> list[ModeRequested]:
+    """What is asked of the kernel when the client of a drive, number 7, leaves."""
+    control: Any = RampingControl(state)
+    motion: Any = None
+    drive = DrivingMethods(control, motion, KernelParams()).table()["drive"].handler
+    task = asyncio.ensure_future(drive(DriveParams(pattern="square", source="test", wait=wait)))
+    for _ in range(3):
+        await asyncio.sleep(0)
+    task.cancel()
+    await asyncio.wait({task})
+    asked: list[ModeRequested] = control.asked
+    return asked
+
+
+async def test_the_drive_of_a_client_that_leaves_is_ramped_down() -> None:
+    (asked,) = await leave(driving(7))
+    assert (asked.requested, asked.source) == (Mode.IDLE, "test, whose connection closed")
+
+
+@pytest.mark.parametrize(
+    "state", [driving(8), driving(7, Mode.EMERGENCY_STOP), driving(7, Mode.ERROR), State()]
+)
+async def test_a_client_that_leaves_ends_no_other_drive_and_releases_no_stop(state: State) -> None:
+    assert await leave(state) == []
+
+
+async def test_a_drive_that_nobody_waits_for_goes_on() -> None:
+    assert await leave(driving(7), wait=False) == []
+
+
+@pytest.mark.parametrize("mode", [Mode.IDLE, Mode.ERROR, Mode.EMERGENCY_STOP])
+async def test_ending_a_drive_releases_no_stop(mode: Mode) -> None:
+    control: Any = RampingControl(State(mode=mode))
+    motion: Any = None
+    end = DrivingMethods(control, motion, KernelParams()).table()["end_drive"].handler
+    answer: Any = await end(EndDriveParams(source="test"))
+    assert answer == {"message": f"The robot stands, in {mode.name}", "mode": mode.name}
+    assert control.asked == []
