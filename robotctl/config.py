@@ -44,7 +44,8 @@ class RecordingParams:
     `max_total_gb` are left and none is older than `max_age_days`; 0 keeps all. Of the topics
     those are recorded that a pattern of `include` matches, all where there is none, but for those
     that a pattern of `exclude` matches. A clip is cut out around each emergency stop and error,
-    from `clip_before_s` before it to `clip_after_s` after it; none where `clip_before_s` is 0.
+    from `clip_before_s` before it to `clip_after_s` after it; none where `clip_before_s` is 0. The
+    group may read the recordings if `group_readable`, else their owner alone.
     """
 
     compression: str = field(default="zstd", metadata={"choices": ("zstd", "none")})
@@ -54,6 +55,7 @@ class RecordingParams:
     exclude: tuple[str, ...] = ()
     clip_before_s: float = bounded(30.0, 0.0, 3600.0, "s")
     clip_after_s: float = bounded(5.0, 0.0, 600.0, "s")
+    group_readable: bool = False
 
 
 @dataclass(frozen=True, slots=True)

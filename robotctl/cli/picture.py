@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from robotctl.recording.access import open_private, share_like
 
 if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
@@ -94,7 +97,10 @@ def braille(wanted: Path2D, driven: Path2D, *, rows: int = 18, colour: bool = Fa
 
 
 def write_png(file: Path, wanted: Path2D, driven: Path2D, title: str) -> None:
-    """Write the picture, antialiased and with equal axes. Raises OSError."""
+    """Write the picture, antialiased and with equal axes, readable as its folder is.
+
+    Raises OSError.
+    """
     from PIL import Image, ImageDraw
 
     canvas = Image.new("RGB", (_Plot.SIZE * _Plot.FINE,) * 2, "white")
@@ -102,7 +108,9 @@ def write_png(file: Path, wanted: Path2D, driven: Path2D, title: str) -> None:
     plot.axes(title)
     plot.path(wanted, "#9db8d9", 6, "wanted", 0)
     plot.path(driven, "#d1481f", 2, "driven", 1)
-    canvas.resize((_Plot.SIZE,) * 2, Image.Resampling.LANCZOS).save(file, "PNG")
+    with open(open_private(file, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), "wb") as stream:
+        canvas.resize((_Plot.SIZE,) * 2, Image.Resampling.LANCZOS).save(stream, "PNG")
+    share_like(file, file.parent)
 
 
 def finite(path: Path2D) -> list[tuple[float, float]]:

@@ -54,7 +54,7 @@ def open_recorder(
     described = {"robot": robot, **provenance(), **parameters}
     return Recorder(
         _new_folder(recordings, f"{robot}_{time.strftime('%Y%m%d_%H%M%S')}"),
-        RecorderOptions(compression=compression),
+        RecorderOptions(compression=compression, group_readable=config.recording.group_readable),
         metadata=lambda: {"mode": mode(), **described},
         on_failure=on_failure,
         on_split=on_split,

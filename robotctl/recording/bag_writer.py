@@ -10,6 +10,7 @@ from pathlib import Path
 from shutil import rmtree
 
 from robotctl.errors import Refused
+from robotctl.recording.access import make_folder
 from robotctl.recording.account import TopicAccount
 from robotctl.recording.buffer import Taken, pack
 from robotctl.recording.events import RecordedEvent
@@ -214,7 +215,7 @@ def begin_bag(
     """Create `folder` and its writer. Raises Refused where that cannot be, and leaves nothing."""
     created = False
     try:
-        folder.mkdir(parents=True)
+        make_folder(folder, shared=options.group_readable)
         created = True
         return BagWriter(folder, options, metadata, accounts, on_split, on_full)
     except OSError as error:

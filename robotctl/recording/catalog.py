@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from robotctl.recording.access import open_private, share_like
 from robotctl.recording.file_index import read_header
 from robotctl.recording.identity import OWN_LIBRARY
 from robotctl.recording.mcap_input import Damaged, InputFile
@@ -64,7 +66,8 @@ def own_recordings(recordings: Path) -> Iterator[CatalogFolder]:
 def set_kept(folder: Path, kept: bool) -> None:
     """Mark the recording in `folder` as never to be removed, or no longer. Raises OSError."""
     if kept:
-        (folder / KEEP_FILE).touch()
+        os.close(open_private(folder / KEEP_FILE, os.O_WRONLY | os.O_CREAT))
+        share_like(folder / KEEP_FILE, folder)
     else:
         (folder / KEEP_FILE).unlink(missing_ok=True)
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from robotctl.errors import Refused
+from robotctl.recording.access import share_like
 from robotctl.recording.account import MAX_LATCHED, Topic
 from robotctl.recording.buffer import PlainMessage, pack
 from robotctl.recording.chunk_encoder import ChunkEncoder
@@ -90,6 +91,7 @@ def cut(
     copy = _Copy(recording, moment, (start_ns, end_ns), on_progress)
     with new_file(target) as storage:
         copy.run(McapFile(storage, profile=info.profile, library=LIBRARY), target.name)
+        share_like(target, recording.path)
     return Clip(target, moment, start_ns, end_ns, copy.message_count, tuple(copy.lost))
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from robotctl.errors import Refused
+from robotctl.recording.access import is_shared, make_folder
 from robotctl.recording.catalog import CLIPS_FOLDER
 from robotctl.recording.clip import Clip, Moment, Progress, cut
 from robotctl.recording.events import EventKind
@@ -105,7 +106,8 @@ def _free_name(job: ClipJob) -> Path:
     source = job.source
     folder = (source if source.is_dir() else source.parent) / CLIPS_FOLDER
     try:
-        folder.mkdir(exist_ok=True)
+        if not folder.is_dir():
+            make_folder(folder, shared=is_shared(folder.parent))
     except OSError as error:
         raise Refused(f"cannot write into {folder}: {error.strerror} (elsewhere: -o)") from error
     at = time.strftime("%H%M%S", time.localtime(job.moment.log_ns // 10**9))

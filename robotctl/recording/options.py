@@ -31,7 +31,8 @@ class RecorderOptions:
     A footer follows the data after `chunk_bytes` or `flush_s`, whichever comes first; after
     `sync_s` data survives a power cut; at most `queue_bytes` wait for the disk. A file is
     followed by another at `split_bytes` or after `split_s`. The recorder warns when the disk
-    has less than `warn_free_bytes` left, and stops at `stop_free_bytes`.
+    has less than `warn_free_bytes` left, and stops at `stop_free_bytes`. If `group_readable`, the
+    group may read what is recorded, else only its owner.
     """
 
     compression: Compression = Compression.ZSTD
@@ -44,5 +45,6 @@ class RecorderOptions:
     split_s: float = 600.0
     warn_free_bytes: int = 2_000_000_000
     stop_free_bytes: int = 500_000_000
+    group_readable: bool = False
     open_file: Callable[[Path], Storage] = DiskFile
     free_space: Callable[[Path], int] = free_space

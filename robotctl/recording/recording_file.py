@@ -7,6 +7,7 @@ from pathlib import Path
 
 from mcap.records import Channel, Schema
 
+from robotctl.recording.access import share_with_group
 from robotctl.recording.account import TopicAccount
 from robotctl.recording.buffer import Taken
 from robotctl.recording.chunk_encoder import ChunkEncoder
@@ -42,6 +43,8 @@ class RecordingFile:
         self.event_count = 0
         self._mcap = McapFile(options.open_file(path), profile=PROFILE, library=LIBRARY)
         try:
+            if options.group_readable:
+                share_with_group(path)
             self._mcap.add_metadata(INFO_RECORD, metadata)
             self._add_bag_metadata()
             self._mcap.commit()

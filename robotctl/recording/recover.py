@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from robotctl.errors import UnreadableFile
+from robotctl.recording.access import share_like
 from robotctl.recording.buffer import PlainMessage, pack
 from robotctl.recording.chunk_encoder import ChunkEncoder
 from robotctl.recording.file_index import (
@@ -69,6 +70,7 @@ def recover(
         copy = _Copy(file, index, lambda done: on_progress(file.size + done, total))
         with new_file(target, open_file) as storage:
             copy.run(storage)
+            share_like(target, source)
             if not copy.message_count and copy.lost:
                 raise UnreadableFile(f"{source} holds no readable message: {'; '.join(copy.lost)}")
     on_progress(total, total)

@@ -9,6 +9,7 @@ from pathlib import Path
 from shutil import rmtree
 
 from robotctl.errors import Refused, UnreadableFile
+from robotctl.recording.access import is_shared, make_folder
 from robotctl.recording.bag_metadata import rewrite_metadata
 from robotctl.recording.recording_files import absent_files, recording_files
 from robotctl.recording.recover import Progress, Salvage, recover
@@ -24,7 +25,7 @@ def recover_folder(
     paths = recording_files(source)
     sizes = [2 * path.stat().st_size if path.exists() else 0 for path in paths]
     try:
-        target.mkdir()
+        make_folder(target, shared=is_shared(source))
     except OSError as error:
         raise Refused(f"cannot write {target}: {error.strerror}") from error
     lost = absent_files(source, paths)

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
+from robotctl.recording.access import open_private, share_like
 from robotctl.recording.account import Topic
 
 METADATA_FILE = "metadata.yaml"
@@ -54,10 +55,12 @@ def write_metadata(folder: Path, topics: Iterable[Topic], files: Sequence[BagFil
     """Write `metadata.yaml` into `folder`, whole or not at all. Raises OSError."""
     lines = ["rosbag2_bagfile_information:", *_indented(_body(topics, files), 2), ""]
     unfinished = folder / f".{METADATA_FILE}.tmp"
-    with unfinished.open("w", encoding="utf-8") as stream:
+    descriptor = open_private(unfinished, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW)
+    with open(descriptor, "w", encoding="utf-8") as stream:
         stream.write("\n".join(lines))
         stream.flush()
         os.fsync(stream.fileno())
+    share_like(unfinished, folder)
     unfinished.replace(folder / METADATA_FILE)
 
 

@@ -10,6 +10,8 @@ from fcntl import LOCK_EX, LOCK_NB, LOCK_SH, LOCK_UN, flock
 from pathlib import Path
 from typing import Protocol
 
+from robotctl.recording.access import open_private
+
 Buffer = bytes | bytearray | memoryview
 
 MAX_PARTS = 1024
@@ -79,17 +81,17 @@ def _sync_folder(folder: Path) -> None:
 
 
 class DiskFile:
-    """A new file on disk, locked while it is open.
+    """A new file on disk, private to its owner, locked while it is open.
 
     The kernel gets each `write_at` as one `pwritev` where it can.
     """
 
     def __init__(self, path: Path, *, new: bool = True) -> None:
         """Create `path`, which must not exist, or open it if not `new`. Raises OSError."""
-        flags = os.O_WRONLY | os.O_CLOEXEC | os.O_NOFOLLOW
+        flags = os.O_WRONLY | os.O_NOFOLLOW
         if new:
             flags |= os.O_CREAT | os.O_EXCL
-        self._fd = os.open(path, flags, 0o644)
+        self._fd = open_private(path, flags)
         try:
             _lock(self._fd)
             _sync_folder(path.parent)  # the name itself must survive a power cut, too
