@@ -63,6 +63,7 @@ def test_the_safety_page_has_a_cause_for_every_rule_that_ends_a_motion() -> None
         "task died": "a part of the daemon failed",
         "loop stalled": "the loop stalled",
         "recorder failed": "the recorder failed",
+        "unreachable": "no client can reach the control socket",
         "odometry wrong": "odometry not finite",
         "odometry lost": "older than 0.5 s",
         "odometry contradicted": "a second publisher of odometry",

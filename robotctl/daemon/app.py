@@ -57,7 +57,10 @@ async def serve(
         daemon: Daemon = Observer(host) if options.observe else Driver(host)
         session.last.push_async_callback(daemon.recorder.close)  # when nothing is received any more
         identity = Identity(options.robot, __version__, os.getpid())
-        server = ControlServer(address, daemon.methods(), identity)
+        server = ControlServer(
+            address, daemon.methods(), identity, on_unreachable=supervisor.unreachable
+        )
+        host.warnings.append(server.warning)
         try:
             stack.enter_context(server)
         except BaseException:

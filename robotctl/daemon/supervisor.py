@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Coroutine
 from typing import Any
 
-from robotctl.kernel.types import Cause, Event, FaultReported
+from robotctl.kernel.types import Cause, Event, FaultCleared, FaultReported
 
 _log = logging.getLogger(__name__)
 
@@ -56,6 +56,16 @@ class Supervisor:
             self._report(error, str(context.get("message", "a callback failed")))
         else:
             loop.default_exception_handler(context)
+
+    def unreachable(self, problem: str) -> None:
+        """Take that the control socket cannot be reached, "" when it can again."""
+        if self._dispatch is not None:
+            now, cause = time.monotonic_ns(), Cause.UNREACHABLE
+            self._dispatch(
+                FaultReported(now, cause, problem[:MAX_DETAIL])
+                if problem
+                else FaultCleared(now, cause)
+            )
 
     def _report(self, error: Exception, what: str) -> None:
         while isinstance(error, ExceptionGroup) and len(error.exceptions) == 1:

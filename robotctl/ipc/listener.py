@@ -1,4 +1,4 @@
-"""The socket file: private, of one owner, and made anew where somebody removes it."""
+"""The socket file: private, of one owner, and made again if it is removed or replaced."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pathlib import Path
 
 from robotctl.errors import AlreadyRunning, RobotctlError, UsageError
 from robotctl.ipc.peer import peer_of
-from robotctl.paths import make_private
+from robotctl.paths import chain_to, make_private
 
 _log = logging.getLogger(__name__)
 
@@ -23,7 +23,7 @@ BACKLOG = 1024
 socket that is not connected, so the backlog takes the largest burst that is promised."""
 
 LOOK_S = 1.0
-"""How often a listener looks whether its file is still there."""
+"""How often a listener looks whether its file is still its own."""
 
 _OUT_OF_RESOURCES = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
 _RETRY_ACCEPT_S = 0.1
@@ -34,7 +34,7 @@ class Listener:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._inode = 0
+        self._id = (0, 0)
         self._sock: socket.socket
 
     def open(self) -> None:
@@ -53,7 +53,7 @@ class Listener:
                 self._sock.bind(str(self._path))
             finally:
                 os.umask(previous)
-            self._inode = self._path.stat().st_ino
+            self._id = _id_of(self._path)
             self._sock.listen(BACKLOG)
             self._sock.setblocking(False)
         except BaseException:
@@ -83,13 +83,17 @@ class Listener:
                 elif error.errno != errno.ECONNABORTED:
                     raise
 
-    async def removed(self) -> None:
-        """Wait until the file is gone: of a user who logs out, or too old for a folder's tidier."""
+    async def lost(self) -> None:
+        """Wait until no client finds us at the path any more.
+
+        The folder goes when its user logs out, a tidier removes old files, another user takes over
+        the folder, or another process the path.
+        """
         while self._is_in_place():  # noqa: ASYNC110 - nothing announces it
             await asyncio.sleep(LOOK_S)
 
-    async def reopen(self) -> None:
-        """Listen at the path once more, as soon as that is possible."""
+    async def reopen(self, on_failure: Callable[[str], None]) -> None:
+        """Listen at the path again, as soon as that is possible; say each new reason why not."""
         self._sock.close()
         said = ""
         while True:
@@ -98,13 +102,20 @@ class Listener:
             except (OSError, RobotctlError) as error:
                 if str(error) != said:
                     said = str(error)
-                    _log.error("nobody can reach this daemon any more: %s", said)
+                    _log.error("no client can reach this daemon: %s", said)
+                    on_failure(f"no client can reach this daemon: {said}")
             await asyncio.sleep(LOOK_S)
 
     def _is_in_place(self) -> bool:
-        with suppress(OSError):
-            return self._path.stat().st_ino == self._inode
+        with suppress(OSError, UsageError):
+            chain_to(self._path.parent).check()
+            return _id_of(self._path) == self._id
         return False
+
+
+def _id_of(path: Path) -> tuple[int, int]:
+    found = path.lstat()
+    return found.st_dev, found.st_ino
 
 
 def remove_stale(path: Path) -> None:

@@ -6,7 +6,8 @@ import asyncio
 import logging
 import os
 import socket
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Self
 
@@ -40,9 +41,13 @@ class ControlServer:
         identity: Identity,
         *,
         limits: Limits = DEFAULT_LIMITS,
+        on_unreachable: Callable[[str], None] = lambda problem: None,
     ) -> None:
+        """`on_unreachable(problem)` is told why no client finds us, "" when one can again."""
         self._path = path
         self._listener = Listener(path)
+        self._on_unreachable = on_unreachable
+        self._lost = 0
         self._methods = dict(methods)
         self._identity = identity
         self._limits = limits
@@ -63,11 +68,24 @@ class ControlServer:
         async with asyncio.TaskGroup() as tasks:
             while True:
                 accepting = tasks.create_task(self._accept_clients(tasks))
-                await self._listener.removed()
-                _log.warning("somebody has removed %s: it is made anew", self._path)
+                await self._listener.lost()
                 accepting.cancel()
                 await asyncio.wait({accepting})
-                await self._listener.reopen()
+                await self._listener.reopen(self._on_unreachable)
+                self._lost += 1
+                self._lost_at = time.strftime("%H:%M:%S")
+                _log.warning("%s", self.warning())
+                self._on_unreachable("")
+
+    def warning(self) -> str:
+        """Say that the socket was lost, "" where it never was."""
+        if not self._lost:
+            return ""
+        times = "once" if self._lost == 1 else f"{self._lost} times"
+        return (
+            f"the control socket {self._path} was removed or replaced {times}, "
+            f"the last time found at {self._lost_at}: it was made again"
+        )
 
     async def _accept_clients(self, connections: asyncio.TaskGroup) -> None:
         while True:

@@ -43,6 +43,7 @@ class Cause(Enum):
     TASK_DIED = "task died"
     LOOP_STALLED = "loop stalled"
     RECORDER_FAILED = "recorder failed"
+    UNREACHABLE = "unreachable"
     DAEMON_ENDS = "daemon ends"
     ODOMETRY_WRONG = "odometry wrong"
     ODOMETRY_LOST = "odometry lost"

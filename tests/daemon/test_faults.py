@@ -21,6 +21,7 @@ from robotctl.daemon.options import DaemonOptions
 from robotctl.daemon.recorder_report import RecorderReport
 from robotctl.daemon.watchdog import Watchdog
 from robotctl.errors import Refused
+from robotctl.ipc.client import Client
 from robotctl.ipc.listener import Listener
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.patterns import PatternKind
@@ -131,6 +132,29 @@ async def test_an_exception_that_only_the_loop_sees_stops_the_robot(
         asyncio.get_running_loop().call_soon(fail)
         status = await daemon.until(lambda status: status["mode"] == "ERROR")
         assert "RuntimeError: injected" in status["mode_reason"]
+
+
+async def test_a_daemon_that_no_client_finds_stops_the_robot_until_its_socket_is_back(
+    in_process: Callable[..., Any], world: World
+) -> None:
+    folder = world.folder / "run" / "robotctl"
+    async with in_process(drive=PatternKind.CIRCLE) as daemon:
+        await daemon.until(is_moving)
+        with Client("robot") as client:  # who was connected before
+            folder.rename(world.folder / "removed")
+            folder.write_text("of another user")
+
+            def says_so() -> bool:
+                reason = client.call("status")["mode_reason"]
+                return f"no client can reach this daemon: {folder} is not a folder" in reason
+
+            await asyncio.to_thread(until, says_so)
+            assert (await asyncio.to_thread(client.call, "status"))["mode"] == "ERROR"
+        folder.unlink()
+        status = await daemon.until(lambda status: status["warnings"])
+        assert any("was removed or replaced once" in text for text in status["warnings"])
+        assert (await daemon.ask("reset", source="test"))["mode"] == "IDLE"
+    assert commands(world)[-20:] == 20 * [(0.0, 0.0)]
 
 
 async def test_what_could_not_be_done_is_not_confirmed(

@@ -123,13 +123,25 @@ async def robot() -> FakeRobot:
 
 
 @pytest.fixture
-def serve(path: Path, robot: FakeRobot) -> type_serve:
+def unreachable() -> list[str]:
+    """What the server says of being found by no client."""
+    return []
+
+
+@pytest.fixture
+def serve(path: Path, robot: FakeRobot, unreachable: list[str]) -> type_serve:
     """A server that serves until the block ends."""
 
     @asynccontextmanager
     async def serving(limits: Limits | None = None) -> AsyncIterator[ControlServer]:
         identity = Identity("robot", "0.1.0", os.getpid())
-        with ControlServer(path, robot.methods(), identity, limits=limits or Limits()) as server:
+        with ControlServer(
+            path,
+            robot.methods(),
+            identity,
+            limits=limits or Limits(),
+            on_unreachable=unreachable.append,
+        ) as server:
             task = asyncio.create_task(server.serve())
             try:
                 yield server

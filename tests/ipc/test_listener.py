@@ -87,10 +87,13 @@ async def test_a_socket_that_is_removed_is_made_anew(
     path: Path, serve: Any, connect: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(listener, "LOOK_S", 0.01)
-    async with serve():
+    async with serve() as server:
+        assert server.warning() == ""
         before = await connect()
         rmtree(path.parent)
         await loop_until(path.exists)
+        await loop_until(server.warning)
+        assert "was removed or replaced once" in server.warning()
         assert "result" in await (await connect()).call("status")
         assert "result" in await before.call("status")
 
@@ -101,17 +104,65 @@ async def test_a_socket_that_cannot_be_made_anew_is_told_once_and_made_as_soon_a
     connect: Any,
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
+    unreachable: list[str],
 ) -> None:
     monkeypatch.setattr(listener, "LOOK_S", 0.01)
     async with serve():
         rmtree(path.parent)
         path.parent.write_text("in the way")
-        await loop_until(lambda: "nobody can reach this daemon" in caplog.text)
+        await loop_until(lambda: "no client can reach this daemon" in caplog.text)
         await asyncio.sleep(0.05)  # several more attempts
         path.parent.unlink()
         await loop_until(path.exists)
         assert "result" in await (await connect()).call("status")
-    assert caplog.text.count("nobody can reach this daemon") == 1
+    assert caplog.text.count("no client can reach this daemon") == 1
+    first, last = unreachable
+    assert first.startswith(f"no client can reach this daemon: {path.parent} is not a folder: ")
+    assert last == ""
+
+
+def take(path: Path, thief: str, other: socket.socket) -> None:
+    ours = path.rename(path.with_suffix(".ours"))
+    match thief:
+        case "file":
+            path.write_text("mine")
+        case "another server":
+            other.bind(str(path))
+            other.listen()
+        case "link":
+            path.symlink_to(ours)
+        case _:
+            ours.rename(path)
+            path.parent.chmod(0o777)
+
+
+def give_back(path: Path, thief: str) -> None:
+    if thief == "open folder":
+        path.parent.chmod(0o700)
+    else:
+        path.unlink()
+
+
+@pytest.mark.parametrize("thief", ["file", "another server", "link", "open folder"])
+async def test_a_socket_that_is_not_ours_any_more_is_made_again_when_its_path_is_free(
+    thief: str,
+    path: Path,
+    serve: Any,
+    connect: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    unreachable: list[str],
+) -> None:
+    monkeypatch.setattr(listener, "LOOK_S", 0.01)
+    with socket.socket(socket.AF_UNIX) as other:
+        async with serve() as server:
+            take(path, thief, other)
+            await loop_until(lambda: unreachable)
+            assert "no client can reach this daemon" in unreachable[0]
+            assert str(path.parent) in unreachable[0]
+            give_back(path, thief)
+            await loop_until(server.warning)
+            assert unreachable[1:] == [""]
+            assert "result" in await (await connect()).call("status")
 
 
 async def test_running_out_of_descriptors_is_survived(

@@ -34,7 +34,7 @@ from robotctl.testing.kernels import (
     while_moving,
 )
 
-DAEMON_CAUSES = (Cause.TASK_DIED, Cause.RECORDER_FAILED)
+DAEMON_CAUSES = (Cause.TASK_DIED, Cause.RECORDER_FAILED, Cause.UNREACHABLE)
 
 
 def test_every_cause_has_one_rule_and_a_cure() -> None:
