@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -58,8 +59,13 @@ class StartOptions:
         return command
 
 
-def launch(options: StartOptions) -> dict[str, Any]:
+def launch(
+    options: StartOptions, tell: Callable[[dict[str, Any]], None] = lambda ready: None
+) -> dict[str, Any]:
     """Start a daemon in a session of its own and return what it says when it is ready.
+
+    Until `tell(that)` has returned, an interruption ends the daemon: none runs that nobody was
+    told of.
 
     Raises:
         RobotctlError: The daemon's reason not to start, with its exit code.
@@ -77,24 +83,28 @@ def launch(options: StartOptions) -> dict[str, Any]:
     try:
         signal.pthread_sigmask(signal.SIG_SETMASK, unblocked)
         said = _said_when_ready(daemon)
-        failure = None
         if said.get("ready") is True:
+            _put_in_place(own_log, log)
+            tell(said)
             daemon.leave()
-        else:
-            failure = _failure(options.robot, daemon, said, own_log)
+            return said
+        failure = _failure(options.robot, daemon, said, own_log)
     except BaseException:  # Ctrl-C among them: nothing is left running half-started
         _end(daemon, patiently=False)
         own_log.unlink(missing_ok=True)
         raise
     if isinstance(failure, AlreadyRunning):
         own_log.unlink()
-        raise failure
+    else:
+        _put_in_place(own_log, log)
+    raise failure
+
+
+def _put_in_place(own_log: Path, log: Path) -> None:
+    """Make it the robot's log; the log of the run before stays beside it."""
     with suppress(FileNotFoundError):
         log.replace(log.with_name(f"{log.name}.1"))
     own_log.replace(log)
-    if failure is not None:
-        raise failure
-    return said
 
 
 def _log_of(robot: str) -> Path:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, TextIO
 
@@ -13,8 +14,9 @@ import typer
 from robotctl import __version__
 from robotctl.cli import control
 from robotctl.cli.drive import Pattern
-from robotctl.cli.launch import StartOptions, launch
+from robotctl.cli.launch import INTERRUPTIONS, StartOptions, launch
 from robotctl.cli.options import ConfigFile, DomainId, Json, Robot, new_app
+from robotctl.cli.process import interrupted_by
 from robotctl.cli.screen import mode_text
 from robotctl.cli.text import json_text, printable, short_path
 from robotctl.errors import NoDaemon
@@ -95,8 +97,13 @@ def start(
     if foreground:
         command = options.command()
         os.execv(command[0], command)
-    ready = launch(options)
-    print(json_text(ready) if as_json else "\n".join(summary(ready)))
+
+    def tell(ready: dict[str, Any]) -> None:
+        with suppress(BrokenPipeError):  # who has closed our stdout does not want to be told
+            print(json_text(ready) if as_json else "\n".join(summary(ready)), flush=True)
+
+    with interrupted_by(INTERRUPTIONS):
+        launch(options, tell)
 
 
 def summary(ready: dict[str, Any]) -> Iterator[str]:

@@ -15,8 +15,10 @@ import pytest
 
 from robotctl import __version__
 from robotctl.cli import launch, lifecycle
+from robotctl.errors import NoDaemon
 from robotctl.ipc.client import call
 from robotctl.paths import log_path
+from robotctl.testing.waiting import until
 
 
 def children() -> set[int]:
@@ -114,19 +116,41 @@ def test_a_daemon_that_is_never_ready_is_ended(
     assert children() == before
 
 
-def test_ctrl_c_while_starting_leaves_nothing_running(
-    spawn: Callable[..., subprocess.Popen[str]], monkeypatch: pytest.MonkeyPatch, home: Path
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_an_interruption_while_starting_leaves_nothing_running(
+    number: signal.Signals,
+    spawn: Callable[..., subprocess.Popen[str]],
+    monkeypatch: pytest.MonkeyPatch,
+    home: Path,
 ) -> None:
     monkeypatch.setenv("FAKE_START", "hang")
     process = spawn("start")
     daemons = Path(f"/proc/{process.pid}/task/{process.pid}/children")
     while not (pids := daemons.read_text().split()):
         assert process.poll() is None
-    process.send_signal(signal.SIGINT)
+    until(lambda: b"fake_daemon" in Path(f"/proc/{pids[0]}/cmdline").read_bytes())
+    process.send_signal(number)
     _, err = process.communicate(timeout=30)
     assert (process.returncode, err) == (130, "")
     assert not Path(f"/proc/{pids[0]}").exists()
     assert list((home / "state").glob("robotctl/robot/*")) == []
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_daemon_that_is_ready_but_was_not_told_of_ends_with_its_start(
+    number: signal.Signals, cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = children()
+
+    def interrupted(ready: dict[str, Any]) -> Iterator[str]:
+        os.kill(os.getpid(), number)
+        yield "ready"
+
+    monkeypatch.setattr(lifecycle, "summary", interrupted)
+    assert cli("start").exit_code == 130
+    assert children() == before
+    with pytest.raises(NoDaemon):
+        call("robot", "status")
 
 
 def test_foreground_becomes_the_daemon(spawn: Callable[..., subprocess.Popen[str]]) -> None:
