@@ -76,5 +76,5 @@ def by_topic(channels: Iterable[TopicStats]) -> list[TopicStats]:
 
 
 def _sum(one: TopicStats, other: TopicStats) -> TopicStats:
-    counts = ("received", "written", "queued", "dropped", "lost", "unseen", "bytes")
+    counts = ("received", "written", "queued", "dropped", "lost", "unseen", "bytes", "not_repeated")
     return replace(one, **{name: getattr(one, name) + getattr(other, name) for name in counts})

@@ -72,6 +72,8 @@ class TopicStats:
     lost: int
     unseen: int
     bytes: int
+    not_repeated: int
+    """Latched messages that later files lack at their beginning, for they would fill them."""
 
 
 @dataclass(slots=True)
@@ -103,6 +105,9 @@ class TopicAccount:
 
     written: int = 0
     """By the writer thread: in the file, below a valid footer."""
+
+    not_repeated: int = 0
+    """By the writer thread: latched messages that a later file had no room for."""
 
     discarded: int = 0
     """By the writer thread: dropped from the queue, for the file has failed."""
@@ -151,4 +156,5 @@ class TopicAccount:
             lost=self.ledger.lost,
             unseen=self.ledger.unseen,
             bytes=self.size,
+            not_repeated=self.not_repeated,
         )

@@ -16,6 +16,7 @@ from robotctl.recording.buffer import Taken, pack
 from robotctl.recording.events import RecordedEvent
 from robotctl.recording.options import RecorderOptions
 from robotctl.recording.recording_file import RecordingFile
+from robotctl.recording.repeats import repeats
 from robotctl.recording.rosbag2 import BagFile, write_metadata
 
 METADATA_PERIOD_S = 10.0
@@ -117,7 +118,9 @@ class BagWriter:
         self._file = successor
         self._begun = time.monotonic()
         self._told_full = False
-        self._repeat_latched()
+        messages = repeats(self._accounts, self._newest_ns, self._options.split_bytes)
+        if messages:
+            self._file.write(pack(messages))
         self._write_metadata()
         with suppress(Exception):  # a listener that is gone must not stop the recording
             self._on_split(successor.path)
@@ -176,22 +179,6 @@ class BagWriter:
             self._files_begun += 1
             with suppress(FileExistsError):  # somebody's: nothing is overwritten
                 return RecordingFile(path, self._options, self._metadata(), self._accounts)
-
-    def _repeat_latched(self) -> None:
-        """Write the last latched message of each publisher again, as if it came just now."""
-        messages = [
-            (
-                channel,
-                message.data,
-                self._newest_ns or message.log_ns,
-                message.publish_ns,
-                message.sequence,
-            )
-            for channel, account in enumerate(self._accounts)
-            for message in account.latched_messages()
-        ]
-        if messages:
-            self._file.write(pack(messages))
 
     def _write_metadata(self) -> None:
         topics = [account.topic for account in list(self._accounts)]

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from robotctl.recording.account import TopicStats
 from robotctl.recording.identity import LEDGER_RECORD
 
-_COUNTS = ("received", "written", "queued", "dropped", "lost", "unseen", "bytes")
+_COUNTS = ("received", "written", "queued", "dropped", "lost", "unseen", "bytes", "not_repeated")
 
 
 def ledger_values(topics: Iterable[TopicStats]) -> dict[str, str]:

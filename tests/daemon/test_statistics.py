@@ -26,7 +26,7 @@ HEAVY = round(1.2 * HEAVY_BYTES_PER_S)
 
 
 def topic(name: str = "/scan", type_name: str = "t", **counts: int) -> TopicStats:
-    return replace(TopicStats(name, type_name, 0, 0, 0, 0, 0, 0, 0), **counts)
+    return replace(TopicStats(name, type_name, 0, 0, 0, 0, 0, 0, 0, 0), **counts)
 
 
 def recorder(*topics: TopicStats, failure: str = "") -> RecorderStats:

@@ -294,6 +294,7 @@ def test_the_file_describes_itself(folder: Path) -> None:
         "lost": 3,
         "unseen": 4,
         "bytes": 12 * 52,
+        "not_repeated": 0,
     }
     (channel_record,) = summary.channels.values()
     assert channel_record.metadata == {"topic_type_hash": "RIHS01_ab", "offered_qos_profiles": QOS}

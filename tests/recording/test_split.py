@@ -14,6 +14,7 @@ from rosbags.rosbag2 import Reader as RosbagsReader
 
 from robotctl.errors import Refused
 from robotctl.recording import bag_writer
+from robotctl.recording.ledger_record import read_ledger
 from robotctl.recording.reader import read_info, read_messages
 from robotctl.recording.recorder import (
     Compression,
@@ -256,6 +257,34 @@ def test_each_file_stands_alone(tmp_path: Path) -> None:
     assert (stats.received, stats.written) == (18, 18)  # what is repeated is not received
     with RosbagsReader(tmp_path / "run") as bag:
         assert bag.message_count == 20
+
+
+def test_large_latched_messages_never_cause_a_split(tmp_path: Path) -> None:
+    begun: list[Path] = []
+    options = RecorderOptions(
+        compression=Compression.NONE, chunk_bytes=16_384, split_bytes=100_000, flush_s=0.002
+    )
+    recorder = Recorder(tmp_path / "run", options, on_failure=pytest.fail, on_split=begun.append)
+    twist, latched = recorder.add_topic(TWIST), recorder.add_topic(LATCHED)
+    for number in range(9):
+        recorder.write(latched, bytes(12_000), START_NS, START_NS, number, b"%d" % number)
+    recorder.write(latched, b"small", START_NS, START_NS, 1, b"small")
+    until(lambda: recorder.stats().queued == 0)
+    before = len(begun)
+    recorder.split()
+    until(lambda: len(begun) > before)
+    for number in range(1, 101):
+        write_numbered(recorder, twist, range(number, number + 1))
+        until(lambda: recorder.stats().queued == 0)
+    stats = recorder.close()
+    assert len(begun) == before + 1
+    last = files_of(tmp_path / "run")[-1]
+    repeated = [len(m.data) for m in read_strictly(last) if m.topic == "/robot_status"]
+    assert repeated == [12_000, 12_000, 5]
+    (ledger,) = (t for t in stats.topics if t.name == "/robot_status")
+    assert 7 <= ledger.not_repeated <= 7 * len(begun)
+    told = read_ledger(read_info(last).metadata)["/robot_status"]
+    assert told["not_repeated"] == ledger.not_repeated
 
 
 def test_a_split_that_finds_the_disk_full_keeps_what_was_written(tmp_path: Path) -> None:

@@ -1,0 +1,44 @@
+"""The latched messages that a file repeats from the one before, so that it stands alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+from robotctl.recording.account import TopicAccount
+from robotctl.recording.buffer import PlainMessage
+
+MAX_REPEATED_BYTES: Final = 32 << 20
+"""In one file: what is latched on a robot (maps, descriptions, transforms) has some megabytes."""
+
+MIN_FILES_PER_REPEAT: Final = 4
+"""Repeats take this part of a file at most: else it is full at once, and so is the next one."""
+
+
+def repeats(
+    accounts: Sequence[TopicAccount], newest_ns: int, split_bytes: int
+) -> list[PlainMessage]:
+    """The last latched message of each publisher, as if it came just now, as many as fit.
+
+    `newest_ns` is the log time that they get, 0 for their own. The smallest go first; those that
+    do not fit are counted by their topic as `not_repeated`.
+    """
+    latched = [
+        (
+            channel,
+            message.data,
+            newest_ns or message.log_ns,
+            message.publish_ns,
+            message.sequence,
+        )
+        for channel, account in enumerate(accounts)
+        for message in account.latched_messages()
+    ]
+    left = min(MAX_REPEATED_BYTES, split_bytes // MIN_FILES_PER_REPEAT)
+    fits = [False] * len(latched)
+    for position in sorted(range(len(latched)), key=lambda each: len(latched[each][1])):
+        left -= len(latched[position][1])
+        fits[position] = left >= 0
+        if left < 0:
+            accounts[latched[position][0]].not_repeated += 1
+    return [message for message, fit in zip(latched, fits, strict=True) if fit]
