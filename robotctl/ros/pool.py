@@ -13,7 +13,7 @@ import time
 from asyncio import AbstractEventLoop, TimerHandle
 from typing import Protocol
 
-from robotctl.ros.timing import TURN_NS
+from robotctl.ros.timing import FLOOD_REST_S, FLOODED_SHARE, TURN_NS
 
 
 class Pooled(Protocol):
@@ -26,12 +26,14 @@ class Pooled(Protocol):
 class Pool:
     """Wakes the loop for the first message after a rest, and rests `rest_s` after each look.
 
-    While nothing comes, nothing turns.
+    While nothing comes, nothing turns. In a flood it rests for FLOOD_REST_S: the more messages
+    wait, the longer Fast DDS takes to add one, so a long rest costs more than it saves.
     """
 
     def __init__(self, loop: AbstractEventLoop, rest_s: float) -> None:
         self._loop = loop
         self._rest_s = rest_s
+        self._busy_ns = self._rested_ns = 0
         self._epoll = select.epoll()
         self._members: dict[int, Pooled] = {}
         self._resting: TimerHandle | None = None
@@ -79,16 +81,27 @@ class Pool:
             self._watch()
             return
         self._unwatch()
+        begun_ns = time.monotonic_ns()
         left = True  # Also where a look ends in an exception: the others go on.
         try:
-            left = self._look_at(ready)
+            left = self._look_at(ready, begun_ns + TURN_NS)
         finally:
             if not self._is_closed():
-                self._resting = self._loop.call_later(0.0 if left else self._rest_s, self._look)
+                rest_s = self._rest_after(begun_ns, left=left)
+                self._resting = self._loop.call_later(rest_s, self._look)
 
-    def _look_at(self, ready: list[tuple[int, int]]) -> bool:
+    def _rest_after(self, begun_ns: int, *, left: bool) -> float:
+        """Return how long to rest: by the share that taking had since the rest before."""
+        now_ns = time.monotonic_ns()
+        self._busy_ns += now_ns - begun_ns
+        if left:
+            return 0.0
+        flooded = self._busy_ns > FLOODED_SHARE * (now_ns - self._rested_ns)
+        self._busy_ns, self._rested_ns = 0, now_ns
+        return min(self._rest_s, FLOOD_REST_S) if flooded else self._rest_s
+
+    def _look_at(self, ready: list[tuple[int, int]], end: int) -> bool:
         left = False
-        end = time.monotonic_ns() + TURN_NS
         for fd, _ in ready:
             source = self._members.get(fd)
             if source is not None:

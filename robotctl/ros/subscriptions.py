@@ -159,11 +159,12 @@ class RawTapSource(_TakenSource):
 
 
 def affordable_rest_s(wanted_s: float, qos: QoSProfile) -> float:
-    """For how long messages may collect without overflowing the subscription's queue: 0 is never.
+    """Return how long messages may collect: at most `wanted_s`, and until the queue may be full.
 
-    One of two lengths, so that sources share few pools.
+    0 where that is less than FLOOD_REST_S: so short a rest saves nothing. Sources whose rests are
+    equal share a pool.
     """
     if qos.history == HistoryPolicy.KEEP_ALL:
         return wanted_s
-    holds_s = qos.depth / FASTEST_TOPIC_HZ
-    return next((rest_s for rest_s in (wanted_s, FLOOD_REST_S) if rest_s <= holds_s), 0.0)
+    rest_s = min(wanted_s, qos.depth / FASTEST_TOPIC_HZ)
+    return rest_s if rest_s >= min(wanted_s, FLOOD_REST_S) else 0.0

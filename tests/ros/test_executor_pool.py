@@ -7,6 +7,7 @@ import os
 import threading
 import time
 from collections.abc import Awaitable, Callable
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -16,6 +17,7 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import UInt64
 
 from robotctl.ros import AsyncioExecutor, RawTap
+from robotctl.ros import pool as pool_module
 from robotctl.ros.pool import Pool
 from robotctl.ros.subscriptions import affordable_rest_s
 from robotctl.testing.waiting import DEADLINE_S
@@ -67,6 +69,47 @@ async def test_a_tap_takes_what_collected_in_one_look(
     assert values == list(range(200))
     # A rest of 10 ms after each look collects some 20 of them; a look at each would be 200.
     assert looks <= took_s / 0.01 + 2
+
+
+def test_a_flooded_pool_rests_for_less_until_it_is_calm(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = SimpleNamespace(now_ns=10**9, monotonic_ns=lambda: clock.now_ns)
+    monkeypatch.setattr(pool_module, "time", clock)
+    rests: list[float] = []
+
+    class Loop:
+        add_reader = remove_reader = staticmethod(lambda *_: None)
+        is_closed = staticmethod(lambda: False)
+
+        def call_later(self, rest_s: float, _: object) -> None:
+            rests.append(rest_s)
+
+    class Source:
+        taking_ns: tuple[int, ...] = ()
+
+        def look(self) -> bool:
+            clock.now_ns += self.taking_ns[0]
+            self.taking_ns = self.taking_ns[1:]
+            return bool(self.taking_ns)
+
+    loop: Any = Loop()
+    source, pool = Source(), Pool(loop, 0.03)
+
+    def rests_after(passed_ms: int, *taking_ms: float) -> list[float]:
+        clock.now_ns += passed_ms * 1_000_000
+        source.taking_ns = tuple(round(ms * 1e6) for ms in taking_ms)
+        rests.clear()
+        for _ in taking_ms:
+            pool._look()
+        return rests
+
+    with os.fdopen(os.eventfd(1), "rb", 0) as ready:
+        pool.add(ready.fileno(), source)
+        assert rests_after(1000, 0.5) == [0.03]
+        assert rests_after(30, 0.5) == [0.03]
+        assert rests_after(30, 0.9, 0.9, 0.9, 0.9) == [0.0, 0.0, 0.0, 0.002]
+        assert rests_after(2, 0.4) == [0.002]
+        assert rests_after(2, 0.1) == [0.03]
+        pool.close()
 
 
 async def test_several_taps_share_one_wake_up(
@@ -174,8 +217,9 @@ async def test_a_subscription_whose_queue_is_short_never_collects(
     [
         (10_000, 0.01, 0.01),
         (500, 0.01, 0.01),
-        (499, 0.01, 0.002),
+        (450, 0.01, 0.009),
         (100, 0.01, 0.002),
+        (1_500, 0.05, 0.03),
         (99, 0.01, 0.0),
         (10, 0.002, 0.0),
         (10_000, 0.0, 0.0),

@@ -1,0 +1,36 @@
+"""A daemon that only watches a quiet robot lets its processor sleep."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from contextlib import AbstractAsyncContextManager
+from typing import Any
+
+import pytest
+
+from robotctl.ros.pool import Pool
+
+LOOKS_PER_S = 60
+"""Of the recorder at its topics. A rest of 30 ms makes 33 of them, one of 2 ms more than 100."""
+
+
+async def test_the_recorder_of_a_quiet_robot_looks_seldom(
+    in_process: Callable[..., AbstractAsyncContextManager[Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looks = 0
+    look = Pool._look
+
+    def counted(pool: Pool) -> None:
+        nonlocal looks
+        looks += 1
+        look(pool)
+
+    monkeypatch.setattr(Pool, "_look", counted)
+    async with in_process() as daemon:
+        await daemon.until(lambda status: status["recorder"]["received"] > 200)
+        looks, begun = 0, time.monotonic()
+        await asyncio.sleep(2.0)
+        rate = looks / (time.monotonic() - begun)
+    assert 0 < rate <= LOOKS_PER_S
