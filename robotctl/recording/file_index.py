@@ -122,9 +122,17 @@ class FileIndex:
 
     account: ReadAccount = field(default_factory=ReadAccount)
 
+    limit_reached: bool = False
+    """Something was left out that could be read with higher limits."""
+
     def miss(self, sentence: str) -> None:
         """Say that something cannot be read."""
         note_missing(self.missing, sentence)
+
+    def miss_beyond(self, what: str, limit: BeyondLimit) -> None:
+        """Say that something is not read, because it is more than the limits allow."""
+        self.limit_reached = True
+        self.miss(f"{what}: {limit}")
 
     def unaccounted(self) -> str:
         """What to say where all was read and is not what the summary counts; else ""."""

@@ -12,6 +12,10 @@ TOPIC = "robotctl/journal"
 TYPE_NAME = "robot_controller/msg/JournalEntry"
 
 
+MAX_TEXT_BYTES = 256 << 10
+"""The JSON of an entry. A request that reaches the kernel has at most 64 kB, a snapshot some."""
+
+
 class Kind(IntEnum):
     """What an entry holds; the numbers are those of JournalEntry.msg."""
 
@@ -60,6 +64,10 @@ def decode(serialized: bytes) -> JournalEntry:
         start += name_size + -name_size % 4
         (data_size,) = _LENGTH.unpack_from(serialized, start)
         start += _LENGTH.size
+        if max(name_size, data_size) > MAX_TEXT_BYTES:
+            raise ValueError(
+                f"its text has {max(name_size, data_size)} bytes, more than {MAX_TEXT_BYTES}"
+            )
         if len(serialized) < start + data_size:
             raise ValueError("cut short")
         data = serialized[start : start + data_size - 1].decode()

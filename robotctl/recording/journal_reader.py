@@ -10,6 +10,7 @@ from robotctl.errors import UnreadableFile
 from robotctl.paths import DEFAULT_ROBOT, namespace_of
 from robotctl.recording.identity import INFO_RECORD
 from robotctl.recording.journal import TOPIC, TYPE_NAME, JournalEntry, Kind, decode
+from robotctl.recording.read_limits import CURE
 from robotctl.recording.reader import Message, Recording, RecordingInfo
 
 _FIRST_STEP_NS = 15 * 10**9
@@ -21,6 +22,37 @@ class Journaled(NamedTuple):
 
     log_ns: int
     entry: JournalEntry
+
+
+class EntryDecoder:
+    """Decodes the entries of a recording, one after the other, within its `journal_` limits."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._limits = recording.limits
+        self._entries = 0
+        self._snapshots = 0
+        self._text_bytes = 0
+
+    def decode(self, serialized: bytes) -> JournalEntry:
+        """The entry in a message. Raises UnreadableFile, also beyond the limits."""
+        limits = self._limits
+        self._entries += 1
+        self._text_bytes += len(serialized)
+        if self._entries > limits.journal_entries:
+            raise _beyond(f"{limits.journal_entries} entries")
+        if self._text_bytes > limits.journal_text_bytes:
+            raise _beyond(f"{limits.journal_text_bytes >> 20} MiB of text")
+        entry = decode(serialized)
+        self._snapshots += entry.kind is Kind.SNAPSHOT
+        if self._snapshots > limits.snapshots:
+            raise _beyond(f"{limits.snapshots} snapshots")
+        return entry
+
+
+def _beyond(limit: str) -> UnreadableFile:
+    return UnreadableFile(
+        f"its journal is not read behind {limit}, more than a file of its size may hold ({CURE})"
+    )
 
 
 def journal_topic(info: RecordingInfo) -> str | None:
@@ -50,8 +82,9 @@ def read_journal(
     topic = journal_topic(recording.info())
     if topic is None:
         raise UnreadableFile(f"{recording.path} holds no journal of robotctl")
+    decoder = EntryDecoder(recording)
     for message in recording.in_order_written({topic}, on_missing, on_progress):
-        yield Journaled(message.log_ns, decode(message.data))
+        yield Journaled(message.log_ns, decoder.decode(message.data))
 
 
 def since_snapshot(

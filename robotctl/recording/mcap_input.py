@@ -86,7 +86,10 @@ class InputFile:
             self.close()
             raise OSError(errno.EINVAL, "it is no regular file", str(path))
         self.size = status.st_size
-        self.limits = ReadLimits.of(self.size)
+        self.stored_bytes = self.size
+        """Bytes on the disk, which the limits go by."""
+
+        self.limits = ReadLimits.of(self.stored_bytes)
 
     def refresh(self) -> None:
         """See how large the file is by now."""

@@ -19,6 +19,7 @@ from robotctl.recording.indexing import index_of
 from robotctl.recording.lookback import last_before
 from robotctl.recording.mcap_input import Damaged, InputFile
 from robotctl.recording.merge import in_order_written, merge
+from robotctl.recording.read_limits import ReadLimits
 from robotctl.recording.recording_files import absent_files, recording_files
 from robotctl.recording.recording_info import RecordingInfo, TopicInfo, describe, metadata_in
 from robotctl.recording.source import ALWAYS, Message, OpenFile, Window
@@ -98,6 +99,11 @@ class Recording:
     def __exit__(self, *_: object) -> None:
         """Close it."""
         self.close()
+
+    @property
+    def limits(self) -> ReadLimits:
+        """How much work its size allows."""
+        return ReadLimits.of(sum(each.file.stored_bytes for each in self._files))
 
     def info(self) -> RecordingInfo:
         """What it holds."""

@@ -92,6 +92,9 @@ def metadata_in(files: Sequence[OpenFile]) -> list[Metadata]:
 def _topics(indexes: list[FileIndex], duration_s: float) -> tuple[TopicInfo, ...]:
     topics: dict[tuple[str, str], TopicInfo] = {}
     for index in indexes:
+        definitions = {  # once: any number of channels may share one
+            schema.id: schema.data.decode(errors="replace") for schema in index.schemas.values()
+        }
         for channel in index.channels.values():
             schema = index.schemas.get(channel.schema_id)
             type_name = type_name_of(channel, schema)
@@ -106,6 +109,6 @@ def _topics(indexes: list[FileIndex], duration_s: float) -> tuple[TopicInfo, ...
                 offered_qos=channel.metadata.get(_QOS_KEY, ""),
                 type_hash=channel.metadata.get(_HASH_KEY, ""),
                 schema_encoding=schema.encoding if schema else "",
-                definition=schema.data.decode(errors="replace") if schema else "",
+                definition=definitions.get(channel.schema_id, ""),
             )
     return tuple(topics[key] for key in sorted(topics))

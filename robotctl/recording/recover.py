@@ -20,7 +20,7 @@ from robotctl.recording.file_index import (
 from robotctl.recording.identity import LIBRARY, RECOVERY_RECORD
 from robotctl.recording.indexing import index_of
 from robotctl.recording.mcap_file import McapFile
-from robotctl.recording.mcap_input import Damaged, InputFile
+from robotctl.recording.mcap_input import BeyondLimit, Damaged, InputFile
 from robotctl.recording.message_compression import without_compression
 from robotctl.recording.new_file import new_file
 from robotctl.recording.options import Compression
@@ -37,12 +37,16 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class Salvage:
-    """What came out of a recovery; `lost` says in sentences what did not."""
+    """What came out of a recovery; `lost` says in sentences what did not.
+
+    With higher limits there would be more if `limit_reached`.
+    """
 
     target: Path
     message_count: int
     attachment_count: int
     lost: tuple[str, ...]
+    limit_reached: bool = False
 
 
 def recover(
@@ -74,7 +78,9 @@ def recover(
             if not copy.message_count and copy.lost:
                 raise UnreadableFile(f"{source} holds no readable message: {'; '.join(copy.lost)}")
     on_progress(total, total)
-    return Salvage(target, copy.message_count, copy.attachment_count, tuple(copy.lost))
+    return Salvage(
+        target, copy.message_count, copy.attachment_count, tuple(copy.lost), index.limit_reached
+    )
 
 
 class _Copy:
@@ -131,6 +137,7 @@ class _Copy:
                 behind = offset + length
                 mcap.add_attachment(read_attachment(self._file, offset))
             except Damaged as damage:
+                self._index.limit_reached |= isinstance(damage, BeyondLimit)
                 note_missing(self.lost, f"the attachment at byte {offset} is lost: {damage}")
             else:
                 mcap.commit(finished=False)  # one at a time in memory
@@ -149,6 +156,7 @@ class _Copy:
                     yield messages
                     messages, size = [], 0
         except Damaged as damage:
+            self._index.limit_reached |= isinstance(damage, BeyondLimit)
             end = place.offset + place.length
             note_missing(self.lost, f"bytes {place.offset} to {end} are lost: {damage}")
         if messages:

@@ -56,9 +56,13 @@ def _repair_file(path: Path) -> Tidied | None:
     """What was done to the file; None if it was closed properly."""
     with InputFile(path) as file:
         try:
-            index = index_from_summary(file)
-            if index.has_metadata(LEDGER_RECORD, RECOVERY_RECORD):
+            if index_from_summary(file, places=False).has_metadata(LEDGER_RECORD, RECOVERY_RECORD):
                 return None
+            index = index_from_summary(file)
+            if index.limit_reached:
+                missing = "; ".join(index.missing)
+                text = f"{path.name} was not closed and is left as it is: {missing}"
+                return Tidied(text, problem=True)
             _verify(file, index)
             written = read_written_file(file)
         except Damaged:
@@ -87,9 +91,9 @@ def _close(path: Path, written: WrittenFile, messages: Sequence[PlainMessage]) -
 
 def _verify(file: InputFile, index: FileIndex) -> None:
     """Read everything once. Raises Damaged."""
+    left = file.limits.records
     for place in index.places:
-        for _ in walk_records(place.read(file)):
-            pass
+        left -= sum(1 for _ in walk_records(place.read(file), left))
 
 
 def _checksum(file: InputFile, data_end: int) -> int:
@@ -106,6 +110,10 @@ def _replace(path: Path) -> Tidied:
         salvage = recover(path, repaired)
     except RobotctlError as error:
         return Tidied(f"{path.name} was torn and cannot be repaired: {error}", problem=True)
+    if salvage.limit_reached:
+        repaired.unlink()
+        text = f"{path.name} was torn and is left as it is: {'; '.join(salvage.lost)}"
+        return Tidied(text, problem=True)
     repaired.replace(path)
     lost = "; ".join(salvage.lost)
     text = f"repaired: {path.name} was torn: {salvage.message_count} messages are whole ({lost})"

@@ -61,7 +61,7 @@ def index_by_scanning(
                 on_progress(offset)
             break
         except BeyondLimit as limit:
-            index.miss(f"what follows byte {offset} is not read: {limit}")
+            index.miss_beyond(f"what follows byte {offset} is not read", limit)
             break
         except Damaged as damage:
             if scan.data_ended:
@@ -70,7 +70,7 @@ def index_by_scanning(
             try:
                 found = find_chunk(file, offset + 1, scan.budget)
             except BeyondLimit as limit:
-                index.miss(f"what follows byte {offset} is not read: {limit}")
+                index.miss_beyond(f"what follows byte {offset} is not read", limit)
                 break
             end = file.size if found is None else found
             index.miss(f"bytes {offset} to {end} are lost: {damage}")
@@ -92,6 +92,8 @@ def read_gaps(file: InputFile, index: FileIndex) -> None:
         try:
             while offset < end and scan.step(offset):
                 offset = scan.next_offset
+        except BeyondLimit as limit:
+            index.miss_beyond(f"bytes {offset} to {end} are not read", limit)
         except Damaged as damage:
             index.miss(f"bytes {offset} to {end} are lost: {damage}")
     scan.finish()

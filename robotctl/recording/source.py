@@ -13,6 +13,7 @@ from robotctl.recording.buffer import PlainMessage
 from robotctl.recording.file_index import FileIndex, Place, PlaceKind
 from robotctl.recording.mcap_input import (
     MESSAGE_FIELDS,
+    TOO_MANY_RECORDS,
     BeyondLimit,
     Damaged,
     InputFile,
@@ -99,7 +100,7 @@ class Source:
     def load(self) -> None:
         """Read the place. Raises Damaged; `entries` then holds what came before the damage."""
         self.loaded = True
-        data = self._data = self.place.read(self.file.file)
+        data = self._data = self._read()
         self.size = len(data)
         first_ns, last_ns = self.window
         try:
@@ -123,7 +124,7 @@ class Source:
 
     def plain_messages(self) -> Iterator[PlainMessage]:
         """As `as_written`, with the channel's number."""
-        data = self.place.read(self.file.file)
+        data = self._read()
         failure: Damaged | None = None
         for start, end, (channel, sequence, log_ns, publish_ns) in self._wanted(data):
             try:
@@ -135,14 +136,23 @@ class Source:
         if failure is not None:
             raise failure
 
+    def _read(self) -> bytes:
+        """The records at the place. Raises Damaged."""
+        if self._records_left() <= 0:
+            raise BeyondLimit(TOO_MANY_RECORDS)
+        return self.place.read(self.file.file)
+
+    def _records_left(self) -> int:
+        limit = self.file.file.limits.records
+        return self.file.index.account.records_left(self.place.offset, limit)
+
     def _wanted(self, data: bytes) -> Iterator[tuple[int, int, _Fields]]:
         """Start, end and fields of the messages of wanted channels. Raises Damaged at last."""
         unknown = messages = others = 0
         names, unpack = self._names, MESSAGE_FIELDS.unpack_from
         offset, account = self.place.offset, self.file.index.account
-        most = account.records_left(offset, self.file.file.limits.records)
         try:
-            for opcode, start, end in walk_records(data, most):
+            for opcode, start, end in walk_records(data, self._records_left()):
                 if opcode == Opcode.MESSAGE:
                     messages += 1
                     fields = unpack(data, start)

@@ -164,7 +164,7 @@ def _affordable(places: list[Place], file: InputFile, index: FileIndex) -> list[
         try:
             budget.spend(place.unpacked_bytes or 0)
         except BeyondLimit as limit:
-            index.miss(f"only {number} of {len(places)} chunks are read: {limit}")
+            index.miss_beyond(f"only {number} of {len(places)} chunks are read", limit)
             return places[:number]
     return places
 

@@ -7,10 +7,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from robotctl.errors import UnreadableFile
-from robotctl.recording import journal
 from robotctl.recording.identity import CLIP_RECORD, INFO_RECORD, OWN_LIBRARY
 from robotctl.recording.journal import JournalEntry
-from robotctl.recording.journal_reader import journal_topic
+from robotctl.recording.journal_reader import EntryDecoder, journal_topic
 from robotctl.recording.ledger_record import read_ledger
 from robotctl.recording.reader import Recording, RecordingInfo, read_info
 from robotctl.replay.comparison import Comparison
@@ -83,9 +82,10 @@ class _Check:
         messages = self._recording.in_order_written(
             {topic} if commands is None else {topic, commands}, report.miss, self._on_progress
         )
+        decoder = EntryDecoder(self._recording)
         for message in messages:
             if message.topic == topic:
-                entry = journal.decode(message.data)
+                entry = decoder.decode(message.data)
                 if not report.begin_log_ns:
                     report.begin_ns, report.begin_log_ns = entry.t_ns, message.log_ns
                 self._end_ns = entry.t_ns

@@ -14,8 +14,8 @@ from robotctl.kernel.params import KernelParams
 from robotctl.kernel.state import State
 from robotctl.kernel.types import Effect, Event, ModeChanged, ModeRequested, Phase, Reply
 from robotctl.recording.file_index import note_missing
-from robotctl.recording.journal import JournalEntry, decode
-from robotctl.recording.journal_reader import journal_topic
+from robotctl.recording.journal import JournalEntry
+from robotctl.recording.journal_reader import EntryDecoder, journal_topic
 from robotctl.recording.reader import Recording
 from robotctl.replay.steps import Gap, Step, steps
 from robotctl.replay.traffic import command_topic, is_still
@@ -129,9 +129,10 @@ class _Search:
         return self._best
 
     def _entries(self, on_progress: Callable[[int, int], None]) -> Iterator[JournalEntry]:
+        decoder = EntryDecoder(self._recording)
         for message in self._recording.in_order_written({self._topic}, self._miss, on_progress):
             self._log_ns = message.log_ns
-            entry = decode(message.data)
+            entry = decoder.decode(message.data)
             if self._begin_ns is None:
                 self._begin_ns = entry.t_ns
             yield entry
@@ -236,11 +237,12 @@ class _Context:
         first = incident.seq if incident.snapshot_seq is None else incident.snapshot_seq
         commands = command_topic(self._recording.info(), self._topic)
         topics = {self._topic} if commands is None else {self._topic, commands}
+        decoder = EntryDecoder(self._recording)
         for message in self._recording.in_order_written(topics, lambda sentence: None):
             if incident.log_ns:
                 self._messages_after += 1
             if message.topic == self._topic:
-                entry = decode(message.data)
+                entry = decoder.decode(message.data)
                 if entry.seq == incident.seq:
                     incident.log_ns = message.log_ns
                 if entry.seq >= first:

@@ -141,3 +141,24 @@ def test_a_repair_that_was_interrupted_leaves_no_trace(tmp_path: Path) -> None:
     assert len(repair(tmp_path)) == 1
     assert len(read_strictly(file)) == 100
     assert not (tmp_path / "run" / "run_0.mcap.repair").exists()
+
+
+@pytest.mark.parametrize("torn", [False, True])
+@pytest.mark.parametrize("limit", ["UNPACKED", "RECORD"])
+def test_what_is_too_much_to_read_is_left_as_it_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, torn: bool, limit: str
+) -> None:
+    file = crashed(tmp_path / "run", 200)
+    if torn:
+        file.write_bytes(file.read_bytes()[:-30])
+    content = file.read_bytes()
+    if limit == "UNPACKED":
+        monkeypatch.setattr("robotctl.recording.read_limits.UNPACKED_BYTES", 500)
+        monkeypatch.setattr("robotctl.recording.read_limits.UNPACKED_RATIO", 0)
+    else:
+        monkeypatch.setattr("robotctl.recording.read_limits.RECORDS", 150)
+        monkeypatch.setattr("robotctl.recording.read_limits.BYTES_PER_RECORD", 1e9)
+    (sentence,) = repair(tmp_path)
+    assert "is left as it is" in sentence
+    assert file.read_bytes() == content
+    assert [path.name for path in file.parent.glob("*.repair")] == []
