@@ -297,7 +297,8 @@ class Finding:
 
 
 _RULES_IN: tuple[tuple[Rule, ...], ...] = tuple(
-    tuple(rule for rule in RULES if mode in rule.raised_in) for mode in Mode
+    tuple(rule for rule in RULES if mode in rule.raised_in and rule.present is not _healthy)
+    for mode in Mode
 )
 _MEASURED_IN: tuple[tuple[Rule, ...], ...] = tuple(
     tuple(rule for rule in rules if rule not in _REPORTED) for rules in _RULES_IN
