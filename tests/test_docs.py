@@ -75,3 +75,16 @@ def test_the_safety_page_has_a_cause_for_every_rule_that_ends_a_motion() -> None
     raised = {rule.cause.value for rule in RULES if rule.raised_in}
     assert raised == set(words)
     assert [cause for cause, text in words.items() if text not in page] == []
+
+
+def test_each_promise_of_the_safety_page_names_tests_that_exist() -> None:
+    page = (ROOT / "docs" / "safety.md").read_text()
+    promises = page.split("## What it promises")[1].split("\n## ")[0]
+    table = page.split("## The test of each promise")[1]
+    rows = dict(re.findall(r"^\| ([^|`]+) \| (`.+`) \|$", table, re.MULTILINE))
+    promised = re.findall(r"^- \*\*([^*]+)\.\*\*", promises, re.MULTILINE)
+    assert len(promised) == promises.count("\n- ")
+    assert list(rows) == promised
+    for test in re.findall(r"`([^`]+)`", "".join(rows.values())):
+        file, _, name = test.partition("::")
+        assert f"def {name}(" in (ROOT / file).read_text(), test
