@@ -84,12 +84,12 @@ def load(path: Path) -> Config:
     try:
         for key, value in settings:
             if key in seen:
-                raise ConfigError(f"{key}: stands twice: keep one of them")
+                raise ConfigError(f"{key}: stands twice", "keep one of them")
             seen.add(key)
             config = with_setting(config, key, value)
         check_together(config.kernel)
     except ConfigError as error:
-        raise ConfigError(f"{path}: {error}") from None
+        raise ConfigError(f"{path}: {error.cause}", error.cure) from None
     return config
 
 
@@ -123,7 +123,7 @@ def with_setting(config: Config, key: str, value: object) -> Config:
         near = get_close_matches(key, known, n=1)
         hint = f"did you mean {near[0]}?" if near else f"use {', '.join(sorted(known))}"
         shown = key if key.isprintable() and len(key) <= 80 else short_repr(key)
-        raise ConfigError(f"{shown}: no such key: {hint}")
+        raise ConfigError(f"{shown}: no such key", hint)
     path = known[key]
     replaced = _replaced(config, path, key, value)
     assert isinstance(replaced, Config)
@@ -250,7 +250,7 @@ def _is_topic(value: object, *, optional: bool) -> bool:
 
 
 def _not_allowed(key: str, value: object, allowed: str) -> ConfigError:
-    return ConfigError(f"{key}: {short_repr(value)} is not allowed: {allowed}")
+    return ConfigError(f"{key}: {short_repr(value)} is not allowed", allowed)
 
 
 def _read(path: Path) -> Any:
@@ -280,7 +280,7 @@ def _read(path: Path) -> Any:
             raise ConfigError(f"{path}: larger than {MAX_FILE_BYTES} bytes: not a configuration")
         return yaml.load(text, Loader)
     except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}: give the path of a YAML file") from None
+        raise ConfigError(f"{path}: {error.strerror}", "give the path of a YAML file") from None
     except (yaml.YAMLError, RecursionError, TypeError, ValueError) as error:
         raise ConfigError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
 

@@ -79,7 +79,7 @@ def _free_domain() -> int:
     taken.add(int(os.environ.get("ROS_DOMAIN_ID") or 0))
     free = [domain_id for domain_id in DOMAINS if domain_id not in taken]
     if not free:
-        raise Refused("every ROS domain from 1 to 101 is in use on this machine: stop one")
+        raise Refused("every ROS domain from 1 to 101 is in use on this machine", "stop one")
     return free[int.from_bytes(os.urandom(8)) % len(free)]
 
 

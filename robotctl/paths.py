@@ -27,8 +27,9 @@ def check_robot_name(name: str) -> str:
     """Return `name` if it can be a ROS namespace and a file name; raises UsageError."""
     if len(name) > MAX_ROBOT_NAME_LENGTH or not _ROBOT_NAME.fullmatch(name) or "__" in name:
         raise UsageError(
-            f"robot name {name!r}: use a letter, then letters, digits and single underscores, "
-            f"at most {MAX_ROBOT_NAME_LENGTH}"
+            f"robot name {name!r}",
+            "use a letter, then letters, digits and single underscores, "
+            f"at most {MAX_ROBOT_NAME_LENGTH}",
         )
     return name
 
@@ -53,7 +54,7 @@ def state_folder() -> Path:
     try:
         return Path(base or Path.home() / ".local" / "state") / "robotctl"
     except RuntimeError:  # neither HOME nor the machine's list of users names one
-        raise UsageError("you have no home folder: set XDG_STATE_HOME to a folder") from None
+        raise UsageError("you have no home folder", "set XDG_STATE_HOME to a folder") from None
 
 
 def chain_to(folder: Path) -> Chain:
@@ -77,8 +78,8 @@ def socket_path(robot: str) -> Path:
     path = runtime_folder() / f"{check_robot_name(robot)}.sock"
     if len(os.fsencode(path)) > MAX_SOCKET_PATH_BYTES:
         raise UsageError(
-            f"socket path {path} is longer than {MAX_SOCKET_PATH_BYTES} bytes: "
-            "set XDG_RUNTIME_DIR to a shorter folder"
+            f"socket path {path} is longer than {MAX_SOCKET_PATH_BYTES} bytes",
+            "set XDG_RUNTIME_DIR to a shorter folder",
         )
     return path
 

@@ -23,7 +23,7 @@ from robotctl.cli.moments import parse_moment
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.progress import progress_bar
 from robotctl.cli.text import duration, moment, printable, short_path
-from robotctl.errors import RecoveredWithLoss, Refused, UnreadableFile, UsageError
+from robotctl.errors import IN_PARENTHESES, RecoveredWithLoss, Refused, UnreadableFile, UsageError
 
 if TYPE_CHECKING:
     from robotctl.recording.clip import Clip, Moment
@@ -88,10 +88,10 @@ def clip(
     from robotctl.recording.clip_job import ClipJob, make_clip, remaining_s
 
     if event is not None and at is not None:
-        raise UsageError("--event and --at: give one of them")
+        raise UsageError("--event and --at", "give one of them")
     for option, seconds in (("--before", before), ("--after", after)):
         if not (math.isfinite(seconds) and 0 <= seconds <= MAX_SECONDS):
-            raise UsageError(f"{option} {seconds:g}: give seconds from 0 to {MAX_SECONDS:g}")
+            raise UsageError(f"{option} {seconds:g}", f"give seconds from 0 to {MAX_SECONDS:g}")
     source, about = _find(file, event, at, robot, folder)
     job = ClipJob(source.path, about, before, after, output)
     wait_s = remaining_s(job, source)
@@ -129,10 +129,10 @@ def _find(
             return listed, found
     if at is not None:
         where = "no recording holds" if file is None else f"{candidates[0]} does not hold"
-        raise Refused(f"{where} the time {at} (see: robotctl recordings)")
+        raise Refused(f"{where} the time {at}", "see: robotctl recordings", sentence=IN_PARENTHESES)
     what = "no emergency stop, error or mark" if event is None else f"no event {event.value!r}"
     where = "any recording" if file is None else str(candidates[0])
-    raise Refused(f"there is {what} in {where} (any time: --at)")
+    raise Refused(f"there is {what} in {where}", "any time: --at", sentence=IN_PARENTHESES)
 
 
 def _moment(listed: ListedRecording, event: Event | None, at: str | None) -> Moment | None:

@@ -68,7 +68,7 @@ def mode_number(text: str) -> int:
         return MODES[name]
     if name in [str(number) for number in MODES.values()]:
         return int(name)
-    raise UsageError(f"no mode {text!r}: use {', '.join(MODES)}, or 0 to {max(MODES.values())}")
+    raise UsageError(f"no mode {text!r}", f"use {', '.join(MODES)}, or 0 to {max(MODES.values())}")
 
 
 def source(command: str) -> str:

@@ -80,9 +80,9 @@ def drive(
       robotctl drive circle --radius 0.5 --speed 0.2 --replace
     """
     if side is not None and pattern is not Pattern.SQUARE:
-        raise UsageError(f"a {pattern.value} has no side: use --radius")
+        raise UsageError(f"a {pattern.value} has no side", "use --radius")
     if radius is not None and pattern is Pattern.SQUARE:
-        raise UsageError("a square has no radius: use --side")
+        raise UsageError("a square has no radius", "use --side")
     _check("--side", side, MIN_SIZE_M, MAX_SIZE_M, " m")
     _check("--radius", radius, MIN_SIZE_M, MAX_SIZE_M, " m")
     _check("--speed", speed, MIN_SPEED_MPS, MAX_SPEED_MPS, " m/s")

@@ -10,7 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from robotctl.errors import AlreadyRunning, RobotctlError, UsageError, error_for_exit_code
+from robotctl.errors import (
+    IN_PARENTHESES,
+    AlreadyRunning,
+    RobotctlError,
+    UsageError,
+    error_for_exit_code,
+)
 from robotctl.ipc.client import command_for
 from robotctl.paths import log_path, make_private
 from robotctl.processes import Child, program, start
@@ -115,7 +121,9 @@ def _log_of(robot: str) -> Path:
     except (OSError, RuntimeError) as error:  # a home that cannot be written, or no home at all
         why = f"{error.strerror}: {error.filename}" if isinstance(error, OSError) else error
         raise UsageError(
-            f"there is no folder for the log: {why} (set XDG_STATE_HOME to one of yours)"
+            f"there is no folder for the log: {why}",
+            "set XDG_STATE_HOME to one of yours",
+            sentence=IN_PARENTHESES,
         ) from error
     return log
 
@@ -135,11 +143,13 @@ def _failure(robot: str, daemon: Child, said: dict[str, Any], log: Path) -> Robo
     ended = _end(daemon, patiently=said != _TOO_SLOW)
     if "error" in said:
         exit_code = said.get("exit_code", RobotctlError.exit_code)
-        return error_for_exit_code(exit_code, str(said["error"]))
+        return error_for_exit_code(exit_code, str(said["error"]), said)
     see = command_for(robot, "logs")
     lines = log.read_text(errors="replace").split("\n") if log.exists() else []
     last = next((line.strip() for line in reversed(lines) if line.strip()), "it wrote nothing")
-    return RobotctlError(f"the daemon {ended} before it was ready: {last} (see: {see})")
+    return RobotctlError(
+        f"the daemon {ended} before it was ready: {last}", f"see: {see}", sentence=IN_PARENTHESES
+    )
 
 
 def _end(daemon: Child, *, patiently: bool) -> str:

@@ -10,7 +10,8 @@ from typing import Annotated
 import typer
 
 from robotctl.cli.quick import ROBOT_VARIABLE
-from robotctl.errors import Refused, UsageError
+from robotctl.errors import IN_PARENTHESES, Refused, UsageError
+from robotctl.ipc.client import command_for
 from robotctl.paths import DEFAULT_ROBOT, chain_to, recordings_note_path, state_folder
 
 LAST = "last"
@@ -77,7 +78,11 @@ def find_recording(name: str, robot: str | None, given: Path | None = None) -> P
         newest = recordings_of(robot, folder)
         if not newest:
             whose = "" if robot is None else f" of robot {robot!r}"
-            raise Refused(f"no recording{whose} in {folder} (begin one: robotctl start)")
+            raise Refused(
+                f"no recording{whose} in {folder}",
+                f"begin one: {command_for(robot or DEFAULT_ROBOT, 'start')}",
+                sentence=IN_PARENTHESES,
+            )
         return newest[0]
     return folder / name if (folder / name).exists() else path
 

@@ -25,6 +25,7 @@ def parse_moment(text: str, start_ns: int) -> int:
             except (ValueError, OverflowError, OSError):
                 continue
     raise UsageError(
-        f"--at {text}: give seconds into the recording, a time such as 12:03:04, "
-        "or a date such as 2026-01-01T12:03:04"
+        f"--at {text}",
+        "give seconds into the recording, a time such as 12:03:04, "
+        "or a date such as 2026-01-01T12:03:04",
     )

@@ -22,7 +22,7 @@ from robotctl.cli.text import (
     short_path,
     size,
 )
-from robotctl.errors import Refused
+from robotctl.errors import IN_PARENTHESES, Refused
 
 if TYPE_CHECKING:
     from robotctl.recording.listing import ListedRecording
@@ -105,7 +105,11 @@ def _set_kept(name: str, folder: Path | None, robot: str | None, *, kept: bool) 
 
     path = find_recording(name, robot, folder)
     if not path.is_dir():
-        raise Refused(f"{path} is no recording's folder (see: robotctl recordings)")
+        raise Refused(
+            f"{path} is no recording's folder",
+            "see: robotctl recordings",
+            sentence=IN_PARENTHESES,
+        )
     try:
         set_kept(path, kept)
     except OSError as error:

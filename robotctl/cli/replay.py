@@ -148,7 +148,7 @@ def replay(
             "--force-types plays types that have changed"
         )
     if check and (what_if or resim):
-        raise UsageError("--check takes the recorded parameters: leave --what-if and --resim out")
+        raise UsageError("--check takes the recorded parameters", "leave --what-if and --resim out")
     daemon_robot = check_robot_name(robot or DEFAULT_ROBOT)
     if check or what_if or resim:
         _refuse_playing_options(context)
@@ -272,5 +272,5 @@ def _domain_id(given: int | None) -> int | None:
     if not value:
         return None
     if not value.isdecimal() or int(value) > MAX_DOMAIN_ID:
-        raise UsageError(f"{name} is {value!r}: use 0 to {MAX_DOMAIN_ID}")
+        raise UsageError(f"{name} is {value!r}", f"use 0 to {MAX_DOMAIN_ID}")
     return int(value)

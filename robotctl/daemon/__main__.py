@@ -81,7 +81,8 @@ def _fail(ready_fd: int | None, error: RobotctlError) -> int:
             print(f"robotctl: {error}", file=sys.stderr)
     else:
         _log.error("%s", error)
-        _tell(ready_fd, {"ready": False, "error": str(error), "exit_code": error.exit_code})
+        failure = {"error": str(error), "exit_code": error.exit_code, **error.details()}
+        _tell(ready_fd, {"ready": False, **failure})
     return error.exit_code
 
 

@@ -81,7 +81,7 @@ class DrivingMethods:
     async def _set_mode(self, params: SetModeParams) -> dict[str, Any]:
         if params.mode not in list(Mode):
             names = ", ".join(f"{mode.value} {mode.name}" for mode in Mode)
-            raise UsageError(f"{params.mode} is not a mode: use {names}")
+            raise UsageError(f"{params.mode} is not a mode", f"use {names}")
         request_id = self._control.new_request_id()
         event = ModeRequested(time.monotonic_ns(), request_id, params.mode, params.source)
         return self._answer(await self._control.request(event))

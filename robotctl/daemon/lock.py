@@ -9,8 +9,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from robotctl.errors import AlreadyRunning
-from robotctl.paths import DEFAULT_ROBOT, make_private
+from robotctl.errors import IN_PARENTHESES, AlreadyRunning
+from robotctl.ipc.client import command_for
+from robotctl.paths import make_private
 
 PID_S = 1.0
 """How long the owner may take from its lock to its pid in the file."""
@@ -27,8 +28,9 @@ def owned(path: Path, robot: str) -> Iterator[None]:
             pid = _living_owner(fd)
             if pid or time.monotonic() > until:
                 raise AlreadyRunning(
-                    f"robot {robot!r} is running already, pid {pid or 'unknown'} (stop it with: "
-                    f"robotctl stop{'' if robot == DEFAULT_ROBOT else f' --robot {robot}'})"
+                    f"robot {robot!r} is running already, pid {pid or 'unknown'}",
+                    f"stop it with: {command_for(robot, 'stop')}",
+                    sentence=IN_PARENTHESES,
                 )
             time.sleep(0.01)
         os.ftruncate(fd, 0)

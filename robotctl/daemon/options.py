@@ -61,7 +61,7 @@ def parse(arguments: list[str]) -> DaemonOptions:
     given = parser.parse_args(arguments)
     if given.observe and (given.drive or given.sim):
         raise UsageError(
-            "--observe records and does nothing else: leave out --drive and --sim, or --observe"
+            "--observe records and does nothing else", "leave out --drive and --sim, or --observe"
         )
     return DaemonOptions(
         robot=check_robot_name(given.robot),
@@ -81,7 +81,7 @@ def _patterns(option: str, given: list[str]) -> tuple[str, ...]:
     patterns = [pattern for text in given for pattern in text.split(",")]
     for pattern in patterns:
         if not is_topic_pattern(pattern):
-            raise UsageError(f"{option}: {pattern!r} is not allowed: use {PATTERN_HELP}")
+            raise UsageError(f"{option}: {pattern!r} is not allowed", f"use {PATTERN_HELP}")
     return tuple(patterns)
 
 
@@ -98,5 +98,5 @@ def resolve_domain_id(given: int | None) -> int:
     text = os.environ.get("ROS_DOMAIN_ID") or "0"
     name, value = ("--domain-id", str(given)) if given is not None else ("ROS_DOMAIN_ID", text)
     if not value.isdecimal() or int(value) > MAX_DOMAIN_ID:
-        raise UsageError(f"{name} is {value!r}: use 0 to {MAX_DOMAIN_ID}")
+        raise UsageError(f"{name} is {value!r}", f"use 0 to {MAX_DOMAIN_ID}")
     return int(value)

@@ -241,7 +241,7 @@ class Connection:
             raise _Rejected(Code.INVALID_REQUEST, UsageError(text))
 
     def _busy(self) -> Refused:
-        return Refused(f"the daemon is busy with {self._limits.clients} clients: try again")
+        return Refused(f"the daemon is busy with {self._limits.clients} clients", "try again")
 
     @contextmanager
     def _until_hangup(self, deadline: asyncio.Timeout) -> Iterator[None]:
@@ -276,8 +276,8 @@ def _decode(request: Request, kind: type[P]) -> P:
     try:
         return decode(request.params, kind)
     except UsageError as error:
-        text = f"{request.method}: {error}"
-        raise _Rejected(Code.INVALID_PARAMS, UsageError(text)) from None
+        cause = UsageError(f"{request.method}: {error.cause}", error.cure)
+        raise _Rejected(Code.INVALID_PARAMS, cause) from None
 
 
 def _encode_result(request_id: int | str, result: object) -> bytes:

@@ -80,21 +80,21 @@ def decode(given: dict[str, Any], kind: type[P]) -> P:
     try:
         return msgspec.convert(given, type=kind)
     except msgspec.ValidationError:
-        raise UsageError(_refusal(given, kind)) from None
+        raise _refusal(given, kind) from None
 
 
-def _refusal(given: dict[str, Any], kind: type[Any]) -> str:
+def _refusal(given: dict[str, Any], kind: type[Any]) -> UsageError:
     fields = {field.name: field for field in msgspec.structs.fields(kind)}
     for name, value in given.items():
         if name not in fields:
-            known = f"use {', '.join(fields)}" if fields else "there are none"
-            return f"no parameter {name[:40]!r}: {known}"
+            return UsageError(f"no parameter {name[:40]!r}", f"use {', '.join(fields) or 'none'}")
         try:
             msgspec.convert(value, type=fields[name].type)
         except msgspec.ValidationError:
-            return f"{name}: {short_repr(value)} is not allowed: use {_allowed(fields[name].type)}"
+            allowed = _allowed(fields[name].type)
+            return UsageError(f"{name}: {short_repr(value)} is not allowed", f"use {allowed}")
     missing = [name for name, field in fields.items() if field.required and name not in given]
-    return f"{', '.join(missing)}: missing"
+    return UsageError(f"{', '.join(missing)}: missing")
 
 
 def _allowed(kind: Any) -> str:

@@ -209,8 +209,9 @@ def begin_bag(
         if created:
             rmtree(folder, ignore_errors=True)
         raise Refused(
-            f"cannot record into {folder}: {error.strerror or error}; "
-            "make room there or choose another folder (--recordings)"
+            f"cannot record into {folder}: {error.strerror or error}",
+            "make room there or choose another folder (--recordings)",
+            sentence="{cause}; {cure}",
         ) from error
 
 

@@ -118,5 +118,5 @@ def _factor() -> float:
     except ValueError:
         factor = 0.0
     if not (isfinite(factor) and 1 <= factor <= MAX_FACTOR):
-        raise UsageError(f"{VARIABLE}={text[:40]}: give a number from 1 to {MAX_FACTOR:g}")
+        raise UsageError(f"{VARIABLE}={text[:40]}", f"give a number from 1 to {MAX_FACTOR:g}")
     return factor

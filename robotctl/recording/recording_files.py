@@ -19,7 +19,7 @@ def recording_files(path: Path) -> list[Path]:
         reason = error.strerror if isinstance(error, OSError) else None
         raise UnreadableFile(f"{path} cannot be read: {reason or error}") from error
     if not (S_ISDIR(mode) or S_ISREG(mode)):
-        raise UnreadableFile(f"{path} is no file: give an MCAP file or a recording's folder")
+        raise UnreadableFile(f"{path} is no file", "give an MCAP file or a recording's folder")
     if not found:
         raise UnreadableFile(f"{path} holds no .mcap file")
     return found

@@ -86,7 +86,7 @@ def check_seconds(option: str, value: float, *, positive: bool = False) -> float
     """Return `value` if it is a span of time; raises UsageError."""
     if not isfinite(value) or value < 0 or (positive and value == 0):
         raise UsageError(
-            f"{option} {value:g}: give seconds, {'above' if positive else 'at least'} 0"
+            f"{option} {value:g}", f"give seconds, {'above' if positive else 'at least'} 0"
         )
     return value
 
@@ -114,5 +114,5 @@ def check_regex(text: str) -> str:
 def check_clock(hertz: float) -> float:
     """Return `hertz` if a clock can be published so often; raises UsageError."""
     if not MIN_CLOCK_HZ <= hertz <= MAX_CLOCK_HZ:
-        raise UsageError(f"--clock {hertz:g}: use {MIN_CLOCK_HZ:g} to {MAX_CLOCK_HZ:g} Hz")
+        raise UsageError(f"--clock {hertz:g}", f"use {MIN_CLOCK_HZ:g} to {MAX_CLOCK_HZ:g} Hz")
     return hertz

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-from robotctl.errors import Refused
+from robotctl.errors import IN_PARENTHESES, Refused
 from robotctl.recording.reader import TopicInfo
 from robotctl.replay import plan
 from robotctl.replay.job import Job
@@ -98,7 +98,8 @@ def _check_definitions(
     what = f"recorded with another definition than the installed one: {', '.join(others)}"
     if not job.changed_types:
         raise Refused(
-            f"{what}; subscribers would misread it "
-            "(leave it out: --exclude NAME; play it all the same: --force-types)"
+            f"{what}; subscribers would misread it",
+            "leave it out: --exclude NAME; play it all the same: --force-types",
+            sentence=IN_PARENTHESES,
         )
     record.note(f"{what}; --force-types plays it all the same")

@@ -25,7 +25,7 @@ def parse_settings(texts: Iterable[str]) -> Settings:
     for text in texts:
         key, equals, value = text.partition("=")
         if not equals:
-            raise UsageError(f"--what-if {text}: give key=value, such as tracking.k_y=8")
+            raise UsageError(f"--what-if {text}", "give key=value, such as tracking.k_y=8")
         if key in settings:
             raise UsageError(f"--what-if {key}: stands twice: keep one of them")
         settings[key] = value

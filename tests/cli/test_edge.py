@@ -138,6 +138,8 @@ def test_the_object_of_a_failure_separates_cause_and_cure(cli: Callable[..., Any
         ("--json status --bogus", "usage"),
         ("set-mode flying --json", "usage"),
         ("info last --json", "refused"),
+        ("status --robot ../etc --json", "usage"),
+        ("info last --at 5 --json", "usage"),
     ],
 )
 def test_also_a_line_that_makes_no_sense_is_answered_in_json(
