@@ -56,8 +56,9 @@ from robotctl.ros.velocity_publisher import TYPE_NAME, VelocityPublisher
 
 _log = logging.getLogger(__name__)
 
-READY_S = 3.0
-"""How long a start waits for the first odometry and battery level of a robot that is there."""
+READY_S = 10.0
+"""How long a start waits for odometry, battery level and a listener to the command, as the
+configuration expects them; Fast DDS needs 2.6 s at worst, a robot that boots as well more."""
 
 DRAIN_S = 1.0
 """How long a stop waits for the recorder to see the last command."""
@@ -234,10 +235,10 @@ class Driver:
 
     async def _become_ready(self, notes: list[str], on_ready: Ready) -> bool:
         stop = self._host.stop
-        if self._motion.sim or self._odometry.count_publishers():
-            await until(lambda: self._motion.is_known() or stop.is_set(), READY_S)
+        await until(lambda: not self._motion.missing() or stop.is_set(), READY_S)
         if stop.is_set():
             return False
+        notes = [*notes, *(f"no robot to drive yet: {text}" for text in self._motion.missing())]
         if self._host.options.drive is not None:
             notes = [*notes, await self._begin_drive()]
         on_ready(self._status.summary(notes))

@@ -26,6 +26,9 @@ RECENT_S = 600.0
 MIN_STEP_M = 0.005
 """Poses nearer to the one before are not kept."""
 
+_EXPECTED = (Cause.ODOMETRY_LOST, Cause.BATTERY_UNKNOWN, Cause.COMMAND_UNHEARD)
+"""What refuses a drive while the robot is not there."""
+
 
 class Motion:
     """Looks at the kernel's state; `sim` says whether the robot is simulated."""
@@ -66,10 +69,14 @@ class Motion:
         age_s = (time.monotonic_ns() - health.odometry_t_ns) / 1e9
         return age_s <= self._params.odometry.timeout_s
 
-    def is_known(self) -> bool:
-        """Say whether the robot has told where it is, and its battery level if it has one."""
-        level = self._control.state.health.battery_level
-        return self.is_connected() and (level is not None or not self._params.battery.topic)
+    def missing(self) -> list[str]:
+        """Say what the configuration expects of a robot and discovery has not found, or not yet."""
+        health, now = self._control.state.health, time.monotonic_ns()
+        found = (RULE_OF[cause].present(health, self._params, now) for cause in _EXPECTED)
+        missing = [text for text in found if text]
+        if health.command_topic.listeners is None:
+            missing.append("the nodes that take the velocity command are not known yet")
+        return missing
 
     def facts(self) -> dict[str, Any]:
         """Return the robot's part of the status."""

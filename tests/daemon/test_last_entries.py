@@ -42,8 +42,9 @@ async def test_nothing_is_received_any_more_when_the_recording_is_finished(
     observe: bool,
 ) -> None:
     peer = new_peer(world)
+    peer("be_a_robot")
+    peer("take_commands", kind="Twist")
     async with in_process(observe=observe, sim=None if observe else False) as daemon:
-        peer("be_a_robot")
         await daemon.until(lambda status: count(status, "/odom") > 20)
     assert [(stats.dropped, stats.queued) for stats in closed] == [(0, 0)]
 

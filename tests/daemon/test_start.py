@@ -7,7 +7,7 @@ from shutil import rmtree
 
 import pytest
 
-from robotctl.testing.waiting import until
+from robotctl.testing.waiting import DEADLINE_S, until
 from robotctl.testing.world import Peer, World
 
 
@@ -162,10 +162,22 @@ def test_a_failed_start_in_the_foreground_says_why_in_one_line(world: World) -> 
 # Without a robot
 
 
-def test_moving_without_odometry_is_refused_with_the_cure(world: World) -> None:
-    world.ok("start", "--no-sim")
+def test_a_start_without_a_robot_is_ready_and_says_what_is_missing(world: World) -> None:
+    out = world.ok("start", "--no-sim", "--drive", "square")
+    for text in (
+        "note: no robot to drive yet: no odometry was received on odom yet",
+        "note: no robot to drive yet: no battery level was received on battery_state yet",
+        "note: no robot to drive yet: no node subscribes to cmd_vel",
+        "check that the robot publishes odometry",  # why nothing is driven
+    ):
+        assert text in out
     status = world.status()
-    assert (status["sim"], status["pose"], status["battery"]) == (False, None, None)
+    assert (status["mode"], status["sim"], status["pose"], status["battery"]) == (
+        "IDLE",
+        False,
+        None,
+        None,
+    )
     refused = world.robotctl("set-mode", "moving")
     assert (refused.exit_code, refused.out) == (4, "")
     assert "no odometry was received on odom yet" in refused.err
@@ -174,8 +186,14 @@ def test_moving_without_odometry_is_refused_with_the_cure(world: World) -> None:
     world.ok("stop")
 
 
-def test_a_drive_at_the_start_that_is_refused_says_so(world: World) -> None:
-    out = world.ok("start", "--no-sim", "--drive", "square")
-    assert "no odometry was received on odom yet" in out
-    assert world.status()["mode"] == "IDLE"
+def test_a_start_waits_for_the_robot_so_that_the_first_drive_is_taken(world: World) -> None:
+    start = world.spawn("start", "--no-sim")
+    until(lambda: world.sockets() != [] or start.poll() is not None)
+    sim = world.spawn("sim")
+    out, err = start.communicate(timeout=DEADLINE_S)
+    assert start.returncode == 0, err
+    assert "no robot to drive yet" not in out
+    world.ok("set-mode", "moving")
     world.ok("stop")
+    sim.terminate()
+    sim.communicate(timeout=DEADLINE_S)
