@@ -26,7 +26,7 @@ from robotctl.ros import qos
 from robotctl.ros.diagnostics_publisher import TOPIC, TYPE_NAME, DiagnosticsPublisher
 from robotctl.ros.journal_publisher import JournalPublisher
 from robotctl.ros.mark_publisher import MarkPublisher
-from robotctl.ros.raw import UNKNOWN_GID, Sink
+from robotctl.ros.raw import UNKNOWN_GID, ViewSink
 from robotctl.ros.session import Session
 from robotctl.ros.tap import Tap, TappedTopic
 
@@ -180,7 +180,7 @@ class FlightRecorder:
         _log.info("recording goes on in %s", path)
         self.tidier.file_finished()
 
-    def _open_sink(self, topic: TappedTopic) -> Sink:
+    def _open_sink(self, topic: TappedTopic) -> ViewSink:
         described = Topic(
             topic.name, topic.type_name, topic.definition, topic.type_hash, topic.offered_qos
         )

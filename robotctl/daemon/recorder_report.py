@@ -77,6 +77,11 @@ class RecorderReport:
                 f"{stats.dropped} messages are not recorded, most of {worst.name}: "
                 "they came faster than the disk writes, or are larger than the queue"
             )
+        if stats.forgotten:
+            yield (
+                f"{stats.forgotten} latched messages are recorded once and not repeated in later "
+                "files: together they are larger than the memory kept for that"
+            )
         yield from self._tap.warnings()
         yield from self._heavy_warnings
         yield from self._problems

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from robotctl.recording.ledger import SequenceLedger
+from robotctl.recording.storage import Buffer
 
 MAX_TIME_NS = 2**64 - 1
 MAX_SEQUENCE = 2**32 - 1
@@ -17,9 +18,6 @@ MAX_PACKERS = 128
 
 MAX_LATCHED = 64
 """Publishers of a topic whose last latched message is kept."""
-
-MAX_LATCHED_BYTES = 32 << 20
-"""Latched messages above this are not kept."""
 
 Packer = tuple[Callable[..., None], bytes, int]
 """`pack_into` of one message size, the constant first bytes, and the length of the record."""
@@ -90,6 +88,9 @@ class TopicAccount:
     newest_ns: int = 0
     """By the loop: log time of the last message."""
 
+    forgotten: int = 0
+    """By the loop: latched messages that later files do not repeat, for there was no room."""
+
     refused: int = 0
     """By the loop: dropped, for there was no room, or the recorder has ended."""
 
@@ -118,19 +119,27 @@ class TopicAccount:
         self.latched = {} if self.topic.latched else None
 
     def keep_latched(
-        self, gid: bytes, data: bytes, log_ns: int, publish_ns: int, sequence: int
-    ) -> None:
-        """Remember the last message of publisher `gid`."""
+        self, gid: bytes, data: Buffer, log_ns: int, publish_ns: int, sequence: int, room: int
+    ) -> int:
+        """Remember the last message of publisher `gid` where `room` bytes are enough for it.
+
+        Returns by how many bytes the memory that is taken has grown. What has no room is counted
+        in `forgotten`; the older message is not kept in its place, for it holds no more.
+        """
         if self.latched is None:
-            return
-        if len(data) > MAX_LATCHED_BYTES:
-            self.latched.pop(gid, None)
-            return
+            return 0
+        before = self.latched.pop(gid, None)
+        freed = len(before.data) if before else 0
+        if len(data) > room + freed:
+            self.forgotten += 1
+            return -freed
+        if len(self.latched) >= MAX_LATCHED:
+            freed += len(self.latched.pop(next(iter(self.latched))).data)
         log_ns = min(max(log_ns, 0), MAX_TIME_NS)
         publish_ns = min(max(publish_ns, 0), MAX_TIME_NS)
-        self.latched[gid] = LatchedMessage(data, log_ns, publish_ns, sequence & MAX_SEQUENCE)
-        if len(self.latched) > MAX_LATCHED:
-            del self.latched[next(iter(self.latched))]
+        own = bytes(data)  # of bytes this is no copy
+        self.latched[gid] = LatchedMessage(own, log_ns, publish_ns, sequence & MAX_SEQUENCE)
+        return len(own) - freed
 
     def latched_messages(self) -> list[LatchedMessage]:
         """A copy, for the writer thread."""

@@ -31,6 +31,7 @@ from robotctl.recording.events import RecordedEvent
 from robotctl.recording.mcap_format import MESSAGE_FIELDS_BYTES, MESSAGE_HEAD
 from robotctl.recording.options import Compression, RecorderOptions
 from robotctl.recording.recorder_stats import RecorderState, RecorderStats
+from robotctl.recording.storage import Buffer
 
 __all__ = [
     "Compression",
@@ -80,6 +81,8 @@ class Recorder:
         self._closed = False
         self._chunk_bytes = options.chunk_bytes
         self._queue_bytes = options.queue_bytes
+        self._latched_bytes_limit = options.latched_bytes
+        self._latched_bytes = 0
         self._buffer = PackBuffer(options.chunk_bytes)
         self._acquired = self._buffer.size
         self._writer = begin_bag(folder, options, metadata, self._accounts, on_split, on_full)
@@ -99,9 +102,9 @@ class Recorder:
         return channel
 
     def write(
-        self, channel: int, data: bytes, log_ns: int, publish_ns: int, sequence: int, gid: bytes
+        self, channel: int, data: Buffer, log_ns: int, publish_ns: int, sequence: int, gid: bytes
     ) -> None:
-        """Keep a message, or count it as dropped. Never waits.
+        """Keep a message, or count it as dropped. Never waits. The data is copied or immutable.
 
         Times in nanoseconds since the epoch; `sequence` counts the messages of the publisher
         `gid`, 0 where it does not count.
@@ -116,7 +119,10 @@ class Recorder:
         else:
             account.ledger.note(gid, sequence)
         if account.latched is not None:
-            account.keep_latched(gid, data, log_ns, publish_ns, sequence)
+            room = self._latched_bytes_limit - self._latched_bytes
+            self._latched_bytes += account.keep_latched(
+                gid, data, log_ns, publish_ns, sequence, room
+            )
         buffer = self._buffer
         if log_ns < account.newest_ns:
             buffer.unordered.add(channel)
@@ -164,6 +170,7 @@ class Recorder:
             dropped=sum(topic.dropped for topic in topics),
             lost=sum(topic.lost for topic in topics),
             unseen=sum(topic.unseen for topic in topics),
+            forgotten=sum(account.forgotten for account in list(self._accounts)),
             failure=self._drain.failure,
             warning=self._writer.warning,
             topics=topics,
@@ -184,7 +191,7 @@ class Recorder:
         return RecorderState.CLOSED if self._closed else RecorderState.RECORDING
 
     def _write_carefully(
-        self, channel: int, data: bytes, log_ns: int, publish_ns: int, sequence: int
+        self, channel: int, data: Buffer, log_ns: int, publish_ns: int, sequence: int
     ) -> None:
         """Pack what `write` could not: change buffers, clamp numbers, or count a drop."""
         account = self._accounts[channel]
@@ -196,13 +203,18 @@ class Recorder:
         publish_ns = min(max(publish_ns, 0), MAX_TIME_NS)
         length = MESSAGE_HEAD.size + len(data)
         if length > self._chunk_bytes // 2:
-            self._queue_large(account, LargeMessage((channel, data, log_ns, publish_ns, sequence)))
+            if not self._has_memory(len(data) + self._chunk_bytes):
+                account.refused += 1
+                return
+            message = LargeMessage((channel, bytes(data), log_ns, publish_ns, sequence))
+            self._queue_large(message)
             return
         buffer = self._buffer_with_room(length)
         if buffer is None:
             account.refused += 1
             return
         start = buffer.end
+        data = bytes(data)  # a view cannot be packed
         pack, prefix, _ = account.packers.get(len(data)) or _new_packer(account, channel, len(data))
         pack(buffer.data, start, prefix, sequence, log_ns, publish_ns, data)
         index = buffer.indexes[channel]
@@ -220,10 +232,7 @@ class Recorder:
             return self._buffer
         return buffer if buffer.end + length <= buffer.size else None
 
-    def _queue_large(self, account: TopicAccount, message: LargeMessage) -> None:
-        if not self._has_memory(message.size + self._chunk_bytes):
-            account.refused += 1
-            return
+    def _queue_large(self, message: LargeMessage) -> None:
         if self._buffer.end:
             self._change_buffer()  # what came before it stays before it
         self._acquired += message.size

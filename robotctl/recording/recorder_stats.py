@@ -22,7 +22,8 @@ class RecorderStats:
     """The recorder at one instant.
 
     `file` is the current file, `bytes` what all files have on disk; the counts are the sums over
-    `topics`. `failure` and `warning` are sentences, empty where all is well.
+    `topics`. `forgotten` latched messages are recorded once and not repeated in later files, for
+    they exceed the memory for such. `failure` and `warning` are sentences, empty where all is well.
     """
 
     state: RecorderState
@@ -34,6 +35,7 @@ class RecorderStats:
     dropped: int
     lost: int
     unseen: int
+    forgotten: int
     failure: str
     warning: str
     topics: tuple[TopicStats, ...]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import TypeVar
 
-from robotctl.ros.raw import Sink
+from robotctl.ros.raw import Data, ViewSink
 
 Span = tuple[int, int]
 """The first and the last sequence number that one subscription delivered of a publisher."""
@@ -27,16 +27,14 @@ class LatchedMerge:
     Each subscription delivers the messages of a publisher in their order.
     """
 
-    def __init__(self, sink: Sink) -> None:
+    def __init__(self, sink: ViewSink) -> None:
         self._sink = sink
         self._live: dict[bytes, Span] = {}
         self._latched: dict[bytes, Span] = {}
         self._known: dict[bytes, int] = {}
         """The last number of each publisher that earlier subscriptions delivered."""
 
-    def live(
-        self, data: bytes, received_ns: int, source_ns: int, sequence: int, gid: bytes
-    ) -> None:
+    def live(self, data: Data, received_ns: int, source_ns: int, sequence: int, gid: bytes) -> None:
         """Take a message of the subscription that gets what every publisher sends from now on."""
         first, _ = self._live.get(gid, (sequence, sequence))
         _keep(self._live, gid, (first, sequence))
@@ -45,7 +43,7 @@ class LatchedMerge:
             self._sink(data, received_ns, source_ns, sequence, gid)
 
     def latched(
-        self, data: bytes, received_ns: int, source_ns: int, sequence: int, gid: bytes
+        self, data: Data, received_ns: int, source_ns: int, sequence: int, gid: bytes
     ) -> None:
         """Take a message of the subscription that gets what publishers have latched, and send."""
         if sequence <= self._known.get(gid, 0):

@@ -92,7 +92,7 @@ def _check_take(subscription: _rclpy.Subscription) -> None:
         taker.close()
     if taken is None:
         raise rcl.UnsupportedPlatform("a message was announced and not there to be taken")
-    message = rcl.Serialized(*taken)
+    message = rcl.Serialized(bytes(taken[0]), *taken[1:])
     if (
         message.data != _CDR
         or message.sequence != 1

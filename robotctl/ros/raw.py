@@ -8,6 +8,13 @@ from typing import Any
 Sink = Callable[[bytes, int, int, int, bytes], object]
 """Called with (data, received_ns, source_ns, sequence, gid) for each message."""
 
+Data = bytes | memoryview
+"""A serialized message. What is larger than `rcl.LARGE_BYTES` is a memoryview that is valid during
+the call only, so that a message that is not kept is not copied."""
+
+ViewSink = Callable[[Data, int, int, int, bytes], object]
+"""A sink that copies what it keeps."""
+
 UNKNOWN_GID = b""
 
 
@@ -32,12 +39,16 @@ class RawTap:
     an ordinary callback; the gid is then `UNKNOWN_GID`.
     """
 
-    __slots__ = ("__weakref__", "latency_s", "look", "sink")
+    __slots__ = ("__weakref__", "latency_s", "look", "sink", "views")
 
-    def __init__(self, sink: Sink, *, latency_s: float = 0.01) -> None:
-        """Call `sink` at most about `latency_s` seconds late; with 0 at every single message."""
+    def __init__(self, sink: Sink, *, latency_s: float = 0.01, views: bool = False) -> None:
+        """Call `sink` at most about `latency_s` seconds late; with 0 at every single message.
+
+        `views` says that it is a ViewSink.
+        """
         self.sink = sink
         self.latency_s = latency_s
+        self.views = views
         self.look: Callable[[], None] = _nothing
         """Takes what has come by now, without waiting for more to collect; an AsyncioExecutor
         sets it."""

@@ -189,12 +189,23 @@ _UNSUPPORTED = 2**64 - 1
 """RMW_MESSAGE_INFO_SEQUENCE_NUMBER_UNSUPPORTED"""
 
 
+LARGE_BYTES = 1 << 20
+"""Messages above this are lent out as a view where that is asked for, instead of copied."""
+
+KEPT_BYTES = 64 << 20
+"""What all takers of the process keep of buffers above LARGE_BYTES; more is given back at once, and
+has to be allocated again for the next message."""
+
+
 class SerializedTaker:
     """Takes serialized messages, with all that the middleware knows, through one reused buffer.
 
     rclpy's own take hides the publisher's gid, without which sequence numbers say nothing where
-    a topic has two publishers. The buffer grows to the largest message and stays.
+    a topic has two publishers. The buffer grows to the largest message, within KEPT_BYTES for all.
     """
+
+    _kept_by_all = 0
+    """Bytes of large buffers that takers keep."""
 
     __slots__ = (
         "_buffer",
@@ -203,14 +214,23 @@ class SerializedTaker:
         "_info",
         "_info_address",
         "_info_memory",
+        "_kept",
+        "_lent",
         "_message",
         "_message_address",
         "_pointer",
         "_take",
+        "_views",
     )
 
-    def __init__(self, pointer: int) -> None:
-        """Take from the rcl_subscription_t at `pointer`, which must outlive this object."""
+    def __init__(self, pointer: int, *, views: bool = False) -> None:
+        """Take from the rcl_subscription_t at `pointer`, which must outlive this object.
+
+        With `views` large messages are memoryviews that are valid until the next take.
+        """
+        self._views = views
+        self._lent: memoryview | None = None
+        self._kept = 0
         self._pointer = pointer
         self._take = _take_serialized()
         self._message = _SerializedMessage(allocator=rcutils().rcutils_get_default_allocator())
@@ -222,7 +242,7 @@ class SerializedTaker:
         self._capacity = 0
         self._buffer: Any = None
 
-    def take(self) -> tuple[bytes, int, int, int, bytes] | None:
+    def take(self) -> tuple[bytes | memoryview, int, int, int, bytes] | None:
         """The next message as (data, received_ns, source_ns, sequence, gid), or None.
 
         A plain tuple in the order of `Serialized`: this runs up to 45,000 times a second.
@@ -230,6 +250,8 @@ class SerializedTaker:
         Raises:
             RclCallFailed: the middleware could not hand over the message.
         """
+        if self._lent is not None:
+            self._end_large()
         code = self._take(self._pointer, self._message_address, self._info_address, None)
         if code == _RET_OK:
             address, length, capacity = self._head
@@ -237,7 +259,8 @@ class SerializedTaker:
                 self._capacity = capacity
                 self._buffer = (ctypes.c_char * capacity).from_address(address)
             source_ns, received_ns, sequence, _, _, gid = _MESSAGE_INFO.unpack_from(self._info)
-            return self._buffer[:length], received_ns, source_ns, sequence, gid
+            data = self._buffer[:length] if length <= LARGE_BYTES else self._lend(length)
+            return data, received_ns, source_ns, sequence, gid
         if code == _RET_SUBSCRIPTION_TAKE_FAILED:
             return None
         raise RclCallFailed(f"rcl_take_serialized_message failed with {code}: {take_error_text()}")
@@ -254,7 +277,31 @@ class SerializedTaker:
 
     def close(self) -> None:
         """Give the buffer back; the object takes nothing any more."""
-        self._buffer = None
+        self._free()
+
+    def _lend(self, length: int) -> bytes | memoryview:
+        view = memoryview(self._buffer).cast("B")[:length]
+        self._lent = view
+        return view if self._views else bytes(view)
+
+    def _end_large(self) -> None:
+        """End the view, and keep the buffer only where it fits beside those of the others."""
+        assert self._lent is not None
+        self._lent.release()
+        self._lent = None
+        others = SerializedTaker._kept_by_all - self._kept
+        if others + self._capacity > KEPT_BYTES:
+            self._free()
+        else:
+            self._kept = self._capacity
+            SerializedTaker._kept_by_all = others + self._kept
+
+    def _free(self) -> None:
+        if self._lent is not None:
+            self._lent.release()
+        self._lent = self._buffer = None
+        SerializedTaker._kept_by_all -= self._kept
+        self._kept = self._capacity = 0
         rcutils().rcutils_uint8_array_fini(self._message_address_argument())
 
     def _message_address_argument(self) -> ctypes.c_void_p:

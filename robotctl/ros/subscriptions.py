@@ -32,9 +32,11 @@ class _TakenSource(EventFdSource):
 
     signals = (Signal.MESSAGE,)
 
-    def __init__(self, runtime: Runtime, subscription: Subscription, where: str) -> None:
+    def __init__(
+        self, runtime: Runtime, subscription: Subscription, where: str, *, views: bool = False
+    ) -> None:
         super().__init__(runtime, subscription, subscription.handle, where)
-        self._taker = rcl.SerializedTaker(self.handle.pointer)
+        self._taker = rcl.SerializedTaker(self.handle.pointer, views=views)
 
     def receiver(self) -> Callable[..., Any]:
         """What is called with a `rcl.Serialized`, field by field."""
@@ -138,7 +140,7 @@ class RawTapSource(_TakenSource):
     path = "eventfd, collected"
 
     def __init__(self, runtime: Runtime, subscription: Subscription, where: str) -> None:
-        super().__init__(runtime, subscription, where)
+        super().__init__(runtime, subscription, where, views=subscription.callback.views)
         rest_s = affordable_rest_s(subscription.callback.latency_s, subscription.qos_profile)
         if rest_s > 0.0:
             self.pool = runtime.pool(rest_s)

@@ -14,7 +14,7 @@ from rclpy.qos import QoSProfile
 
 from robotctl.printable import printable, short_name
 from robotctl.ros import graph, proof, qos
-from robotctl.ros.raw import Sink
+from robotctl.ros.raw import Data, ViewSink
 from robotctl.ros.session import RECORDER_NODE, Session
 from robotctl.ros.tapped import LATENCY_S, TappedSubscription
 from robotctl.ros.type_definition import definition_of, type_hash_of
@@ -75,7 +75,7 @@ class Tap:
     def __init__(
         self,
         session: Session,
-        open_sink: Callable[[TappedTopic], Sink],
+        open_sink: Callable[[TappedTopic], ViewSink],
         wanted: Callable[[str, str], bool] = lambda topic, type_name: True,
     ) -> None:
         self._node = session.node(RECORDER_NODE)
@@ -127,7 +127,7 @@ class Tap:
 
         return look
 
-    def reserve(self, topic: TappedTopic) -> Sink:
+    def reserve(self, topic: TappedTopic) -> ViewSink:
         """Return the sink of a topic whose messages come to it from elsewhere, not from here."""
         self._reserved.add(topic.name)
         return self._open_sink(topic)
@@ -280,10 +280,10 @@ class Tap:
         return dict(sorted(found.items(), key=lambda entry: (-len(entry[1]), entry[0])))
 
 
-def _overheard(sink: Sink, heard: Callable[[bytes], None]) -> Sink:
+def _overheard(sink: ViewSink, heard: Callable[[bytes], None]) -> ViewSink:
     """Return a sink that tells of the publisher of each message, once it is recorded."""
 
-    def take(data: bytes, received_ns: int, source_ns: int, sequence: int, gid: bytes) -> None:
+    def take(data: Data, received_ns: int, source_ns: int, sequence: int, gid: bytes) -> None:
         sink(data, received_ns, source_ns, sequence, gid)
         heard(gid)
 

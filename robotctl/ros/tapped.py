@@ -12,7 +12,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from robotctl.ros import qos
 from robotctl.ros.latched_merge import LatchedMerge
 from robotctl.ros.message_types import message_class
-from robotctl.ros.raw import RawTap, Sink
+from robotctl.ros.raw import RawTap, ViewSink
 from robotctl.ros.type_definition import holds_bytes
 
 LATENCY_S = 0.05
@@ -31,7 +31,7 @@ class TappedSubscription:
         node: Node,
         topic: str,
         type_name: str,
-        sink: Sink,
+        sink: ViewSink,
         offered: Sequence[QoSProfile],
         latency_s: float = LATENCY_S,
     ) -> None:
@@ -86,8 +86,8 @@ class TappedSubscription:
         bulky = holds_bytes(self.type_name)
         return qos.recording(offered, bulky=bulky), qos.recording_latched(offered, bulky=bulky)
 
-    def _create(self, sink: Sink, requested: QoSProfile) -> Any:
-        tap = RawTap(sink, latency_s=self._latency_s)
+    def _create(self, sink: ViewSink, requested: QoSProfile) -> Any:
+        tap = RawTap(sink, latency_s=self._latency_s, views=True)
         self._taps.append(tap)
         # rclpy's own types know a callback of one argument only.
         callback: Any = tap

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 
 from robotctl.testing.lines import Told
 from robotctl.testing.waiting import until
-from robotctl.testing.world import World
+from robotctl.testing.world import Peer, World
 
 STRANGE = [
     ("/types/main", "lib2to3/__main__/X"),
@@ -20,6 +22,9 @@ STRANGE = [
     ("/my-topic", "std_msgs/msg/String"),
     ("/bad\xff\x1b[31m", "std_msgs/msg/String"),
 ]
+
+TOO_LARGE = 160_000_000
+"""Bytes of a message that exceeds the recorder's queue."""
 
 
 @pytest.fixture
@@ -47,3 +52,21 @@ def test_the_daemon_drives_on_and_names_what_it_does_not_record(
     world.ok("stop")
     assert "Traceback" not in world.log()
     assert "\x1b" not in world.log()
+
+
+def test_a_message_that_is_too_large_is_counted_and_its_memory_given_back(
+    world: World, new_peer: Callable[[World], Peer]
+) -> None:
+    world.ok("start", "--sim")
+    pid = world.status()["pid"]
+    before = resident_bytes(pid)
+    new_peer(world)("send_large", topic="/large", size=TOO_LARGE)
+    until(lambda: world.status()["recorder"]["dropped"] == 1)
+    # The middleware keeps one buffer of the size of the largest message.
+    assert resident_bytes(pid) - before < 1.5 * TOO_LARGE
+    world.ok("stop")
+
+
+def resident_bytes(pid: int) -> int:
+    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE")

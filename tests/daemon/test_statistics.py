@@ -40,6 +40,7 @@ def recorder(*topics: TopicStats, failure: str = "") -> RecorderStats:
         dropped=sum(each.dropped for each in topics),
         lost=sum(each.lost for each in topics),
         unseen=0,
+        forgotten=0,
         failure=failure,
         warning="",
         topics=topics,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from dataclasses import replace
@@ -356,6 +357,24 @@ def test_only_the_current_file_is_marked_as_being_written(tmp_path: Path) -> Non
     assert [is_being_written(path) for path in files_of(tmp_path / "run")] == [False, True]
     recorder.close()
     assert not is_being_written(begun[0])
+
+
+def test_latched_messages_of_all_topics_share_one_budget_and_no_split_causes_another(
+    tmp_path: Path,
+) -> None:
+    options = RecorderOptions(latched_bytes=8 << 20, split_bytes=20 << 20)
+    begun: list[Path] = []
+    recorder = Recorder(tmp_path / "run", options, on_failure=pytest.fail, on_split=begun.append)
+    channels = [recorder.add_topic(replace(LATCHED, name=f"/map_{i}")) for i in range(9)]
+    for channel in channels:
+        recorder.write(channel, os.urandom(3 << 20), START_NS, START_NS, 1, GID)
+    until(lambda: bool(begun))
+    assert recorder.stats().forgotten == 7
+    recorder.write(channels[0], b"small", START_NS, START_NS, 2, GID)  # makes room for another
+    recorder.write(channels[8], os.urandom(3 << 20), START_NS, START_NS, 2, GID)
+    stats = recorder.close()
+    assert (stats.forgotten, stats.received, stats.dropped) == (7, 11, 0)
+    assert len(begun) == 1
 
 
 def test_a_large_latched_message_is_not_kept_in_memory(tmp_path: Path) -> None:
