@@ -29,10 +29,13 @@ from robotctl.replay.sentences import sentence_of, span
 _MEASURES: Mapping[Cause, tuple[str, ...]] = MappingProxyType(
     {
         Cause.BATTERY_LOW: ("battery.stop_level", "battery.clear_level"),
-        Cause.BATTERY_UNKNOWN: ("battery.timeout_s",),
+        Cause.BATTERY_UNKNOWN: ("battery.timeout_s", "battery.scale"),
         Cause.ODOMETRY_LOST: ("odometry.timeout_s",),
         Cause.ODOMETRY_WRONG: ("odometry.max_jump_m", "odometry.max_jump_rad"),
+        Cause.ODOMETRY_CONTRADICTED: ("odometry.max_jump_m", "odometry.max_jump_rad"),
+        Cause.SECOND_ODOMETRY: ("odometry.timeout_s",),
         Cause.TRACKING_LOST: ("tracking.max_error_m",),
+        Cause.LOOP_STALLED: ("max_tick_gap_s",),
         Cause.TICK_OVERRUN: ("max_tick_gap_s",),
     }
 )
