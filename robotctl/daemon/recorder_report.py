@@ -39,7 +39,7 @@ class RecorderReport:
         self._problems = problems
         self._rates = RateMeter()
         self._heavy = HeavyTopics()
-        self._heavy_warnings: list[str] = []
+        self._logged: set[str] = set()
 
     def facts(self) -> dict[str, Any]:
         """Return what `status` tells of the recording."""
@@ -83,7 +83,7 @@ class RecorderReport:
                 "files: together they are larger than the memory kept for that"
             )
         yield from self._tap.warnings()
-        yield from self._heavy_warnings
+        yield from (warning for _, warning in self._heavy_warnings())
         yield from self._problems
 
     def sample(self) -> None:
@@ -93,15 +93,21 @@ class RecorderReport:
         topics = {(each.name, each.type_name): each for each in by_topic(stats.topics)}
         self._rates.sample(now_ns, {key: topic.received for key, topic in topics.items()})
         sizes = {key: topic.bytes for key, topic in topics.items()}
-        for (name, _), bytes_per_s in self._heavy.sample(now_ns, sizes).items():
-            self._warn_of_heavy(name, bytes_per_s)
+        self._heavy.sample(now_ns, sizes)
+        self._log_heavy()
         self._diagnostics.publish(diagnose(stats, list(self.warnings())))
 
-    def _warn_of_heavy(self, topic: str, bytes_per_s: float) -> None:
-        if self._filter.can_leave_out(topic):
-            warning = (
-                f"{topic} brings {bytes_per_s / 1e6:.1f} MB/s: "
-                f"robotctl start --exclude {topic} leaves it out of the recording"
-            )
-            self._heavy_warnings.append(warning)
-            _log.warning("%s", warning)
+    def _heavy_warnings(self) -> Iterator[tuple[str, str]]:
+        """Yield each topic that is heavy now and can be left out, and what to say of it."""
+        for (topic, _), bytes_per_s in self._heavy.rates.items():
+            if self._filter.can_leave_out(topic):
+                rate = f"{topic} brings {bytes_per_s / 1e6:.1f} MB/s"
+                cure = f"robotctl start --exclude {topic} leaves it out of the recording"
+                yield topic, f"{rate}: {cure}"
+
+    def _log_heavy(self) -> None:
+        """Name each heavy topic once."""
+        for topic, warning in self._heavy_warnings():
+            if topic not in self._logged:
+                self._logged.add(topic)
+                _log.warning("%s", warning)

@@ -10,8 +10,10 @@ from robotctl.recording.recorder import TopicStats
 
 HEAVY_BYTES_PER_S = 5e6
 HEAVY_WINDOW_S = 5.0
-"""A topic is heavy that brings more than this, on average over so long."""
+"""A topic is heavy that brings more than this, on average over so long..."""
 
+CALM_SHARE = 0.5
+"""...until it brings less than this part of it."""
 
 TopicKey = tuple[str, str]
 """Name and type."""
@@ -40,14 +42,15 @@ class RateMeter:
 
 
 class HeavyTopics:
-    """Finds the topics that are heavy, each once."""
+    """Knows which topics are heavy now, and at which rate [bytes/s]."""
 
     def __init__(self) -> None:
         self._samples: deque[tuple[int, Mapping[TopicKey, int]]] = deque()
-        self._found: set[TopicKey] = set()
+        self.rates: Mapping[TopicKey, float] = {}
+        """Of those that are heavy, over the last HEAVY_WINDOW_S."""
 
-    def sample(self, t_ns: int, sizes: Mapping[TopicKey, int]) -> dict[TopicKey, float]:
-        """Take the bytes received so far at steady time `t_ns`; return what is new [bytes/s]."""
+    def sample(self, t_ns: int, sizes: Mapping[TopicKey, int]) -> None:
+        """Take the bytes received so far at steady time `t_ns`."""
         samples = self._samples
         samples.append((t_ns, sizes))
         while len(samples) > 2 and t_ns - samples[1][0] >= HEAVY_WINDOW_S * 1e9:
@@ -55,15 +58,13 @@ class HeavyTopics:
         first_ns, before = samples[0]
         elapsed_s = (t_ns - first_ns) / 1e9
         if elapsed_s < HEAVY_WINDOW_S:
-            return {}
+            return
         rates = {topic: (size - before.get(topic, 0)) / elapsed_s for topic, size in sizes.items()}
-        heavy = {
+        self.rates = {
             topic: rate
             for topic, rate in rates.items()
-            if rate > HEAVY_BYTES_PER_S and topic not in self._found
+            if rate > HEAVY_BYTES_PER_S * (CALM_SHARE if topic in self.rates else 1.0)
         }
-        self._found.update(heavy)
-        return heavy
 
 
 def by_topic(channels: Iterable[TopicStats]) -> list[TopicStats]:

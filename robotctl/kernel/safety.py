@@ -182,7 +182,7 @@ _REPORTED: tuple[Rule, ...] = tuple(
         (
             Cause.RECORDER_FAILED,
             _ALWAYS,
-            "free disk space, then restart: robotctl stop, robotctl start",
+            "restart after that: robotctl stop, robotctl start",
         ),
         (Cause.UNREACHABLE, _ALWAYS, "give the control socket its folder back"),
         (Cause.DAEMON_ENDS, _NEVER, "start it again: robotctl start"),

@@ -13,6 +13,7 @@ from robotctl.errors import Refused
 from robotctl.recording.access import make_folder
 from robotctl.recording.account import TopicAccount
 from robotctl.recording.buffer import Taken, pack
+from robotctl.recording.disk_errors import cure_of, reason_of
 from robotctl.recording.events import RecordedEvent
 from robotctl.recording.options import RecorderOptions
 from robotctl.recording.recording_file import RecordingFile
@@ -135,14 +136,18 @@ class BagWriter:
         if free < warn:
             self.warning = f"{_mb(free)} left on the disk; recording stops at {_mb(stop)}"
 
+    def list_new_topics(self) -> None:
+        """Have `metadata.yaml` name the topics that are new; a player reads no others."""
+        if len(self._accounts) > self._listed_topics:
+            self._write_metadata()
+
     def refresh_metadata(self) -> None:
         """Have `metadata.yaml` tell what is there by now; counts and times from time to time.
 
         A player that opens a folder believes it. Retention removes the oldest file first.
         """
-        new_topics = len(self._accounts) > self._listed_topics
         removed = bool(self._finished) and not self._is_there(self._finished[0])
-        if new_topics or removed or time.monotonic() >= self._metadata_due:
+        if removed or time.monotonic() >= self._metadata_due:
             self._write_metadata()
 
     def close(self) -> None:
@@ -209,9 +214,8 @@ def begin_bag(
         if created:
             rmtree(folder, ignore_errors=True)
         raise Refused(
-            f"cannot record into {folder}: {error.strerror or error}",
-            "make room there or choose another folder (--recordings)",
-            sentence="{cause}; {cure}",
+            f"cannot record into {folder}: {reason_of(error)}",
+            f"{cure_of(error)}, or choose another folder (--recordings)",
         ) from error
 
 

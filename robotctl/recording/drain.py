@@ -14,6 +14,7 @@ from robotctl.recording.account import TopicAccount
 from robotctl.recording.background import rank_below
 from robotctl.recording.bag_writer import BagWriter
 from robotctl.recording.buffer import LargeMessage, PackBuffer, Taken
+from robotctl.recording.disk_errors import cure_of, reason_of
 from robotctl.recording.events import RecordedEvent
 from robotctl.recording.options import RecorderOptions
 
@@ -92,6 +93,7 @@ class Drain:
         if now >= self._next_flush:
             self._next_flush = now + self._options.flush_s
             self._flush_active()
+            self._attempt(self._writer.list_new_topics)
         if now >= self._next_sync:
             self._attempt(self._writer.sync)
             self._attempt(self._writer.check_space)
@@ -159,16 +161,13 @@ class Drain:
     def _fail(self, error: Exception) -> None:
         if self.failure:
             return
-        text = f"recording stopped: {_reason(error)} ({self._writer.path})"
+        text = f"recording stopped: {reason_of(error)} ({self._writer.path})"
         try:
             self._writer.abandon()
         except Exception as second:  # noqa: BLE001  # the disk may be gone altogether
-            text += f"; the end of the file could not be repaired: {_reason(second)}"
+            text += f"; the end of the file could not be repaired: {reason_of(second)}"
+        text += f"; {cure_of(error)}"
         self.failure = text
         self._active().limit = 0
         with suppress(Exception):  # a listener that is gone must not stop the counting
             self._on_failure(text)
-
-
-def _reason(error: Exception) -> str:
-    return (error.strerror if isinstance(error, OSError) else None) or repr(error)

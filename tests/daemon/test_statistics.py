@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -58,37 +59,68 @@ def test_a_rate_is_that_between_the_last_two_samples() -> None:
 # Heavy topics
 
 
-def test_a_heavy_topic_is_found_once_its_window_is_full_and_never_again() -> None:
+def rates_of(sizes: Sequence[int]) -> list[float | None]:
+    """The rate of a topic that is heavy, second by second; None while it is not."""
     heavy = HeavyTopics()
-    found = [heavy.sample(t * S, {CAMERA: t * HEAVY, SCAN: t * 1000}) for t in range(30)]
-    assert found[: round(HEAVY_WINDOW_S)] == round(HEAVY_WINDOW_S) * [{}]
-    (only,) = [each for each in found if each]
-    assert only == {CAMERA: pytest.approx(HEAVY)}
+    rates = []
+    for t, size in enumerate(sizes):
+        heavy.sample(t * S, {CAMERA: size, SCAN: t * 1000})
+        assert SCAN not in heavy.rates
+        rates.append(heavy.rates.get(CAMERA))
+    return rates
+
+
+WINDOW = round(HEAVY_WINDOW_S)
+
+
+def test_a_heavy_topic_is_found_once_its_window_is_full() -> None:
+    rates = rates_of([t * HEAVY for t in range(30)])
+    assert rates == [None] * WINDOW + [pytest.approx(HEAVY)] * (30 - WINDOW)
 
 
 def test_a_topic_that_gets_heavy_after_hours_is_found_as_fast() -> None:
-    heavy = HeavyTopics()
-    sizes = [max(0, t - 100) * HEAVY for t in range(120)]
-    found = [t for t, size in enumerate(sizes) if heavy.sample(t * S, {CAMERA: size})]
-    assert found == [100 + round(HEAVY_WINDOW_S)]
+    rates = rates_of([max(0, t - 100) * HEAVY for t in range(120)])
+    assert [t for t, rate in enumerate(rates) if rate] == list(range(100 + WINDOW, 120))
+
+
+def test_the_rate_of_a_heavy_topic_is_that_of_now() -> None:
+    """It was 100 MB/s, and what was said stayed at the 9.4 MB/s of its first second."""
+    sizes = [0] * 10
+    for step in [HEAVY] * 10 + [20 * HEAVY] * 10:
+        sizes.append(sizes[-1] + step)
+    rates = rates_of(sizes)
+    assert rates[10 + WINDOW] == pytest.approx(HEAVY)
+    assert rates[-1] == pytest.approx(20 * HEAVY)
+
+
+def test_a_topic_that_calms_down_is_heavy_no_longer() -> None:
+    sizes = [0]
+    for step in [2 * HEAVY] * 10 + [0] * 10:
+        sizes.append(sizes[-1] + step)
+    rates = rates_of(sizes)
+    assert rates[10] is not None
+    assert rates[10 + WINDOW] is None
+
+
+def test_a_topic_at_the_limit_does_not_come_and_go() -> None:
+    sizes = [0]
+    for second in range(40):
+        sizes.append(sizes[-1] + round(HEAVY_BYTES_PER_S * (1.2 if second < 10 else 0.8)))
+    rates = rates_of(sizes)
+    assert None not in rates[WINDOW:]
 
 
 def test_a_burst_is_not_heavy() -> None:
-    heavy = HeavyTopics()
-    sizes = [0, 0, 0, 0, 0, 3 * HEAVY, *(3 * HEAVY for _ in range(20))]
-    assert not any(heavy.sample(t * S, {CAMERA: size}) for t, size in enumerate(sizes))
+    assert not any(rates_of([0, 0, 0, 0, 0, 3 * HEAVY, *(3 * HEAVY for _ in range(20))]))
 
 
 @given(st.lists(st.integers(0, 2 * HEAVY), min_size=1, max_size=40))
 def test_what_is_found_was_above_the_limit_over_its_window(steps: list[int]) -> None:
-    heavy = HeavyTopics()
     sizes = [0]
     for step in steps:
         sizes.append(sizes[-1] + step)
-    window = round(HEAVY_WINDOW_S)
-    means = [(sizes[t] - sizes[t - window]) / window for t in range(window, len(sizes))]
-    found = [heavy.sample(t * S, {CAMERA: size}) for t, size in enumerate(sizes)]
-    assert any(found) == any(mean > HEAVY_BYTES_PER_S for mean in means)
+    means = [(sizes[t] - sizes[t - WINDOW]) / WINDOW for t in range(WINDOW, len(sizes))]
+    assert any(rates_of(sizes)) == any(mean > HEAVY_BYTES_PER_S for mean in means)
 
 
 # One topic

@@ -202,6 +202,20 @@ def test_more_topics_than_the_format_numbers_are_refused(
         recorder.add_topic(ODOMETRY)
 
 
+def test_rosbags_reads_the_first_messages_as_soon_as_they_are_written(folder: Path) -> None:
+    """It reads the topics that `metadata.yaml` names and no others."""
+    options = RecorderOptions(flush_s=0.01, sync_s=3600.0)
+    recorder = Recorder(folder, options, on_failure=pytest.fail)
+    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 11))
+    until(lambda: recorder.stats().written == 10)
+    until(lambda: "/cmd_vel" in (folder / "metadata.yaml").read_text())
+    with RosbagsReader(folder) as bag:
+        assert sum(1 for _ in bag.messages()) == 10
+    write_numbered(recorder, recorder.add_topic(ODOMETRY), range(1, 6))
+    until(lambda: "/odom" in (folder / "metadata.yaml").read_text())
+    recorder.close()
+
+
 def test_rosbags_opens_the_folder(open_recorder: OpenRecorder, folder: Path) -> None:
     recorder = open_recorder()
     write_numbered(recorder, recorder.add_topic(TWIST), range(1, 101))
@@ -473,7 +487,7 @@ def test_a_folder_that_cannot_be_written_is_refused_in_one_sentence(
         folder.mkdir(parents=True)
     else:
         folder = Path("/proc/recordings/run")
-    with pytest.raises(Refused, match=r"^cannot record into .*; .*") as caught:
+    with pytest.raises(Refused, match=r"^cannot record into .*: .*, or choose") as caught:
         Recorder(folder, on_failure=pytest.fail)
     assert "\n" not in str(caught.value)
 

@@ -9,6 +9,7 @@ import signal
 import threading
 import time
 from contextlib import suppress
+from functools import partial
 from multiprocessing import get_context
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
@@ -42,6 +43,14 @@ from robotctl.testing.recordings import (
 from robotctl.testing.waiting import until
 
 KIB = 1 << 10
+CURES = {
+    errno.ENOSPC: "; free disk space",
+    errno.EDQUOT: "; free disk space, or have the quota raised",
+    errno.EIO: "; check the disk and its cable (sudo dmesg)",
+    errno.EROFS: "; mount the disk writable, and check why it is not (sudo dmesg)",
+    errno.EACCES: "; give this user the right to write there",
+    errno.EMFILE: "; raise the limit of open files (ulimit -n)",
+}
 
 
 @pytest.fixture(scope="module")
@@ -137,6 +146,19 @@ def test_a_file_that_may_not_grow_ends_in_one_failure_and_a_whole_file(
     assert_first_numbers(stats.file, stats.written)
 
 
+@pytest.mark.parametrize("code", CURES)
+def test_each_error_of_the_disk_has_its_own_cure(tmp_path: Path, code: int) -> None:
+    failures: list[str] = []
+    disk = partial(FailingFile, fail_at=2, code=code)
+    recorder = Recorder(
+        tmp_path / "run", RecorderOptions(open_file=disk), on_failure=failures.append
+    )
+    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 11))
+    recorder.close()
+    told = f"recording stopped: {os.strerror(code)} ({tmp_path / 'run' / 'run_0.mcap'})"
+    assert failures == [told + CURES[code]]
+
+
 @pytest.mark.parametrize("compression", list(Compression))
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EIO])
 def test_an_error_at_any_write_keeps_what_was_written_before(
@@ -157,6 +179,7 @@ def test_an_error_at_any_write_keeps_what_was_written_before(
         stats = recorder.close()
         assert len(failures) == 1
         assert os.strerror(code) in stats.failure
+        assert stats.failure.endswith(CURES[code])
         assert stats.failure == failures[0]
         assert str(stats.file) in stats.failure
         assert_accounted(stats, 2100)
@@ -194,7 +217,9 @@ def test_a_folder_in_the_place_of_the_list_costs_no_message(tmp_path: Path) -> N
     (tmp_path / "run" / "metadata.yaml").unlink()
     (tmp_path / "run" / "metadata.yaml").mkdir()
     stats = recorder.close()
-    assert failures == [f"recording stopped: Is a directory ({stats.file})"]
+    assert failures == [
+        f"recording stopped: Is a directory ({stats.file}); check the disk and the folder"
+    ]
     assert_accounted(stats, 100)
     assert_first_numbers(stats.file, 100)
 
