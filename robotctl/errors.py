@@ -35,7 +35,7 @@ class RobotctlError(Exception):
 
     exit_code: ClassVar[int] = 1
     kind: ClassVar[str] = "internal"
-    """The name of the class for machines; it never changes."""
+    """The name of the exit code for machines; it never changes."""
 
     def __init__(
         self,
@@ -80,8 +80,6 @@ class UsageError(RobotctlError):
 
 class ConfigError(UsageError):
     """A configuration file is missing, malformed, or holds a value outside its limits."""
-
-    kind = "config"
 
 
 class NoDaemon(RobotctlError):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robotctl.cli.library import RecordedBy, Recordings, find_recording, recordings_folder
+from robotctl.cli.library import RecordedBy, Recordings, find_recording, recordings_folder, robot_of
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.progress import progress_bar
 from robotctl.cli.text import (
@@ -67,7 +67,11 @@ def recordings(
     if place.is_dir():
         try:
             with progress_bar("reading", quiet=as_json) as on_progress:
-                found = list(list_recordings(place, on_progress))
+                found = [
+                    each
+                    for each in list_recordings(place, on_progress)
+                    if robot in (None, each.robot, robot_of(each.path))
+                ]
         except OSError as error:
             raise Refused(f"{place} cannot be listed: {error.strerror}") from error
     if as_json:

@@ -145,6 +145,7 @@ def test_last_is_the_newest_in_the_folder_at_hand(library: Path, cli: Cli) -> No
         assert HERE in cli(command, "last").out
     assert HERE in cli("recordings").out
     assert OLDER not in cli("recordings").out
+    assert "no recordings" in cli("recordings", "--recordings", "recordings", "--robot", "r2").out
     for options in (("--robot", "robot"), ("--recordings", str(library))):
         assert NEWER in cli("info", "last", *options).out
     assert cli("info", "last", "--recordings", "recordings", "--robot", "robot").exit_code == 4
