@@ -77,10 +77,10 @@ class RecorderReport:
                 f"{stats.dropped} messages are not recorded, most of {worst.name}: "
                 "they came faster than the disk writes, or are larger than the queue"
             )
-        if stats.forgotten:
+        if stats.not_repeated:
             yield (
-                f"{stats.forgotten} latched messages are recorded once and not repeated in later "
-                "files: together they are larger than the memory kept for that"
+                f"{stats.not_repeated} latched messages are recorded once and not repeated in "
+                "later files: together they are larger than the room kept for that"
             )
         yield from self._tap.warnings()
         yield from (warning for _, warning in self._heavy_warnings())

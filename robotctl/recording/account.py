@@ -71,7 +71,7 @@ class TopicStats:
     unseen: int
     bytes: int
     not_repeated: int
-    """Latched messages that later files lack at their beginning, for they would fill them."""
+    """Latched messages that later files lack at their beginning: no memory, or no room there."""
 
 
 @dataclass(slots=True)
@@ -89,7 +89,7 @@ class TopicAccount:
     """By the loop: log time of the last message."""
 
     forgotten: int = 0
-    """By the loop: latched messages that later files do not repeat, for there was no room."""
+    """By the loop: latched messages that later files do not repeat, for there was no memory."""
 
     refused: int = 0
     """By the loop: dropped, for there was no room, or the recorder has ended."""
@@ -165,5 +165,5 @@ class TopicAccount:
             lost=self.ledger.lost,
             unseen=self.ledger.unseen,
             bytes=self.size,
-            not_repeated=self.not_repeated,
+            not_repeated=self.forgotten + self.not_repeated,
         )

@@ -170,7 +170,7 @@ class Recorder:
             dropped=sum(topic.dropped for topic in topics),
             lost=sum(topic.lost for topic in topics),
             unseen=sum(topic.unseen for topic in topics),
-            forgotten=sum(account.forgotten for account in list(self._accounts)),
+            not_repeated=sum(topic.not_repeated for topic in topics),
             failure=self._drain.failure,
             warning=self._writer.warning,
             topics=topics,

@@ -22,8 +22,8 @@ class RecorderStats:
     """The recorder at one instant.
 
     `file` is the current file, `bytes` what all files have on disk; the counts are the sums over
-    `topics`. `forgotten` latched messages are recorded once and not repeated in later files, for
-    they exceed the memory for such. `failure` and `warning` are sentences, empty where all is well.
+    `topics`. `not_repeated` latched messages are recorded once and not repeated in later files, for
+    there is no room for them. `failure` and `warning` are sentences, empty where all is well.
     """
 
     state: RecorderState
@@ -35,7 +35,7 @@ class RecorderStats:
     dropped: int
     lost: int
     unseen: int
-    forgotten: int
+    not_repeated: int
     failure: str
     warning: str
     topics: tuple[TopicStats, ...]

@@ -8,11 +8,8 @@ from typing import Final
 from robotctl.recording.account import TopicAccount
 from robotctl.recording.buffer import PlainMessage
 
-MAX_REPEATED_BYTES: Final = 32 << 20
-"""In one file: what is latched on a robot (maps, descriptions, transforms) has some megabytes."""
-
-MIN_FILES_PER_REPEAT: Final = 4
-"""Repeats take this part of a file at most: else it is full at once, and so is the next one."""
+MAX_SHARE: Final = 0.25
+"""Of a file's size that repeats may take: else it is full at once, and so is the next one."""
 
 
 def repeats(
@@ -34,7 +31,7 @@ def repeats(
         for channel, account in enumerate(accounts)
         for message in account.latched_messages()
     ]
-    left = min(MAX_REPEATED_BYTES, split_bytes // MIN_FILES_PER_REPEAT)
+    left = round(split_bytes * MAX_SHARE)
     fits = [False] * len(latched)
     for position in sorted(range(len(latched)), key=lambda each: len(latched[each][1])):
         left -= len(latched[position][1])
