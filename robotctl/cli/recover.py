@@ -65,7 +65,8 @@ def _beside(source: Path) -> Path:
     folder = source.parent
     if (folder / "metadata.yaml").exists():
         folder = folder.parent
-    return folder / f"{source.stem}_recovered{source.suffix}"
+    plain = Path(source.name.removesuffix(".zstd"))  # a copy is not compressed as a whole
+    return folder / f"{plain.stem}_recovered{plain.suffix}"
 
 
 def _as_object(source: Path, salvage: Salvage) -> dict[str, Any]:

@@ -7,9 +7,10 @@ from contextlib import suppress
 from pathlib import Path
 
 from robotctl.recording.account import Topic
+from robotctl.recording.damage import Damaged
 from robotctl.recording.file_index import FileIndex
 from robotctl.recording.indexing import index_of
-from robotctl.recording.mcap_input import Damaged, InputFile
+from robotctl.recording.mcap_input import InputFile
 from robotctl.recording.rosbag2 import BagFile, write_metadata
 
 

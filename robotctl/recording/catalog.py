@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from robotctl.recording.access import open_private, share_like
+from robotctl.recording.damage import Damaged
 from robotctl.recording.file_index import read_header
 from robotctl.recording.identity import OWN_LIBRARY
-from robotctl.recording.mcap_input import Damaged, InputFile
+from robotctl.recording.mcap_input import InputFile
 from robotctl.recording.storage import is_being_written
 
 KEEP_FILE = "keep"

@@ -5,8 +5,8 @@ from __future__ import annotations
 import struct
 from typing import NamedTuple
 
+from robotctl.recording.damage import Damaged
 from robotctl.recording.file_index import Place, PlaceKind
-from robotctl.recording.mcap_input import Damaged
 from robotctl.recording.stored_chunk import stored_size_of
 
 _BEGIN = struct.Struct("<QQQQI")

@@ -10,12 +10,11 @@ from isal.isal_zlib import crc32
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
+from robotctl.recording.damage import BeyondLimit, Damaged
 from robotctl.recording.mcap_format import MAGIC
 from robotctl.recording.mcap_input import (
     MAX_RECORD_BYTES,
     RECORD_HEAD,
-    BeyondLimit,
-    Damaged,
     InputFile,
     parse,
 )
@@ -137,7 +136,9 @@ class FileIndex:
     def unaccounted(self) -> str:
         """What to say where all was read and is not what the summary counts; else ""."""
         found = self.account.messages_in(place.offset for place in self.places)
-        if self.scanned or found is None or found == self.message_count:
+        if self.scanned or self.limit_reached or not self.places:
+            return ""  # it was told why not all is read
+        if found is None or found == self.message_count:
             return ""
         return f"its summary counts {self.message_count} messages, and {found} are there"
 

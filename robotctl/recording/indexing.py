@@ -5,9 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+from robotctl.recording.damage import Damaged
 from robotctl.recording.file_index import FileIndex
 from robotctl.recording.identity import OWN_LIBRARY
-from robotctl.recording.mcap_input import Damaged, InputFile
+from robotctl.recording.mcap_input import InputFile
 from robotctl.recording.message_compression import ZSTD, message_compression
 from robotctl.recording.scan import index_by_scanning, read_gaps
 from robotctl.recording.summary import index_from_summary
@@ -31,7 +32,7 @@ def index_of(
     Raises Damaged if not even the header can be read.
     """
     index = _index_of(file, on_progress, places=places)
-    index.message_compression = message_compression(index.metadata, file.path.parent)
+    index.message_compression = message_compression(index.metadata, file.path)
     if index.message_compression not in ("", ZSTD):
         index.places = []
         index.miss(

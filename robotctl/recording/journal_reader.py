@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from itertools import dropwhile
 from typing import NamedTuple
 
-from robotctl.errors import UnreadableFile
+from robotctl.errors import IN_PARENTHESES, UnreadableFile
 from robotctl.paths import DEFAULT_ROBOT, namespace_of
 from robotctl.recording.identity import INFO_RECORD
 from robotctl.recording.journal import TOPIC, TYPE_NAME, JournalEntry, Kind, decode
@@ -51,7 +51,9 @@ class EntryDecoder:
 
 def _beyond(limit: str) -> UnreadableFile:
     return UnreadableFile(
-        f"its journal is not read behind {limit}, more than a file of its size may hold ({CURE})"
+        f"its journal is not read behind {limit}, more than a file of its size may hold",
+        CURE,
+        sentence=IN_PARENTHESES,
     )
 
 

@@ -10,12 +10,14 @@ from errno import ENOENT
 from pathlib import Path
 
 from robotctl.recording.catalog import CLIPS_FOLDER, KEEP_FILE
+from robotctl.recording.damage import Damaged
 from robotctl.recording.events import EventKind, RecordedEvent, events_in
 from robotctl.recording.file_index import FileIndex
 from robotctl.recording.identity import INFO_RECORD
 from robotctl.recording.indexing import index_of
-from robotctl.recording.mcap_input import Damaged, InputFile
-from robotctl.recording.recording_files import natural_order
+from robotctl.recording.mcap_input import InputFile
+from robotctl.recording.recording_files import files_of_bag, natural_order
+from robotctl.recording.zstd_file import is_zstd_file
 
 GRAVEST_FIRST = (EventKind.EMERGENCY_STOP, EventKind.ERROR)
 
@@ -86,9 +88,16 @@ def _files(path: Path) -> list[Path]:
         return []
 
 
+def _packed_files(path: Path) -> list[Path]:
+    """What has to be unpacked to be listed: only where it is asked for by its name."""
+    if is_zstd_file(path) and path.is_file():
+        return [path]
+    return files_of_bag(path) if path.is_dir() else []
+
+
 def list_recording(path: Path) -> ListedRecording:
     """The recording `path`, a folder or a file. Raises OSError if it is not there."""
-    files = _files(path)
+    files = _files(path) or _packed_files(path)
     if not files:
         raise FileNotFoundError(ENOENT, os.strerror(ENOENT), str(path))
     indexes: list[FileIndex] = []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-from robotctl.recording.mcap_input import Damaged
+from robotctl.recording.damage import Damaged
 from robotctl.recording.source import Message, OpenFile, Source, sources
 
 _Placed = tuple[int, int, int, Message]

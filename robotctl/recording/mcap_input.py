@@ -10,7 +10,7 @@ import os
 import stat
 import struct
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import Final, Protocol, Self, TypeVar
@@ -20,8 +20,10 @@ from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
 from mcap.records import McapRecord
 
-from robotctl.recording.read_limits import BYTES_PER_RECORD, CURE, RECORDS, ReadLimits
+from robotctl.recording.damage import BeyondLimit, Damaged
+from robotctl.recording.read_limits import BYTES_PER_RECORD, RECORDS, ReadLimits
 from robotctl.recording.storage import is_locked
+from robotctl.recording.zstd_file import is_zstd_file, unpack_zstd_file
 
 RECORD_HEAD: Final = struct.Struct("<BQ")
 """opcode, length of what follows [bytes]."""
@@ -37,18 +39,6 @@ TOO_MANY_RECORDS: Final = (
 )
 
 _Record = TypeVar("_Record", bound=McapRecord, covariant=True)
-
-
-class Damaged(Exception):
-    """A part of the file cannot be read; the text says what is wrong, without naming the file."""
-
-
-class BeyondLimit(Damaged):
-    """Reading on would take more work than `read_limits` allows; the text says how to allow it."""
-
-    def __init__(self, what: str) -> None:
-        """`what` is the sentence without the cure."""
-        super().__init__(f"{what} ({CURE})")
 
 
 class _RecordClass(Protocol[_Record]):
@@ -75,26 +65,41 @@ def parse(kind: _RecordClass[_Record], data: bytes) -> _Record:
 
 
 class InputFile:
-    """A file that is read at positions; it may grow meanwhile."""
+    """A file that is read at positions; it may grow meanwhile. A `.mcap.zstd` is unpacked first."""
 
-    def __init__(self, path: Path) -> None:
-        """Open `path`, a regular file. Raises OSError."""
+    def __init__(
+        self, path: Path, on_progress: Callable[[int, int], None] = lambda done, total: None
+    ) -> None:
+        """Open `path`, a regular file. Raises OSError, and Damaged if it cannot be unpacked.
+
+        `on_progress` gets bytes done and in total where it is unpacked.
+        """
         self.path = path
         self._fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
-        status = os.fstat(self._fd)
-        if not stat.S_ISREG(status.st_mode):
-            self.close()
-            raise OSError(errno.EINVAL, "it is no regular file", str(path))
-        self.size = status.st_size
-        self.stored_bytes = self.size
-        """Bytes on the disk, which the limits go by."""
+        try:
+            status = os.fstat(self._fd)
+            if not stat.S_ISREG(status.st_mode):
+                raise OSError(errno.EINVAL, "it is no regular file", str(path))
+            self.stored_bytes = status.st_size
+            """Bytes on the disk, which the limits go by."""
 
-        self.limits = ReadLimits.of(self.stored_bytes)
+            self._unpacked = is_zstd_file(path)
+            if self._unpacked:
+                packed = self._fd
+                self._fd = unpack_zstd_file(packed, on_progress)
+                os.close(packed)
+            self.size = os.fstat(self._fd).st_size
+            self.limits = ReadLimits.of(self.stored_bytes)
+        except BaseException:
+            self.close()
+            raise
 
     def refresh(self) -> None:
         """See how large the file is by now."""
         self.size = os.fstat(self._fd).st_size
-        self.limits = ReadLimits.of(self.size)
+        if not self._unpacked:
+            self.stored_bytes = self.size
+            self.limits = ReadLimits.of(self.size)
 
     def is_changing(self) -> bool:
         """Whether the file has another size by now, or somebody has it open for recording."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Sequence
 from heapq import heapify, heappop, heappush
 
-from robotctl.recording.mcap_input import BeyondLimit, Damaged
+from robotctl.recording.damage import BeyondLimit, Damaged
 from robotctl.recording.source import ALWAYS, Message, OpenFile, Source, Window, sources
 
 _AFTER_ALL = (1 << 64, 0)

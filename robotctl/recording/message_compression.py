@@ -10,10 +10,10 @@ from typing import Final
 from mcap.records import Metadata
 from zstandard import ZstdDecompressor, ZstdError, frame_content_size
 
-from robotctl.recording.mcap_input import BeyondLimit, Damaged
+from robotctl.recording.damage import BeyondLimit, Damaged
 from robotctl.recording.read_account import ReadAccount
 from robotctl.recording.read_limits import ReadLimits, unpacking_cost
-from robotctl.recording.rosbag2 import METADATA_RECORD, metadata_text
+from robotctl.recording.rosbag2 import METADATA_RECORD, files_in, metadata_text
 
 SERIALIZED_METADATA: Final = "serialized_metadata"
 
@@ -24,10 +24,10 @@ _MODE = re.compile(r"^( *compression_mode: *)[\"']?(\w*)[\"']?(?= *$)", re.MULTI
 _FORMAT = re.compile(r"^( *compression_format: *)[\"']?(\w*)[\"']?(?= *$)", re.MULTILINE)
 
 
-def message_compression(metadata: Iterable[Metadata], folder: Path) -> str:
-    """The format of the messages in a file with this metadata; "" where they are as they were sent.
+def message_compression(metadata: Iterable[Metadata], path: Path) -> str:
+    """The format of the messages in the file `path`; "" where they are as they were sent.
 
-    What the file says counts; a file that says nothing is as the `metadata.yaml` in its folder.
+    What its metadata says counts; if that says nothing, the `metadata.yaml` that names it.
     """
     texts = [
         record.metadata.get(SERIALIZED_METADATA, "")
@@ -37,12 +37,15 @@ def message_compression(metadata: Iterable[Metadata], folder: Path) -> str:
     for text in texts[::-1]:
         if _MODE.search(text):
             return _format_in(text)
-    return _format_in(metadata_text(folder))
+    text = metadata_text(path.parent)
+    return _format_in(text) if path.name in files_in(text) else ""
 
 
 def without_compression(values: dict[str, str]) -> dict[str, str]:
-    """rosbag2's metadata record of a file whose messages are not compressed any more."""
-    text = values.get(SERIALIZED_METADATA, "")
+    """rosbag2's metadata record of a copy in which neither file nor messages are compressed."""
+    if SERIALIZED_METADATA not in values:
+        return values
+    text = values[SERIALIZED_METADATA]
     for pattern in (_MODE, _FORMAT):
         text = pattern.sub(r'\1""', text)
     return values | {SERIALIZED_METADATA: text}

@@ -13,11 +13,12 @@ from typing import Self
 from mcap.records import Channel, Metadata, Schema
 
 from robotctl.errors import UnreadableFile
+from robotctl.recording.damage import Damaged
 from robotctl.recording.file_index import note_missing
 from robotctl.recording.identity import CLIP_RECORD, LEDGER_RECORD
 from robotctl.recording.indexing import index_of
 from robotctl.recording.lookback import last_before
-from robotctl.recording.mcap_input import Damaged, InputFile
+from robotctl.recording.mcap_input import InputFile
 from robotctl.recording.merge import in_order_written, merge
 from robotctl.recording.read_limits import ReadLimits
 from robotctl.recording.recording_files import absent_files, recording_files
@@ -167,9 +168,12 @@ class Recording:
 
     def _open(self, path: Path, *, only: bool, on_progress: Callable[[int, int], None]) -> None:
         try:
-            file = InputFile(path)
+            file = InputFile(path, on_progress)
         except OSError as error:
             self._give_up(path, error.strerror or repr(error), only=only)
+            return
+        except Damaged as damage:
+            self._give_up(path, str(damage), only=only)
             return
         try:
             index = index_of(file, lambda done: on_progress(done, file.size))

@@ -4,25 +4,52 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from shlex import quote
 from stat import S_ISDIR, S_ISREG
 
-from robotctl.errors import UnreadableFile
+from robotctl.errors import IN_PARENTHESES, UnreadableFile
 from robotctl.recording import rosbag2
+from robotctl.recording.zstd_file import SUFFIX
+
+SQLITE_SUFFIX = ".db3"
+"""What the other storage of rosbag2 appends to its files."""
 
 
 def recording_files(path: Path) -> list[Path]:
     """The MCAP files of a recording in their order. Raises UnreadableFile if there are none."""
     try:
         mode = path.stat().st_mode
-        found = sorted(path.glob("*.mcap"), key=natural_order) if S_ISDIR(mode) else [path]
+        found = files_of_bag(path) if S_ISDIR(mode) else [path]
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else None
         raise UnreadableFile(f"{path} cannot be read: {reason or error}") from error
     if not (S_ISDIR(mode) or S_ISREG(mode)):
         raise UnreadableFile(f"{path} is no file", "give an MCAP file or a recording's folder")
+    if path.suffix == SQLITE_SUFFIX or (not found and any(path.glob(f"*{SQLITE_SUFFIX}*"))):
+        raise UnreadableFile(
+            f"{path} is a bag in sqlite3 format", _conversion(path), sentence=IN_PARENTHESES
+        )
     if not found:
         raise UnreadableFile(f"{path} holds no .mcap file")
     return found
+
+
+def files_of_bag(folder: Path) -> list[Path]:
+    """The MCAP files in a folder, also those that are compressed as a whole. Raises OSError."""
+    files = list(folder.glob("*.mcap"))
+    names = {path.name for path in files}
+    packed = [path for path in folder.glob(f"*.mcap{SUFFIX}") if path.stem not in names]
+    return sorted([*files, *packed], key=natural_order)
+
+
+def _conversion(path: Path) -> str:
+    """The command line that makes an MCAP bag of an sqlite3 bag."""
+    target = quote(f"{path.stem}_mcap")
+    options = f"output_bags: [{{uri: {target}, storage_id: mcap, all: true}}]"
+    return (
+        f"convert it: echo {quote(options)} > convert.yaml && "
+        f"ros2 bag convert -i {quote(str(path))} -o convert.yaml"
+    )
 
 
 def absent_files(folder: Path, present: list[Path]) -> list[str]:

@@ -10,6 +10,7 @@ from robotctl.errors import UnreadableFile
 from robotctl.recording.access import share_like
 from robotctl.recording.buffer import PlainMessage, pack
 from robotctl.recording.chunk_encoder import ChunkEncoder
+from robotctl.recording.damage import BeyondLimit, Damaged
 from robotctl.recording.file_index import (
     FileIndex,
     Place,
@@ -20,7 +21,7 @@ from robotctl.recording.file_index import (
 from robotctl.recording.identity import LIBRARY, RECOVERY_RECORD
 from robotctl.recording.indexing import index_of
 from robotctl.recording.mcap_file import McapFile
-from robotctl.recording.mcap_input import BeyondLimit, Damaged, InputFile
+from robotctl.recording.mcap_input import InputFile
 from robotctl.recording.message_compression import without_compression
 from robotctl.recording.new_file import new_file
 from robotctl.recording.options import Compression
@@ -62,8 +63,8 @@ def recover(
     written. After an error there is no `target` but one that was there before.
     """
     try:
-        file = InputFile(source)
-    except (OSError, ValueError) as error:
+        file = InputFile(source, on_progress)
+    except (OSError, ValueError, Damaged) as error:
         raise UnreadableFile(f"{source} cannot be read: {_reason(error)}") from error
     with file:
         total = 2 * file.size  # once to find what there is, once to copy it
@@ -120,7 +121,7 @@ class _Copy:
         self._copy_attachments(mcap)
         for record in index.metadata:
             values = record.metadata
-            if record.name == METADATA_RECORD and index.message_compression:
+            if record.name == METADATA_RECORD:
                 values = without_compression(values)
             mcap.add_metadata(record.name, values)
         mcap.add_metadata(RECOVERY_RECORD, {"lost": "\n".join(self.lost)})

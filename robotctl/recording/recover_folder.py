@@ -13,6 +13,7 @@ from robotctl.recording.access import is_shared, make_folder
 from robotctl.recording.bag_metadata import rewrite_metadata
 from robotctl.recording.recording_files import absent_files, recording_files
 from robotctl.recording.recover import Progress, Salvage, recover
+from robotctl.recording.zstd_file import SUFFIX
 
 
 def recover_folder(
@@ -34,7 +35,7 @@ def recover_folder(
         for path, before in zip(paths, accumulate(sizes[:-1], initial=0), strict=True):
             tell = partial(_tell, on_progress, before, sum(sizes))
             try:
-                salvage = recover(path, target / path.name, on_progress=tell)
+                salvage = recover(path, target / path.name.removesuffix(SUFFIX), on_progress=tell)
             except UnreadableFile as error:
                 lost.append(str(error))
             else:

@@ -14,10 +14,11 @@ from robotctl.recording.bag_metadata import rewrite_metadata
 from robotctl.recording.buffer import PlainMessage, pack
 from robotctl.recording.catalog import CatalogFolder, own_recordings
 from robotctl.recording.chunk_encoder import ChunkEncoder
+from robotctl.recording.damage import Damaged
 from robotctl.recording.file_index import FileIndex
 from robotctl.recording.identity import LEDGER_RECORD, RECOVERY_RECORD
 from robotctl.recording.mcap_file import McapFile
-from robotctl.recording.mcap_input import Damaged, InputFile, walk_records
+from robotctl.recording.mcap_input import InputFile, walk_records
 from robotctl.recording.options import Compression
 from robotctl.recording.recover import recover
 from robotctl.recording.storage import DiskFile

@@ -5,13 +5,8 @@ from __future__ import annotations
 import re
 import struct
 
-from robotctl.recording.mcap_input import (
-    RECORD_HEAD,
-    BeyondLimit,
-    Damaged,
-    InputFile,
-    walk_records,
-)
+from robotctl.recording.damage import BeyondLimit, Damaged
+from robotctl.recording.mcap_input import RECORD_HEAD, InputFile, walk_records
 from robotctl.recording.stored_chunk import UnpackBudget, read_chunk, read_chunk_ref
 
 _WINDOW_BYTES = 4 << 20

@@ -78,7 +78,12 @@ def named_files(folder: Path) -> list[str]:
 
     Only the list as rosbag2 and we write it, a line each: a YAML parser takes a second for 1 MB.
     """
-    block = _FILE_LIST.search(metadata_text(folder))
+    return files_in(metadata_text(folder))
+
+
+def files_in(text: str) -> list[str]:
+    """The file names in the text of a `metadata.yaml`."""
+    block = _FILE_LIST.search(text)
     if block is None:
         return []
     lines = block[1].splitlines()

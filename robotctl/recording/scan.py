@@ -9,6 +9,7 @@ from dataclasses import replace
 from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema, Statistics
 
+from robotctl.recording.damage import BeyondLimit, Damaged
 from robotctl.recording.file_index import (
     LOST_HEADER,
     FileIndex,
@@ -25,8 +26,6 @@ from robotctl.recording.mcap_input import (
     MESSAGE_FIELDS,
     RECORD_HEAD,
     TOO_MANY_RECORDS,
-    BeyondLimit,
-    Damaged,
     InputFile,
     parse,
     walk_records,

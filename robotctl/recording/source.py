@@ -10,12 +10,11 @@ from typing import Final, NamedTuple
 from mcap.opcode import Opcode
 
 from robotctl.recording.buffer import PlainMessage
+from robotctl.recording.damage import BeyondLimit, Damaged
 from robotctl.recording.file_index import FileIndex, Place, PlaceKind
 from robotctl.recording.mcap_input import (
     MESSAGE_FIELDS,
     TOO_MANY_RECORDS,
-    BeyondLimit,
-    Damaged,
     InputFile,
     walk_records,
 )

@@ -16,7 +16,8 @@ from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
 from mcap.opcode import Opcode
 from zstandard import ZstdDecompressor, ZstdError, frame_content_size
 
-from robotctl.recording.mcap_input import RECORD_HEAD, BeyondLimit, Damaged, InputFile
+from robotctl.recording.damage import BeyondLimit, Damaged
+from robotctl.recording.mcap_input import RECORD_HEAD, InputFile
 from robotctl.recording.read_limits import ReadLimits, unpacking_cost
 
 _CHUNK_FIELDS: Final = struct.Struct("<QQQI")

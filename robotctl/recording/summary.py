@@ -16,6 +16,7 @@ from mcap.records import (
 )
 
 from robotctl.recording.chunk_index import ChunkEntry, read_chunk_index
+from robotctl.recording.damage import BeyondLimit, Damaged
 from robotctl.recording.file_index import (
     LOST_HEADER,
     FileIndex,
@@ -26,14 +27,7 @@ from robotctl.recording.file_index import (
     read_record_head,
 )
 from robotctl.recording.mcap_format import MAGIC
-from robotctl.recording.mcap_input import (
-    RECORD_HEAD,
-    BeyondLimit,
-    Damaged,
-    InputFile,
-    parse,
-    walk_records,
-)
+from robotctl.recording.mcap_input import RECORD_HEAD, InputFile, parse, walk_records
 from robotctl.recording.stored_chunk import UnpackBudget
 from robotctl.recording.trailer import WrittenFile
 

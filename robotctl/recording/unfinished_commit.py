@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from mcap.opcode import Opcode
 
 from robotctl.recording.buffer import PlainMessage
+from robotctl.recording.damage import Damaged
 from robotctl.recording.file_index import FileIndex, Place, PlaceKind, read_header, read_record_head
 from robotctl.recording.mcap_input import (
     MESSAGE_FIELDS,
     RECORD_HEAD,
-    Damaged,
     InputFile,
     walk_records,
 )

@@ -54,8 +54,8 @@ def test_every_variant_is_read_whole(tmp_path: Path, content: str, indexed: bool
         assert_read(path, variant, whole=indexed)
 
 
-def mixed_up(path: Path) -> Path:
-    """A whole file with messages, a metadata record and an attachment between its chunks.
+def mixed_up(path: Path, *, attachments: int = 0) -> Path:
+    """A whole file with messages, a metadata record and attachments between its chunks.
 
     The summary tells of the chunks, and counts everything.
     """
@@ -66,7 +66,7 @@ def mixed_up(path: Path) -> Path:
         message(2) + message(3),
         record_bytes(Metadata("notes", {"author": "somebody"})),
         chunk(message(4)),
-        record_bytes(Attachment(1, 2, "picture", "image/png", b"123")),
+        *[record_bytes(Attachment(1, 2, "picture", "image/png", b"123"))] * attachments,
         message(5),
     ]
     offset, entries = header, []
@@ -77,7 +77,7 @@ def mixed_up(path: Path) -> Path:
                 ChunkIndex(len(part), offset, "zstd", stored, 1, 0, {}, 0, len(message(1)))
             )
         offset += len(part)
-    statistics = Statistics(1, 1, {1: 5}, 2, 5, 5, 1, 1, 0)
+    statistics = Statistics(attachments, 1, {1: 5}, 2, 5, 5, 1, 1, 0)
     path.write_bytes(finished(b"".join(parts), [CHANNEL, *map(record_bytes, entries)], statistics))
     return path
 
@@ -86,8 +86,9 @@ def message(number: int) -> bytes:
     return record_bytes(MessageRecord(1, number, bytes([number]), 0, number))
 
 
-def test_what_stands_between_the_chunks_is_read_as_well(tmp_path: Path) -> None:
-    path = mixed_up(tmp_path / "mixed.mcap")
+@pytest.mark.parametrize("attachments", [0, 1])
+def test_what_stands_between_the_chunks_is_read_as_well(tmp_path: Path, attachments: int) -> None:
+    path = mixed_up(tmp_path / "mixed.mcap", attachments=attachments)
     info = read_info(path)
     assert (info.message_count, info.missing, info.indexed) == (5, (), True)
     assert info.metadata == {"notes": {"author": "somebody"}}
@@ -97,7 +98,7 @@ def test_what_stands_between_the_chunks_is_read_as_well(tmp_path: Path) -> None:
             assert [m.data[0] for m in read(recording, missing.append)] == [1, 2, 3, 4, 5]
         assert missing == []
     salvage = recover(path, tmp_path / "out.mcap")
-    assert (salvage.message_count, salvage.attachment_count, salvage.lost) == (5, 1, ())
+    assert (salvage.message_count, salvage.attachment_count, salvage.lost) == (5, attachments, ())
 
 
 def test_what_the_summary_counts_and_nobody_finds_is_missing(tmp_path: Path) -> None:

@@ -21,7 +21,8 @@ from mcap.records import (
 from mcap.writer import CompressionType
 
 from robotctl.errors import UnreadableFile
-from robotctl.recording.mcap_input import Damaged, parse
+from robotctl.recording.damage import Damaged
+from robotctl.recording.mcap_input import parse
 from robotctl.recording.reader import read_info, read_messages
 from robotctl.recording.recorder import Compression
 from robotctl.testing.mcap_faults import mutated, record_boundaries

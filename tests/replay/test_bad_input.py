@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Awaitable, Callable
+from dataclasses import replace
 from dataclasses import replace as changed
 from pathlib import Path
 from typing import Any
 
 import pytest
+from zstandard import ZstdCompressor
 
 from robotctl.recording.mcap_format import MAGIC
 from robotctl.recording.reader import read_info
@@ -48,6 +50,24 @@ async def test_a_zeroed_chunk_costs_its_own_messages_and_is_named(
     assert ran.exit_code == 6
     assert "is zeros now, as a power cut leaves them" in ran.err
     assert 100 < ran.summary["sent"] < 200
+
+
+async def test_messages_that_rosbag2_compressed_one_by_one_are_sent_as_they_were(
+    tmp_path: Path, listener: Any, replay: Any, until: Until
+) -> None:
+    lines = talk("/alpha", 5, 1.0)
+    stored = [replace(line, data=ZstdCompressor().compress(line.data)) for line in lines]
+    write_bag(tmp_path / "bag_0.mcap", stored)
+    (tmp_path / "metadata.yaml").write_text(
+        "rosbag2_bagfile_information:\n"
+        "  compression_format: zstd\n"
+        "  compression_mode: MESSAGE\n"
+        "  relative_file_paths:\n    - bag_0.mcap\n"
+    )
+    listener.listen("/alpha", STRING)
+    ran = await replay(tmp_path, "--json")
+    assert ran.exit_code == 0, ran.err
+    await until(lambda: listener.heard["/alpha"] == data(lines))
 
 
 async def test_a_file_of_another_profile_is_played_as_far_as_its_messages_are_ours(
