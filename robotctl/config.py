@@ -25,6 +25,7 @@ from typing import Any, get_type_hints
 from robotctl.errors import ConfigError
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.ranges import Range, bounded
+from robotctl.regular_file import open_regular
 from robotctl.sim.robot import SimParams
 
 MAX_FILE_BYTES = 1_000_000
@@ -274,7 +275,7 @@ def _read(path: Path) -> Any:
             return super().construct_mapping(node, deep)
 
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             text = file.read(MAX_FILE_BYTES + 1)
         if len(text) > MAX_FILE_BYTES:
             raise ConfigError(f"{path}: larger than {MAX_FILE_BYTES} bytes: not a configuration")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,11 +14,15 @@ from robotctl.cli.quick import ROBOT_VARIABLE
 from robotctl.errors import IN_PARENTHESES, Refused, UsageError
 from robotctl.ipc.client import command_for
 from robotctl.paths import DEFAULT_ROBOT, chain_to, recordings_note_path, state_folder
+from robotctl.regular_file import open_regular
 
 LAST = "last"
 
 _NAME = re.compile(r"(.+)_(\d{8}_\d{6})(?:-(\d+))?")
 """ROBOT_DATE_TIME, with a number where several began in the same second."""
+
+MAX_PATH_BYTES = 4096
+"""PATH_MAX of Linux: no folder of recordings has a longer path."""
 
 Recordings = Annotated[
     Path | None,
@@ -71,7 +76,7 @@ def find_recording(name: str, robot: str | None, given: Path | None = None) -> P
         Refused: There is no last one.
     """
     path = Path(name)
-    if path.exists():
+    if os.path.exists(name):  # and is no error where that may not be known
         return path
     folder = recordings_folder(robot, given)
     if name == LAST:
@@ -84,7 +89,7 @@ def find_recording(name: str, robot: str | None, given: Path | None = None) -> P
                 sentence=IN_PARENTHESES,
             )
         return newest[0]
-    return folder / name if (folder / name).exists() else path
+    return folder / name if os.path.exists(folder / name) else path
 
 
 def recordings_of(robot: str | None, folder: Path) -> list[Path]:
@@ -122,9 +127,11 @@ def _noted_folders(robot: str | None) -> Iterator[Path]:
     for note in notes:
         try:
             chain_to(note.parent).check()
-            yield Path(note.read_text(encoding="utf-8").rstrip("\n"))
+            with open_regular(note) as file:
+                noted = file.read(MAX_PATH_BYTES).decode().rstrip("\n")
         except (OSError, ValueError):
             continue
+        yield Path(noted)
 
 
 def _changed_s(path: Path) -> float:

@@ -6,6 +6,7 @@ import os
 import time
 from collections.abc import Iterator
 from contextlib import suppress
+from io import TextIOWrapper
 from pathlib import Path
 from typing import Annotated, Any, TextIO
 
@@ -22,6 +23,7 @@ from robotctl.cli.text import json_text, printable, short_path
 from robotctl.errors import NoDaemon
 from robotctl.ipc.client import command_for
 from robotctl.paths import DEFAULT_ROBOT, chain_to, check_robot_name, log_path
+from robotctl.regular_file import open_regular
 
 app = new_app()
 
@@ -165,7 +167,7 @@ def logs(
 def _lines(path: Path, *, follow: bool) -> Iterator[str]:
     """The lines of a file; with `follow`, those that are yet to come, also of its successor."""
     while True:
-        with path.open(errors="replace") as log:
+        with TextIOWrapper(open_regular(path), errors="replace") as log:
             line = ""
             while True:
                 piece = log.readline()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import stat
 from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
@@ -12,6 +11,7 @@ from robotctl.kernel.modes import Mode
 from robotctl.kernel.safety import RULES
 from robotctl.kernel.types import Cause
 from robotctl.paths import chain_to, make_private
+from robotctl.regular_file import open_regular
 
 MAX_BYTES = 4096
 """A reason is a sentence; a longer file is not one of ours, and is read up to here."""
@@ -80,10 +80,7 @@ def remove(path: Path) -> None:
 
 
 def _read_text(path: Path) -> str:
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
-    with open(descriptor, "rb") as file:
-        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-            raise OSError(0, "it is not a regular file")
+    with open_regular(path) as file:
         return file.read(MAX_BYTES).decode("utf-8", errors="replace")
 
 

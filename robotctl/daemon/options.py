@@ -66,7 +66,7 @@ def parse(arguments: list[str]) -> DaemonOptions:
     return DaemonOptions(
         robot=check_robot_name(given.robot),
         config=given.config,
-        recordings=given.recordings.absolute(),
+        recordings=_absolute(given.recordings),
         drive=None if given.drive is None else PatternKind(given.drive),
         sim=given.sim,
         domain_id=resolve_domain_id(given.domain_id),
@@ -74,6 +74,14 @@ def parse(arguments: list[str]) -> DaemonOptions:
         include=_patterns("--include", given.include),
         exclude=_patterns("--exclude", given.exclude),
     )
+
+
+def _absolute(recordings: Path) -> Path:
+    try:
+        return recordings.absolute()
+    except FileNotFoundError:
+        cure = "cd to a folder that exists, or give --recordings a path from the root"
+        raise UsageError("the working folder was removed", cure) from None
 
 
 def _patterns(option: str, given: list[str]) -> tuple[str, ...]:

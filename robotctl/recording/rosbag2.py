@@ -12,10 +12,12 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from io import TextIOWrapper
 from pathlib import Path
 
 from robotctl.recording.access import open_private, share_like
 from robotctl.recording.account import Topic
+from robotctl.regular_file import open_regular
 
 METADATA_FILE = "metadata.yaml"
 METADATA_RECORD = "rosbag2"
@@ -67,7 +69,7 @@ def write_metadata(folder: Path, topics: Iterable[Topic], files: Sequence[BagFil
 def metadata_text(folder: Path) -> str:
     """The folder's `metadata.yaml`; "" where it has none that can be read."""
     try:
-        with (folder / METADATA_FILE).open(encoding="utf-8") as stream:
+        with TextIOWrapper(open_regular(folder / METADATA_FILE), encoding="utf-8") as stream:
             return stream.read(_MAX_METADATA_CHARACTERS)
     except (OSError, ValueError):
         return ""  # the files speak for themselves

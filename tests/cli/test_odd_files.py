@@ -1,0 +1,219 @@
+"""What is no regular file is named at once: nothing waits for the other end of a FIFO."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robotctl.config import load
+from robotctl.daemon.options import parse
+from robotctl.errors import ConfigError, UsageError
+from robotctl.paths import log_path, make_private, recordings_note_path
+from robotctl.testing.drives import drive, record
+from robotctl.testing.waiting import DEADLINE_S
+
+RECORDING = "run"
+
+READERS = [
+    *("info", "replay --check", "replay --view-only", "replay --resim"),
+    *("why", "recover", "clip"),
+]
+
+
+@pytest.fixture(autouse=True)
+def no_command_hangs() -> Iterator[None]:
+    """A test that waits for a writer fails, and does not wait itself."""
+
+    def give_up(*_: object) -> None:
+        raise AssertionError("it waits for a writer")
+
+    previous = signal.signal(signal.SIGALRM, give_up)
+    signal.alarm(int(DEADLINE_S))
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, previous)
+
+
+@pytest.fixture
+def run(cli: Callable[..., Any]) -> Callable[..., Any]:
+    """A command line that must end with one sentence, and without a bug of ours."""
+
+    def ran(*arguments: str) -> Any:
+        came = cli(*arguments)
+        assert "unexpected" not in came.err
+        return came
+
+    return ran
+
+
+@pytest.mark.parametrize("command", READERS)
+@pytest.mark.parametrize("name", ["fifo", "fifo.mcap", "folder"])
+def test_a_fifo_is_no_recording(command: str, name: str, run: Callable[..., Any]) -> None:
+    os.mkfifo("fifo")
+    os.mkfifo("fifo.mcap")
+    Path("folder").mkdir()
+    os.mkfifo("folder/a.mcap")
+    ran = run(*command.split(), name)
+    assert ran.exit_code in (4, 6), ran
+    assert ran.err.count("\n") == 1
+    assert name in ran.err + ran.out
+
+
+@pytest.mark.parametrize("command", ["info", "replay --check", "why", "recover"])
+def test_a_list_of_files_that_is_a_fifo_is_left_out(command: str, run: Callable[..., Any]) -> None:
+    recording = record(Path(RECORDING), drive(1.0))
+    (recording / "metadata.yaml").unlink(missing_ok=True)
+    os.mkfifo(recording / "metadata.yaml")
+    ran = run(*command.split(), RECORDING)
+    assert ran.exit_code == (4 if command == "why" else 0), ran  # it was not stopped
+
+
+def test_a_fifo_among_the_recordings_hides_no_other(run: Callable[..., Any]) -> None:
+    record(Path("recordings") / "robot_20260101_000000", drive(1.0))
+    os.mkfifo("recordings/robot_20260102_000000")
+    Path("recordings/robot_20260103_000000").mkdir()
+    os.mkfifo("recordings/robot_20260103_000000/robot_20260103_000000_0.mcap")
+    ran = run("recordings")
+    assert ran.exit_code == 0, ran
+    assert "robot_20260101_000000" in ran.out
+    assert "unreadable" in ran.out
+
+
+@pytest.mark.parametrize("path", ["fifo", "/dev/zero", "."])
+def test_a_configuration_is_a_file(path: str) -> None:
+    os.mkfifo("fifo")
+    with pytest.raises(ConfigError, match=f"{path}: .*: give the path of a YAML file"):
+        load(Path(path))
+
+
+def test_a_note_that_is_a_fifo_is_as_good_as_none(run: Callable[..., Any]) -> None:
+    note = recordings_note_path("robot")
+    make_private(note.parent)
+    os.mkfifo(note)
+    ran = run("info", "last")
+    assert ran.exit_code == 4
+    assert "no recording" in ran.err
+
+
+def test_a_log_that_is_a_fifo_is_named(run: Callable[..., Any]) -> None:
+    path = log_path("robot")
+    make_private(path.parent)
+    os.mkfifo(path)
+    ran = run("logs")
+    assert (ran.exit_code, ran.out) == (1, "")
+    assert ran.err == f"robotctl: {path}: it is not a regular file\n"
+
+
+def test_a_clip_goes_into_no_fifo(run: Callable[..., Any]) -> None:
+    record(Path(RECORDING), drive(1.0))
+    os.mkfifo("out")
+    ran = run("clip", RECORDING, "--at", "0.5", "-o", "out")
+    assert (ran.exit_code, ran.err) == (4, "robotctl: cannot write out: File exists\n")
+
+
+# A working folder that is gone
+
+
+@pytest.fixture
+def gone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The working folder is removed."""
+    folder = tmp_path / "gone"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    folder.rmdir()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        "info x",
+        "info last",
+        "recordings",
+        "recordings keep x",
+        "clip",
+        "recover x",
+        "why",
+        "replay x",
+    ],
+)
+def test_a_working_folder_that_is_gone_is_named(
+    arguments: str, gone: None, run: Callable[..., Any]
+) -> None:
+    ran = run(*arguments.split())
+    assert (ran.exit_code, ran.out) == (2, "")
+    assert ran.err == "robotctl: the working folder was removed: cd to a folder that exists\n"
+
+
+@pytest.mark.parametrize("arguments", ["status", "estop", "reset", "stop", "mark x", "logs"])
+def test_what_needs_no_working_folder_works_without_one(
+    arguments: str, gone: None, run: Callable[..., Any]
+) -> None:
+    ran = run(*arguments.split())
+    assert ran.exit_code == 3
+
+
+def test_a_daemon_without_a_working_folder_says_what_it_needs(gone: None, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="the working folder was removed: cd to a folder that ex"):
+        parse([])
+    assert parse(["--recordings", str(tmp_path)]).recordings == tmp_path
+
+
+# Permission
+
+
+@pytest.fixture
+def closed() -> Iterator[Path]:
+    """A folder in which another user may look at nothing."""
+    base = Path(tempfile.mkdtemp(prefix="rt-", dir="/tmp"))
+    base.chmod(0o755)
+    (base / "closed" / "run").mkdir(parents=True)
+    (base / "closed").chmod(0o700)
+    yield base / "closed" / "run"
+    shutil.rmtree(base)
+
+
+ANOTHER_USER = """
+import os, sys
+from robotctl.cli import app, check, clip, commands, failure, info, lifecycle, recordings, recover
+from robotctl.cli import replay, why
+import robotctl.recording.clip_job, robotctl.recording.listing
+os.setresuid(65533, 65533, 65533)
+sys.exit(app.run(sys.argv[1:]))
+"""
+"""What is imported lies where only root may look."""
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root can become another user")
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        *("info {}", "replay --check {}", "why {}", "recover {}", "clip {} --at 0.5"),
+        *("recordings --recordings {}", "logs", "status"),
+    ],
+)
+def test_what_may_not_be_read_is_named(
+    arguments: str, closed: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for variable in ("XDG_RUNTIME_DIR", "XDG_STATE_HOME"):
+        is_read = arguments in ("logs", "status")
+        monkeypatch.setenv(variable, str(closed if is_read else closed.parent.parent))
+    ran = subprocess.run(
+        [sys.executable, "-c", ANOTHER_USER, *arguments.format(closed).split()],
+        capture_output=True,
+        text=True,
+        timeout=DEADLINE_S,
+    )
+    assert ran.returncode not in (0, -1), ran
+    assert str(closed.parent) in ran.stderr + ran.stdout, ran
+    assert "Permission denied" in ran.stderr + ran.stdout or "another user" in ran.stderr, ran
+    assert "Traceback" not in ran.stderr
+    assert "unexpected" not in ran.stderr
