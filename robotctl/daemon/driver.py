@@ -29,6 +29,7 @@ from robotctl.daemon.status import StatusSource
 from robotctl.daemon.supervisor import Work
 from robotctl.daemon.watchdog import Watchdog
 from robotctl.errors import RobotctlError
+from robotctl.ipc.advice import advice
 from robotctl.ipc.connection import Method
 from robotctl.ipc.server import ControlServer
 from robotctl.kernel.battery import full_level, is_level
@@ -126,7 +127,12 @@ class Driver:
         )
         if params.battery.topic:
             BatterySubscriber(session, params.battery.topic, self._inputs.battery)
-        self._modes = ModeService(session, robot, self._inputs.service_call)
+        self._modes = ModeService(
+            session,
+            robot,
+            self._inputs.service_call,
+            lambda text: advice(text, robot).sentence,
+        )
         self._driving = DrivingMethods(self._control, self._motion, params, robot)
 
     def methods(self) -> Mapping[str, Method[Any]]:

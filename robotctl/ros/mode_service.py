@@ -53,10 +53,18 @@ class ModeService:
     """
 
     def __init__(
-        self, session: Session, robot: str, request: Callable[[int, str], Future[Reply]]
+        self,
+        session: Session,
+        robot: str,
+        request: Callable[[int, str], Future[Reply]],
+        say: Callable[[str], str] = str,
     ) -> None:
-        """`request(mode number, source)` is called for each request, and returns at once."""
+        """`request(mode number, source)` is called for each request, and returns at once.
+
+        `say` makes of the kernel's text what the caller reads.
+        """
         self._request = request
+        self._say = say
         self._in_work = 0
         self._node = session.node("mode_service")
         self._publisher = self._node.create_publisher(RobotStatus, "robot_status", qos.LATCHED)
@@ -97,7 +105,7 @@ class ModeService:
 
     async def _answer_stop(self, reply: Future[Reply], response: Any) -> Any:
         done = await reply
-        response.success, response.message = done.ok, done.message
+        response.success, response.message = done.ok, self._say(done.message)
         return response
 
     def _set_mode(self, request: Any, response: Any) -> Any:
@@ -111,7 +119,7 @@ class ModeService:
 
     async def _answer_mode(self, reply: Future[Reply], response: Any) -> Any:
         done = await reply
-        response.success, response.message = done.ok, done.message
+        response.success, response.message = done.ok, self._say(done.message)
         response.current_mode = done.mode.value
         return response
 

@@ -8,7 +8,7 @@ from robotctl.testing.waiting import DEADLINE_S, until
 from robotctl.testing.world import World
 
 
-def test_a_client_that_hangs_up_changes_nothing_and_a_waiting_one_is_told_of_the_end(
+def test_a_waiting_client_that_is_killed_ends_its_drive_and_the_next_one_is_told_of_the_end(
     world: World,
 ) -> None:
     world.ok("start", "--sim")
@@ -16,9 +16,9 @@ def test_a_client_that_hangs_up_changes_nothing_and_a_waiting_one_is_told_of_the
     until(lambda: world.status()["mode"] == "MOVING")
     first.kill()
     first.communicate()
-    assert world.status()["mode"] == "MOVING"
-    second = world.spawn("drive", "circle", "--wait", "--replace")
-    until(lambda: "drive ended: replaced" in world.log())
+    until(lambda: world.status()["mode"] == "IDLE")
+    second = world.spawn("drive", "circle", "--wait")
+    until(lambda: world.status()["mode"] == "MOVING")
     world.ok("stop")
     _, err = second.communicate(timeout=DEADLINE_S)
     assert second.returncode == 4
@@ -42,6 +42,18 @@ def test_a_waited_drive_that_a_fault_ends_is_an_error(world: World) -> None:
             assert "driven      0 laps, 0." in out
         world.ok("reset")
     world.ok("stop")
+
+
+def test_the_cures_of_a_named_robot_work_when_they_are_pasted(world: World) -> None:
+    world.ok("start", "--sim", "--robot", "r2")
+    world.ok("set-mode", "error", "--robot", "r2")
+    refused = world.robotctl("drive", "square", "--robot", "r2", "--json")
+    assert refused.exit_code == 4
+    cure = json.loads(refused.out)["error"]["cure"]
+    assert cure == "clear it: robotctl reset --robot r2"
+    assert world.answer("why", "--robot", "r2")["what"].endswith(cure)
+    world.ok(*cure.split("robotctl ")[1].split())
+    world.ok("stop", "--robot", "r2")
 
 
 def test_why_is_told_while_the_daemon_runs_and_the_recording_proves_it(world: World) -> None:

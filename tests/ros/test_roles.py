@@ -269,11 +269,11 @@ async def test_a_call_is_answered_with_what_was_decided(
         asked.append((requested, source))
         return replied(Reply(1, False, "because", Mode.EMERGENCY_STOP))
 
-    ModeService(session, "r2", refuse)
+    ModeService(session, "r2", refuse, str.upper)
     client = node.create_client(SetMode, "/r2/set_mode")
     await executor.wait_for_service(client, timeout_s=20.0)
     answer = await executor.call(client, SetMode.Request(requested_mode=200), timeout_s=20.0)
-    assert (answer.success, answer.message, answer.current_mode) == (False, "because", 3)
+    assert (answer.success, answer.message, answer.current_mode) == (False, "BECAUSE", 3)
     assert asked == [(200, "the ROS service /r2/set_mode")]
 
 
