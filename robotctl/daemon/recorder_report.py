@@ -82,7 +82,7 @@ class RecorderReport:
                 f"{stats.not_repeated} latched messages are recorded once and not repeated in "
                 "later files: together they are larger than the room kept for that"
             )
-        yield from self._tap.warnings()
+        yield from self._tap.unrecorded.warnings()
         yield from (warning for _, warning in self._heavy_warnings())
         yield from self._problems
 

@@ -46,8 +46,9 @@ class LatchedMerge:
         self, data: Data, received_ns: int, source_ns: int, sequence: int, gid: bytes
     ) -> None:
         """Take a message of the subscription that gets what publishers have latched, and send."""
-        if sequence <= self._known.get(gid, 0):
-            return
+        _, last = self._latched.get(gid, NOTHING)
+        if 0 < sequence <= max(last, self._known.get(gid, 0)):
+            return  # a publisher that was lost for a while and is found again repeats it, too
         if gid not in self._live or sequence < self._live[gid][0]:
             first, _ = self._latched.get(gid, (sequence, sequence))
             _keep(self._latched, gid, (first, sequence))

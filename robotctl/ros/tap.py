@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-import logging
 import resource
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import count, islice
+from itertools import count
 
 from rclpy.qos import QoSProfile
 
@@ -19,8 +18,7 @@ from robotctl.ros.session import RECORDER_NODE, Session
 from robotctl.ros.tapped import LATENCY_S, TappedSubscription
 from robotctl.ros.type_definition import definition_of, type_hash_of
 from robotctl.ros.type_loader import SLOW_LOAD_S, TypeLoader
-
-_log = logging.getLogger(__name__)
+from robotctl.ros.unrecorded import Unrecorded
 
 POLL_S = 0.05
 """A foreign topic is found within twice this."""
@@ -40,14 +38,8 @@ ABANDONED_S = 60.0
 RESERVED_FILES = 256
 """Open files that the rest of the process may need; each subscription takes one."""
 
-MAX_WARNINGS = 50
-"""Topics that are named as not recorded; of more than that, the number is told."""
-
 MAX_TYPES_NAMED = 5
 """Other types of a topic that its sentence names."""
-
-MAX_SAID = 1_000
-"""Such sentences that the log gets: a neighbour may invent new topics forever."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,11 +82,12 @@ class Tap:
         self._failed: set[str] = set()
         """Topics that are left out for a failure that may pass; they are tried again."""
 
+        self._awaited: dict[str, str] = {}
+        """Topics whose type is being loaded, with that type."""
+
         self._types = TypeLoader()
         self._looks = count()
-        self._said: set[str] = set()
-        self.problems: dict[str, str] = {}
-        """Topic -> a sentence on what of it is not recorded."""
+        self.unrecorded = Unrecorded()
 
     async def run(self) -> None:
         """Watch the graph until cancelled."""
@@ -132,12 +125,6 @@ class Tap:
         self._reserved.add(topic.name)
         return self._open_sink(topic)
 
-    def warnings(self) -> Iterator[str]:
-        """Say what is not recorded, and why: a sentence for each topic, up to MAX_WARNINGS."""
-        yield from islice(self.problems.values(), MAX_WARNINGS)
-        if len(self.problems) > MAX_WARNINGS:
-            yield f"{len(self.problems) - MAX_WARNINGS} more topics are not recorded, or not whole"
-
     async def _look(self) -> None:
         look = next(self._looks)
         present = graph.topics(self._node)
@@ -148,15 +135,18 @@ class Tap:
                 self._look_at(topic, type_names, (look + number) % LOOKS_PER_INSPECTION)
             except Exception as error:  # noqa: BLE001 - somebody else's topic must not stop us
                 self._give_up(topic, type_names, error)
-        for topic in (self._left_out.keys() | self.problems.keys()) - present.keys():
+        for topic in self._awaited.keys() - present.keys():
+            self.unrecorded.miss(topic, self._awaited.pop(topic))
+        gone = (self._left_out.keys() | self.unrecorded.problems.keys()) - present.keys()
+        for topic in gone:
             self._left_out.pop(topic, None)
             self._failed.discard(topic)
-            self.problems.pop(topic, None)
+        self.unrecorded.clear(gone)
 
     def _look_at(self, topic: str, type_names: list[str], turn: int) -> None:
         tapped = self._tapped.get(topic)
         if tapped is not None:
-            mixed = len(type_names) > 1 or topic in self.problems
+            mixed = len(type_names) > 1 or topic in self.unrecorded.problems
             if mixed or turn % LOOKS_PER_COUNT == 0:
                 self._follow(tapped, inspect=mixed or turn == 0)
         elif topic not in self._reserved:
@@ -186,6 +176,7 @@ class Tap:
             if unusable is None:
                 self._await(topic, type_name)
                 return
+            self._awaited.pop(topic, None)
             if not unusable:
                 self._subscribe(topic, type_name, offered[type_name])
                 self._failed.discard(topic)
@@ -196,27 +187,28 @@ class Tap:
 
     def _await(self, topic: str, type_name: str) -> None:
         """Look again when the type is loaded; say it where that takes long."""
+        self._awaited[topic] = type_name
         if self._types.is_slow(type_name):
             problem = f"its type {type_name} is not loaded after {SLOW_LOAD_S:g} s"
-            self._note(topic, f"{topic} is not recorded yet: {problem}")
+            self.unrecorded.note(topic, f"{topic} is not recorded yet: {problem}")
 
     def _leave_out(self, topic: str, type_names: list[str], problem: str) -> None:
         self._left_out[topic] = type_names
         if problem:
-            self._note(topic, f"{short_name(topic)} is not recorded: {problem}")
+            self.unrecorded.note(topic, f"{short_name(topic)} is not recorded: {problem}")
 
     def _give_up(self, topic: str, type_names: list[str], error: Exception) -> None:
-        """Go on without a topic that cannot be subscribed to."""
-        tapped = self._tapped.pop(topic, None)
-        if tapped is not None:
-            tapped.close()
+        """Go on without a topic that cannot be subscribed to, for now."""
         if isinstance(error, TooManyTopics):
             problem = f"there are {error}"
         else:
             reason = printable(f"{type(error).__name__}: {error}")
             problem = f"it cannot be subscribed to ({reason})"
             self._failed.add(topic)
-        self._leave_out(topic, type_names, problem)
+        if topic in self._tapped:
+            self.unrecorded.note(topic, f"{topic} is not recorded: {problem}")
+        else:
+            self._leave_out(topic, type_names, problem)
 
     def _follow(self, tapped: TappedSubscription, *, inspect: bool) -> None:
         """Go along with publishers that come and go, and with what they offer."""
@@ -241,15 +233,9 @@ class Tap:
         if len(names) > MAX_TYPES_NAMED:
             others += f" and {len(names) - MAX_TYPES_NAMED} more"
         if others:
-            self._note(topic, f"{topic} is recorded as {recorded}, not as {others}")
+            self.unrecorded.note(topic, f"{topic} is recorded as {recorded}, not as {others}")
         else:
-            self.problems.pop(topic, None)
-
-    def _note(self, topic: str, problem: str) -> None:
-        self.problems[topic] = problem
-        if problem not in self._said and len(self._said) < MAX_SAID:
-            self._said.add(problem)
-            _log.warning("%s", problem)
+            self.unrecorded.clear([topic])
 
     def _subscribe(
         self,

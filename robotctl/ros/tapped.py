@@ -49,16 +49,20 @@ class TappedSubscription:
         self._latency_s = latency_s
         self._taps: list[RawTap] = []
         self._merge = LatchedMerge(sink)
+        self._subscriptions: list[Any] = []
         self._requests = self._requests_for(offered)
-        self._subscriptions = list(self._subscribe())
+        self._subscribe(self._requests)
 
     def adapt(self, offered: Sequence[QoSProfile]) -> None:
-        """Ask for what the publishers can give; what is sent meanwhile is lost and counted so."""
+        """Ask for what the publishers can give; what is sent meanwhile is lost and counted so.
+
+        Raises what rclpy raises; then nothing is subscribed, and the next call tries it again.
+        """
         requests = self._requests_for(offered)
-        if requests != self._requests:
+        if requests != self._requests or not self._subscriptions:
             self.close()
+            self._subscribe(requests)
             self._requests = requests
-            self._subscriptions = list(self._subscribe())
 
     def look(self) -> None:
         """Take what has come by now."""
@@ -67,20 +71,28 @@ class TappedSubscription:
 
     def close(self) -> None:
         """Subscribe no more."""
-        for subscription in self._subscriptions:
-            self._node.destroy_subscription(subscription)
-
-    def _subscribe(self) -> Iterator[Any]:
-        requested, latched = self._requests
-        self._merge.subscribe_anew()
+        while self._subscriptions:
+            self._node.destroy_subscription(self._subscriptions.pop())
         self._taps.clear()
+
+    def _subscribe(self, requests: Requests) -> None:
+        self._merge.subscribe_anew()
+        try:
+            for sink, requested in self._sinks(requests):
+                self._subscriptions.append(self._create(sink, requested))
+        except BaseException:
+            self.close()  # half of it would be recorded as if it were all
+            raise
+
+    def _sinks(self, requests: Requests) -> Iterator[tuple[ViewSink, QoSProfile]]:
+        requested, latched = requests
         if latched is not None:
-            yield self._create(self._merge.live, requested)
-            yield self._create(self._merge.latched, latched)
+            yield self._merge.live, requested
+            yield self._merge.latched, latched
         elif requested.durability is DurabilityPolicy.TRANSIENT_LOCAL:
-            yield self._create(self._merge.latched, requested)
+            yield self._merge.latched, requested
         else:
-            yield self._create(self._sink, requested)
+            yield self._sink, requested
 
     def _requests_for(self, offered: Sequence[QoSProfile]) -> Requests:
         bulky = holds_bytes(self.type_name)

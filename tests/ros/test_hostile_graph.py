@@ -14,11 +14,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rclpy.qos import QoSProfile
 
-from robotctl.ros import graph, qos, tap, type_loader
+from robotctl.ros import graph, qos, tap, type_loader, unrecorded
 from robotctl.ros.discovery import _known
 from robotctl.ros.graph import Endpoint
-from robotctl.ros.tap import MAX_WARNINGS, Tap
+from robotctl.ros.tap import Tap
 from robotctl.ros.type_loader import TypeLoader
+from robotctl.ros.unrecorded import MAX_WARNINGS
 from robotctl.testing.lines import Told
 from robotctl.testing.waiting import DEADLINE_S
 
@@ -56,13 +57,13 @@ async def test_strange_types_are_named_and_nothing_is_imported(
     before = set(sys.modules)
     for number, type_name in enumerate(STRANGE_TYPES):
         await hostile("offer", topic=f"{topic}_{number}", type_name=type_name)
-    await until(lambda: len(taken.tap.problems) == len(STRANGE_TYPES))
+    await until(lambda: len(taken.tap.unrecorded.problems) == len(STRANGE_TYPES))
     for number, type_name in enumerate(STRANGE_TYPES[:-1]):
-        assert taken.tap.problems[f"{topic}_{number}"] == (
+        assert taken.tap.unrecorded.problems[f"{topic}_{number}"] == (
             f"{topic}_{number} is not recorded: it has type {type_name}, "
             "which is not the name of a ROS type"
         )
-    assert all(sentence.isprintable() for sentence in taken.tap.warnings())
+    assert all(sentence.isprintable() for sentence in taken.tap.unrecorded.warnings())
     await is_still_recorded(taken, node, f"{topic}_mine", until)
     imported = {name.partition(".")[0] for name in set(sys.modules) - before}
     assert not imported & {"lib2to3", "antigravity", "robot_controller"}
@@ -73,8 +74,8 @@ async def test_strange_topic_names_are_named_and_the_others_are_recorded(
 ) -> None:
     for name in STRANGE_TOPICS:
         await hostile("offer", topic=name)
-    await until(lambda: len(taken.tap.problems) == len(STRANGE_TOPICS) - 1)
-    for sentence in taken.tap.warnings():
+    await until(lambda: len(taken.tap.unrecorded.problems) == len(STRANGE_TOPICS) - 1)
+    for sentence in taken.tap.unrecorded.warnings():
         assert sentence.endswith(" is not recorded: ROS does not allow its name")
         assert sentence.isprintable()
     await until(lambda: STRANGE_TOPICS[-1] in taken.topics)  # it is only long
@@ -146,14 +147,32 @@ async def test_a_type_that_takes_long_to_load_delays_neither_the_others_nor_the_
     monkeypatch.setattr(type_loader, "load_type", slow)
     monkeypatch.setattr(type_loader, "SLOW_LOAD_S", 0.1)
     node.create_publisher(String, f"{topic}_slow", 10)
-    await until(lambda: f"{topic}_slow" in taken.tap.problems)
+    await until(lambda: f"{topic}_slow" in taken.tap.unrecorded.problems)
     assert (
         "is not recorded yet: its type std_msgs/msg/String is not loaded after"
-        in (taken.tap.problems[f"{topic}_slow"])
+        in (taken.tap.unrecorded.problems[f"{topic}_slow"])
     )
     await is_still_recorded(taken, node, topic, until)
     stuck.clear()
-    await until(lambda: f"{topic}_slow" in taken.topics and not taken.tap.problems)
+    await until(lambda: f"{topic}_slow" in taken.topics and not taken.tap.unrecorded.problems)
+
+
+async def test_a_topic_that_goes_before_its_type_is_loaded_is_named_once(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(type_loader, "load_type", lambda _: time.sleep(0.2) or "")
+    looking = Tap(FakeSession(), lambda topic: print)  # type: ignore[arg-type]
+    for names in (["/brief", "/short"], [], []):
+        found = {name: [publisher("std_msgs/msg/String")] for name in names}
+        looking._node.graph = found  # type: ignore[attr-defined]
+        show(monkeypatch, found)
+        await looking._look()
+    (warning,) = looking.unrecorded.warnings()
+    assert warning.endswith("came and went before it could be recorded (and 1 other topics)")
+    assert sorted(caplog.messages) == [
+        f"{name} (std_msgs/msg/String) came and went before it could be recorded"
+        for name in ("/brief", "/short")
+    ]
 
 
 async def test_a_thread_that_cannot_be_started_is_a_reason(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -168,12 +187,12 @@ async def test_a_thread_that_cannot_be_started_is_a_reason(monkeypatch: pytest.M
 async def test_of_many_topics_that_are_not_recorded_the_number_is_told(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(tap, "MAX_SAID", 7)
+    monkeypatch.setattr(unrecorded, "MAX_SAID", 7)
     names = [f"/bad-{number}" for number in range(MAX_WARNINGS + 3)]
     looking = Tap(FakeSession(), lambda topic: print)  # type: ignore[arg-type]
     show(monkeypatch, {name: [publisher("std_msgs/msg/String")] for name in names})
     await looking._look()
-    *named, rest = looking.warnings()
+    *named, rest = looking.unrecorded.warnings()
     assert (len(named), rest) == (MAX_WARNINGS, "3 more topics are not recorded, or not whole")
     assert len(caplog.messages) == 7
 
@@ -243,7 +262,7 @@ def test_no_graph_fails_the_look(snapshots: list[dict[str, list[Endpoint]]]) -> 
             for _ in range(tap.LOOKS_PER_INSPECTION):
                 await looking._look()
                 await asyncio.sleep(0)
-        for sentence in looking.warnings():
+        for sentence in looking.unrecorded.warnings():
             assert sentence.isprintable()
             sentence.encode()
 

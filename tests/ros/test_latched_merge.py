@@ -61,6 +61,20 @@ def test_what_is_latched_is_handed_on_once_however_often_it_is_subscribed_to(
     assert merged.sequences == (list(range(1, sent + 1)) if phases else [])
 
 
+def test_what_a_publisher_repeats_that_was_lost_and_found_is_handed_on_once() -> None:
+    merged = Got()
+    for sequence in (1, 2, 3, 2, 3, 4):  # the same subscription: no process here noticed anything
+        merged.latched(sequence)
+    assert merged.sequences == [1, 2, 3, 4]
+
+
+def test_a_publisher_that_does_not_count_is_heard() -> None:
+    merged = Got()
+    merged.latched(0)
+    merged.latched(0)
+    assert merged.sequences == [0, 0]
+
+
 def test_publishers_are_told_apart() -> None:
     merged = Got()
     merged.latched(1, b"latching")

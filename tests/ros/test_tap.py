@@ -112,7 +112,7 @@ async def test_a_type_that_is_not_installed_is_named_and_the_others_go_on(
         return "is not installed" if type_name == "std_msgs/msg/String" else load(type_name)
 
     monkeypatch.setattr(type_loader, "load_type", missing)
-    problems = taken.tap.problems
+    problems = taken.tap.unrecorded.problems
     told = (
         f"{topic}_foreign is not recorded: it has type std_msgs/msg/String, which is not installed"
     )
@@ -138,11 +138,34 @@ async def test_a_subscription_that_fails_is_named_and_the_others_go_on(
 
     monkeypatch.setattr(TappedSubscription, "_create", failing)
     publisher(node, f"{topic}_bad")
-    problems = taken.tap.problems
+    problems = taken.tap.unrecorded.problems
     await until(lambda: problems)
     publisher(node, topic)
     await until(lambda: topic in taken.topics)
     assert "cannot be subscribed to (RuntimeError: injected)" in problems[f"{topic}_bad"]
+
+
+async def test_a_topic_that_cannot_be_followed_for_a_while_is_named_until_it_can(
+    taken: Any, node: Any, topic: str, until: Until, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reliable = publisher(node, topic)
+    await until(reliable.get_subscription_count)
+    create, failing = TappedSubscription._create, True
+
+    def maybe(self: TappedSubscription, sink: Any, requested: Any) -> Any:
+        if failing:
+            raise RuntimeError("no descriptor is free")
+        return create(self, sink, requested)
+
+    monkeypatch.setattr(TappedSubscription, "_create", maybe)
+    weaker = publisher(node, topic, qos.SENSOR)
+    problems = taken.tap.unrecorded.problems
+    await until(lambda: problems)
+    assert "cannot be subscribed to (RuntimeError: no descriptor is free)" in problems[topic]
+    failing = False
+    await until(lambda: not problems and weaker.get_subscription_count())
+    weaker.publish(number(5))
+    await until(lambda: taken.values(topic) == [5])
 
 
 async def test_a_second_type_of_a_topic_is_named_until_it_is_gone(
@@ -155,7 +178,7 @@ async def test_a_second_type_of_a_topic_is_named_until_it_is_gone(
     await until(lambda: topic in taken.topics)
     other = Node("other", context=new_context())
     second = publisher(other, topic, kind=String)
-    problems = taken.tap.problems
+    problems = taken.tap.unrecorded.problems
     await until(lambda: problems)
     assert problems == {
         topic: f"{topic} is recorded as std_msgs/msg/UInt64, not as std_msgs/msg/String"
