@@ -13,7 +13,8 @@ idle           nothing else goes on
 recorded       1,000 messages of 724 B a second are recorded
 flooded        /set_mode is called 1,000 times a second, half of it for MOVING, half for no mode;
                each stop comes while a request for IDLE waits for the end of its ramp
-connected      1,000 idle connections to the control socket
+connected      1,000 connections to the control socket that say nothing; one that the daemon closes
+               is opened again about a second later
 
 No clips are cut (`recording.clip_before_s: 0`): a stop every half second is not what they are for.
 """

@@ -1,11 +1,13 @@
-"""A process that keeps idle connections to the control socket, and opens those anew that end.
+"""A process that keeps idle connections to the control socket.
 
-Ends when its stdin is closed, and prints how many it had at the median of its looks.
+One that the daemon closes is opened again about a second later. Ends when its stdin is closed, and
+prints how many were open at the median of its looks, and how many it opened in a second.
 """
 
 from __future__ import annotations
 
 import json
+import random
 import resource
 import select
 import socket
@@ -14,25 +16,33 @@ import sys
 import time
 
 LOOK_S = 0.05
+REOPEN_S = (0.5, 1.5)
+"""Anywhere between: all at once would be a burst of connections, and not idle ones."""
 
 
 def keep(path: str, count: int) -> dict[str, float]:
     """Keep up to `count` until stdin is closed."""
     _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
-    held: list[socket.socket] = []
+    held = [opened for _ in range(count) if (opened := _open(path)) is not None]
+    due_s = [0.0] * (count - len(held))
     looks: list[int] = []
-    ready = False
+    print("ready", flush=True)
+    opened_count, begun_s = 0, time.monotonic()
     while not select.select([sys.stdin], [], [], LOOK_S)[0]:
-        held = [each for each in held if not _ended(each)]
-        while len(held) < count and (opened := _open(path)) is not None:
-            held.append(opened)
+        now_s = time.monotonic()
+        living = [each for each in held if not _ended(each)]
+        due_s += [now_s + random.uniform(*REOPEN_S) for _ in range(len(held) - len(living))]
+        late = [each for each in due_s if each <= now_s]
+        new = [opened for _ in late if (opened := _open(path)) is not None]
+        due_s = [each for each in due_s if each > now_s] + [now_s] * (len(late) - len(new))
+        held = living + new
+        opened_count += len(new)
         looks.append(len(held))
-        if not ready and (len(held) == count or looks[-20:].count(len(held)) == 20):
-            print("ready", flush=True)
-            ready = True
-            looks.clear()
-    return {"connections": statistics.median(looks or [0])}
+    return {
+        "connections": statistics.median(looks or [len(held)]),
+        "opened": opened_count / (time.monotonic() - begun_s),
+    }
 
 
 def _open(path: str) -> socket.socket | None:
@@ -42,7 +52,6 @@ def _open(path: str) -> socket.socket | None:
         opened.connect(path)
     except (BlockingIOError, ConnectionError):
         opened.close()
-        time.sleep(0.001)
         return None
     return opened
 

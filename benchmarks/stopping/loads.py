@@ -24,6 +24,7 @@ TOLD = {
     "calls": "calls/s",
     "answers": "answers/s",
     "connections": "connections",
+    "opened": "opened again/s",
 }
 """What a load says of itself, and how it is shown."""
 
