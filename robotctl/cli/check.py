@@ -12,6 +12,7 @@ from robotctl.cli.progress import progress_bar
 from robotctl.cli.text import duration, row, short_path
 from robotctl.errors import Divergence, RobotctlError, UnreadableFile
 from robotctl.kernel.modes import Mode
+from robotctl.recording.recording_files import is_recording
 from robotctl.replay.check_many import check_many
 from robotctl.replay.report import Verdict
 
@@ -20,17 +21,18 @@ _INDENT = " " * _WIDTH
 
 
 def check_command(files: Sequence[Path], robot: str | None, *, as_json: bool) -> None:
-    """Check recordings and say what came of it.
+    """Check recordings and say what came of it; other files that a shell's glob brings are skipped.
 
     Raises:
         Divergence: One of them decides otherwise, or breaks a promise.
         UnreadableFile: Not all of them could be checked whole.
     """
-    paths = [path for file in files for path in recordings_at(file, robot)]
+    paths, others = recordings_among(files, robot)
     with progress_bar("checking", quiet=as_json) as on_progress:
         reports = check_many(paths, on_progress)
-    lines = (line for report in reports for line in report_lines(report))
-    answer = {"recordings": reports, **_counts(reports)}
+    lines = [line for report in reports for line in report_lines(report)]
+    lines += skipped_lines(others)
+    answer = {"recordings": reports, **_counts(reports), "skipped": list(map(str, others))}
     tell(answer, lines, as_json=as_json, error=_gravest(reports))
 
 
@@ -107,16 +109,29 @@ def _gravest(reports: Sequence[dict[str, Any]]) -> RobotctlError | None:
     return None
 
 
-def recordings_at(file: Path, robot: str | None) -> list[Path]:
-    """What is meant by a path, a name or `last`: of a folder of recordings, all of them.
+def recordings_among(files: Sequence[Path], robot: str | None) -> tuple[list[Path], list[Path]]:
+    """The recordings that are meant by paths, names or `last`, and the paths that are none.
 
-    Raises:
-        Refused: There is no last one.
+    Of a folder of recordings, all of them. Where no path is a recording, all count as recordings:
+    each then has to say what is wrong with it. Raises Refused where there is no last one.
     """
-    path = find_recording(str(file), robot)
+    found = [find_recording(str(file), robot) for file in files]
+    others = [path for path in found if not is_recording(path)]
+    if len(others) == len(found):
+        others = []
+    return [each for path in found if path not in others for each in _recordings_at(path)], others
+
+
+def skipped_lines(others: Sequence[Path]) -> list[str]:
+    """A line for each path that is no recording."""
+    return [f"{'skipped':{_WIDTH}}{short_path(path)}: it is no recording" for path in others]
+
+
+def _recordings_at(path: Path) -> list[Path]:
+    """The recording itself, or those in a folder of recordings."""
     try:
         if path.is_dir() and not any(path.glob("*.mcap")):
             return sorted({file.parent for file in path.glob("*/*.mcap")}) or [path]
     except OSError:
-        pass  # whoever reads it says why it cannot be read
+        pass  # its reader says why it cannot be read
     return [path]

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from robotctl.cli.answer import tell
-from robotctl.cli.check import recordings_at
+from robotctl.cli.check import recordings_among, skipped_lines
 from robotctl.cli.progress import progress_bar
 from robotctl.cli.text import duration, number, printable, row, short_path
 from robotctl.errors import UnreadableFile, UsageError
@@ -56,11 +56,14 @@ def what_if_command(
     check_scope(parsed, closed_loop=closed_loop)
     compare, lines = (resim, resim_lines) if closed_loop else (what_if, what_if_lines)
     found = []
-    for path in [path for file in files for path in recordings_at(file, robot)]:
+    paths, others = recordings_among(files, robot)
+    for path in paths:
         with progress_bar(short_path(path), quiet=as_json) as on_progress:
             found.append(compare(path, parsed, on_progress))
         if not as_json:
             print("\n".join(lines(found[-1])), flush=True)
+    if others and not as_json:
+        print("\n".join(skipped_lines(others)), flush=True)
     incomplete = [each for each in found if each["missing"]]
     error = None
     if incomplete:
@@ -68,7 +71,9 @@ def what_if_command(
             f"{len(incomplete)} of {len(found)} recordings: not everything could be read"
         )
     if as_json:
-        tell({"recordings": found}, (), as_json=True, error=error)
+        tell(
+            {"recordings": found, "skipped": list(map(str, others))}, (), as_json=True, error=error
+        )
     elif error is not None:
         raise error
 

@@ -9,10 +9,18 @@ from stat import S_ISDIR, S_ISREG
 
 from robotctl.errors import IN_PARENTHESES, UnreadableFile
 from robotctl.recording import rosbag2
+from robotctl.recording.mcap_format import MAGIC
 from robotctl.recording.zstd_file import SUFFIX
+from robotctl.regular_file import open_regular
 
 SQLITE_SUFFIX = ".db3"
 """What the other storage of rosbag2 appends to its files."""
+
+_FILES_OF_RECORDINGS = (
+    *("*.mcap", f"*.mcap{SUFFIX}", f"*{SQLITE_SUFFIX}*", rosbag2.METADATA_FILE),
+    "*/*.mcap",
+)
+"""What a folder holds that is a recording, or holds recordings."""
 
 
 def recording_files(path: Path) -> list[Path]:
@@ -32,6 +40,25 @@ def recording_files(path: Path) -> list[Path]:
     if not found:
         raise UnreadableFile(f"{path} holds no .mcap file")
     return found
+
+
+def is_recording(path: Path) -> bool:
+    """Whether a path is a recording, or a folder of some, by names and first bytes alone.
+
+    A damaged one is, and so is a path that cannot be looked at: its reader says what is wrong.
+    """
+    try:
+        mode = path.stat().st_mode
+        if S_ISDIR(mode):
+            return any(next(path.glob(pattern), None) for pattern in _FILES_OF_RECORDINGS)
+        if path.suffix in (".mcap", SQLITE_SUFFIX) or path.name.endswith(f".mcap{SUFFIX}"):
+            return True
+        if not S_ISREG(mode):
+            return False
+        with open_regular(path) as file:
+            return file.read(len(MAGIC)) == MAGIC
+    except (OSError, ValueError):
+        return True
 
 
 def files_of_bag(folder: Path) -> list[Path]:

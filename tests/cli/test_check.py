@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -107,3 +108,54 @@ def test_the_last_recording_may_be_meant(cli: Cli, written: list[Written]) -> No
     ran = cli("replay", "last", "--check")
     assert ran.exit_code == 0
     assert "robot_20260101_120000" in ran.out
+
+
+def test_other_files_in_a_glob_are_skipped_with_a_line_each(
+    cli: Cli, written: list[Written]
+) -> None:
+    record(Path("recordings/a"), written)
+    Path("recordings/README").write_text("where recordings go\n")
+    Path("recordings/notes").mkdir()
+    Path("recordings/notes/path.png").touch()
+    os.mkfifo("recordings/pipe")
+    glob = sorted(map(str, Path("recordings").iterdir()))
+    ran = cli("replay", *glob, "--check")
+    assert (ran.exit_code, ran.err) == (0, "")
+    assert ran.out.splitlines()[2:] == [
+        f"skipped     recordings/{name}: it is no recording" for name in ("README", "notes", "pipe")
+    ]
+    answer = json.loads(cli("replay", *glob, "--check", "--json").out)
+    assert answer["skipped"] == [f"recordings/{name}" for name in ("README", "notes", "pipe")]
+    assert len(answer["recordings"]) == answer["same"] == 1
+
+
+@pytest.mark.parametrize("name", ["torn.mcap", "bag", "nowhere", "packed.mcap.zstd"])
+def test_what_may_be_a_recording_is_not_skipped(
+    name: str, cli: Cli, written: list[Written]
+) -> None:
+    record(Path("whole"), written)
+    Path("torn.mcap").write_bytes(b"nothing")
+    Path("packed.mcap.zstd").write_bytes(b"nothing")
+    Path("bag").mkdir()
+    Path("bag/metadata.yaml").touch()
+    ran = cli("replay", "whole", name, "--check")
+    assert ran.exit_code == 6
+    assert f"incomplete  {name}\n" in ran.out
+
+
+def test_a_recording_under_another_name_is_known_by_its_first_bytes(
+    cli: Cli, written: list[Written]
+) -> None:
+    (file,) = record(Path("whole"), written).glob("*.mcap")
+    file.rename("renamed.bin")
+    record(Path("other"), written)
+    assert cli("replay", "other", "renamed.bin", "--check").out.count("same ") == 2
+
+
+def test_nothing_but_other_files_is_an_error(cli: Cli) -> None:
+    Path("README").touch()
+    Path("NOTES").touch()
+    assert cli("replay", "README", "--check").exit_code == 6
+    ran = cli("replay", "README", "NOTES", "--check")
+    assert ran.exit_code == 6
+    assert "skipped" not in ran.out

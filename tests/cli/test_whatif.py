@@ -79,3 +79,13 @@ def test_an_option_that_says_how_to_play_is_refused(
     ran = cli("replay", "run", *mode, "--rate", "2")
     assert ran.exit_code == 2
     assert "--rate: says how to play" in ran.err
+
+
+def test_other_files_in_a_glob_are_skipped(cli: Cli, written: list[Written]) -> None:
+    record(Path("recordings/a"), written)
+    Path("recordings/README").touch()
+    command = ("replay", "recordings/README", "recordings/a", "--what-if", "tracking.k_y=8")
+    ran = cli(*command)
+    assert (ran.exit_code, ran.err) == (0, "")
+    assert ran.out.splitlines()[-1] == "skipped     recordings/README: it is no recording"
+    assert json.loads(cli(*command, "--json").out)["skipped"] == ["recordings/README"]
