@@ -142,8 +142,10 @@ def tracking_lines(result: Mapping[str, Any]) -> list[str]:
         for key in ("cross_track_rms_m", "cross_track_max_m", "closure_m", "distance_m")
     )
     laps = result.get("laps")
-    return [
+    lines = [
         f"  driven      {laps} {'lap' if laps == 1 else 'laps'}, {distance} m",
         f"  off track   {rms} m RMS, {worst} m at most",
-        f"  closure     {closure} m between start and end",
     ]
+    if laps:  # before a lap is whole there is nothing to close
+        lines.append(f"  closure     {closure} m between start and end")
+    return lines

@@ -104,7 +104,7 @@ def recordings_of(robot: str | None, folder: Path) -> list[Path]:
     dated = [
         (match[2], int(match[3] or 1), path)
         for match, path in found
-        if match and robot in (None, match[1])
+        if match and robot in (None, match[1]) and path.is_dir()
     ]
     return [path for *_, path in sorted(dated, reverse=True)]
 

@@ -97,13 +97,14 @@ def _paths(
     file: str | None, robot: str | None, folder: Path | None, missing: list[str]
 ) -> list[Path]:
     """Return the recordings to search, the newest first; a live one holds all that is known."""
-    newest = None
+    newest = asked = None
     if file is None and folder is None:
-        newest = _committed(robot or DEFAULT_ROBOT, missing)
+        asked = robot or DEFAULT_ROBOT
+        newest = _committed(asked, missing)
     if newest is None:
         newest = find_recording(file or LAST, robot, folder)
         recorded_by = robot_of(newest)
-        if recorded_by is not None:
+        if recorded_by not in (None, asked):
             _committed(recorded_by, missing)
     if file not in (None, LAST):
         return [newest]
@@ -153,7 +154,8 @@ def _find(
     """Return the last incident, or the one nearest to `at_ns`; raises Refused if there is none."""
     from robotctl.replay.incident import find_incident
 
-    for number, path in enumerate(paths):
+    later: list[Path] = []
+    for path in paths:
         try:
             searched = find_incident(path, at_ns, on_progress)
         except UnreadableFile as error:
@@ -163,7 +165,8 @@ def _find(
             continue
         missing += searched.missing
         if searched.incident is not None:
-            return Found(path, searched.incident, paths[:number], missing)
+            return Found(path, searched.incident, later, missing)
+        later.append(path)
     before = "" if len(paths) == 1 else f" and {len(paths) - 1} before it"
     but = f" (but {'; '.join(missing)})" if missing else ""
     raise Refused(f"{paths[0]}{before}: the robot was not stopped, and nothing was refused{but}")

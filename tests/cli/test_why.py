@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.kernel.types import ModeRequested
+from robotctl.kernel.types import ModeRequested, Twist
 from robotctl.recording.reader import read_info
 from robotctl.testing.drives import BEGIN_NS, Written, drive, drive_requested, record
 
@@ -79,6 +79,18 @@ def test_a_stop_is_not_forgotten_at_a_restart(cli: Cli, stopped: list[Written]) 
     assert (found["path"], found["later"]) == (str(FOLDER.absolute()), [str(LATER.absolute())])
     ran = cli("why", str(LATER))
     assert (ran.exit_code, "nothing was refused" in ran.err) == (4, True)
+
+
+def test_a_later_recording_that_cannot_say_is_named_and_the_one_before_it_tells(
+    cli: Cli, stopped: list[Written]
+) -> None:
+    record(FOLDER, stopped)
+    record(LATER, [Twist()])
+    (Path("recordings") / "robot_20260101_140000").mkdir()
+    found = json.loads(cli("why", "--json").out)
+    assert (found["path"], found["later"]) == (str(FOLDER.absolute()), [str(LATER.absolute())])
+    (missing,) = found["missing"]
+    assert "robot_20260101_140000 holds no .mcap file" in missing
 
 
 def test_another_robots_stop_is_not_taken_for_this_ones(cli: Cli, stopped: list[Written]) -> None:
