@@ -19,6 +19,8 @@ _log = logging.getLogger(__name__)
 LEDGER = ("bytes", "written", "queued", "dropped", "lost", "unseen")
 """What `status` tells of each topic beside its count and rate."""
 
+_NO_MEMORY = "are not recorded, for there is no memory: end other programs, or exclude large topics"
+
 
 class RecorderReport:
     """Looks at recorder and tap."""
@@ -40,6 +42,7 @@ class RecorderReport:
         self._rates = RateMeter()
         self._heavy = HeavyTopics()
         self._logged: set[str] = set()
+        self._logged_memory = False
 
     def facts(self) -> dict[str, Any]:
         """Return what `status` tells of the recording."""
@@ -71,7 +74,9 @@ class RecorderReport:
         """Say what is not recorded, and why."""
         stats = self._recorder.stats()
         yield from (text for text in (stats.failure, stats.warning) if text)
-        if stats.dropped and not stats.failure:
+        if stats.no_memory:
+            yield f"{stats.no_memory} messages {_NO_MEMORY}"
+        if stats.dropped > stats.no_memory and not stats.failure:
             worst = max(stats.topics, key=lambda topic: topic.dropped)
             yield (
                 f"{stats.dropped} messages are not recorded, most of {worst.name}: "
@@ -95,6 +100,9 @@ class RecorderReport:
         sizes = {key: topic.bytes for key, topic in topics.items()}
         self._heavy.sample(now_ns, sizes)
         self._log_heavy()
+        if stats.no_memory and not self._logged_memory:
+            self._logged_memory = True
+            _log.warning("messages %s", _NO_MEMORY)
         self._diagnostics.publish(diagnose(stats, list(self.warnings())))
 
     def _heavy_warnings(self) -> Iterator[tuple[str, str]]:

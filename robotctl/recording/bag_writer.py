@@ -13,6 +13,7 @@ from robotctl.errors import Refused
 from robotctl.recording.access import make_folder
 from robotctl.recording.account import TopicAccount
 from robotctl.recording.buffer import Taken, pack
+from robotctl.recording.chunk_encoder import OutOfMemory
 from robotctl.recording.disk_errors import cure_of, reason_of
 from robotctl.recording.events import RecordedEvent
 from robotctl.recording.options import RecorderOptions
@@ -85,7 +86,10 @@ class BagWriter:
         return self._finished_bytes + self._file.size
 
     def write(self, taken: Taken) -> None:
-        """Write `taken` as a chunk, and count its messages as written."""
+        """Write `taken` as a chunk, and count its messages as written.
+
+        Raises OutOfMemory; the next chunk may be written all the same.
+        """
         self._replace_full()
         self._file.write(taken)
         self._newest_ns = taken.end_ns
@@ -120,8 +124,12 @@ class BagWriter:
         self._begun = time.monotonic()
         self._told_full = False
         messages = repeats(self._accounts, self._newest_ns, self._options.split_bytes)
-        if messages:
-            self._file.write(pack(messages))
+        try:
+            if messages:
+                self._file.write(pack(messages))
+        except OutOfMemory:
+            for channel, *_ in messages:
+                self._accounts[channel].not_repeated += 1
         self._write_metadata()
         with suppress(Exception):  # a listener that is gone must not stop the recording
             self._on_split(successor.path)

@@ -70,21 +70,20 @@ class PackBuffer:
             self.indexes.append(array("Q"))
 
     def take(self) -> Taken | None:
-        """What was packed since the last take, or None. Valid until `recycle`. For the taker."""
+        """What was packed since the last take, or None. Valid until `recycle`. For the taker.
+
+        Raises MemoryError; then nothing is taken.
+        """
         base, end = self._taken, self.end
         if base == end:
             return None
-        self._taken = end
         taken: dict[int, array[int]] = {}
         starts, ends = [], []
         for channel, index in enumerate(self.indexes):
-            count = len(index) & ~1
-            while count and index[count - 1] >= end:
-                count -= 2
+            count = _entries_below(index, end)
             if not count:
                 continue
             entries = index[:count]
-            del index[:count]
             if base:
                 for position in range(1, count, 2):
                     entries[position] -= base
@@ -92,7 +91,20 @@ class PackBuffer:
             ordered = channel not in self.unordered
             starts.append(entries[0] if ordered else min(entries[::2]))
             ends.append(entries[-2] if ordered else max(entries[::2]))
-        return Taken([memoryview(self.data)[base:end]], taken, min(starts), max(ends))
+        result = Taken([memoryview(self.data)[base:end]], taken, min(starts), max(ends))
+        for channel, entries in taken.items():
+            del self.indexes[channel][: len(entries)]
+        self._taken = end
+        return result
+
+    def drop(self) -> dict[int, int]:
+        """Take what was packed and throw it away: number of messages by channel. For the taker."""
+        end = self.end
+        counts = {channel: _entries_below(index, end) for channel, index in enumerate(self.indexes)}
+        for channel, count in counts.items():
+            del self.indexes[channel][:count]
+        self._taken = end
+        return {channel: count // 2 for channel, count in counts.items()}
 
     def recycle(self) -> None:
         """Make it empty again. Only after a take that nothing was packed behind."""
@@ -117,8 +129,20 @@ class LargeMessage:
         return len(self._message[1])
 
     def take(self) -> Taken:
-        """The message as a chunk of its own."""
+        """The message as a chunk of its own. Raises MemoryError."""
         return pack([self._message])
+
+    def drop(self) -> dict[int, int]:
+        """Its channel, and 1."""
+        return {self._message[0]: 1}
+
+
+def _entries_below(index: array[int], end: int) -> int:
+    """Numbers in the entries of messages below `end`; the packer may be adding another one."""
+    count = len(index) & ~1
+    while count and index[count - 1] >= end:
+        count -= 2
+    return count
 
 
 def pack(messages: Iterable[PlainMessage]) -> Taken:

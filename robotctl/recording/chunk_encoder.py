@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from isal.isal_zlib import crc32
-from zstandard import ZstdCompressionParameters, ZstdCompressor
+from zstandard import ZstdCompressionParameters, ZstdCompressor, ZstdError
 
 from robotctl.recording.buffer import Taken
 from robotctl.recording.mcap_format import Chunk
@@ -19,6 +19,10 @@ JOINED_BYTES = 8 << 20
 """Two parts of so many bytes are copied into one piece: zstd takes a tenth longer for a stream."""
 
 
+class OutOfMemory(MemoryError):
+    """There was no memory to encode a chunk. Nothing was written, and the next one may succeed."""
+
+
 class ChunkEncoder:
     """Compresses and sums up. Not thread-safe; the work itself releases the interpreter lock."""
 
@@ -29,7 +33,13 @@ class ChunkEncoder:
         self._compressor = ZstdCompressor(compression_params=parameters)
 
     def encode(self, taken: Taken) -> Chunk:
-        """The chunk of these messages, of which there is at least one."""
+        """The chunk of these messages, of which there is at least one. Raises OutOfMemory."""
+        try:
+            return self._encode(taken)
+        except (MemoryError, ZstdError) as error:  # zstd gives no other while it compresses
+            raise OutOfMemory("no memory to compress messages") from error
+
+    def _encode(self, taken: Taken) -> Chunk:
         crc = 0
         for part in taken.parts:
             crc = crc32(part, crc)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from enum import Enum
 from queue import Empty, SimpleQueue
@@ -14,6 +14,7 @@ from robotctl.recording.account import TopicAccount
 from robotctl.recording.background import rank_below
 from robotctl.recording.bag_writer import BagWriter
 from robotctl.recording.buffer import LargeMessage, PackBuffer, Taken
+from robotctl.recording.chunk_encoder import OutOfMemory
 from robotctl.recording.disk_errors import cure_of, reason_of
 from robotctl.recording.events import RecordedEvent
 from robotctl.recording.options import RecorderOptions
@@ -24,6 +25,9 @@ SPARE_BUFFERS = 2
 NICE = 5
 """How far the thread ranks below the loop: where all cores are busy, the loop's share is three
 times that of the compression."""
+
+_BREATH_S = 0.001
+"""Before something is tried again that failed or was not ready."""
 
 _SETTLE_S = 1.0
 """How long `stop` waits for a message that is being packed; packing takes a microsecond."""
@@ -59,6 +63,9 @@ class Drain:
         """Bytes of buffers and messages that were queued and are free again."""
 
         self.failure = ""
+        self.no_memory = 0
+        """Messages that were dropped because there was no memory to write them."""
+
         self._writer = writer
         self._options = options
         self._accounts = accounts
@@ -78,11 +85,24 @@ class Drain:
     def _run(self) -> None:
         rank_below(NICE)
         while not self._stopping:
+            self._survive(self._turn)
+        deadline = time.monotonic() + _SETTLE_S
+        while True:
+            self._survive(self._empty_queue)
+            if self._is_settled() or time.monotonic() > deadline:
+                break
+            time.sleep(_BREATH_S)
+        self._survive(lambda: self._attempt(self._writer.close))
+
+    def _survive(self, work: Callable[[], object]) -> None:
+        """Do `work`; what it raises ends the file, and not the thread: that would tell nobody."""
+        try:
+            work()
+        except Exception as error:  # noqa: BLE001
             try:
-                self._turn()
-            except Exception as error:  # noqa: BLE001  # a thread that dies tells nobody
                 self._fail(error)
-        self._finish()
+            except Exception:  # noqa: BLE001  # not even memory to say so: the next turn tries again
+                time.sleep(_BREATH_S)
 
     def _turn(self) -> None:
         """Take what is queued, and do in time what is due."""
@@ -100,23 +120,25 @@ class Drain:
             self._attempt(self._writer.refresh_metadata)
             self._next_sync = time.monotonic() + self._options.sync_s
 
-    def _finish(self) -> None:
-        deadline = time.monotonic() + _SETTLE_S
-        while True:
-            while not self.queue.empty():
-                self._handle(self.queue.get())
-            self._flush_active()
-            if all(account.settled for account in self._accounts) or time.monotonic() > deadline:
-                break
-            time.sleep(0.001)
-        self._attempt(self._writer.close)
+    def _is_settled(self) -> bool:
+        return self.queue.empty() and all(account.settled for account in self._accounts)
+
+    def _empty_queue(self) -> None:
+        while not self.queue.empty():
+            self._handle(self.queue.get())
+        self._flush_active()
 
     def _flush_active(self) -> None:
         buffer = self._active()
         if not self.queue.empty():
             return  # what was packed before goes first
         buffer.limit = 0
-        taken = buffer.take()
+        try:
+            taken = buffer.take()
+        except MemoryError:
+            if self._stopping:  # there is no later
+                self._drop(buffer.drop())
+            return
         if taken is None:
             self._attempt(self._writer.write_topics)
         else:
@@ -133,7 +155,12 @@ class Drain:
             event = item
             self._attempt(lambda: self._writer.write_event(event))
             return
-        taken = item.take()
+        try:
+            taken = item.take()
+        except MemoryError:
+            self._drop(item.drop())
+            self.released += item.size
+            return
         if taken is not None:
             self._write(taken)
             del taken
@@ -144,15 +171,26 @@ class Drain:
 
     def _write(self, taken: Taken) -> None:
         if not self._attempt(lambda: self._writer.write(taken)):
-            for channel, index in taken.indexes.items():
-                self._accounts[channel].discarded += len(index) // 2
+            self._drop({channel: len(index) // 2 for channel, index in taken.indexes.items()})
+
+    def _drop(self, counts: Mapping[int, int]) -> None:
+        """Count messages as dropped, by channel: for want of memory, unless the file has failed."""
+        for channel, count in counts.items():
+            self._accounts[channel].discarded += count
+            if not self.failure:
+                self.no_memory += count
 
     def _attempt(self, work: Callable[[], None]) -> bool:
-        """Do `work` unless the file has failed; the first error is latched and told."""
+        """Do `work` unless the file has failed; the first error is latched and told.
+
+        A lack of memory that leaves the file as it was is no failure.
+        """
         if self.failure:
             return False
         try:
             work()
+        except OutOfMemory:
+            return False
         except Exception as error:  # noqa: BLE001  # the robot must learn of it, whatever it is
             self._fail(error)
             return False

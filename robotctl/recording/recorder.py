@@ -83,6 +83,7 @@ class Recorder:
         self._queue_bytes = options.queue_bytes
         self._latched_bytes_limit = options.latched_bytes
         self._latched_bytes = 0
+        self._no_memory = 0
         self._buffer = PackBuffer(options.chunk_bytes)
         self._acquired = self._buffer.size
         self._writer = begin_bag(folder, options, metadata, self._accounts, on_split, on_full)
@@ -111,36 +112,39 @@ class Recorder:
         """
         account = self._accounts[channel]
         account.received += 1
-        size = len(data)
-        account.size += size
-        expected = account.expected
-        if expected.get(gid) == sequence:
-            expected[gid] = sequence + 1
-        else:
-            account.ledger.note(gid, sequence)
-        if account.latched is not None:
-            room = self._latched_bytes_limit - self._latched_bytes
-            self._latched_bytes += account.keep_latched(
-                gid, data, log_ns, publish_ns, sequence, room
-            )
-        buffer = self._buffer
-        if log_ns < account.newest_ns:
-            buffer.unordered.add(channel)
-        account.newest_ns = log_ns
-        start = buffer.end
         try:
-            pack, prefix, length = account.packers[size]
-            end = start + length
-            if end <= buffer.limit:
-                pack(buffer.data, start, prefix, sequence, log_ns, publish_ns, data)
-                index = buffer.indexes[channel]
-                index.append(log_ns)
-                index.append(start)
-                buffer.end = end
-                return
-        except (KeyError, struct.error):
-            pass  # a size met for the first time, or a number outside its field
-        self._write_carefully(channel, data, log_ns, publish_ns, sequence)
+            size = len(data)
+            account.size += size
+            expected = account.expected
+            if expected.get(gid) == sequence:
+                expected[gid] = sequence + 1
+            else:
+                account.ledger.note(gid, sequence)
+            if account.latched is not None:
+                room = self._latched_bytes_limit - self._latched_bytes
+                self._latched_bytes += account.keep_latched(
+                    gid, data, log_ns, publish_ns, sequence, room
+                )
+            buffer = self._buffer
+            if log_ns < account.newest_ns:
+                buffer.unordered.add(channel)
+            account.newest_ns = log_ns
+            start = buffer.end
+            try:
+                pack, prefix, length = account.packers[size]
+                end = start + length
+                if end <= buffer.limit:
+                    pack(buffer.data, start, prefix, sequence, log_ns, publish_ns, data)
+                    index = buffer.indexes[channel]
+                    index.append(log_ns)
+                    index.append(start)
+                    buffer.end = end
+                    return
+            except (KeyError, struct.error):
+                pass  # a size met for the first time, or a number outside its field
+            self._write_carefully(channel, data, log_ns, publish_ns, sequence)
+        except MemoryError:
+            self._drop_for_memory(account, channel)
 
     def split(self) -> None:
         """Go on in a new file, without a gap: what is written from now on is in that.
@@ -171,6 +175,7 @@ class Recorder:
             lost=sum(topic.lost for topic in topics),
             unseen=sum(topic.unseen for topic in topics),
             not_repeated=sum(topic.not_repeated for topic in topics),
+            no_memory=self._no_memory + self._drain.no_memory,
             failure=self._drain.failure,
             warning=self._writer.warning,
             topics=topics,
@@ -221,6 +226,14 @@ class Recorder:
         index.append(log_ns)
         index.append(start)
         buffer.end = start + length
+
+    def _drop_for_memory(self, account: TopicAccount, channel: int) -> None:
+        """Count a message as dropped that could not be packed, or only half of its index entry."""
+        index = self._buffer.indexes[channel]
+        if len(index) % 2:
+            index.pop()
+        account.refused += 1
+        self._no_memory += 1
 
     def _buffer_with_room(self, length: int) -> PackBuffer | None:
         """The active buffer, or a new active one, with room for `length` bytes."""

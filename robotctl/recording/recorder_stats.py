@@ -22,8 +22,9 @@ class RecorderStats:
     """The recorder at one instant.
 
     `file` is the current file, `bytes` what all files have on disk; the counts are the sums over
-    `topics`. `not_repeated` latched messages are recorded once and not repeated in later files, for
-    there is no room for them. `failure` and `warning` are sentences, empty where all is well.
+    `topics`. Of the dropped messages, `no_memory` found no memory.
+    `not_repeated` latched messages are recorded once and not repeated in later files, for there is
+    no room for them. `failure` and `warning` are sentences, empty where all is well.
     """
 
     state: RecorderState
@@ -36,6 +37,7 @@ class RecorderStats:
     lost: int
     unseen: int
     not_repeated: int
+    no_memory: int
     failure: str
     warning: str
     topics: tuple[TopicStats, ...]

@@ -74,9 +74,10 @@ class RecordingFile:
         return self._mcap.trailer_bytes
 
     def write(self, taken: Taken) -> None:
-        """Write `taken` as a chunk."""
+        """Write `taken` as a chunk. Raises OutOfMemory, and then is as it was before."""
+        chunk = self._encoder.encode(taken)
         self._announce_topics()
-        self._mcap.commit(self._encoder.encode(taken))
+        self._mcap.commit(chunk)
         self._synced = False
 
     def write_topics(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import resource
 import struct
 import time
@@ -127,3 +128,20 @@ def record_up_to_file_size(folder: Path, limit: int, result: Connection) -> None
         number += 100
         time.sleep(0.001)
     result.send((failures, number, recorder.close()))
+
+
+def record_without_memory(folder: Path, result: Connection) -> None:
+    """Record large messages in little address space; send failures, number and final counts."""
+    failures: list[str] = []
+    recorder = Recorder(folder, on_failure=failures.append)
+    channel = recorder.add_topic(TWIST)
+    now = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    most = resource.getrlimit(resource.RLIMIT_AS)[1]
+    resource.setrlimit(resource.RLIMIT_AS, (now + (12 << 20), most))
+    number = 0
+    data = random.Random(1).randbytes(4 << 20)
+    for number in range(1, 101):
+        recorder.write(channel, data, number, number, number, GID)
+        recorder.write(channel, data[: number * 1000], number, number, number, GID)
+    resource.setrlimit(resource.RLIMIT_AS, (most, most))
+    result.send((failures, 2 * number, recorder.close()))

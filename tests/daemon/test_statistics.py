@@ -42,6 +42,7 @@ def recorder(*topics: TopicStats, failure: str = "") -> RecorderStats:
         lost=sum(each.lost for each in topics),
         unseen=0,
         not_repeated=0,
+        no_memory=0,
         failure=failure,
         warning="",
         topics=topics,
