@@ -8,8 +8,10 @@ from typing import Any
 
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rclpy.utilities import get_rmw_implementation_identifier
+
+from robotctl.printable import printable
+from robotctl.ros import graph
 
 UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
 """What rmw says of a publisher that it discovered before its node."""
@@ -40,23 +42,17 @@ def gid_of(publisher: Publisher) -> bytes:
 
 def publisher_names(node: Node, topic: str) -> dict[bytes, str]:
     """Return the full name of the node of each publisher, by identity; "" where unknown."""
-    try:
-        infos = node.get_publishers_info_by_topic(topic)
-    except Exception:  # noqa: BLE001 - a name on the graph may be any bytes
-        return {}
-    return {gid_in(info): full_name(info) for info in infos}
+    return {each.gid: full_name(each) for each in graph.publishers(node, topic)}
 
 
-def gid_in(info: TopicEndpointInfo) -> bytes:
-    """Return the identity of an endpoint, as messages carry it."""
-    return bytes(info.endpoint_gid)[:GID_BYTES]
+def full_name(endpoint: graph.Endpoint) -> str:
+    """Return the full name of the node of an endpoint, "" where it is not discovered yet.
 
-
-def full_name(info: TopicEndpointInfo) -> str:
-    """Return the full name of the node of an endpoint, "" where it is not discovered yet."""
-    if info.node_name == UNKNOWN_NODE:
+    What is not printable in it is escaped.
+    """
+    if endpoint.node_name == UNKNOWN_NODE:
         return ""
-    return f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+    return printable(f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}")
 
 
 @cache

@@ -7,9 +7,10 @@ from threading import Lock
 from geometry_msgs.msg import Twist as TwistMessage
 
 from robotctl.kernel.types import ZERO, Twist
-from robotctl.ros import qos
+from robotctl.printable import printable
+from robotctl.ros import graph, qos
 from robotctl.ros.cdr import encode_twist
-from robotctl.ros.publishers import full_name, gid_in, gid_of, publisher_names
+from robotctl.ros.publishers import full_name, gid_of, publisher_names
 from robotctl.ros.session import RECORDER_NODE, Session
 
 TYPE_NAME = "geometry_msgs/msg/Twist"
@@ -94,12 +95,8 @@ class VelocityPublisher:
 
     def other_publishers(self) -> tuple[str, ...]:
         """Return the full names of the other nodes that publish the command topic now."""
-        own = self.gid
-        try:
-            infos = self._node.get_publishers_info_by_topic(self.topic)
-        except Exception:  # noqa: BLE001 - a name on the graph may be any bytes
-            return ("a node whose name cannot be read",)
-        others = [full_name(info) for info in infos if gid_in(info) != own]
+        publishers = graph.publishers(self._node, self.topic)
+        others = [full_name(each) for each in publishers if each.gid != self.gid]
         return tuple(sorted(name or "a node whose name is not known yet" for name in others))
 
     def listeners(self) -> tuple[int, tuple[str, ...]]:
@@ -108,15 +105,13 @@ class VelocityPublisher:
         Recorders are not counted: they take everything, and drive nothing.
         """
         recorder = f"{self._node.get_namespace().rstrip('/')}/{RECORDER_NODE}"
-        infos = [
-            info
-            for info in self._node.get_subscriptions_info_by_topic(self.topic)
-            if full_name(info) != recorder
+        types = [
+            printable(each.topic_type)
+            for each in graph.subscriptions(self._node, self.topic)
+            if full_name(each) != recorder
         ]
-        others = {info.topic_type for info in infos if info.topic_type != TYPE_NAME}
-        return len(infos) - sum(info.topic_type in others for info in infos), tuple(
-            sorted(others)[:MAX_OTHER_TYPES]
-        )
+        others = sorted(set(types) - {TYPE_NAME})
+        return types.count(TYPE_NAME), tuple(others[:MAX_OTHER_TYPES])
 
     def count_listeners(self) -> int:
         """Return how many subscriptions the command topic has, recorders included."""

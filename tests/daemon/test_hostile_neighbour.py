@@ -42,7 +42,7 @@ def test_the_daemon_drives_on_and_names_what_it_does_not_record(
     for topic, type_name in STRANGE:
         hostile("offer", topic=topic, type_name=type_name)
     until(lambda: sum("is not recorded" in text for text in world.status()["warnings"]) == 7)
-    hostile("rename", name="\xff", namespace="/\xfe")
+    hostile("rename", name="\xff\x1b[31m", namespace="/\xfe")
     status = world.status()
     assert status["mode"] == "MOVING"
     assert all(text.isprintable() for text in status["warnings"])
@@ -52,6 +52,27 @@ def test_the_daemon_drives_on_and_names_what_it_does_not_record(
     world.ok("stop")
     assert "Traceback" not in world.log()
     assert "\x1b" not in world.log()
+
+
+def test_whoever_commands_the_robot_is_named_whatever_its_name_is(
+    world: World, hostile: Told
+) -> None:
+    world.ok("start", "--sim")
+    hostile("offer", topic="/cmd_vel", type_name="std_msgs/msg/\xff")
+
+    name = r"/\xfe/\xff\x1b[31m"
+
+    def is_named() -> bool:
+        hostile("rename", name="\xff\x1b[31m", namespace="/\xfe")
+        return any(name in text for text in world.status()["warnings"])
+
+    until(is_named)
+    ran = world.robotctl("set-mode", "moving")
+    assert ran.exit_code == 4
+    assert name in ran.err
+    assert world.status()["mode"] == "IDLE"
+    world.ok("stop")
+    assert "Traceback" not in world.log()
 
 
 def test_a_message_that_is_too_large_is_counted_and_its_memory_given_back(
