@@ -60,12 +60,15 @@ class Chain:
     def make(self) -> None:
         """Create the folders that are missing, for this user alone, and close `folder` to others.
 
-        Raises UsageError as `check`, and if `folder` is not this user's own.
+        Raises UsageError as `check`, and if `folder` is not this user's own or cannot be created.
         """
         missing = [path for path in self.base.parents if not path.exists()]
         for path in (*reversed(missing), *self._folders()):
             if not os.path.lexists(path):
-                path.mkdir(mode=0o700, exist_ok=True)
+                try:
+                    path.mkdir(mode=0o700, exist_ok=True)
+                except OSError as error:
+                    raise self._error(path, f"cannot be created: {error.strerror}") from error
             if path.is_relative_to(self.base):
                 self._check(path)
         found = self.folder.stat()
@@ -115,8 +118,7 @@ class Chain:
             raise self._error(path, "can be written by every user", cure)
 
     def _error(self, path: Path, flaw: str, cure: str = "") -> UsageError:
-        cure = cure or f"set {self.variable} to a folder of yours"
-        return UsageError(f"{path} {flaw}: {cure}")
+        return UsageError(f"{path} {flaw}", cure or f"set {self.variable} to a folder of yours")
 
 
 def user_text(uid: int) -> str:

@@ -269,6 +269,20 @@ def test_what_is_missing_is_made_for_this_user_alone_whatever_the_umask(
         assert path.stat().st_mode & 0o777 == 0o700, path
 
 
+@as_root
+def test_a_folder_that_cannot_be_created_is_named_with_the_cure(
+    base: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As after su: XDG_RUNTIME_DIR is that of the user before."""
+    with another_user(), pytest.raises(UsageError) as caught:
+        make_private(runtime_folder())
+    assert str(caught.value) == (
+        f"{base / 'robotctl'} cannot be created: Permission denied: "
+        "set XDG_RUNTIME_DIR to a folder of yours"
+    )
+    assert caught.value.cure == "set XDG_RUNTIME_DIR to a folder of yours"
+
+
 # Who may answer
 
 

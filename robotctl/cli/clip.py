@@ -110,6 +110,7 @@ def _find(
 ) -> tuple[ListedRecording, Moment]:
     """The recording and the moment that are meant. Raises Refused where there is none."""
     from robotctl.recording.listing import list_recording
+    from robotctl.recording.recording_files import recording_files
 
     if file is None:
         candidates = recordings_of(robot, recordings_folder(robot, folder))
@@ -122,6 +123,7 @@ def _find(
             listed = list_recording(path)
         except OSError as error:
             if file is not None:
+                recording_files(path)  # says what is wrong with it
                 raise UnreadableFile(f"{path} cannot be read: {error.strerror}") from error
             continue
         found = _moment(listed, event, at)

@@ -99,10 +99,11 @@ class Client:
         except PermissionError:
             raise Refused(f"{self._path} belongs to another user") from None
         if not is_trusted:
-            see = f" (see whose it is: ps -fp {server.pid})" if server.pid else ""
             raise Refused(
                 f"{self._path} is answered by a process of {user_text(server.uid)}, neither you "
-                f"nor root: nothing was sent{see}"
+                "nor root: nothing was sent",
+                f"see whose it is: ps -fp {server.pid}" if server.pid else "",
+                sentence=IN_PARENTHESES,
             )
 
     @property

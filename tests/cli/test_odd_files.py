@@ -65,6 +65,7 @@ def test_a_fifo_is_no_recording(command: str, name: str, run: Callable[..., Any]
     ran = run(*command.split(), name)
     assert ran.exit_code in (4, 6), ran
     assert ran.err.count("\n") == 1
+    assert "No such file" not in ran.err
     assert name in ran.err + ran.out
 
 
