@@ -8,6 +8,7 @@ from enum import Enum
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
+from robotctl.printable import printable
 from robotctl.ros import qos
 from robotctl.ros.session import Session
 
@@ -44,16 +45,19 @@ class DiagnosticsPublisher:
         self._publisher = self._node.create_publisher(DiagnosticArray, TOPIC, qos.DIAGNOSTICS)
 
     def publish(self, diagnosis: Diagnosis) -> None:
-        """Publish the state of a part as it is now."""
+        """Publish the state of a part as it is now; what is not printable in it is escaped."""
         message = DiagnosticArray()
         message.header.stamp = self._node.get_clock().now().to_msg()
         message.status = [
             DiagnosticStatus(
                 level=diagnosis.level.value,
                 name=f"{self._robot}: {diagnosis.part}",
-                message=diagnosis.message,
+                message=printable(diagnosis.message),
                 hardware_id=self._robot,
-                values=[KeyValue(key=key, value=text) for key, text in diagnosis.values.items()],
+                values=[
+                    KeyValue(key=key, value=printable(text))
+                    for key, text in diagnosis.values.items()
+                ],
             )
         ]
         self._publisher.publish(message)

@@ -15,6 +15,7 @@ from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import Odometry, Reply, Twist
 from robotctl.ros import mode_service, qos
 from robotctl.ros.battery_subscriber import BatterySubscriber
+from robotctl.ros.diagnostics_publisher import TOPIC, Diagnosis, DiagnosticsPublisher, Level
 from robotctl.ros.mode_service import ModeService, Shown
 from robotctl.ros.odom_subscriber import OdomSubscriber
 from robotctl.ros.session import Session, ros_session
@@ -343,3 +344,21 @@ async def test_the_roles_are_the_nodes_that_are_promised(session: Session, node:
     assert service.status_topic == "/r2/robot_status"
     names = {owner.get_fully_qualified_name() for owner in session._nodes}
     assert names == {"/r2/velocity_publisher", "/r2/odom_subscriber", "/r2/mode_service"}
+
+
+async def test_diagnostics_are_told_whatever_bytes_a_path_has(
+    session: Session, executor: Any, node: Any, until: Until
+) -> None:
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    heard: list[Any] = []
+    diagnostics = DiagnosticsPublisher(session, "r2")
+    subscription = node.create_subscription(DiagnosticArray, TOPIC, heard.append, 10)
+    await until(subscription.get_publisher_count)
+    await until(diagnostics._publisher.get_subscription_count)
+    diagnostics.publish(
+        Diagnosis("recorder", Level.WARN, "no \x1b[31m", {"file": "/data/\udcff.mcap"})
+    )
+    await until(lambda: heard)
+    (status,) = heard[0].status
+    assert (status.message, status.values[0].value) == ("no \\x1b[31m", "/data/\\udcff.mcap")
