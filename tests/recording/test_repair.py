@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-import time
 from pathlib import Path
 
 import pytest
@@ -15,6 +14,7 @@ from robotctl.recording import repair as repairing
 from robotctl.recording.reader import read_info
 from robotctl.recording.recorder import Recorder, RecorderOptions
 from robotctl.testing.recordings import TWIST, numbered, read_strictly, write_numbered
+from robotctl.testing.waiting import until
 
 
 def repair(recordings: Path) -> list[str]:
@@ -25,14 +25,15 @@ def crashed(folder: Path, count: int) -> Path:
     """What a process leaves that is killed after `count` messages reached the file."""
     options = RecorderOptions(chunk_bytes=1024, flush_s=0.005)
     recorder = Recorder(folder, options, on_failure=pytest.fail)
+    listed = (folder / "metadata.yaml").read_bytes()  # the list of before the first message
     write_numbered(recorder, recorder.add_topic(TWIST), range(1, count + 1))
-    while recorder.stats().queued:
-        time.sleep(0.001)
-    files = {path.name: path.read_bytes() for path in folder.iterdir()}
+    until(lambda: recorder.stats().queued == 0)
+    file = folder / f"{folder.name}_0.mcap"
+    data = file.read_bytes()
     recorder.close()
-    for name, data in files.items():
-        (folder / name).write_bytes(data)
-    return folder / f"{folder.name}_0.mcap"
+    file.write_bytes(data)
+    (folder / "metadata.yaml").write_bytes(listed)
+    return file
 
 
 def listed_messages(folder: Path) -> int:
