@@ -12,8 +12,8 @@ import pytest
 
 from robotctl.ros.pool import Pool
 
-LOOKS_PER_S = 60
-"""Of the recorder at its topics. A rest of 30 ms makes 33 of them, one of 2 ms more than 100."""
+LOOKS_PER_S = 100
+"""Of the recorder at its topics. A rest of 30 ms makes 33 of them, one of 2 ms made 200."""
 
 
 async def test_the_recorder_of_a_quiet_robot_looks_seldom(
