@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from robotctl.cli import app
+from robotctl.daemon import recording_methods
 from robotctl.ipc.client import call
+from robotctl.ipc.params import NoParams
 from robotctl.testing.waiting import until
 from robotctl.testing.world import World
 
@@ -67,3 +71,32 @@ def test_a_kill_while_moving_is_told_also_after_a_restart(here: World) -> None:
     assert Path(found["path"]) == killed
     assert len(found["later"]) == 1
     here.ok("stop")
+
+
+class SlowDisk:
+    """A recorder whose disk takes one message each time somebody looks, up to a limit."""
+
+    def __init__(self, takes: int, failure: str = "") -> None:
+        self.failure = failure
+        self.report = SimpleNamespace(facts=lambda: {"recorder": {"file": "/a/run_0.mcap"}})
+        self._written, self._takes = 0, takes
+
+    def stats(self) -> Any:
+        self._written = min(self._written + 1, self._takes)
+        return SimpleNamespace(received=100 + self._written, written=self._written, dropped=95)
+
+
+@pytest.mark.parametrize(
+    ("recorder", "uncommitted"),
+    [(SlowDisk(6), 0), (SlowDisk(2), 4), (SlowDisk(2, "recording stopped: disk full"), 4)],
+    ids=["in time", "too slow", "failed"],
+)
+async def test_what_the_disk_did_not_take_is_counted(
+    recorder: SlowDisk, uncommitted: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recording_methods, "COMMIT_DEADLINE_S", 0.2)
+    given: Any = recorder
+    commit = recording_methods.recording_methods(given)["record_commit"].handler
+    answer = await commit(NoParams())
+    assert answer["uncommitted"] == uncommitted
+    assert answer["failure"] == recorder.failure
