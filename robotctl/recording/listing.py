@@ -12,11 +12,13 @@ from pathlib import Path
 from robotctl.recording.catalog import CLIPS_FOLDER, KEEP_FILE
 from robotctl.recording.damage import Damaged
 from robotctl.recording.events import EventKind, RecordedEvent, events_in
-from robotctl.recording.file_index import FileIndex
 from robotctl.recording.identity import INFO_RECORD
 from robotctl.recording.indexing import index_of
 from robotctl.recording.mcap_input import InputFile
 from robotctl.recording.recording_files import files_of_bag, natural_order
+from robotctl.recording.rosbag2 import metadata_text
+from robotctl.recording.source import OpenFile
+from robotctl.recording.told_counts import lacking
 from robotctl.recording.zstd_file import is_zstd_file
 
 GRAVEST_FIRST = (EventKind.EMERGENCY_STOP, EventKind.ERROR)
@@ -97,10 +99,11 @@ def _packed_files(path: Path) -> list[Path]:
 
 def list_recording(path: Path) -> ListedRecording:
     """The recording `path`, a folder or a file. Raises OSError if it is not there."""
+    text = metadata_text(path)
     files = _files(path) or _packed_files(path)
     if not files:
         raise FileNotFoundError(ENOENT, os.strerror(ENOENT), str(path))
-    indexes: list[FileIndex] = []
+    opened: list[OpenFile] = []
     damage: list[str] = []
     live = False
     for each in files:
@@ -108,10 +111,13 @@ def list_recording(path: Path) -> ListedRecording:
         try:
             with InputFile(each) as file:
                 live = live or file.is_changing()
-                indexes.append(index_of(file, places=False))
-            damage += (prefix + sentence for sentence in indexes[-1].missing)
+                opened.append(OpenFile(each, file, index_of(file, places=False)))
+            damage += (prefix + sentence for sentence in opened[-1].index.missing)
         except (Damaged, OSError) as error:
             damage.append(f"{prefix}{error}")
+    if opened:
+        damage += lacking(text, opened, all_files=files != [path])
+    indexes = [each.index for each in opened]
     with_messages = [index for index in indexes if index.message_count]
     metadata = [record for index in indexes for record in index.metadata]
     info = next((record.metadata for record in metadata if record.name == INFO_RECORD), {})

@@ -37,7 +37,7 @@ def message_compression(metadata: Iterable[Metadata], path: Path) -> str:
     for text in texts[::-1]:
         if _MODE.search(text):
             return _format_in(text)
-    text = metadata_text(path.parent)
+    text = metadata_text(path)
     return _format_in(text) if path.name in files_in(text) else ""
 
 

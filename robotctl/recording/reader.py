@@ -23,7 +23,9 @@ from robotctl.recording.merge import in_order_written, merge
 from robotctl.recording.read_limits import ReadLimits
 from robotctl.recording.recording_files import absent_files, recording_files
 from robotctl.recording.recording_info import RecordingInfo, TopicInfo, describe, metadata_in
+from robotctl.recording.rosbag2 import metadata_text
 from robotctl.recording.source import ALWAYS, Message, OpenFile, Window
+from robotctl.recording.told_counts import lacking
 from robotctl.recording.type_names import type_name_of
 
 __all__ = [
@@ -75,9 +77,10 @@ class Recording:
         self.path = path
         self._files: list[OpenFile] = []
         self.missing: list[str] = []
+        text = metadata_text(path)
         paths = recording_files(path)
         if paths != [path]:
-            for sentence in absent_files(path, paths):
+            for sentence in absent_files(text, paths):
                 note_missing(self.missing, sentence)
         try:
             for each in paths:
@@ -87,6 +90,8 @@ class Recording:
             raise
         if not self._files:
             raise UnreadableFile(f"{path} cannot be read: {'; '.join(self.missing)}")
+        for sentence in lacking(text, self._files, all_files=paths != [path]):
+            note_missing(self.missing, sentence)
 
     def close(self) -> None:
         """Close the files."""

@@ -8,8 +8,8 @@ from shlex import quote
 from stat import S_ISDIR, S_ISREG
 
 from robotctl.errors import IN_PARENTHESES, UnreadableFile
-from robotctl.recording import rosbag2
 from robotctl.recording.mcap_format import MAGIC
+from robotctl.recording.rosbag2 import METADATA_FILE, files_in
 from robotctl.recording.zstd_file import SUFFIX
 from robotctl.regular_file import open_regular
 
@@ -17,7 +17,7 @@ SQLITE_SUFFIX = ".db3"
 """What the other storage of rosbag2 appends to its files."""
 
 _FILES_OF_RECORDINGS = (
-    *("*.mcap", f"*.mcap{SUFFIX}", f"*{SQLITE_SUFFIX}*", rosbag2.METADATA_FILE),
+    *("*.mcap", f"*.mcap{SUFFIX}", f"*{SQLITE_SUFFIX}*", METADATA_FILE),
     "*/*.mcap",
 )
 """What a folder holds that is a recording, or holds recordings."""
@@ -79,12 +79,15 @@ def _conversion(path: Path) -> str:
     )
 
 
-def absent_files(folder: Path, present: list[Path]) -> list[str]:
-    """A sentence for each file that the folder's `metadata.yaml` names beside those present."""
+def absent_files(text: str, present: list[Path]) -> list[str]:
+    """A sentence for each file that the text of `metadata.yaml` names beside those present.
+
+    It is read before the folder is listed: a daemon adds the file first, then its name.
+    """
     names = {path.name for path in present}
     return [
         f"{name}: metadata.yaml names it, but it is not there"
-        for name in rosbag2.named_files(folder)
+        for name in files_in(text)
         if name not in names
     ]
 

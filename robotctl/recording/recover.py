@@ -25,9 +25,10 @@ from robotctl.recording.mcap_input import InputFile
 from robotctl.recording.message_compression import without_compression
 from robotctl.recording.new_file import new_file
 from robotctl.recording.options import Compression
-from robotctl.recording.rosbag2 import METADATA_RECORD
+from robotctl.recording.rosbag2 import METADATA_RECORD, metadata_text
 from robotctl.recording.source import ALWAYS, OpenFile, Source, names_of
 from robotctl.recording.storage import DiskFile, Storage
+from robotctl.recording.told_counts import lacking
 
 _BATCH_BYTES = 8 << 20
 """Messages that become one chunk of the copy: a chunk of the original may be larger by far."""
@@ -66,12 +67,15 @@ def recover(
         file = InputFile(source, on_progress)
     except (OSError, ValueError, Damaged) as error:
         raise UnreadableFile(f"{source} cannot be read: {_reason(error)}") from error
+    text = metadata_text(source)
     with file:
         total = 2 * file.size  # once to find what there is, once to copy it
         try:
             index = index_of(file, lambda done: on_progress(done, total))
         except Damaged as damage:
             raise UnreadableFile(f"{source} cannot be read: {damage}") from damage
+        for sentence in lacking(text, [OpenFile(source, file, index)], all_files=False):
+            index.miss(sentence)
         copy = _Copy(file, index, lambda done: on_progress(file.size + done, total))
         with new_file(target, open_file) as storage:
             copy.run(storage)

@@ -13,6 +13,7 @@ from robotctl.recording.access import is_shared, make_folder
 from robotctl.recording.bag_metadata import rewrite_metadata
 from robotctl.recording.recording_files import absent_files, recording_files
 from robotctl.recording.recover import Progress, Salvage, recover
+from robotctl.recording.rosbag2 import metadata_text, total_count_in
 from robotctl.recording.zstd_file import SUFFIX
 
 
@@ -23,13 +24,14 @@ def recover_folder(
 
     Raises as `recover` does; after an error there is no `target` but one that was there before.
     """
+    text = metadata_text(source)
     paths = recording_files(source)
     sizes = [2 * path.stat().st_size if path.exists() else 0 for path in paths]
     try:
         make_folder(target, shared=is_shared(source))
     except OSError as error:
         raise Refused(f"cannot write {target}: {error.strerror}") from error
-    lost = absent_files(source, paths)
+    lost = absent_files(text, paths)
     saved: list[Salvage] = []
     try:
         for path, before in zip(paths, accumulate(sizes[:-1], initial=0), strict=True):
@@ -41,6 +43,9 @@ def recover_folder(
             else:
                 saved.append(salvage)
                 lost += (f"{path.name}: {sentence}" for sentence in salvage.lost)
+        told, count = total_count_in(text), sum(salvage.message_count for salvage in saved)
+        if not lost and told > count:
+            lost.append(f"metadata.yaml counts {told} messages, and {count} are there")
         if not saved:
             raise UnreadableFile("; ".join(lost))
         rewrite_metadata(target, [salvage.target for salvage in saved])
@@ -52,7 +57,7 @@ def recover_folder(
         raise
     return Salvage(
         target,
-        sum(salvage.message_count for salvage in saved),
+        count,
         sum(salvage.attachment_count for salvage in saved),
         tuple(lost),
     )

@@ -27,6 +27,9 @@ _NO_START_NS = 2**63 - 1
 """What rosbag2 writes as the start of a recording without messages."""
 
 _FILE_LIST = re.compile(r"^ *relative_file_paths:\n((?: *- .*(?:\n|\Z))+)", re.MULTILINE)
+_COUNT = r"message_count: *(\d{1,18}) *$"
+_FILE_COUNT = re.compile(rf"^ *- path: *(.+)\n(?:(?! *- ).*\n)*? *{_COUNT}", re.MULTILINE)
+_TOTAL_COUNT = re.compile(rf"^  {_COUNT}", re.MULTILINE)
 _QOS_LINE = re.compile(r"(- | {2,})[a-z_]+:( [\w.+-]+)?")
 
 
@@ -66,30 +69,37 @@ def write_metadata(folder: Path, topics: Iterable[Topic], files: Sequence[BagFil
     unfinished.replace(folder / METADATA_FILE)
 
 
-def metadata_text(folder: Path) -> str:
-    """The folder's `metadata.yaml`; "" where it has none that can be read."""
+def metadata_text(path: Path) -> str:
+    """The `metadata.yaml` of a recording, a folder or one of its files; "" if none can be read."""
     try:
+        folder = path if path.is_dir() else path.parent
         with TextIOWrapper(open_regular(folder / METADATA_FILE), encoding="utf-8") as stream:
             return stream.read(_MAX_METADATA_CHARACTERS)
     except (OSError, ValueError):
         return ""  # the files speak for themselves
 
 
-def named_files(folder: Path) -> list[str]:
-    """The file names in the folder's `metadata.yaml`; none where there is no such list.
+def files_in(text: str) -> list[str]:
+    """The file names in the text of a `metadata.yaml`; none where there is no such list.
 
     Only the list as rosbag2 and we write it, a line each: a YAML parser takes a second for 1 MB.
     """
-    return files_in(metadata_text(folder))
-
-
-def files_in(text: str) -> list[str]:
-    """The file names in the text of a `metadata.yaml`."""
     block = _FILE_LIST.search(text)
     if block is None:
         return []
     lines = block[1].splitlines()
     return [Path(line.strip().removeprefix("- ").strip("\"' ")).name for line in lines]
+
+
+def message_counts_in(text: str) -> dict[str, int]:
+    """The messages that the text of a `metadata.yaml` counts in each file, by its name."""
+    return {Path(name.strip("\"' ")).name: int(count) for name, count in _FILE_COUNT.findall(text)}
+
+
+def total_count_in(text: str) -> int:
+    """The messages that the text of a `metadata.yaml` counts in all files; 0 if it does not."""
+    found = _TOTAL_COUNT.search(text)
+    return int(found[1]) if found else 0
 
 
 def _body(topics: Iterable[Topic], files: Sequence[BagFile]) -> list[str]:

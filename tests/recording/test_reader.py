@@ -175,7 +175,10 @@ def test_a_file_that_the_bag_names_and_that_is_not_there_is_missing(tmp_path: Pa
     file.unlink()
     info = read_info(tmp_path / "run")
     assert info.message_count == 5
-    assert info.missing == ("run_0.mcap: metadata.yaml names it, but it is not there",)
+    assert info.missing == (
+        "run_0.mcap: metadata.yaml names it, but it is not there",
+        "metadata.yaml counts 10 messages, and 5 are there",
+    )
 
 
 @pytest.mark.parametrize(

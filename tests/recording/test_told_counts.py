@@ -1,0 +1,106 @@
+"""A recording that was cut from outside is named, also where its files are whole in themselves."""
+
+from __future__ import annotations
+
+import re
+import time
+from pathlib import Path
+
+import pytest
+
+from robotctl.recording.journal_reader import read_journal
+from robotctl.recording.listing import list_recording
+from robotctl.recording.reader import Recording, read_info
+from robotctl.recording.recorder import Recorder, RecorderOptions
+from robotctl.recording.recover import recover
+from robotctl.recording.recover_folder import recover_folder
+from robotctl.testing.drives import drive, record
+from robotctl.testing.mcap_faults import chunks_of
+from robotctl.testing.numbered_files import recorded, salvaged
+from robotctl.testing.recordings import TWIST, write_numbered
+
+
+def recorded_twice(folder: Path) -> tuple[Path, bytes]:
+    """A recording of 500 messages, and what its file was when there were 200."""
+    recorder = Recorder(folder, RecorderOptions(chunk_bytes=1024), on_failure=pytest.fail)
+    channel = recorder.add_topic(TWIST)
+    write_numbered(recorder, channel, range(1, 201))
+    while recorder.stats().queued:
+        time.sleep(0.001)
+    earlier = recorder.stats().file.read_bytes()
+    write_numbered(recorder, channel, range(201, 501))
+    return recorder.close().file, earlier
+
+
+@pytest.mark.parametrize("by_folder", [True, False])
+def test_an_earlier_state_of_a_file_is_not_taken_for_all_of_it(
+    tmp_path: Path, by_folder: bool
+) -> None:
+    file, earlier = recorded_twice(tmp_path / "run")
+    file.write_bytes(earlier)  # a whole and valid file
+    path = file.parent if by_folder else file
+    named = "run_0.mcap: metadata.yaml counts 500 messages, and 200 are there"
+    assert read_info(path).missing == (named,)
+    assert salvaged(path)[1] == [named]
+    assert list_recording(path).damage == (named,)
+    work = recover_folder if by_folder else recover
+    assert named in "; ".join(work(path, tmp_path / "saved").lost)
+    assert read_info(tmp_path / "saved").missing == ()
+
+
+def test_what_the_ledger_counts_is_missed_without_metadata_yaml(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "run", RecorderOptions(chunk_bytes=1024), on_failure=pytest.fail)
+    channel = recorder.add_topic(TWIST)
+    write_numbered(recorder, channel, range(1, 201))
+    recorder.split()
+    write_numbered(recorder, channel, range(201, 401))
+    recorder.close()
+    assert read_info(tmp_path / "run").missing == ()
+    other = recorded(tmp_path / "other" / "run", 50)
+    (tmp_path / "run" / "run_0.mcap").write_bytes(other.read_bytes())
+    (tmp_path / "run" / "metadata.yaml").unlink()
+    (named,) = read_info(tmp_path / "run").missing
+    assert named == "its ledger counts 400 messages, and 250 are there"
+
+
+def test_a_recording_whose_first_file_was_removed_lacks_nothing(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "run", RecorderOptions(chunk_bytes=1024), on_failure=pytest.fail)
+    channel = recorder.add_topic(TWIST)
+    write_numbered(recorder, channel, range(1, 201))
+    recorder.split()
+    write_numbered(recorder, channel, range(201, 401))
+    recorder.close()
+    (tmp_path / "run" / "run_0.mcap").unlink()
+    (tmp_path / "run" / "metadata.yaml").unlink()
+    assert read_info(tmp_path / "run").missing == ()
+    assert read_info(tmp_path / "run" / "run_1.mcap").missing == ()
+
+
+def test_a_file_that_is_cut_while_it_is_read_is_named(tmp_path: Path) -> None:
+    (file,) = record(tmp_path / "run", drive(2.0)).glob("*.mcap")
+    chunks = chunks_of(file.read_bytes())
+    missing: list[str] = []
+    with Recording(file) as recording:
+        entries = read_journal(recording, missing.append)
+        next(entries)
+        with file.open("r+b") as stream:
+            stream.truncate(chunks[len(chunks) // 2][0] + 20)
+        assert sum(1 for _ in entries) > 10
+    assert missing
+    assert all(re.search(r"it was cut off at byte \d+ meanwhile", each) for each in missing)
+
+
+def test_a_file_of_a_bag_that_says_too_much_of_it_is_no_loss(tmp_path: Path) -> None:
+    """rosbag2 counts for a file what its cache then dropped; its total is true."""
+    file = recorded(tmp_path / "run", 100)
+    file.write_bytes(file.read_bytes().replace(b"robotctl ", b"somebody "))
+    yaml = tmp_path / "run" / "metadata.yaml"
+    yaml.write_text(re.sub(r"(    message_count:) 100\n", r"\1 120\n", yaml.read_text()))
+    assert "message_count: 120" in yaml.read_text()
+    assert read_info(tmp_path / "run").missing == ()
+    yaml.write_text(
+        re.sub(r"\n  message_count: 100\n", r"\n  message_count: 120\n", yaml.read_text())
+    )
+    assert read_info(tmp_path / "run").missing == (
+        "metadata.yaml counts 120 messages, and 100 are there",
+    )
