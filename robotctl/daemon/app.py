@@ -30,7 +30,7 @@ async def serve(
     """Run the daemon until it is told to stop; `on_ready` is called once with the summary.
 
     `at_end` leaves the ROS domain. The caller owns the robot's lock. Raises RobotctlError where it
-    cannot start.
+    cannot start, or ran out of memory.
     """
     stop = told_to_end()
     config = options.applied_to(load(options.config) if options.config else Config())
@@ -38,7 +38,7 @@ async def serve(
     # Whose lock somebody removed still has the robot, and must not see commands of ours.
     remove_stale(address)
     alone = is_deserted(options.domain_id)
-    supervisor = Supervisor()
+    supervisor = Supervisor(stop.set)
     asyncio.get_running_loop().set_exception_handler(supervisor.loop_failed)
     async with (
         ros_session(
@@ -78,3 +78,4 @@ async def serve(
         except BaseException:
             await daemon.cut()
             raise
+    supervisor.check()

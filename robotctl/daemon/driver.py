@@ -158,7 +158,7 @@ class Driver:
                 ready = await self._become_ready(notes, on_ready)
                 await self._host.stop.wait()
                 _log.info("stopping")
-                await stand_still(self._control)
+                await stand_still(self._control, lambda: self._velocity.published)
         await until(self._is_drained, DRAIN_S)
         if not ready:
             raise RobotctlError("the daemon was told to stop before it was ready")

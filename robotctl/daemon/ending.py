@@ -17,6 +17,9 @@ _log = logging.getLogger(__name__)
 RAMP_DOWN_S = 3.0
 """How long a stop may take to ramp down before the command is cut to zero."""
 
+LAST_ZERO_S = 1.0
+"""How long a stop tries to send its last zero; beyond it the robot's command timeout has acted."""
+
 POLL_S = 0.01
 
 
@@ -31,10 +34,11 @@ def told_to_end() -> asyncio.Event:
     return told
 
 
-async def stand_still(control: Control) -> None:
+async def stand_still(control: Control, published: Callable[[], int]) -> None:
     """Ramp down, or cut the command where that takes too long; then send one more zero.
 
-    No motion begins any more.
+    No motion begins any more. `published()` counts the commands that were sent: a last zero that
+    fails, for want of memory or in the middleware, is sent again for LAST_ZERO_S.
     """
     detail = "the daemon is stopping"
     control.dispatch(FaultReported(time.monotonic_ns(), Cause.DAEMON_ENDS, detail))
@@ -47,7 +51,14 @@ async def stand_still(control: Control) -> None:
                 await asyncio.wait_for(control.request(request), RAMP_DOWN_S)
             except TimeoutError:
                 _log.error("not standing still after %g s", RAMP_DOWN_S)
-    control.dispatch(Tick(time.monotonic_ns()))
+    sent = published()
+
+    def sends_zero() -> bool:
+        control.dispatch(Tick(time.monotonic_ns()))
+        return published() > sent
+
+    if not await until(sends_zero, LAST_ZERO_S):
+        _log.error("no last zero could be sent within %g s", LAST_ZERO_S)
 
 
 async def until(condition: Callable[[], bool], deadline_s: float) -> bool:

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Coroutine
 from typing import Any
 
+from robotctl.errors import RobotctlError
 from robotctl.kernel.types import Cause, Event, FaultCleared, FaultReported
 
 _log = logging.getLogger(__name__)
@@ -18,6 +19,12 @@ RESTART_S = 1.0
 MAX_DETAIL = 1000
 """Characters of a fault that journal and status are told; the log has it whole."""
 
+RESERVE_BYTES = 16 * 1024 * 1024
+"""Given back when there is no memory left, so that the daemon can stop the robot and end. Its pages
+are never touched: it takes address space only."""
+
+OUT_OF_MEMORY = "out of memory: the robot was stopped, and the daemon ends"
+
 Work = Callable[[], Coroutine[Any, Any, None]]
 """Makes the coroutine of a task; called again for each restart."""
 
@@ -26,11 +33,19 @@ class Supervisor:
     """Runs tasks and takes the exceptions that nobody else takes.
 
     A task that died is started again, so that status, stop and zeros stay available; its fault
-    stays until the daemon is restarted.
+    stays until the daemon is restarted. Without memory nothing can be relied on: then the robot is
+    stopped and the daemon told to end.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, end: Callable[[], None]) -> None:
+        self._end = end
         self._dispatch: Callable[[Event], None] | None = None
+        self._reserve: bytearray | None = bytearray(RESERVE_BYTES)
+
+    def check(self) -> None:
+        """Raise RobotctlError if the daemon has run out of memory."""
+        if self._reserve is None:
+            raise RobotctlError(OUT_OF_MEMORY)
 
     def report_to(self, dispatch: Callable[[Event], None]) -> None:
         """Hand faults to the kernel from now on; before, they are only logged."""
@@ -70,8 +85,22 @@ class Supervisor:
     def _report(self, error: Exception, what: str) -> None:
         while isinstance(error, ExceptionGroup) and len(error.exceptions) == 1:
             (error,) = error.exceptions  # what a TaskGroup wraps around
+        if isinstance(error, MemoryError):
+            self._run_out(what)
+            return
         detail = f"{what} ({type(error).__name__}: {error})"
         _log.error("%s", detail, exc_info=error)
+        self._stop_robot(detail[:MAX_DETAIL])
+
+    def _run_out(self, what: str) -> None:
+        """End the daemon, once: what fails meanwhile for want of memory changes nothing more."""
+        if self._reserve is None:
+            return
+        self._reserve = None
+        self._end()
+        _log.error("%s: out of memory", what)
+        self._stop_robot(OUT_OF_MEMORY)
+
+    def _stop_robot(self, detail: str) -> None:
         if self._dispatch is not None:
-            told = detail[:MAX_DETAIL]
-            self._dispatch(FaultReported(time.monotonic_ns(), Cause.TASK_DIED, told))
+            self._dispatch(FaultReported(time.monotonic_ns(), Cause.TASK_DIED, detail))

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import select
 import socket
+import sys
 from collections.abc import Awaitable, Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -27,6 +27,7 @@ from robotctl.ipc.protocol import (
     is_emergency_stop,
     parse_request,
 )
+from robotctl.ipc.readiness import is_hung_up, is_readable, until_readable
 
 _log = logging.getLogger(__name__)
 
@@ -112,7 +113,7 @@ class Connection:
 
     def is_idle(self) -> bool:
         """Whether the client has sent nothing that is still to be read or answered."""
-        return self._is_listening and not _is_readable(self._sock)
+        return self._is_listening and not is_readable(self._sock)
 
     def dismiss(self) -> None:
         """Tell an idle client that another one takes its place; it is not waited for."""
@@ -155,19 +156,15 @@ class Connection:
 
     async def _receive(self) -> bytes:
         """As `loop.sock_recv`, but what was not yet given to this task is still in the socket."""
-        loop = asyncio.get_running_loop()
         while True:
             try:
                 return self._sock.recv(MAX_REQUEST_BYTES)
             except BlockingIOError:
-                readable = loop.create_future()
-                loop.add_reader(self._sock, _wake, readable)
                 self._is_listening = True
                 try:
-                    await readable
+                    await until_readable(self._sock)
                 finally:
                     self._is_listening = False
-                    loop.remove_reader(self._sock)
 
     async def _send(self, line: bytes) -> None:
         """Write a reply, in this very loop turn where the socket takes it whole."""
@@ -255,7 +252,7 @@ class Connection:
 
         def look() -> None:
             nonlocal timer
-            if _is_hung_up(self._sock):
+            if is_hung_up(self._sock):
                 deadline.reschedule(loop.time())
             else:
                 timer = loop.call_later(_HANGUP_POLL_S, look)
@@ -292,8 +289,21 @@ def _encode_failure(request_id: int | str | None, code: Code, error: RobotctlErr
     return encode_error(request_id, code, str(error), error.exit_code, error.details())
 
 
+def log_failure(what: str) -> None:
+    """Log the exception that is being handled.
+
+    A lack of memory is no matter of one connection: the loop's exception handler decides.
+    """
+    error = sys.exception()
+    if isinstance(error, MemoryError):
+        context = {"message": what, "exception": error}
+        asyncio.get_running_loop().call_exception_handler(context)
+    else:
+        _log.exception("%s", what)
+
+
 def _internal_error(request: Request) -> bytes:
-    _log.exception("%r failed", request.method)
+    log_failure(f"{request.method!r} failed")
     text = f"internal error in {request.method!r}: the daemon's log holds the cause"
     return encode_error(request.id, Code.INTERNAL_ERROR, text)
 
@@ -302,22 +312,3 @@ def _being_cancelled() -> bool:
     """Whether a CancelledError is meant for this task, and not a handler's own mishap."""
     task = asyncio.current_task()
     return task is not None and task.cancelling() > 0
-
-
-def _wake(waiting: asyncio.Future[None]) -> None:
-    if not waiting.done():
-        waiting.set_result(None)
-
-
-def _is_hung_up(sock: socket.socket) -> bool:
-    return _is_ready(sock, 0)
-
-
-def _is_readable(sock: socket.socket) -> bool:
-    return _is_ready(sock, select.POLLIN)
-
-
-def _is_ready(sock: socket.socket, events: int) -> bool:
-    poll = select.poll()
-    poll.register(sock, events)
-    return bool(poll.poll(0))

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from robotctl.errors import AlreadyRunning, RobotctlError, UsageError
 from robotctl.ipc.peer import peer_of
+from robotctl.ipc.readiness import until_readable
 from robotctl.paths import chain_to, make_private
 
 _log = logging.getLogger(__name__)
@@ -72,10 +73,13 @@ class Listener:
         Without a free descriptor `make_room` is asked to close a connection; if it cannot, this
         waits until there is one.
         """
-        loop = asyncio.get_running_loop()
         while True:
             try:
-                return (await loop.sock_accept(self._sock))[0]
+                client = self._sock.accept()[0]
+                client.setblocking(False)
+                return client
+            except BlockingIOError:
+                await until_readable(self._sock)
             except OSError as error:
                 if error.errno in _OUT_OF_RESOURCES:
                     _log.warning("no connection can be accepted: %s", error)

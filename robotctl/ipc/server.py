@@ -12,7 +12,14 @@ from pathlib import Path
 from typing import Any, Self
 
 from robotctl.errors import Refused
-from robotctl.ipc.connection import DEFAULT_LIMITS, Connection, Identity, Limits, Method
+from robotctl.ipc.connection import (
+    DEFAULT_LIMITS,
+    Connection,
+    Identity,
+    Limits,
+    Method,
+    log_failure,
+)
 from robotctl.ipc.listener import Listener
 from robotctl.ipc.peer import peer_of
 from robotctl.ipc.protocol import Code
@@ -148,4 +155,4 @@ class ControlServer:
         except OSError as error:  # TimeoutError among them: a client that does not take its reply
             _log.debug("a client is gone: %s", error)
         except Exception:  # noqa: BLE001 - it ends this connection, not the daemon
-            _log.exception("a connection failed")
+            log_failure("a connection failed")

@@ -55,6 +55,10 @@ class Bench:
         """What the journal holds."""
         return [entry.name for entry in self.entries]
 
+    def published(self) -> int:
+        """How many commands were decided."""
+        return self.names.count("PublishTwist")
+
 
 def test_an_effect_is_journaled_after_it_was_carried_out() -> None:
     bench = Bench()
@@ -141,12 +145,26 @@ async def test_a_request_that_nobody_waits_for_any_more_is_forgotten() -> None:
 async def test_no_motion_begins_while_the_daemon_ends() -> None:
     bench = Bench()
     bench.do = lambda effect: bench.requests.answer(effect) if type(effect) is Reply else None
-    await stand_still(bench.control)
+    await stand_still(bench.control, bench.published)
     assert bench.names[-2:] == ["Tick", "PublishTwist"]
     reply = await bench.control.request(ModeRequested(time.monotonic_ns(), 1, 1, "test"))
     assert not reply.ok
     assert "the daemon is stopping" in reply.message
     assert rerun(bench.entries) is None
+
+
+async def test_a_last_zero_that_fails_is_sent_again() -> None:
+    bench, failures, sent = Bench(), iter([MemoryError()] * 3), []
+
+    def publish(effect: Effect) -> None:
+        if isinstance(effect, PublishTwist):
+            for failure in failures:
+                raise failure
+            sent.append(effect.twist)
+
+    bench.do = publish
+    await stand_still(bench.control, lambda: len(sent))
+    assert sent == [ZERO]
 
 
 async def test_a_ramp_that_takes_too_long_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -155,7 +173,7 @@ async def test_a_ramp_that_takes_too_long_is_cut(monkeypatch: pytest.MonkeyPatch
     bench.do = lambda effect: bench.requests.answer(effect) if type(effect) is Reply else None
     monkeypatch.setattr(time, "monotonic_ns", lambda: bench.control.state.tick_t_ns)
     assert bench.control.state.command != ZERO
-    await stand_still(bench.control)  # nobody ticks
+    await stand_still(bench.control, bench.published)  # nobody ticks
     assert bench.control.state.mode is Mode.ERROR
     assert bench.control.state.command == ZERO
     assert rerun(bench.entries) is None

@@ -347,7 +347,7 @@ def test_nothing_moves_outside_moving(session: Session) -> None:
 
 
 def test_stop_leaves_no_process(session: Session) -> None:
-    assert [command for command in session.processes.values() if "daemon" in command] == []
+    assert [command for command in session.processes.values() if "robotctl.daemon" in command] == []
     assert session.stopped.startswith("Stopped: ")
     assert str(session.folder) in session.stopped
 

@@ -26,7 +26,7 @@ async def die_once_of(error: Exception, told: list[Event]) -> str:
         for death in lives:
             raise death
 
-    watched = Supervisor()
+    watched = Supervisor(lambda: None)
     watched.report_to(told.append)
     await watched.run("test", work)
     (fault,) = told
@@ -54,14 +54,14 @@ async def test_a_fault_of_many_words_is_told_in_short_and_logged_whole(
 
 async def test_before_anybody_listens_a_fault_is_logged(caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.ERROR):
-        Supervisor().callback_failed(ValueError("early"), "/odom")
+        Supervisor(lambda: None).callback_failed(ValueError("early"), "/odom")
     assert "the callback of /odom failed (ValueError: early)" in caplog.text
 
 
 async def test_what_the_loop_alone_sees_is_told_and_what_is_no_exception_only_logged(
     told: list[Event],
 ) -> None:
-    watched, loop = Supervisor(), asyncio.get_running_loop()
+    watched, loop = Supervisor(lambda: None), asyncio.get_running_loop()
     watched.report_to(told.append)
     watched.loop_failed(loop, {"message": "only words"})
     assert told == []

@@ -168,15 +168,14 @@ async def test_a_socket_that_is_not_ours_any_more_is_made_again_when_its_path_is
 async def test_running_out_of_descriptors_is_survived(
     serve: Any, connect: Any, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    loop = asyncio.get_running_loop()
-    accept, failures = loop.sock_accept, iter([OSError(24, "too many open files")])
+    accept, failures = socket.socket.accept, iter([OSError(24, "too many open files")])
 
-    async def fail_once(listener: socket.socket) -> tuple[socket.socket, Any]:
+    def fail_once(listener: socket.socket) -> tuple[socket.socket, Any]:
         for failure in failures:
             raise failure
-        return await accept(listener)
+        return accept(listener)
 
-    monkeypatch.setattr(loop, "sock_accept", fail_once)
+    monkeypatch.setattr(socket.socket, "accept", fail_once)
     with caplog.at_level(logging.WARNING):
         async with serve():
             assert "result" in await (await connect()).call("status")

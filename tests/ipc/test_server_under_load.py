@@ -245,17 +245,16 @@ async def test_idle_connections_delay_no_emergency_stop(
 async def test_without_a_free_descriptor_an_idle_connection_makes_room(
     serve: Any, connect: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    loop = asyncio.get_running_loop()
-    accept, closed = loop.sock_accept, asyncio.Event()
+    accept, closed = socket.socket.accept, asyncio.Event()
 
-    async def fail_until_closed(listener: socket.socket) -> tuple[socket.socket, Any]:
+    def fail_until_closed(listener: socket.socket) -> tuple[socket.socket, Any]:
         if len(accepted) == 2 and not closed.is_set():
             raise OSError(errno.EMFILE, "too many open files")
-        accepted.append(await accept(listener))
+        accepted.append(accept(listener))
         return accepted[-1]
 
     accepted: list[tuple[socket.socket, Any]] = []
-    monkeypatch.setattr(loop, "sock_accept", fail_until_closed)
+    monkeypatch.setattr(socket.socket, "accept", fail_until_closed)
     async with serve(Limits(clients=1, overflow_request_s=DEADLINE_S)):
         await connect()
         idle = await connect(greet=False)

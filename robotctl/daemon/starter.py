@@ -1,0 +1,61 @@
+"""Whoever started the daemon, and is told once what came of it."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import sys
+from contextlib import suppress
+from threading import Thread
+from typing import Any
+
+from robotctl.errors import RobotctlError
+
+_log = logging.getLogger("robotctl")
+
+_STDOUT = 1
+
+
+class Starter:
+    """A process that waits for one line on `ready_fd`; None: whoever has stdout and stderr."""
+
+    def __init__(self, ready_fd: int | None) -> None:
+        self._ready_fd = ready_fd
+        self._in_background = ready_fd is not None
+        if ready_fd is not None:
+            os.set_inheritable(ready_fd, False)
+
+    def tell(self, said: dict[str, Any]) -> None:
+        """Say what came of the start; later calls in the background find nobody who waits."""
+        line = f"{json.dumps(said)}\n".encode()
+        if not self._in_background:  # who has stdout may not read it: the loop does not wait
+            Thread(target=_write, args=(_STDOUT, line), daemon=True).start()
+        elif self._ready_fd is not None:
+            _write(self._ready_fd, line)
+            os.close(self._ready_fd)
+            self._ready_fd = None  # the number is soon another file's
+
+    def fail(self, error: RobotctlError) -> int:
+        """Say why the daemon ends; returns its exit code."""
+        if not self._in_background:
+            with suppress(OSError):  # nobody reads stderr
+                print(f"robotctl: {error}", file=sys.stderr)
+        else:
+            _log.error("%s", error)
+            failure = {"error": str(error), "exit_code": error.exit_code, **error.details()}
+            self.tell({"ready": False, **failure})
+        return error.exit_code
+
+    def fail_unexpectedly(self, error: Exception) -> int:
+        """As `fail`, for a bug of ours: its traceback goes into the log only."""
+        if self._in_background:
+            _log.error("the daemon failed", exc_info=error)
+        return self.fail(RobotctlError(f"unexpected {type(error).__name__}: {error}"))
+
+
+def _write(descriptor: int, line: bytes) -> None:
+    try:
+        os.write(descriptor, line)
+    except OSError as error:  # the one who started us is gone
+        _log.warning("nobody waited for READY: %s", error)
