@@ -23,6 +23,7 @@ from robotctl.cli.text import json_text, printable, short_path
 from robotctl.errors import NoDaemon
 from robotctl.ipc.client import command_for
 from robotctl.paths import DEFAULT_ROBOT, chain_to, check_robot_name, log_path
+from robotctl.printable import without_colours
 from robotctl.regular_file import open_regular
 
 app = new_app()
@@ -161,7 +162,7 @@ def logs(
             f"no log of robot {robot!r}: it has not been started in the background ({path})"
         )
     for line in _lines(path, follow=follow):
-        print(printable(line), flush=follow)
+        print(printable(without_colours(line)), flush=follow)
 
 
 def _lines(path: Path, *, follow: bool) -> Iterator[str]:

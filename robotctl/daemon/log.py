@@ -3,26 +3,20 @@
 from __future__ import annotations
 
 import logging
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 from robotctl.daemon.log_queue import StderrQueue
 from robotctl.daemon.log_repeats import Repeats
-from robotctl.printable import printable
-
-_COLOUR = re.compile(r"\x1b\[[0-9;]*m")
+from robotctl.printable import printable, without_colours
 
 
 class PlainFormatter(logging.Formatter):
     """Names that others chose neither steer a terminal nor look like an entry of their own."""
 
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - logging's own name
-        """Return the message without colours, control characters escaped, further lines indented.
-
-        Colours are left out because libraries colour what they say, and escaped they are noise.
-        """
-        lines = _COLOUR.sub("", super().formatMessage(record)).split("\n")
+        """Return the message, colours left out, control characters escaped, lines indented."""
+        lines = without_colours(super().formatMessage(record)).split("\n")
         return "\n    ".join(printable(line) for line in lines)
 
 

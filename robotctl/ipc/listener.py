@@ -52,6 +52,8 @@ class Listener:
             previous = os.umask(0o177)  # a chmod after bind would leave a moment open to everybody
             try:
                 self._sock.bind(str(self._path))
+            except OSError as error:  # it does not say where
+                raise OSError(error.errno, error.strerror, str(self._path)) from None
             finally:
                 os.umask(previous)
             self._id = _id_of(self._path)

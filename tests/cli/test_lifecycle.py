@@ -197,8 +197,13 @@ def test_the_log_of_a_failed_start_can_be_read(
     assert "Traceback" in cli("logs").out
 
 
-def test_logs_shows_control_characters_escaped(daemon: None, cli: Callable[..., Any]) -> None:
-    assert "in \\x1b[31mred\n" in cli("logs").out
+def test_logs_shows_control_characters_escaped_and_no_colours(
+    daemon: None, cli: Callable[..., Any]
+) -> None:
+    assert "in red\n" in cli("logs").out
+    with log_path("robot").open("a") as log:
+        log.write("\x1b[2Jcleared\x1b[1;31m\x07\n")
+    assert "\\x1b[2Jcleared\\x07\n" in cli("logs").out
 
 
 def test_logs_without_a_log_says_so(cli: Callable[..., Any]) -> None:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
 from collections.abc import Callable
 from shutil import rmtree
 
 import pytest
 
 from robotctl.testing.waiting import DEADLINE_S, until
-from robotctl.testing.world import Peer, World
+from robotctl.testing.world import ROBOTCTL, Peer, World
 
 
 def pid_of(world: World, robot: str = "robot") -> int:
@@ -83,6 +85,37 @@ def test_a_daemon_whose_socket_and_lock_are_removed_is_found_again_and_keeps_its
     assert status["mode"] == "MOVING", status["mode_reason"]
     world.ok("stop")
     assert len(list(world.recordings.iterdir())) == 1
+
+
+@pytest.mark.parametrize("closed", ["<&-", "<&- >&- 2>&-"])
+def test_a_start_with_closed_streams_starts_as_any_other(world: World, closed: str) -> None:
+    command = f"{ROBOTCTL} start --sim --config {world.patient} {closed}"
+    started = subprocess.run(
+        ["bash", "-c", command], env=world.environment, cwd=world.folder, check=False, timeout=60
+    )
+    assert started.returncode == 0
+    pid = pid_of(world)
+    assert {os.path.realpath(f"/proc/{pid}/fd/{number}") for number in (1, 2)} == {
+        str(world.folder / "state" / "robotctl" / "robot" / "daemon.log")
+    }
+    world.ok("stop")
+
+
+@pytest.mark.parametrize("closed", ["<&- 2>&-", "<&- >&- 2>&-"])
+def test_a_daemon_in_the_foreground_with_closed_streams_writes_into_no_file_of_ours(
+    world: World, closed: str
+) -> None:
+    command = f"exec {ROBOTCTL} start --foreground --sim --config {world.patient} {closed}"
+    with subprocess.Popen(
+        ["bash", "-c", command], env=world.environment, cwd=world.folder, stdout=subprocess.DEVNULL
+    ) as started:
+        until(lambda: world.sockets() != [])
+        until(lambda: world.robotctl("status").exit_code == 0)
+        open_as = {os.path.realpath(f"/proc/{started.pid}/fd/{number}") for number in (0, 1)}
+        assert open_as == {os.devnull}
+        assert "pipe" in os.readlink(f"/proc/{started.pid}/fd/2")  # the log's queue
+        world.ok("stop")
+    assert started.returncode == 0
 
 
 def test_a_start_in_a_shell_with_another_ros_drops_it_and_says_so(world: World) -> None:
