@@ -201,6 +201,7 @@ class McapFile:
         Nothing may be added or committed afterwards. Raises OSError.
         """
         good = self._good
+        self.summary.go_back_to(good)
         if good is None:
             self._storage.truncate(0)
             return

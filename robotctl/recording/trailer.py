@@ -6,13 +6,15 @@ import struct
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from io import BytesIO
 from typing import NamedTuple, Self
 
 from isal.isal_zlib import crc32
+from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import DataEnd, Footer, Statistics, SummaryOffset
 
-from robotctl.recording.mcap_format import MAGIC, Chunk, record_bytes
+from robotctl.recording.mcap_format import MAGIC, RECORD_HEAD_BYTES, Chunk, record_bytes
 from robotctl.recording.storage import Buffer
 
 _GROUPS = (
@@ -144,6 +146,16 @@ class Summary:
         self.end_ns = max(self.end_ns, chunk.end_ns)
         for channel, entries in chunk.indexes.items():
             self.counts[channel] = self.counts.get(channel, 0) + len(entries) // 2
+
+    def go_back_to(self, state: TrailerState | None) -> None:
+        """Count again what was counted at `state`, after a write that failed; None: nothing."""
+        counted = None
+        if state is not None:
+            content = BytesIO(state.statistics[RECORD_HEAD_BYTES:])
+            counted = Statistics.read(ReadDataStream(content))
+        self.counts = dict(counted.channel_message_counts) if counted else {}
+        self.start_ns = counted.message_start_time if counted else 0
+        self.end_ns = counted.message_end_time if counted else 0
 
     def state(self, data_end: int, data_crc: int) -> TrailerState:
         """The state of now; `data_end` is where the data ends, `data_crc` their checksum."""

@@ -14,8 +14,9 @@ from robotctl.recording.reader import Recording, read_info
 from robotctl.recording.recorder import Recorder, RecorderOptions
 from robotctl.recording.recover import recover
 from robotctl.recording.recover_folder import recover_folder
+from robotctl.recording.storage import Storage
 from robotctl.testing.drives import drive, record
-from robotctl.testing.mcap_faults import chunks_of
+from robotctl.testing.mcap_faults import FailingFile, chunks_of
 from robotctl.testing.numbered_files import recorded, salvaged
 from robotctl.testing.recordings import TWIST, write_numbered
 
@@ -74,6 +75,24 @@ def test_a_recording_whose_first_file_was_removed_lacks_nothing(tmp_path: Path) 
     (tmp_path / "run" / "metadata.yaml").unlink()
     assert read_info(tmp_path / "run").missing == ()
     assert read_info(tmp_path / "run" / "run_1.mcap").missing == ()
+
+
+@pytest.mark.parametrize("fail_at", [3, 5, 12])
+@pytest.mark.parametrize("size", [52, 5000])
+def test_a_recording_that_a_full_disk_ended_says_nothing_untrue(
+    tmp_path: Path, fail_at: int, size: int
+) -> None:
+    def full_disk(path: Path, *_: object, **__: object) -> Storage:
+        return FailingFile(path, fail_at)
+
+    failures: list[str] = []
+    options = RecorderOptions(chunk_bytes=1024, open_file=full_disk)
+    recorder = Recorder(tmp_path / "run", options, on_failure=failures.append)
+    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 301), size)
+    written = recorder.close().written
+    assert failures
+    info = read_info(tmp_path / "run")
+    assert (info.message_count, info.missing) == (written, ())
 
 
 def test_a_file_that_is_cut_while_it_is_read_is_named(tmp_path: Path) -> None:
