@@ -10,8 +10,8 @@ import pytest
 from robotctl.testing.waiting import until
 from robotctl.testing.world import PATIENT, Peer, World
 
-GENTLE = "limits.linear_accel_mps2: 0.05\n"
-"""A ramp from 0.1 m/s takes 2 s."""
+GENTLE = "limits.linear_accel_mps2: 0.03\n"
+"""A ramp from 0.1 m/s takes 3 s."""
 
 CALLS = 3_000
 IN_FLIGHT = 1_000
