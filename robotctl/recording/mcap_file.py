@@ -10,12 +10,16 @@ is as long as that takes. A commit therefore takes the cheaper of two ways:
 
 - A chunk that is smaller than the trailer goes out with the new trailer, in one write.
 - A larger one would make the moment longer by its own size. It is written in an order that keeps
-  the file valid between any two writes, and only the first of them has a moment of danger, as long
-  as the old trailer takes: (1) the message indexes and the old trailer, moved to where they belong
-  behind the coming chunk, so that readers of the index find their way from now on; (2) in place of
-  the old trailer the head of a record which sequential readers skip, as long as the chunk; (3) the
-  chunk within it; (4) the chunk's opcode; (5) the end of the new trailer, which is all that has
-  changed; (6) the checksum of the data, which (1) had left out.
+  the file valid between any two writes, and none of them harms a trailer for longer than it takes
+  to write a few hundred bytes:
+  (1) far behind the old trailer, at the coming end of the file, a footer that leads back to it;
+  (2) before that footer the message indexes and the old trailer, moved to where they belong behind
+  the coming chunk, and (3) its own footer: readers of the index find their way without the old
+  trailer from now on;
+  (4) in place of the old trailer the head of a record which sequential readers skip, as long as the
+  chunk; (5) the chunk within it; (6) the chunk's opcode;
+  (7) the end of the new trailer, which is all that has changed; (8) the checksum of the data, which
+  (2) had left out.
 """
 
 from __future__ import annotations
@@ -45,7 +49,7 @@ from robotctl.recording.mcap_format import (
     record_bytes,
 )
 from robotctl.recording.storage import Buffer, Storage
-from robotctl.recording.trailer import Summary, TrailerState, WrittenFile
+from robotctl.recording.trailer import FOOTER_BYTES, Summary, TrailerState, WrittenFile
 
 
 class McapFile:
@@ -159,8 +163,11 @@ class McapFile:
         placed = place(chunk, start)
         moved = self.summary.trailer(good.moved_to(placed.end))
         write_at = self._storage.write_at
-        write_at([placed.message_indexes, *moved.parts], placed.indexes_offset)
-        self.trailer_bytes += moved.size
+        footer_offset = placed.end + moved.size - FOOTER_BYTES
+        write_at([good.distant_footer()], footer_offset)
+        write_at([placed.message_indexes, *moved.before_footer], placed.indexes_offset)
+        write_at([moved.footer], footer_offset)
+        self.trailer_bytes += moved.size + FOOTER_BYTES
         del moved  # the summary cannot grow while a trailer looks at it
 
         opcode, length = placed.head[:1], placed.head[1:RECORD_HEAD_BYTES]

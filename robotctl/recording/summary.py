@@ -131,7 +131,23 @@ def _read_summary(file: InputFile) -> tuple[bytes, int]:
     covered = data[: _FOOTER_BYTES - _CRC_BYTES]
     if footer.summary_crc and footer.summary_crc != crc32(covered, crc32(summary)):
         raise Damaged("its summary is corrupt")
+    if not footer.summary_crc:
+        summary = _before_own_footer(summary)
     return summary, start
+
+
+def _before_own_footer(data: bytes) -> bytes:
+    """The summary at the beginning of `data`; what a commit of ours leaves half done follows it.
+
+    The summary then has a footer of its own. Raises Damaged if that does not belong to it.
+    """
+    for opcode, start, end in walk_records(data):
+        if opcode == Opcode.FOOTER:
+            footer = parse(Footer, data[start:end])
+            if footer.summary_crc != crc32(data[: end - _CRC_BYTES]):
+                raise Damaged("its summary is corrupt")
+            return data[: start - RECORD_HEAD.size]
+    return data
 
 
 def _gaps(chunks: list[ChunkEntry], data_start: int, data_end: int) -> list[tuple[int, int]]:

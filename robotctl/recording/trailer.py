@@ -30,6 +30,8 @@ adds nothing but a chunk writes only the end of the summary again."""
 
 _CRC = struct.Struct("<I")
 _DATA_END_BYTES = 13
+FOOTER_BYTES = 29 + len(MAGIC)
+"""Of footer and magic."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +63,10 @@ class TrailerState:
         """How far the trailer's bytes stay the same when nothing but a chunk is added."""
         return _DATA_END_BYTES + sum(self.group_sizes.values())
 
+    def distant_footer(self) -> bytes:
+        """Footer and magic for an end of the file that leads back to this trailer, where it is."""
+        return record_bytes(Footer(self.data_end + _DATA_END_BYTES, 0, 0)) + MAGIC
+
     def moved_to(self, data_end: int) -> TrailerState:
         """The same content behind more data, whose checksum is not given (0)."""
         return replace(self, data_end=data_end, data_crc=0)
@@ -75,13 +81,21 @@ class Trailer(NamedTuple):
     summary: list[Buffer]
     """The groups, one behind the other."""
 
-    end: bytes
-    """Summary offsets, footer and magic."""
+    offsets: bytes
+    """The summary offsets."""
+
+    footer: bytes
+    """Footer and magic, FOOTER_BYTES in all."""
 
     @property
     def parts(self) -> list[Buffer]:
         """All of it."""
-        return [self.data_end, *self.summary, self.end]
+        return [*self.before_footer, self.footer]
+
+    @property
+    def before_footer(self) -> list[Buffer]:
+        """All but footer and magic."""
+        return [self.data_end, *self.summary, self.offsets]
 
     def behind(self, position: int) -> list[Buffer]:
         """What stands `position` bytes behind its beginning, and after that."""
@@ -197,5 +211,4 @@ class Summary:
         crc = 0
         for part in (*groups, offsets, footer):
             crc = crc32(part, crc)
-        end = bytes(offsets) + footer + _CRC.pack(crc) + MAGIC
-        return Trailer(data_end, groups, end)
+        return Trailer(data_end, groups, bytes(offsets), footer + _CRC.pack(crc) + MAGIC)
