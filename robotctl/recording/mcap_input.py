@@ -142,10 +142,9 @@ def walk_records(data: bytes, most: int = sys.maxsize) -> Iterator[tuple[int, in
     """
     position, size = 0, len(data)
     unpack = RECORD_HEAD.unpack_from
-    while position < size:
-        most -= 1
-        if most < 0:
-            raise BeyondLimit(TOO_MANY_RECORDS)
+    for _ in range(most):
+        if position >= size:
+            return
         if position + RECORD_HEAD.size > size:
             raise Damaged("a chunk ends in the middle of a record")
         opcode, length = unpack(data, position)
@@ -157,3 +156,5 @@ def walk_records(data: bytes, most: int = sys.maxsize) -> Iterator[tuple[int, in
             raise Damaged("a chunk holds zeros in the place of a record")
         yield opcode, position, end
         position = end
+    if position < size:
+        raise BeyondLimit(TOO_MANY_RECORDS)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeVar
 
 from mcap.opcode import Opcode
 
@@ -26,6 +26,8 @@ Window = tuple[int, int]
 
 ALWAYS: Final[Window] = (0, (1 << 64) - 1)
 
+
+_Made = TypeVar("_Made")
 
 _Fields = tuple[int, int, int, int]
 """Of a message: channel, sequence, log and publish time."""
@@ -117,21 +119,22 @@ class Source:
 
     def as_written(self) -> Iterator[Message]:
         """All messages in the order of the file, without `load`. Raises Damaged behind the last."""
-        for channel, content, log_ns, publish_ns, sequence in self.plain_messages():
-            topic, type_name = self._names[channel]
-            yield Message(topic, type_name, content, log_ns, publish_ns, sequence)
+        return self._each(self._message)
 
     def plain_messages(self) -> Iterator[PlainMessage]:
         """As `as_written`, with the channel's number."""
+        return self._each(self._plain_message)
+
+    def _each(self, make: Callable[[bytes, int, int, _Fields], _Made]) -> Iterator[_Made]:
         data = self._read()
         failure: Damaged | None = None
-        for start, end, (channel, sequence, log_ns, publish_ns) in self._wanted(data):
+        for start, end, fields in self._wanted(data):
             try:
-                content = self._content(data, start, end)
+                made = make(data, start, end, fields)
             except Damaged as damage:
                 failure = damage
                 continue
-            yield channel, content, log_ns, publish_ns, sequence
+            yield made
         if failure is not None:
             raise failure
 
@@ -174,13 +177,17 @@ class Source:
     def _message(self, data: bytes, start: int, end: int, fields: _Fields) -> Message:
         channel, sequence, log_ns, publish_ns = fields
         topic, type_name = self._names[channel]
-        content = self._content(data, start, end)
+        content = data[start + MESSAGE_FIELDS.size : end]
+        if self._decompressor is not None:
+            content = self._decompressor.decompress(content)
         return Message(topic, type_name, content, log_ns, publish_ns, sequence)
 
-    def _content(self, data: bytes, start: int, end: int) -> bytes:
-        """The message's data, as it was sent. Raises Damaged."""
-        stored = data[start + MESSAGE_FIELDS.size : end]
-        return stored if self._decompressor is None else self._decompressor.decompress(stored)
+    def _plain_message(self, data: bytes, start: int, end: int, fields: _Fields) -> PlainMessage:
+        channel, sequence, log_ns, publish_ns = fields
+        content = data[start + MESSAGE_FIELDS.size : end]
+        if self._decompressor is not None:
+            content = self._decompressor.decompress(content)
+        return channel, content, log_ns, publish_ns, sequence
 
     def loss(self, damage: Damaged) -> str:
         """What to say where the place cannot be read."""
