@@ -49,8 +49,8 @@ def test_a_second_publisher_of_odometry_refuses_every_start(
     peer("measure", x=10.0)
     until(lambda: any("two publishers" in each for each in world.status()["warnings"]))
     assert world.status()["mode"] == "IDLE"
-    for _ in range(4):
-        refused = world.robotctl("drive", "square", "--wait")
+    for request in (("drive", "square", "--wait"), ("set-mode", "moving")):
+        refused = world.robotctl(*request)
         assert refused.exit_code == 4
         assert "odometry comes from two publishers, /simulated_robot and /somebody_else" in (
             refused.err
