@@ -95,11 +95,12 @@ async def test_nothing_but_a_beginning_is_one_sentence(tmp_path: Path, replay: A
 
 @pytest.mark.skipif(not SAMPLES.is_dir(), reason="the sample recordings are not here")
 @pytest.mark.parametrize(
-    ("bag", "sent", "unserved", "skipped"),
+    ("bag", "services", "sent", "unserved", "skipped"),
     [
-        ("cdr_test", 7, 0, {}),
+        ("cdr_test", (), 7, 0, {}),
         (
             "bag_with_topics_and_service_events",
+            ("--topics", "/test_service1", "--topics", "/test_service2", "--regex", "."),
             2,
             4,
             {
@@ -110,9 +111,14 @@ async def test_nothing_but_a_beginning_is_one_sentence(tmp_path: Path, replay: A
     ],
 )
 async def test_of_a_bag_from_elsewhere_what_is_installed_is_played_and_the_rest_is_named(
-    bag: str, sent: int, unserved: int, skipped: dict[str, str], replay: Any
+    bag: str,
+    services: tuple[str, ...],
+    sent: int,
+    unserved: int,
+    skipped: dict[str, str],
+    replay: Any,
 ) -> None:
-    ran = await replay(SAMPLES / bag, "--publish-service-requests", "--json")
+    ran = await replay(SAMPLES / bag, "--publish-service-requests", *services, "--json")
     assert ran.exit_code == 0
     assert (ran.summary["sent"], ran.summary["failed"]) == (sent, unserved)
     assert ran.summary["skipped"] == skipped
