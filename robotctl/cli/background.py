@@ -8,7 +8,7 @@ from typing import Any
 
 
 class Background(threading.Thread):
-    """Carries out `work` in a thread that does not outlive the process.
+    """Carries out `work`, from `start` on, in a thread that does not outlive the process.
 
     Not a future: whoever is interrupted while it asks one for its state may leave the lock taken
     that the thread needs to end.
@@ -20,7 +20,6 @@ class Background(threading.Thread):
         self._work = work
         self._returned: dict[str, Any] = {}
         self._raised: BaseException | None = None
-        self.start()
 
     def run(self) -> None:
         """Keep what the work returns or raises."""

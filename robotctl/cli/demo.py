@@ -125,6 +125,7 @@ def _drive_one_lap(robot: str, *, quiet: bool) -> Outcome:
     }
     _wait_for_sensors(robot)
     drive = Background(partial(call, robot, "drive", params, deadline_s=None))
+    drive.start()
     if not quiet:
         show(polled_until(drive, robot))
     result = drive.result()

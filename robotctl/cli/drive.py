@@ -121,6 +121,7 @@ def _drive_and_wait(robot: str, params: dict[str, Any], *, as_json: bool) -> dic
     with interrupted_by(LOST):
         driving = Background(partial(call, robot, "drive", params, deadline_s=None))
         try:
+            driving.start()  # here, for it may be interrupted when the request is sent already
             if is_terminal() and not as_json:
                 show(polled_until(driving, robot))
             else:

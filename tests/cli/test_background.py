@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import threading
+from collections.abc import Callable
 from itertools import count
 from types import FrameType
 from typing import Any
@@ -14,13 +15,19 @@ from robotctl.cli.background import Background
 from robotctl.testing.waiting import DEADLINE_S, until
 
 
+def started(work: Callable[[], dict[str, Any]]) -> Background:
+    background = Background(work)
+    background.start()
+    return background
+
+
 def test_what_the_work_returns_or_raises_comes_out() -> None:
     def fail() -> dict[str, Any]:
         raise ZeroDivisionError("no")
 
-    assert Background(lambda: {"laps": 1}).result() == {"laps": 1}
+    assert started(lambda: {"laps": 1}).result() == {"laps": 1}
     with pytest.raises(ZeroDivisionError, match="no"):
-        Background(fail).result()
+        started(fail).result()
 
 
 def test_an_interruption_at_any_step_of_whoever_asks_does_not_keep_the_work_from_its_end() -> None:
@@ -31,7 +38,7 @@ def test_an_interruption_at_any_step_of_whoever_asks_does_not_keep_the_work_from
             release.wait()
             return {}
 
-        working = Background(work)
+        working = started(work)
         was_interrupted = interrupted_at(step, lambda working=working: working.is_done)
         release.set()
         until(lambda working=working: working.is_done)
