@@ -99,8 +99,8 @@ def launch(
         _end(daemon, patiently=False)
         own_log.unlink(missing_ok=True)
         raise
-    if isinstance(failure, AlreadyRunning):
-        own_log.unlink()
+    if isinstance(failure, AlreadyRunning | UsageError):  # no other words of it are in the log
+        own_log.unlink(missing_ok=True)
     else:
         _put_in_place(own_log, log)
     raise failure

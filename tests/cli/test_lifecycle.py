@@ -178,13 +178,18 @@ def test_the_log_of_the_run_before_is_kept(cli: Callable[..., Any]) -> None:
     ]
 
 
+@pytest.mark.parametrize(("failure", "exit_code"), [("run-already", 5), ("refuse", 2)])
 def test_a_second_start_leaves_the_running_daemons_log_alone(
-    daemon: None, cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    failure: str,
+    exit_code: int,
+    daemon: None,
+    cli: Callable[..., Any],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     log = log_path("robot")
     before = log.stat().st_ino
-    monkeypatch.setenv("FAKE_START", "run-already")
-    assert cli("start").exit_code == 5
+    monkeypatch.setenv("FAKE_START", failure)
+    assert cli("start").exit_code == exit_code
     assert log.stat().st_ino == before
     assert [path.name for path in log.parent.glob("daemon.log*")] == ["daemon.log"]
 
