@@ -35,6 +35,10 @@ class _Change:
     fault: str
     """What follows if it is not carried out."""
 
+    def failed(self, error: Exception) -> str:
+        """Say that it was not carried out, and why."""
+        return f"{self.fault}: the emergency-stop latch could not be saved: {error}"
+
 
 @dataclass(slots=True)
 class _Waiter:
@@ -115,16 +119,20 @@ class Latch:
     def _begin(self, carry_out: Callable[[], None], fault: str) -> None:
         number = 1 if self._change is None else self._change.number + 1
         self._change = _Change(number, carry_out, fault)
-        self._submit()
+        self._submit(self._change)
 
-    def _submit(self) -> None:
+    def _submit(self, change: _Change) -> None:
         if self._busy_since is not None:
             return
-        self._busy_since = time.monotonic()
         self._loop = asyncio.get_running_loop()
         if self._thread.ident is None:
-            self._thread.start()
-        self._work.put(self._change)
+            try:
+                self._thread.start()
+            except (RuntimeError, MemoryError) as error:  # the limit of threads is reached
+                self._done(change, change.failed(error))
+                return
+        self._busy_since = time.monotonic()
+        self._work.put(change)
 
     def _done(self, change: _Change, problem: str) -> None:
         self._busy_since = None
@@ -132,10 +140,12 @@ class Latch:
         if problem != self._problem:
             _log.error("%s", problem) if problem else _log.info("the latch is up to date again")
         self._problem = problem
-        if change is not self._change:
-            self._submit()
+        if self._retry is not None:
+            self._retry.cancel()
+        if self._change is not None and change is not self._change:
+            self._submit(self._change)
         elif problem:
-            self._retry = self._loop.call_later(RETRY_S, self._submit)
+            self._retry = self._loop.call_later(RETRY_S, self._submit, change)
         answered = [waiter for waiter in self._waiters if waiter.number <= change.number]
         self._waiters = [waiter for waiter in self._waiters if waiter.number > change.number]
         for waiter in answered:
@@ -153,6 +163,6 @@ class Latch:
             try:
                 change.carry_out()
             except Exception as error:  # noqa: BLE001 - whatever it was, the change is not saved
-                problem = f"{change.fault}: the emergency-stop latch could not be saved: {error}"
+                problem = change.failed(error)
             with suppress(RuntimeError):  # the loop is closed: nobody is left to tell
                 self._loop.call_soon_threadsafe(self._done, change, problem)

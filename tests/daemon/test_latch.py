@@ -91,6 +91,32 @@ async def test_a_latch_that_cannot_be_saved_says_so_until_it_is(
     await latch.close()
 
 
+async def test_a_stop_whose_thread_cannot_start_is_saved_as_soon_as_one_can(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(latch_module, "RETRY_S", 0.01)
+    start, starts = threading.Thread.start, 0
+
+    def fail_twice(thread: threading.Thread) -> None:
+        nonlocal starts
+        starts += 1
+        if starts <= 2:
+            raise RuntimeError("can't start new thread")
+        start(thread)
+
+    monkeypatch.setattr(threading.Thread, "start", fail_twice)
+    latch = Latch(tmp_path / "emergency-stop")
+    problems: list[str] = []
+    latch.set("reason", BY_OPERATOR)
+    latch.when_settled(problems.append)
+    assert len(problems) == 1
+    assert problems[0].startswith("a restart would forget this stop")
+    assert "can't start new thread" in latch.warning()
+    await loop_until(lambda: latch.warning() == "")
+    assert latch.read() == LatchedStop("reason", BY_OPERATOR)
+    await latch.close()
+
+
 async def test_a_disk_that_hangs_delays_the_answer_for_a_moment_only(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
