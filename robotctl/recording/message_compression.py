@@ -20,8 +20,9 @@ SERIALIZED_METADATA: Final = "serialized_metadata"
 ZSTD: Final = "zstd"
 """The one format for which rosbag2 brings a plugin."""
 
-_MODE = re.compile(r"^( *compression_mode: *)[\"']?(\w*)[\"']?(?= *$)", re.MULTILINE)
-_FORMAT = re.compile(r"^( *compression_format: *)[\"']?(\w*)[\"']?(?= *$)", re.MULTILINE)
+# Possessive (`*+`): any text takes time in proportion to its length.
+_MODE = re.compile(r"^( *+compression_mode: *+)[\"']?(\w*+)[\"']?(?= *+$)", re.MULTILINE)
+_FORMAT = re.compile(r"^( *+compression_format: *+)[\"']?(\w*+)[\"']?(?= *+$)", re.MULTILINE)
 
 
 def message_compression(metadata: Iterable[Metadata], path: Path) -> str:

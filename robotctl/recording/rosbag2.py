@@ -22,13 +22,16 @@ from robotctl.regular_file import open_regular
 METADATA_FILE = "metadata.yaml"
 METADATA_RECORD = "rosbag2"
 _VERSION = 9
-_MAX_METADATA_CHARACTERS = 16 << 20
+_MAX_METADATA_CHARACTERS = 4 << 20
+"""Of a `metadata.yaml`: room for 8,000 topics; what comes later is not looked at."""
+
 _NO_START_NS = 2**63 - 1
 """What rosbag2 writes as the start of a recording without messages."""
 
-_FILE_LIST = re.compile(r"^ *relative_file_paths:\n((?: *- .*(?:\n|\Z))+)", re.MULTILINE)
-_COUNT = r"message_count: *(\d{1,18}) *$"
-_FILE_COUNT = re.compile(rf"^ *- path: *(.+)\n(?:(?! *- ).*\n)*? *{_COUNT}", re.MULTILINE)
+# Possessive (`*+`): any text takes time in proportion to its length.
+_FILE_LIST = re.compile(r"^ *+relative_file_paths:\n((?: *+- .*+(?:\n|\Z))++)", re.MULTILINE)
+_COUNT = r"message_count: *+(\d{1,18}) *+$"
+_FILE_COUNT = re.compile(rf"^ *+- path: *+(.++)\n(?:(?! *+- ).*+\n)*? *+{_COUNT}", re.MULTILINE)
 _TOTAL_COUNT = re.compile(rf"^  {_COUNT}", re.MULTILINE)
 _QOS_LINE = re.compile(r"(- | {2,})[a-z_]+:( [\w.+-]+)?")
 

@@ -173,6 +173,13 @@ def _one_attachment_many_times() -> bytes:
     return finished(record, [index] * times, counted(attachments=times))
 
 
+def spaces_in_metadata() -> str:
+    """Text of a `metadata.yaml` in which each key that is looked for has spaces for a value."""
+    spaces = " " * (SIZE // 4)
+    keys = ("compression_mode:", "compression_format:", "- path:", "  message_count:")
+    return "".join(f"{key}{spaces}!\n" for key in keys)
+
+
 def _journal(entries: Iterable[JournalEntry]) -> bytes:
     """A recording of ours with as many entries as fit into SIZE."""
     schema = record_bytes(Schema(id=1, name=TYPE_NAME, encoding="ros2msg", data=b""))
@@ -245,6 +252,9 @@ BOMBS: Final[dict[str, Callable[[], bytes]]] = {
     "small metadata": lambda: begun(repeated(record_bytes(Metadata("", {})))),
     "metadata of empty values": lambda: begun(
         struct.pack("<BQII", Opcode.METADATA, 8 + 8 * 120_000, 0, 8 * 120_000) + bytes(8 * 120_000)
+    ),
+    "spaces in the text of a bag": lambda: begun(
+        record_bytes(Metadata("rosbag2", {"serialized_metadata": spaces_in_metadata()}))
     ),
     "channels without end": _channels_without_end,
     "one attachment many times": _one_attachment_many_times,

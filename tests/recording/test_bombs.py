@@ -27,7 +27,15 @@ from robotctl.recording.read_limits import (
 )
 from robotctl.recording.reader import read_info
 from robotctl.recording.storage import DiskFile
-from robotctl.testing.mcap_bombs import BOMBS, SIZE, begun, chunk, messages, write_bomb
+from robotctl.testing.mcap_bombs import (
+    BOMBS,
+    SIZE,
+    begun,
+    chunk,
+    messages,
+    spaces_in_metadata,
+    write_bomb,
+)
 from robotctl.testing.numbered_files import salvaged
 
 DEADLINE_S = 20.0
@@ -71,6 +79,7 @@ WORST = (
     "one metadata record many times",
     "attachments within attachments",
     "journal of snapshots",
+    "spaces in the text of a bag",
 )
 
 
@@ -99,6 +108,14 @@ def test_a_bomb_is_answered_in_bounded_time_and_memory(tmp_path: Path, name: str
     for command, (took_s, _) in said.items():
         assert took_s < DEADLINE_S, command
     assert said["check"][1]
+
+
+def test_spaces_in_a_metadata_yaml_are_read_in_bounded_time(tmp_path: Path) -> None:
+    path = write_bomb(tmp_path / "bomb.mcap", "small metadata")
+    (tmp_path / "metadata.yaml").write_text(spaces_in_metadata())
+    said = answered(path)
+    del said["peak_kb"]
+    assert all(took_s < DEADLINE_S for took_s, _ in said.values())
 
 
 def test_what_a_limit_leaves_out_is_named_and_can_be_read(
