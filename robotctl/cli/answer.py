@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable
 from typing import Any
 
+from robotctl.cli.failure import drop_output
 from robotctl.cli.text import json_text
 from robotctl.errors import RobotctlError
 
@@ -18,11 +20,15 @@ def tell(
 ) -> None:
     """Print the answer, as one line of JSON or as lines of text, then raise `error`.
 
-    An error that `--json` shows takes the answer with it: stdout gets one object in all.
+    An error that `--json` shows takes the answer with it: stdout gets one object in all. The error
+    is raised also where the reader of stdout has gone: its exit code is the result.
     """
     if error is not None and as_json:
         error.answer = answer
         raise error
-    print(json_text(answer) if as_json else "\n".join(lines), flush=True)
+    try:
+        print(json_text(answer) if as_json else "\n".join(lines), flush=True)
+    except BrokenPipeError:
+        drop_output(sys.stdout)
     if error is not None:
         raise error

@@ -24,7 +24,7 @@ def run(arguments: list[str]) -> int:
     as_json = _wants_json(arguments)  # a parser takes the list apart
     # A process may be started with either closed.
     sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
-    sys.stderr = sys.stderr or sys.stdout
+    sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):  # a path may hold what the terminal cannot show
             stream.reconfigure(errors="backslashreplace")
@@ -42,7 +42,7 @@ def run(arguments: list[str]) -> int:
     except BrokenPipeError:  # the reader of our output has seen enough
         from robotctl.cli.failure import drop_output
 
-        drop_output()
+        drop_output(sys.stdout)
     except (Exception, KeyboardInterrupt) as error:  # no traceback unless it was asked for
         if debug and not isinstance(error, KeyboardInterrupt):
             raise

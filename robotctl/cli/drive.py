@@ -132,7 +132,7 @@ def _drive_and_wait(robot: str, params: dict[str, Any], *, as_json: bool) -> dic
         except RobotctlError as refused:
             error = refused
     if error.answer and not as_json:
-        print("\n".join(tracking_lines(error.answer)), flush=True)
+        tell(dict(error.answer), tracking_lines(error.answer), as_json=False, error=error)
     raise error
 
 

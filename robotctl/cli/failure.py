@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import sys
+from typing import TextIO
 
 from robotctl.cli.text import json_text, printable
 from robotctl.errors import IN_PARENTHESES, Interrupted, RobotctlError, UsageError
@@ -21,17 +22,18 @@ def report(error: BaseException, *, as_json: bool) -> int:
         try:
             print(json_text({**failure.answer, "error": failure.as_object()}), flush=True)
         except OSError:
-            drop_output()
-    if as_json and sys.stderr is sys.stdout:  # was closed
-        return failure.exit_code
+            drop_output(sys.stdout)
     if str(failure):
-        print(f"robotctl: {printable(failure)}", file=sys.stderr)
+        try:
+            print(f"robotctl: {printable(failure)}", file=sys.stderr, flush=True)
+        except OSError:
+            drop_output(sys.stderr)
     return failure.exit_code
 
 
-def drop_output() -> None:
-    """Discard what is still to be written: Python tries again when it ends, and complains."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+def drop_output(stream: TextIO) -> None:
+    """Discard what `stream` still holds: Python writes it again at exit, and fails with 120."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _as_robotctl_error(error: BaseException) -> RobotctlError:
@@ -41,7 +43,7 @@ def _as_robotctl_error(error: BaseException) -> RobotctlError:
         return Interrupted()
     if isinstance(error, OSError) and error.errno == errno.ENOSPC:
         if error.filename is None:
-            drop_output()
+            drop_output(sys.stdout)
         return RobotctlError(
             f"no space left on the disk for {error.filename or 'the output'}", "free some"
         )

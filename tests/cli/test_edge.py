@@ -169,13 +169,19 @@ def test_a_bug_and_ctrl_c_are_answered_in_json_too(
         assert error["message"]
 
 
-def test_what_was_found_stands_in_the_object_beside_the_error(
-    cli: Callable[..., Any], tmp_path: Path
-) -> None:
-    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
+def record_cut_short(folder: Path) -> Path:
+    """Record 100 messages, and cut off the end of the file."""
+    recorder = Recorder(folder / "run", on_failure=pytest.fail)
     write_numbered(recorder, recorder.add_topic(TWIST), range(1, 101))
     file = recorder.close().file
     file.write_bytes(file.read_bytes()[:-30])
+    return file
+
+
+def test_what_was_found_stands_in_the_object_beside_the_error(
+    cli: Callable[..., Any], tmp_path: Path
+) -> None:
+    file = record_cut_short(tmp_path)
     for command, key in (("info", "messages"), ("recover", "messages")):
         ran = cli(command, str(file), "--json")
         found = json.loads(ran.out)
@@ -246,6 +252,21 @@ def test_a_command_does_its_work_with_its_output_closed(command: list[str], clos
         ran = subprocess.run(line, shell=True, capture_output=True, text=True, check=False)
         assert ran.returncode == exit_code
         assert "unexpected" not in ran.stderr
+        assert "robotctl: no daemon" not in ran.stdout
+
+
+@pytest.mark.parametrize("options", [[], ["--json"]])
+def test_the_exit_code_is_that_of_the_error_also_where_nobody_reads_it(
+    command: list[str], tmp_path: Path, options: list[str]
+) -> None:
+    file = record_cut_short(tmp_path)
+    for name in (str(file), "nothing"):
+        reading, writing = os.pipe()
+        os.close(reading)
+        program = [*command, "info", name, *options]
+        ran = subprocess.run(program, stdout=writing, stderr=writing, check=False)
+        os.close(writing)
+        assert ran.returncode == 6
 
 
 def test_output_to_a_full_disk_is_one_sentence(daemon: None, command: list[str]) -> None:
