@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from robotctl.cli.answer import tell
 from robotctl.cli.library import RecordedBy, Recordings, find_recording, recordings_folder, robot_of
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.progress import progress_bar
@@ -22,7 +23,9 @@ from robotctl.cli.text import (
     short_path,
     size,
 )
-from robotctl.errors import IN_PARENTHESES, Refused
+from robotctl.errors import IN_PARENTHESES, Refused, UsageError
+from robotctl.ipc.client import command_for
+from robotctl.paths import DEFAULT_ROBOT
 
 if TYPE_CHECKING:
     from robotctl.recording.listing import ListedRecording
@@ -59,6 +62,7 @@ def recordings(
       robotctl recordings unkeep robot_20260101_120000
     """
     if context.invoked_subcommand is not None:
+        _refuse_options_before(context, context.invoked_subcommand)
         return
     from robotctl.recording.listing import list_recordings
 
@@ -77,11 +81,13 @@ def recordings(
     if as_json:
         print(json_text({"folder": str(place), "recordings": [_as_object(each) for each in found]}))
     else:
-        print("\n".join(_screen(place, found)))
+        print("\n".join(_screen(place, found, robot or DEFAULT_ROBOT)))
 
 
 @group.command()
-def keep(name: Name, folder: Recordings = None, robot: RecordedBy = None) -> None:
+def keep(
+    name: Name, folder: Recordings = None, robot: RecordedBy = None, as_json: Json = False
+) -> None:
     """Never remove a recording, whatever its age.
 
     \b
@@ -89,11 +95,14 @@ def keep(name: Name, folder: Recordings = None, robot: RecordedBy = None) -> Non
       robotctl recordings keep last
     """
     path = _set_kept(name, folder, robot, kept=True)
-    print(f"{printable(path.name)} is kept, whatever its age")
+    told = f"{printable(path.name)} is kept, whatever its age"
+    tell({"path": str(path), "kept": True}, [told], as_json=as_json)
 
 
 @group.command()
-def unkeep(name: Name, folder: Recordings = None, robot: RecordedBy = None) -> None:
+def unkeep(
+    name: Name, folder: Recordings = None, robot: RecordedBy = None, as_json: Json = False
+) -> None:
     """Let a recording be removed again when its time has come.
 
     \b
@@ -101,7 +110,19 @@ def unkeep(name: Name, folder: Recordings = None, robot: RecordedBy = None) -> N
       robotctl recordings unkeep robot_20260101_120000
     """
     path = _set_kept(name, folder, robot, kept=False)
-    print(f"{printable(path.name)} is removed again when its time has come")
+    told = f"{printable(path.name)} is removed again when its time has come"
+    tell({"path": str(path), "kept": False}, [told], as_json=as_json)
+
+
+def _refuse_options_before(context: typer.Context, command: str) -> None:
+    """Raise UsageError for an option of the list that stands before `command`."""
+    for parameter in context.command.params:
+        source = context.get_parameter_source(parameter.name or "")
+        if source is not None and source.name == "COMMANDLINE":
+            raise UsageError(
+                f"{parameter.opts[0]} stands before {command}",
+                f"give it after: robotctl recordings {command} NAME {parameter.opts[0]} ...",
+            )
 
 
 def _set_kept(name: str, folder: Path | None, robot: str | None, *, kept: bool) -> Path:
@@ -140,9 +161,10 @@ def _as_object(each: ListedRecording) -> dict[str, Any]:
     }
 
 
-def _screen(place: Path, found: Sequence[ListedRecording]) -> Iterator[str]:
+def _screen(place: Path, found: Sequence[ListedRecording], robot: str) -> Iterator[str]:
     if not found:
-        yield f"no recordings in {short_path(place)} (begin one: robotctl start)"
+        start = command_for(robot, "start")
+        yield f"no recordings in {short_path(place)} (begin one: {start})"
         return
     yield f"{short_path(place)}: {size(sum(each.size_bytes for each in found))}"
     names = (each.path.name for each in found)

@@ -110,6 +110,38 @@ def test_keep_marks_a_recording_and_unkeep_takes_it_back(library: Path, cli: Cli
     assert (ran.exit_code, ran.err.count("\n")) == (4, 1)
 
 
+@pytest.mark.parametrize("command", ["keep", "unkeep"])
+def test_an_option_before_keep_is_refused_and_nothing_is_changed(
+    library: Path, cli: Cli, tmp_path: Path, command: str
+) -> None:
+    for option in (("--recordings", str(tmp_path)), ("--robot", "r2"), ("--json",)):
+        ran = cli("recordings", *option, command, "last")
+        assert ran.exit_code == 2
+        told = f"{option[0]} stands before {command}: give it after: robotctl recordings {command}"
+        assert told in ran.err
+    assert not list(library.glob("*/keep"))
+
+
+def test_the_robot_of_the_environment_is_that_of_keep(
+    library: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROBOTCTL_ROBOT", "robot")
+    assert cli("recordings", "keep", "last").exit_code == 0
+    monkeypatch.setenv("ROBOTCTL_ROBOT", "r2")
+    assert cli("recordings", "unkeep", "last").exit_code == 4
+
+
+def test_keep_and_unkeep_answer_machines(library: Path, cli: Cli) -> None:
+    for command, kept in (("keep", True), ("unkeep", False)):
+        answer = json.loads(cli("recordings", command, "last", "--json").out)
+        assert answer == {"path": str(library / NEWER), "kept": kept}
+
+
+def test_an_empty_list_names_the_start_of_the_robot_that_was_asked_for(cli: Cli) -> None:
+    out = cli("recordings", "--robot", "r2").out
+    assert out == "no recordings in recordings (begin one: robotctl start --robot r2)\n"
+
+
 def test_info_takes_a_name_and_last(library: Path, cli: Cli) -> None:
     for name, found in ((OLDER, OLDER), ("last", NEWER)):
         ran = cli("info", name)
