@@ -90,13 +90,7 @@ class Driver:
             on_file=lambda: self._control.journal_snapshot(time.monotonic_ns()),
         )
         tap = self.recorder.tap
-        self._look_at_commands = tap.subscribe_own(
-            params.command.topic,
-            TYPE_NAME,
-            qos.COMMAND,
-            heard=lambda gid: self._foreign_commands.heard(gid),
-            latency_s=LATENCY_S if params.rate_hz >= 50.0 else MAX_COMMAND_LATENCY_S,
-        )
+        tap.subscribe_own(params.command.topic, TYPE_NAME, qos.COMMAND)
         tap.subscribe_own("robot_status", "robot_controller/msg/RobotStatus", qos.LATCHED)
         for service, calls in EVENTS_OF_SERVICES.items():
             tap.subscribe_own(f"{service}/_service_event", calls, qos.SERVICE_EVENTS)
@@ -115,6 +109,10 @@ class Driver:
         )
         self._foreign_commands = ForeignCommands(
             self._velocity.gid, self._velocity.name_of, self._moves, self._control.dispatch
+        )
+        self._look_at_commands = self._velocity.monitor(
+            self._foreign_commands.heard,
+            LATENCY_S if params.rate_hz >= 50.0 else MAX_COMMAND_LATENCY_S,
         )
         host.supervisor.report_to(self._control.dispatch)
         self._motion = Motion(self._control, params)

@@ -11,6 +11,9 @@ REPEAT_NS = 200_000_000
 """How often the kernel is told again while the robot does not move; a flood must not fill the
 journal."""
 
+MAX_TOLD = 16
+"""Publishers of which the kernel is told within `REPEAT_NS` while the robot does not move."""
+
 NAMELESS = "a publisher that is gone, or has no name yet,"
 
 
@@ -18,8 +21,8 @@ class ForeignCommands:
     """Looks at the publisher of each recorded command, and tells the kernel of foreign ones.
 
     `name_of(gid)` returns the node that publishes with this identity, "" where unknown. While
-    `moves()` the kernel is told of each command, for the first one ends the motion; otherwise each
-    0.2 s.
+    `moves()` the kernel is told of each command, for the first one ends the motion; otherwise of
+    each publisher each 0.2 s.
     """
 
     def __init__(
@@ -33,18 +36,24 @@ class ForeignCommands:
         self._name_of = name_of
         self._moves = moves
         self._dispatch = dispatch
-        self._gid = b""
-        self._name = ""
-        self._told_ns = -REPEAT_NS
+        self._told_ns: dict[bytes, int] = {}
+        """When the kernel was told of each publisher, of those that were told of just now."""
 
     def heard(self, gid: bytes) -> None:
         """Take the identity of the publisher of one command."""
         if gid == self._own_gid:
             return
         now_ns = time.monotonic_ns()
-        if now_ns - self._told_ns < REPEAT_NS and not self._moves():
+        if not self._moves() and not self._may_tell(gid, now_ns):
             return
-        if gid != self._gid or self._name == NAMELESS:
-            self._gid, self._name = gid, self._name_of(gid) or NAMELESS
-        self._told_ns = now_ns
-        self._dispatch(ForeignCommandHeard(now_ns, self._name))
+        self._told_ns[gid] = now_ns
+        self._dispatch(ForeignCommandHeard(now_ns, self._name_of(gid) or NAMELESS))
+
+    def _may_tell(self, gid: bytes, now_ns: int) -> bool:
+        told_ns = self._told_ns.get(gid)
+        if told_ns is not None and now_ns - told_ns < REPEAT_NS:
+            return False
+        if len(self._told_ns) >= MAX_TOLD:
+            recent = {g: t for g, t in self._told_ns.items() if now_ns - t < REPEAT_NS}
+            self._told_ns = recent
+        return len(self._told_ns) < MAX_TOLD

@@ -121,8 +121,8 @@ def _recent(health: Health, now_ns: int) -> Iterator[str]:
     age_s = (now_ns - stalls.last_t_ns) / NS_PER_S
     if stalls.count and age_s <= RECENT_S:
         yield (
-            f"the control loop stalled {stalls.count} times, last {age_s:.0f} s ago for "
-            f"{stalls.last_s:.2f} s ({stalls.detail}): zeros were sent meanwhile"
+            f"stalls of the control loop: {stalls.count}, the last {age_s:.0f} s ago for "
+            f"{stalls.last_s:.2f} s ({stalls.detail}); zeros were sent meanwhile"
         )
     if topic.foreign_t_ns is not None:
         age_s = (now_ns - topic.foreign_t_ns) / NS_PER_S

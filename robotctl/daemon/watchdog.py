@@ -110,7 +110,7 @@ class Watchdog:
     def _end_stall(self) -> LoopStalled:
         now, last = self._now(), self._last
         zeros, withheld = self._gate.open_gate()
-        self._last, self._holding = now, False
+        self._holding = False  # a stall without a tick since goes on: only `ping` ends it
         stalled_s = (now.t_ns - last.t_ns) / NS_PER_S
         waited_s = (now.waited_ns - last.waited_ns) / NS_PER_S
         if waited_s > BUSY_SHARE * stalled_s:

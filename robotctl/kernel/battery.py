@@ -13,7 +13,7 @@ FULLEST_LEVEL = 1.05
 def counts_in_percent(raw: float, before: bool, scale: BatteryScale) -> bool:
     """Say whether the gauge that reports `raw` counts to 100; `before` is what was said last."""
     if scale is BatteryScale.AUTO:
-        return before or raw > FULLEST_LEVEL
+        return before or FULLEST_LEVEL < raw <= 100.0 * FULLEST_LEVEL
     return scale is BatteryScale.PERCENT
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from math import inf
+from math import inf, isfinite
 from types import MappingProxyType
 
 from robotctl.kernel.battery import is_level
@@ -95,10 +95,10 @@ def _odometry_contradicted(health: Health, params: KernelParams, t_ns: int) -> s
         return ""
     if second.distance_m <= limits.max_jump_m and second.angle_rad <= limits.max_jump_rad:
         return ""
-    return (
-        f"{_two_sources(health)}, and they are {second.distance_m:.2f} m and "
-        f"{second.angle_rad:.2f} rad apart"
-    )
+    apart = f"{second.distance_m:.2f} m and {second.angle_rad:.2f} rad apart"
+    if not isfinite(second.distance_m + second.angle_rad):
+        apart = "not both finite"
+    return f"{_two_sources(health)}, and they are {apart}"
 
 
 def _second_odometry(health: Health, params: KernelParams, t_ns: int) -> str:
@@ -126,7 +126,9 @@ def _tracking_lost(health: Health, params: KernelParams, t_ns: int) -> str:
 
 def _foreign_publisher(health: Health, params: KernelParams, t_ns: int) -> str:
     if health.foreign_publishers:
-        return f"{', '.join(health.foreign_publishers)} also publishes velocity commands"
+        names = ", ".join(health.foreign_publishers)
+        verb = "publishes" if len(health.foreign_publishers) == 1 else "publish"
+        return f"{names} also {verb} velocity commands"
     topic = health.command_topic
     if topic.foreign_t_ns is None or _age_s(topic.foreign_t_ns, t_ns) > FOREIGN_COMMAND_S:
         return ""

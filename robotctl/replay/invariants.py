@@ -80,6 +80,8 @@ class Invariants:
         self._open_requests = set(state.waiting)
         self._latched = state.mode is Mode.EMERGENCY_STOP
         self.foreign.update(state.health.foreign_publishers)
+        if state.health.command_topic.foreign_t_ns is not None:
+            self.foreign.add(state.health.command_topic.foreign_by)
 
     def step(self, seq: int, event: Event, effects: tuple[Effect, ...]) -> None:
         """Check one event and what came of it."""

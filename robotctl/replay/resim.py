@@ -6,13 +6,14 @@ On virtual time, where no scheduler disturbs: two runs differ by their parameter
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import isfinite
 from pathlib import Path
 from typing import Any
 
 from robotctl.config import Config, flat
 from robotctl.errors import UnreadableFile
+from robotctl.kernel.health import CommandTopic
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.state import State
@@ -137,8 +138,12 @@ def _take(run: Run, entry: JournalEntry) -> None:
 def _simulate(
     config: Config, state: State, recorded: Run, on_progress: Callable[[int, int], None]
 ) -> Run:
-    """Ask the same of a simulated robot until the recording's end, and let a drive come to its."""
-    kernel = Kernel(config.kernel, state)
+    """Ask the same of a simulated robot until the recording's end, and let a drive come to its.
+
+    The simulated robot is alone: what was recorded of other nodes is left out.
+    """
+    alone = replace(state.health, foreign_publishers=(), command_topic=CommandTopic())
+    kernel = Kernel(config.kernel, replace(state, health=alone))
     begin_ns, end_ns = recorded.begin_ns, recorded.end_ns
     last_ns = begin_ns + LONGEST * (end_ns - begin_ns)
     run = Run(begin_ns, end_ns, recorded.requests)

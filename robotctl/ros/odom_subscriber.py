@@ -17,7 +17,7 @@ from robotctl.ros.raw import RawTap
 from robotctl.ros.session import Session
 
 MAX_SOURCES = 256
-"""Publishers that are told apart; those that come later share the number 0."""
+"""Publishers that are remembered; of more, the one that was silent longest is forgotten."""
 
 LOOKS_FOR_NAME = 20
 """How often `find_names` looks for the node of a publisher, which may be gone already."""
@@ -46,6 +46,10 @@ class OdomSubscriber:
         self._on_odometry = on_odometry
         self._on_source = on_source
         self._sources: dict[bytes, int] = {}
+        """Number of each publisher, the one that was heard last at the end."""
+
+        self._last_source = 0
+        self._last_gid: bytes | None = None
         self._nameless: dict[bytes, int] = {}
         """Publishers without a name, and how often to look for it still."""
 
@@ -67,9 +71,10 @@ class OdomSubscriber:
     def _receive(
         self, data: bytes, received_ns: int, source_ns: int, sequence: int, gid: bytes
     ) -> None:
-        source = self._sources.get(gid)
-        if source is None:
-            source = self._number(gid)
+        if gid != self._last_gid:
+            self._last_gid = gid
+            self._sources[gid] = self._sources.pop(gid, 0) or self._number(gid)
+        source = self._sources[gid]
         try:
             odometry = decode_odometry(data)
         except Exception:  # noqa: BLE001 - bytes of any origin must not fail the daemon
@@ -79,8 +84,11 @@ class OdomSubscriber:
     def _number(self, gid: bytes) -> int:
         """Return the number of a publisher that was not heard before, and tell of it."""
         if len(self._sources) >= MAX_SOURCES:
-            return 0
-        source = self._sources[gid] = len(self._sources) + 1
+            forgotten = next(iter(self._sources))
+            del self._sources[forgotten]
+            self._nameless.pop(forgotten, None)
+        self._last_source += 1
+        source = self._last_source
         name = publisher_names(self._node, self.topic).get(gid, "")
         if not name:
             self._nameless[gid] = LOOKS_FOR_NAME

@@ -41,6 +41,9 @@ RECORDING_DEPTH = 1_500
 each message all that wait (`History::get_change_nts`), and may never catch up: of 45,000 messages a
 second none were lost with 1,500, and three quarters with 3,000."""
 
+MONITOR = QoSProfile(depth=RECORDING_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""Of a subscription that hears every publisher of a topic, whatever each offers."""
+
 RECORDING_DEPTH_BULKY = 100
 """Of images and the like: where they come faster than they are taken, more of them fill any memory,
 before the recorder's own queue can begin to drop and count."""

@@ -9,6 +9,7 @@ from geometry_msgs.msg import Twist as TwistMessage
 from nav_msgs.msg import Odometry as OdometryMessage
 from sensor_msgs.msg import BatteryState
 
+from robotctl.kernel.types import ZERO
 from robotctl.ros import qos
 from robotctl.ros.cdr import OdometryEncoder, decode_twist
 from robotctl.ros.convert import battery_message
@@ -70,4 +71,8 @@ class SimulatedRobot:
     def _command(
         self, data: bytes, received_ns: int, source_ns: int, sequence: int, gid: bytes
     ) -> None:
-        self._robot.command(decode_twist(data))
+        try:
+            twist = decode_twist(data)
+        except Exception:  # noqa: BLE001 - bytes of any origin must not fail the daemon
+            twist = ZERO
+        self._robot.command(twist)

@@ -13,9 +13,9 @@ from rclpy.qos import QoSProfile
 
 from robotctl.printable import printable, short_name
 from robotctl.ros import graph, proof, qos
-from robotctl.ros.raw import Data, ViewSink
+from robotctl.ros.raw import ViewSink
 from robotctl.ros.session import RECORDER_NODE, Session
-from robotctl.ros.tapped import LATENCY_S, TappedSubscription
+from robotctl.ros.tapped import TappedSubscription
 from robotctl.ros.type_definition import definition_of, type_hash_of
 from robotctl.ros.type_loader import SLOW_LOAD_S, TypeLoader
 from robotctl.ros.unrecorded import Unrecorded
@@ -95,30 +95,12 @@ class Tap:
             await self._look()
             await self._types.pause(POLL_S)
 
-    def subscribe_own(
-        self,
-        name: str,
-        type_name: str,
-        offered: QoSProfile,
-        *,
-        heard: Callable[[bytes], None] | None = None,
-        latency_s: float = LATENCY_S,
-    ) -> Callable[[], None]:
-        """Tap a topic of ours, before its publisher exists; `heard(gid)` is told of each message.
-
-        Messages collect for `latency_s`, or until the function is called that this returns.
-        """
+    def subscribe_own(self, name: str, type_name: str, offered: QoSProfile) -> None:
+        """Tap a topic of ours, before its publisher exists."""
         topic = self._node.resolve_topic_name(name)
         if self._wanted(topic, type_name):
             self._own.add(topic)
-            self._subscribe(topic, type_name, [offered], heard, latency_s)
-
-        def look() -> None:
-            tapped = self._tapped.get(topic)
-            if tapped is not None:
-                tapped.look()
-
-        return look
+            self._subscribe(topic, type_name, [offered])
 
     def reserve(self, topic: TappedTopic) -> ViewSink:
         """Return the sink of a topic whose messages come to it from elsewhere, not from here."""
@@ -237,14 +219,7 @@ class Tap:
         else:
             self.unrecorded.clear([topic])
 
-    def _subscribe(
-        self,
-        topic: str,
-        type_name: str,
-        offered: list[QoSProfile],
-        heard: Callable[[bytes], None] | None = None,
-        latency_s: float = LATENCY_S,
-    ) -> None:
+    def _subscribe(self, topic: str, type_name: str, offered: list[QoSProfile]) -> None:
         """Raises whatever rclpy raises, and TooManyTopics."""
         limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
         if len(self._tapped) >= max(limit - RESERVED_FILES, limit // 2):
@@ -252,11 +227,7 @@ class Tap:
         definition, type_hash = definition_of(type_name), type_hash_of(type_name)
         described = TappedTopic(topic, type_name, definition, type_hash, qos.to_yaml(offered))
         sink = self._open_sink(described)
-        if heard is not None:
-            sink = _overheard(sink, heard)
-        self._tapped[topic] = TappedSubscription(
-            self._node, topic, type_name, sink, offered, latency_s
-        )
+        self._tapped[topic] = TappedSubscription(self._node, topic, type_name, sink, offered)
 
     def _offered(self, topic: str) -> dict[str, list[QoSProfile]]:
         """What the publishers of a topic offer, by its types; the one with most comes first."""
@@ -264,16 +235,6 @@ class Tap:
         for info in graph.publishers(self._node, topic):
             found.setdefault(info.topic_type, []).append(info.qos_profile)
         return dict(sorted(found.items(), key=lambda entry: (-len(entry[1]), entry[0])))
-
-
-def _overheard(sink: ViewSink, heard: Callable[[bytes], None]) -> ViewSink:
-    """Return a sink that tells of the publisher of each message, once it is recorded."""
-
-    def take(data: Data, received_ns: int, source_ns: int, sequence: int, gid: bytes) -> None:
-        sink(data, received_ns, source_ns, sequence, gid)
-        heard(gid)
-
-    return take
 
 
 def _is_abandoned(tapped: TappedSubscription) -> bool:

@@ -33,9 +33,8 @@ class TappedSubscription:
         type_name: str,
         sink: ViewSink,
         offered: Sequence[QoSProfile],
-        latency_s: float = LATENCY_S,
     ) -> None:
-        """Subscribe to publishers that offer this; messages collect for `latency_s`."""
+        """Subscribe to publishers that offer this."""
         self.topic = topic
         self.type_name = type_name
         self.publishers = 0
@@ -46,8 +45,6 @@ class TappedSubscription:
 
         self._node = node
         self._sink = sink
-        self._latency_s = latency_s
-        self._taps: list[RawTap] = []
         self._merge = LatchedMerge(sink)
         self._subscriptions: list[Any] = []
         self._requests = self._requests_for(offered)
@@ -64,16 +61,10 @@ class TappedSubscription:
             self._subscribe(requests)
             self._requests = requests
 
-    def look(self) -> None:
-        """Take what has come by now."""
-        for tap in self._taps:
-            tap.look()
-
     def close(self) -> None:
         """Subscribe no more."""
         while self._subscriptions:
             self._node.destroy_subscription(self._subscriptions.pop())
-        self._taps.clear()
 
     def _subscribe(self, requests: Requests) -> None:
         self._merge.subscribe_anew()
@@ -99,8 +90,7 @@ class TappedSubscription:
         return qos.recording(offered, bulky=bulky), qos.recording_latched(offered, bulky=bulky)
 
     def _create(self, sink: ViewSink, requested: QoSProfile) -> Any:
-        tap = RawTap(sink, latency_s=self._latency_s, views=True)
-        self._taps.append(tap)
+        tap = RawTap(sink, latency_s=LATENCY_S, views=True)
         # rclpy's own types know a callback of one argument only.
         callback: Any = tap
         return self._node.create_subscription(

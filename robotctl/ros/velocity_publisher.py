@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from threading import Lock
+from typing import Any
 
 from geometry_msgs.msg import Twist as TwistMessage
 
 from robotctl.kernel.types import ZERO, Twist
-from robotctl.printable import printable
+from robotctl.printable import short_name
 from robotctl.ros import graph, qos
 from robotctl.ros.cdr import encode_twist
 from robotctl.ros.publishers import full_name, gid_of, publisher_names
+from robotctl.ros.raw import RawTap
 from robotctl.ros.session import RECORDER_NODE, Session
 
 TYPE_NAME = "geometry_msgs/msg/Twist"
 
-MAX_OTHER_TYPES = 4
-"""Types of other subscriptions that are named."""
+NODE_NAME = "velocity_publisher"
+
+MAX_NAMED = 8
+"""Other publishers, and types of other subscriptions, that are named; a graph may hold any
+number."""
 
 LOCK_TIMEOUT_S = 0.02
 """Longer than any publication: whoever holds the lock for longer hangs in the middleware."""
@@ -25,12 +31,12 @@ LOCK_TIMEOUT_S = 0.02
 class VelocityPublisher:
     """Node `velocity_publisher`; `published` counts the commands that were sent.
 
-    `close_gate` and `publish_zero` may be called from any thread. Once the gate is closed no
-    command but zero leaves, also none that was on its way.
+    `close_gate` and `publish_zero` may be called from any thread. After the first zero of
+    `publish_zero` no command but zero leaves until the gate is opened.
     """
 
     def __init__(self, session: Session, topic: str) -> None:
-        self._node = session.node("velocity_publisher")
+        self._node = session.node(NODE_NAME)
         self._publisher = self._node.create_publisher(TwistMessage, topic, qos.COMMAND)
         self._zero = encode_twist(ZERO)
         self._lock = Lock()
@@ -48,6 +54,18 @@ class VelocityPublisher:
     def gid(self) -> bytes:
         """The identity that our commands carry."""
         return gid_of(self._publisher)
+
+    def monitor(self, heard: Callable[[bytes], None], latency_s: float) -> Callable[[], None]:
+        """Call `heard(gid)` for each command that reaches the topic, whoever publishes it.
+
+        Commands collect for `latency_s`, or until the function is called that this returns. The
+        subscription is best effort, which receives from publishers of any quality of service.
+        """
+        tap = RawTap(lambda data, received, source, sequence, gid: heard(gid), latency_s=latency_s)
+        # rclpy's own types know a callback of one argument only.
+        callback: Any = tap
+        self._node.create_subscription(TwistMessage, self.topic, callback, qos.MONITOR, raw=True)
+        return lambda: tap.look()
 
     def name_of(self, gid: bytes) -> str:
         """Return the node that publishes commands with this identity, "" where unknown."""
@@ -95,23 +113,26 @@ class VelocityPublisher:
 
     def other_publishers(self) -> tuple[str, ...]:
         """Return the full names of the other nodes that publish the command topic now."""
+        own = self.gid
         publishers = graph.publishers(self._node, self.topic)
-        others = [full_name(each) for each in publishers if each.gid != self.gid]
-        return tuple(sorted(name or "a node whose name is not known yet" for name in others))
+        others = sorted(short_name(full_name(each)) for each in publishers if each.gid != own)
+        named = [name or "a node whose name is not known yet" for name in others[:MAX_NAMED]]
+        if len(others) > MAX_NAMED:
+            named.append(f"{len(others) - MAX_NAMED} more")
+        return tuple(named)
 
     def listeners(self) -> tuple[int, tuple[str, ...]]:
         """Return how many nodes take our commands, and the other types that others subscribe to.
 
-        Recorders are not counted: they take everything, and drive nothing.
+        The recorders and monitors of daemons are not counted: they drive nothing.
         """
-        recorder = f"{self._node.get_namespace().rstrip('/')}/{RECORDER_NODE}"
         types = [
-            printable(each.topic_type)
+            short_name(each.topic_type)
             for each in graph.subscriptions(self._node, self.topic)
-            if full_name(each) != recorder
+            if each.node_name not in (RECORDER_NODE, NODE_NAME)
         ]
         others = sorted(set(types) - {TYPE_NAME})
-        return types.count(TYPE_NAME), tuple(others[:MAX_OTHER_TYPES])
+        return types.count(TYPE_NAME), tuple(others[:MAX_NAMED])
 
     def count_listeners(self) -> int:
         """Return how many subscriptions the command topic has, recorders included."""

@@ -176,6 +176,17 @@ class Peer:
         self.node.destroy_publisher(publisher)
         return sent_ns
 
+    def command_best_effort(self, linear: float) -> None:
+        """Publish commands of best effort for 0.1 s, and publish no more."""
+        publisher = self.node.create_publisher(Twist, "/cmd_vel", BEST_EFFORT)
+        until(publisher.get_subscription_count)
+        message = Twist()
+        message.linear.x = linear
+        for _ in range(5):
+            publisher.publish(message)
+            time.sleep(0.02)
+        self.node.destroy_publisher(publisher)
+
     def measure(self, x: float) -> None:
         """Publish odometry at 100 Hz that says the robot is at `x`, until the end."""
         odometry = self.node.create_publisher(Odometry, "/odom", 10)

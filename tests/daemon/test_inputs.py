@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from robotctl.daemon import neighbours
-from robotctl.daemon.foreign_commands import NAMELESS, ForeignCommands
+from robotctl.daemon.foreign_commands import MAX_TOLD, NAMELESS, ForeignCommands
 from robotctl.daemon.neighbours import watch_graph
 from robotctl.kernel.types import (
     CommandListenersSeen,
@@ -117,6 +117,20 @@ def test_a_publisher_that_is_gone_already_is_told_all_the_same() -> None:
     publishers = Publishers(moves=True)
     publishers.heard(b"gone")
     assert publishers.told == [NAMELESS]
+
+
+def test_a_flood_of_one_publisher_hides_no_other() -> None:
+    publishers = Publishers(moves=False)
+    for gid in (b"theirs", b"theirs", b"gone", b"theirs"):
+        publishers.heard(gid)
+    assert publishers.told == ["/teleop", NAMELESS]
+
+
+def test_ever_new_publishers_are_told_now_and_then() -> None:
+    publishers = Publishers(moves=False)
+    for number in range(1000):
+        publishers.heard(b"%d" % number)
+    assert 0 < len(publishers.told) <= 5 * MAX_TOLD
 
 
 def test_a_flood_at_a_robot_that_stands_is_told_now_and_then() -> None:

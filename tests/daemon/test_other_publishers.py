@@ -30,6 +30,17 @@ def test_one_command_of_a_publisher_that_is_gone_at_once_stops_a_moving_robot(
     assert heard["t_ns"] - sent_ns < 200_000_000  # 20 ms on a quiet machine
 
 
+def test_commands_of_best_effort_are_heard_as_well(
+    world: World, new_peer: Callable[[World], Peer]
+) -> None:
+    world.ok("start", "--sim", "--drive", "circle")
+    new_peer(world)("command_best_effort", linear=0.1)
+    until(lambda: world.status()["mode"] == "ERROR")
+    assert "velocity command" in world.status()["mode_reason"]
+    world.ok("stop")
+    assert events(world, "ForeignCommandHeard")
+
+
 def test_one_command_to_an_idle_robot_is_named_and_no_error(
     world: World, new_peer: Callable[[World], Peer]
 ) -> None:
@@ -47,7 +58,7 @@ def test_a_second_publisher_of_odometry_refuses_every_start(
     world.ok("start", "--sim")
     peer = new_peer(world)
     peer("measure", x=10.0)
-    until(lambda: any("two publishers" in each for each in world.status()["warnings"]))
+    until(lambda: any("and /somebody_else" in each for each in world.status()["warnings"]))
     assert world.status()["mode"] == "IDLE"
     for request in (("drive", "square", "--wait"), ("set-mode", "moving")):
         refused = world.robotctl(*request)

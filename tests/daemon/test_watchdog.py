@@ -84,6 +84,14 @@ def test_after_it_was_taken_the_loop_is_watched_again() -> None:
     assert gate.closed == 2
 
 
+def test_a_stall_that_is_taken_without_a_tick_goes_on() -> None:
+    now_ns = 0
+    with Watchdog(50.0, Gate(), lambda: now_ns) as watchdog:
+        watchdog.ping()
+        for now_ns in (200_000_000, 500_000_000):  # meanwhile only another event came
+            assert stall_of(watchdog).stalled_s == now_ns / 1e9
+
+
 def test_a_loop_that_ticks_is_left_alone() -> None:
     gate = Gate()
     watchdog = Watchdog(5.0, gate)  # ticks may be 0.5 s apart

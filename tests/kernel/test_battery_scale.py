@@ -40,6 +40,14 @@ def test_auto_stays_with_percent_once_it_has_seen_it() -> None:
     assert bench.state.health.battery_level == 0.01
 
 
+@pytest.mark.parametrize("broken", [float("inf"), float("nan"), 1e9, -5.0])
+def test_one_broken_sample_does_not_change_the_scale(broken: float) -> None:
+    bench = bench_of(BatteryScale.AUTO)
+    bench.battery(broken)
+    bench.battery(0.8)
+    assert bench.state.health.battery_level == 0.8
+
+
 def test_a_level_beyond_100_percent_is_unknown() -> None:
     bench = bench_of(BatteryScale.PERCENT)
     bench.battery(874.0)

@@ -17,6 +17,7 @@ from robotctl.kernel.types import (
     Cause,
     Effect,
     Event,
+    ForeignCommandHeard,
     LatchEmergencyStop,
     ModeChanged,
     ModeRequested,
@@ -30,6 +31,7 @@ from robotctl.kernel.types import (
 from robotctl.replay.invariants import MAX_VIOLATIONS, Invariants, unbalanced
 from robotctl.replay.traffic import MAX_WAITING, STILL_STEPS, CommandTraffic
 from robotctl.testing.drives import serialized
+from robotctl.testing.kernels import ready
 
 MOVING, IDLE, STOP = Mode.MOVING, Mode.IDLE, Mode.EMERGENCY_STOP
 TICK_NS = 20_000_000
@@ -229,3 +231,11 @@ def test_a_ledger_that_does_not_add_up_is_found() -> None:
     assert sentence == "/odom: 10 messages received, but 8 written and 1 dropped"
     assert list(unbalanced({"/odom": {**counts, "dropped": 3}}, finished=False))
     assert not list(unbalanced({"/odom": {**counts, "dropped": 2}}, finished=True))
+
+
+def test_a_foreign_command_from_before_a_file_is_known_from_its_snapshot() -> None:
+    bench = ready()
+    bench.give(ForeignCommandHeard(bench.t_ns, "/teleop"))
+    invariants = Invariants()
+    invariants.snapshot(Snapshot("test", bench.kernel.params, bench.state))
+    assert invariants.foreign == {"/teleop"}

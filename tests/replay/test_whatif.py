@@ -9,7 +9,7 @@ import pytest
 
 from robotctl.config import Config, with_setting
 from robotctl.errors import ConfigError, UnreadableFile, UsageError
-from robotctl.kernel.types import ModeRequested
+from robotctl.kernel.types import CommandListenersSeen, CommandPublishersSeen, ModeRequested
 from robotctl.recording.journal import JournalEntry
 from robotctl.replay.resim import resim
 from robotctl.replay.settings import check_scope, parse_settings
@@ -122,6 +122,24 @@ def test_a_simulation_goes_on_where_a_file_begins(tmp_path: Path) -> None:
     (one,) = found["drives"]
     assert one["recorded"]["reason"] == one["simulated"]["reason"] == "requested by somebody"
     assert one["simulated"]["distance_m"] == pytest.approx(one["recorded"]["distance_m"], rel=0.05)
+
+
+def test_a_simulated_robot_is_alone_whatever_was_there_when_the_file_began(tmp_path: Path) -> None:
+    at = BEGIN_NS + 500_000_000
+    others = [
+        CommandListenersSeen(BEGIN_NS + 1, 0, ()),
+        CommandPublishersSeen(BEGIN_NS + 2, ("/teleop",)),
+        CommandPublishersSeen(at, ()),
+        CommandListenersSeen(at + 1, 1, ()),
+    ]
+    written = drive(4.0, requests=[*others, drive_requested(1.0)], snapshots_s=(0.25,))
+    begins = next(
+        position
+        for position, each in enumerate(written)
+        if isinstance(each, JournalEntry) and each.name == "Snapshot"
+    )
+    (one,) = resim(record(tmp_path / "run", written[begins:]), {}, silent)["drives"]
+    assert one["simulated"]["reason"] == "under way at the end"
 
 
 def test_the_recorded_configuration_is_the_one_that_is_simulated(tmp_path: Path) -> None:

@@ -13,13 +13,15 @@ import pytest
 
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import Odometry, Reply, Twist
-from robotctl.ros import mode_service, qos
+from robotctl.ros import graph, mode_service, odom_subscriber, qos
 from robotctl.ros.battery_subscriber import BatterySubscriber
 from robotctl.ros.diagnostics_publisher import TOPIC, Diagnosis, DiagnosticsPublisher, Level
 from robotctl.ros.mode_service import ModeService, Shown
 from robotctl.ros.odom_subscriber import OdomSubscriber
 from robotctl.ros.session import Session, ros_session
+from robotctl.ros.simulated_robot import SimulatedRobot
 from robotctl.ros.velocity_publisher import VelocityPublisher
+from robotctl.sim.robot import SimParams
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 
@@ -195,6 +197,46 @@ async def test_bytes_that_are_no_message_fail_nothing(
     assert all(math.isnan(x) or x == 0.0 for x in poses)
 
 
+async def test_of_many_other_publishers_some_are_named_and_the_rest_counted(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    velocity = VelocityPublisher(session, "cmd_vel")
+    others = [
+        graph.Endpoint(f"{number:03}{'x' * 400}", "/", "t", b"%d" % number, qos.COMMAND)
+        for number in range(600)
+    ]
+    monkeypatch.setattr(graph, "publishers", lambda node, topic: others)
+    names = velocity.other_publishers()
+    assert names[-1] == "592 more"
+    assert len("".join(names)) < 2_000
+
+
+async def test_the_publisher_of_odometry_that_was_silent_longest_is_forgotten(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(odom_subscriber, "MAX_SOURCES", 2)
+    heard: list[int] = []
+    subscriber = OdomSubscriber(
+        session, "odom", lambda odometry, source, sequence: heard.append(source), lambda *_: None
+    )
+    for gid in (b"a", b"b", b"a", b"c", b"a", b"b"):
+        subscriber._receive(b"", 0, 0, 1, gid)
+    assert heard == [1, 2, 1, 3, 1, 4]
+
+
+async def test_a_simulated_robot_stops_at_bytes_that_are_no_command(session: Session) -> None:
+    robot = SimulatedRobot(
+        session,
+        SimParams(),
+        command_topic="cmd_vel",
+        odometry_topic="odom",
+        battery_topic="",
+        full_level=1.0,
+    )
+    for data in (b"", b"\0\1\0\0", b"\0\0\0\0", b"\xff" * 60):
+        robot._command(data, 0, 0, 1, b"")
+
+
 async def test_who_takes_the_command_is_counted_by_type_and_without_recorders(
     session: Session, node: Any, new_context: Callable[[], Any], until: Until
 ) -> None:
@@ -205,7 +247,10 @@ async def test_who_takes_the_command_is_counted_by_type_and_without_recorders(
     velocity = VelocityPublisher(session, "cmd_vel")
     recorder = session.node("recorder")
     recorder.create_subscription(TwistMessage, "cmd_vel", print, 10)
-    await until(lambda: velocity.count_listeners() == 1)
+    another = Node("recorder", namespace="/r3", context=session._context)
+    another.create_subscription(TwistMessage, "/r2/cmd_vel", print, 10)
+    velocity.monitor(lambda gid: None, 0.0)
+    await until(lambda: velocity.count_listeners() == 3)
     assert velocity.listeners() == (0, ())
     stamped = Node("stamped", context=new_context())  # Fast DDS: one type a topic and context
     stamped.create_subscription(TwistStamped, "/r2/cmd_vel", print, 10)
@@ -213,6 +258,7 @@ async def test_who_takes_the_command_is_counted_by_type_and_without_recorders(
     node.create_subscription(TwistMessage, "/r2/cmd_vel", print, 10)
     await until(lambda: velocity.listeners() == (1, ("geometry_msgs/msg/TwistStamped",)))
     stamped.destroy_node()
+    another.destroy_node()
 
 
 @pytest.mark.parametrize("percentage", [0.5, 80.0, -1.0, math.nan])
