@@ -25,11 +25,17 @@ class ServiceSource(EventFdSource):
         super().__init__(runtime, service, service.handle, where)
 
     def take(self) -> Any:
-        try:
-            request, header = self.handle.service_take_request(self.entity.srv_type.Request)
-        except Exception as error:
-            raise TakeFailed(error) from error
-        return None if header is None else (request, header)
+        while True:
+            self.announced -= 1
+            try:
+                request, header = self.handle.service_take_request(self.entity.srv_type.Request)
+            except Exception as error:
+                raise TakeFailed(error) from error
+            if header is not None:
+                return request, header
+            # rmw drops a request that it cannot read as if there were none; one may stand behind.
+            if self.announced <= 0:
+                return None
 
     def deliver(self, item: Any) -> Coroutine[Any, Any, Any] | None:
         request, header = item

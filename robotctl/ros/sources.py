@@ -110,6 +110,9 @@ class EventFdSource(Source):
     signals: ClassVar[tuple[Signal, ...]]
     drains_first: ClassVar[bool] = True
     """Whether there may be data from before the attachment that nobody announces."""
+    announced = 0
+    """How many times rcl had signalled when the eventfd was last read."""
+
     pool: Pool | None = None
     """Who looks after the eventfd; without a pool the loop does."""
 
@@ -171,7 +174,7 @@ class EventFdSource(Source):
 
     def look(self) -> bool:
         """Deliver what is there; whether something is left because the slice is over."""
-        os.eventfd_read(self._fd)
+        self.announced = os.eventfd_read(self._fd)
         if self.runtime.stale:
             self.runtime.sync()
             if self.closed:

@@ -12,6 +12,7 @@ from rclpy.node import Node
 from std_srvs.srv import SetBool
 
 from robotctl.ros import AsyncioExecutor
+from robotctl.ros.services import ServiceSource
 from robotctl.testing.waiting import DEADLINE_S
 
 Peer = Callable[..., Awaitable[Any]]
@@ -111,3 +112,25 @@ async def test_parameter_services_answer_the_other_process(
     assert await peer("get_parameter", node="/tested", name="laps") == 3
     assert await peer("set_parameter", node="/tested", name="laps", value=4)
     assert node.get_parameter("laps").value == 4
+
+
+class Queue:
+    """In the place of rcl's: a request that rmw cannot read is taken as if there were none."""
+
+    def __init__(self, *requests: str) -> None:
+        self.requests = list(requests)
+
+    def service_take_request(self, kind: object) -> tuple[object, object]:
+        request = self.requests.pop(0) if self.requests else ""
+        return (request, "header") if request else (None, None)
+
+
+@pytest.mark.parametrize("unreadable", [0, 1, 5])
+def test_requests_that_cannot_be_read_hide_none_that_stands_behind(unreadable: int) -> None:
+    source = object.__new__(ServiceSource)
+    handle: Any = Queue(*[""] * unreadable, "stop")
+    source.handle = handle
+    source.entity = type("Service", (), {"srv_type": SetBool})
+    source.announced = unreadable + 1
+    assert source.take() == ("stop", "header")
+    assert source.take() is None
