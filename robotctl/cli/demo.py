@@ -21,7 +21,7 @@ from robotctl.cli.drive import tracking_lines
 from robotctl.cli.launch import INTERRUPTIONS, StartOptions, launch
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.picture import Path2D, braille, write_png
-from robotctl.cli.process import interrupted_by
+from robotctl.cli.process import ignoring, interrupted_by
 from robotctl.cli.text import is_terminal, json_text, number, printable, short_path, size
 from robotctl.cli.topic_table import TopicTable
 from robotctl.cli.watch import POLL_S, polled_until, show
@@ -105,14 +105,16 @@ def _daemon(options: StartOptions, *, keep: bool) -> Iterator[None]:
             for note in launch(options).get("notes") or []:
                 print(f"note: {printable(note)}", file=sys.stderr)
             yield
+            if not keep:
+                with ignoring(INTERRUPTIONS):
+                    _stop_if_running(options.robot)
         except BaseException:
-            file = _recording_of(options.robot)
-            if file is not None:
-                _stop_if_running(options.robot)
-                print(f"stopped; recorded until then: {file}", file=sys.stderr)
+            with ignoring(INTERRUPTIONS):
+                file = _recording_of(options.robot)
+                if file is not None:
+                    _stop_if_running(options.robot)
+                    print(f"stopped; recorded until then: {file}", file=sys.stderr)
             raise
-        if not keep:
-            _stop_if_running(options.robot)
 
 
 def _drive_one_lap(robot: str, *, quiet: bool) -> Outcome:

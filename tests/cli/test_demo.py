@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from robotctl.cli import demo
 from robotctl.cli.demo import CONFIG
 from robotctl.config import Config, load
 from robotctl.ipc.client import call
@@ -123,3 +124,30 @@ def test_a_daemon_that_does_not_start_is_reported(
     ran = cli("demo")
     assert ran.exit_code == 2
     assert ran.err == "robotctl: robot.yaml: speed: nan is not allowed\n"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("early", [True, False])
+def test_signals_during_the_clean_up_leave_no_daemon_behind(
+    early: bool,
+    number: signal.Signals,
+    cli: Callable[..., Any],
+    home: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A terminal that closes sends two of them, a tired user as well."""
+    stop, lap = demo._stop_if_running, demo._drive_one_lap
+
+    def stop_under_signals(robot: str) -> None:
+        signal.raise_signal(number)
+        stop(robot)
+
+    def interrupted_lap(robot: str, *, quiet: bool) -> demo.Outcome:
+        if early:
+            signal.raise_signal(number)
+        return lap(robot, quiet=quiet)
+
+    monkeypatch.setattr(demo, "_stop_if_running", stop_under_signals)
+    monkeypatch.setattr(demo, "_drive_one_lap", interrupted_lap)
+    assert cli("demo").exit_code == (130 if early else 0)
+    assert sockets(home) == []
