@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from robotctl.cli.background import Background
 from robotctl.cli.control import source
+from robotctl.cli.process import ignoring
 from robotctl.errors import Interrupted, RobotctlError
 from robotctl.ipc.client import call, command_for
 from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
@@ -45,24 +46,21 @@ def stopped(robot: str, driving: Background) -> Interrupted:
     A terminal that closes sends several signals: only Ctrl-C asks for more. Raises RobotctlError
     where the robot could not be stopped this way.
     """
-    previous = {number: signal.signal(number, signal.SIG_IGN) for number in LOST}
     try:
-        _say("stopping the robot (Ctrl-C again: emergency stop)")
-        message = _stop(robot)
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)
+        with ignoring(LOST):
+            _say("stopping the robot (Ctrl-C again: emergency stop)")
+            params = {"source": source("drive")}
+            message = str(call(robot, "end_drive", params, deadline_s=None)["message"])
+    except KeyboardInterrupt:
+        with ignoring((signal.SIGINT, *LOST)):
+            message = _emergency_stop(robot)
     return Interrupted(message, answer=_numbers(driving))
 
 
-def _stop(robot: str) -> str:
-    """What the daemon says once the robot stands."""
-    params = {"source": source("drive")}
-    try:
-        return str(call(robot, "end_drive", params, deadline_s=None)["message"])
-    except KeyboardInterrupt:
-        answer = call(robot, "set_mode", {**params, "mode": EMERGENCY_STOP_MODE})
-        return f"{answer['message']} (release it with: {command_for(robot, 'reset')})"
+def _emergency_stop(robot: str) -> str:
+    params = {"source": source("drive"), "mode": EMERGENCY_STOP_MODE}
+    message = call(robot, "set_mode", params)["message"]
+    return f"{message} (release it with: {command_for(robot, 'reset')})"
 
 
 def _numbers(driving: Background) -> dict[str, Any]:

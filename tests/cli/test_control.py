@@ -14,7 +14,8 @@ from typing import Any
 import pytest
 
 from robotctl import processes
-from robotctl.cli import control
+from robotctl.cli import control, interrupted_drive
+from robotctl.cli.background import Background
 from robotctl.ipc.client import Client, call
 from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
 from robotctl.kernel.modes import Mode
@@ -212,6 +213,21 @@ def test_a_second_ctrl_c_is_the_emergency_stop_and_a_closing_terminal_is_not(
     _, err = process.communicate(timeout=30)
     assert process.returncode == 130
     assert err.endswith("Mode changed to EMERGENCY_STOP (release it with: robotctl reset)\n")
+    assert mode() == "EMERGENCY_STOP"
+
+
+def test_a_second_ctrl_c_straight_after_the_first_is_the_emergency_stop_and_a_third_changes_nothing(
+    daemon: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted_call(robot: str, method: str, params: Any, **options: Any) -> Any:
+        signal.raise_signal(signal.SIGINT)
+        return call(robot, method, params, **options)
+
+    driving = Background(dict)
+    driving.start()
+    monkeypatch.setattr(interrupted_drive, "_say", lambda _: signal.raise_signal(signal.SIGINT))
+    monkeypatch.setattr(interrupted_drive, "call", interrupted_call)
+    assert "EMERGENCY_STOP" in str(interrupted_drive.stopped("robot", driving))
     assert mode() == "EMERGENCY_STOP"
 
 
