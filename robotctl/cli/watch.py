@@ -10,6 +10,7 @@ from robotctl.cli.background import Background
 from robotctl.cli.options import Robot, new_app
 from robotctl.cli.status_line import HEADER, status_line
 from robotctl.cli.text import is_terminal
+from robotctl.errors import RobotctlError
 from robotctl.ipc.client import call
 from robotctl.paths import DEFAULT_ROBOT
 
@@ -43,11 +44,20 @@ def polled(robot: str) -> Iterator[dict[str, Any]]:
 
 
 def polled_until(working: Background, robot: str) -> Iterator[dict[str, Any]]:
-    """The daemon's status until the work is done; nothing of work that is done at once."""
+    """The daemon's status until the work is done; nothing of work that is done at once.
+
+    A poll that fails is left out: the work itself says how it ends.
+    """
+    period_s = POLL_S if is_terminal() else LINE_S
     working.join(POLL_S)
-    statuses = polled(robot)
     while not working.is_done:
-        yield next(statuses)
+        try:
+            status = call(robot, "status")
+        except RobotctlError:
+            pass
+        else:
+            yield status
+        time.sleep(period_s)
 
 
 def show(statuses: Iterator[dict[str, Any]]) -> None:

@@ -7,13 +7,17 @@ import pty
 import re
 import signal
 import subprocess
+import threading
 from collections.abc import Callable
 from typing import Any
 
 import pytest
 
+from robotctl.cli import watch
+from robotctl.cli.background import Background
 from robotctl.cli.status_line import HEADER, status_line
 from robotctl.cli.view import live_view
+from robotctl.errors import Refused
 from robotctl.ipc.client import call
 
 
@@ -88,3 +92,26 @@ def test_what_is_not_known_yet_is_shown_as_unknown(missing: str, daemon: None) -
     status[missing] = None
     assert "IDLE" in status_line(status)
     live_view(status)
+
+
+def test_a_poll_that_fails_does_not_end_the_view_of_a_drive(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    done = threading.Event()
+    polls = iter([Refused("busy with 64 clients"), {"mode": "MOVING"}])
+
+    def poll(robot: str, method: str) -> dict[str, Any]:
+        found = next(polls)
+        if isinstance(found, Refused):
+            raise found
+        return found
+
+    monkeypatch.setattr(watch, "call", poll)
+    monkeypatch.setattr(watch, "LINE_S", 0.0)
+    driving = Background(lambda: {"waited": done.wait()})
+    driving.start()
+    for status in watch.polled_until(driving, "robot"):
+        assert status == {"mode": "MOVING"}
+        done.set()
+        driving.join()
+    assert driving.result() == {"waited": True}
