@@ -50,7 +50,7 @@ def recordings_folder(robot: str | None, given: Path | None) -> Path:
     """Return the folder that was given, else ./recordings, else that of a daemon.
 
     ./recordings counts where it holds a recording (of `robot`, unless that is None). The daemon is
-    the robot's running or last one.
+    the one of `robot`, or of any robot, that was started last.
 
     Raises:
         UsageError: `given` is no folder, or another user could have named the daemon's.
@@ -116,14 +116,14 @@ def robot_of(recording: Path) -> str | None:
 
 
 def _noted_folders(robot: str | None) -> Iterator[Path]:
-    """Yield where daemons have recorded: the robot's, or the default robot's and then others.
+    """Yield where the robot's daemons have recorded, or those of any robot, the last one first.
 
     Raises UsageError if another user could have named one of them.
     """
-    notes = [recordings_note_path(robot or DEFAULT_ROBOT)]
+    note = recordings_note_path(robot or DEFAULT_ROBOT)
+    notes = [note]
     if robot is None:
-        others = state_folder().glob(f"*/{notes[0].name}")
-        notes += sorted(others, key=_changed_s, reverse=True)
+        notes = sorted(state_folder().glob(f"*/{note.name}"), key=_changed_s, reverse=True)
     for note in notes:
         try:
             chain_to(note.parent).check()
