@@ -141,7 +141,7 @@ def _moment(listed: ListedRecording, event: Event | None, at: str | None) -> Mom
     from robotctl.recording.clip import Moment
 
     if at is not None:
-        at_ns = parse_moment(at, listed.start_ns)
+        at_ns = parse_moment(at, listed.start_ns, listed.end_ns)
         held = listed.start_ns <= at_ns <= listed.end_ns
         return Moment(at_ns) if held else None
     wanted = set(Event) if event is None else {event}

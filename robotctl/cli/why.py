@@ -19,7 +19,7 @@ from robotctl.cli.library import (
     recordings_of,
     robot_of,
 )
-from robotctl.cli.moments import parse_moment
+from robotctl.cli.moments import is_offset, parse_moment
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.progress import Progress, progress_bar
 from robotctl.cli.text import row, short_path
@@ -88,7 +88,7 @@ def why(
         if at is None:
             found = _find(paths, None, missing, on_progress)
         else:
-            path, at_ns = _at(paths, at)
+            path, at_ns = _at(paths, at, missing)
             found = _find([path], at_ns, missing, on_progress)
     tell(as_object(found), why_lines(found), as_json=as_json)
 
@@ -136,16 +136,36 @@ def _commit(client: Client, missing: list[str]) -> dict[str, Any] | None:
     return answer
 
 
-def _at(paths: Sequence[Path], at: str) -> tuple[Path, int]:
-    """Return the newest recording that begins before the time `at`, and that time [ns]."""
+def _at(paths: Sequence[Path], at: str, missing: list[str]) -> tuple[Path, int]:
+    """Return the recording to search for the time `at`, and that time [ns].
+
+    It is the newest that holds the time, else the newest that begins before it, else the newest;
+    `at` in seconds is into the newest. What cannot be read is passed over and told to `missing`.
+
+    Raises:
+        UnreadableFile: None can be read.
+    """
     from robotctl.recording.reader import read_info
 
+    unreadable: list[UnreadableFile] = []
+    readable: list[tuple[Path, int]] = []
+    before: list[tuple[Path, int]] = []
     for path in paths:
-        start_ns = read_info(path).start_ns
-        at_ns = parse_moment(at, start_ns)
-        if at_ns >= start_ns:
+        try:
+            info = read_info(path)
+        except UnreadableFile as error:
+            unreadable.append(error)
+            missing.append(str(error))
+            continue
+        at_ns = parse_moment(at, info.start_ns, info.end_ns)
+        if is_offset(at) or info.start_ns <= at_ns <= info.end_ns:
             return path, at_ns
-    return paths[0], parse_moment(at, read_info(paths[0]).start_ns)
+        readable.append((path, at_ns))
+        if info.message_count and info.start_ns <= at_ns:
+            before.append((path, at_ns))
+    if not readable:
+        raise unreadable[0]
+    return (before or readable)[0]
 
 
 def _find(

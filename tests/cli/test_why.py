@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -13,6 +14,7 @@ from typing import Any
 import pytest
 
 from robotctl.kernel.types import ModeRequested, Twist
+from robotctl.paths import recordings_note_path
 from robotctl.recording.reader import read_info
 from robotctl.testing.drives import BEGIN_NS, Written, drive, drive_requested, record
 
@@ -108,6 +110,54 @@ def test_a_time_before_the_last_recording_is_looked_for_in_those_before(
     record(LATER, drive(0.5, requests=[]), clock=lambda time_ns: time_ns + 3_600 * 10**9)
     at = datetime.fromtimestamp(start_s + 2.1, UTC).isoformat()
     assert "MOVING -> EMERGENCY_STOP" in cli("why", "--at", at).out
+
+
+def test_a_recording_that_cannot_be_read_does_not_hide_the_time_in_one_before_it(
+    cli: Cli, stopped: list[Written]
+) -> None:
+    LATER.mkdir(parents=True)
+    ran = cli("why", "--at", "2.1")
+    assert (ran.exit_code, "holds no .mcap file" in ran.err) == (6, True)
+    record(FOLDER, stopped)
+    at = datetime.fromtimestamp(read_info(FOLDER).start_ns / 1e9 + 2.1, UTC).isoformat()
+    for time in ("2.1", at):
+        found = json.loads(cli("why", "--at", time, "--json").out)
+        assert (found["path"], found["mode"]) == (str(FOLDER.absolute()), "EMERGENCY_STOP")
+        (missing,) = found["missing"]
+        assert f"{LATER.name} holds no .mcap file" in missing
+
+
+def test_a_time_of_day_is_looked_for_in_the_recording_that_holds_it_also_after_midnight(
+    cli: Cli, stopped: list[Written]
+) -> None:
+    begin_ns = read_info(record(Path("begin"), stopped)).start_ns
+    begin = datetime.fromtimestamp(begin_ns // 10**9, UTC).astimezone()
+    midnight = begin.replace(hour=0, minute=0, second=0)
+    to_midnight_ns = round(midnight.timestamp()) * 10**9 - begin_ns
+    record(FOLDER, stopped, clock=lambda time_ns: time_ns + to_midnight_ns - 2_200 * 10**6)
+    morning_ns = to_midnight_ns + 8 * 3_600 * 10**9
+    record(LATER, drive(0.5, requests=[]), clock=lambda time_ns: time_ns + morning_ns)
+    for at, kind in (("23:59:59.8", "stop"), ("00:00:00.3", "refusal")):
+        found = json.loads(cli("why", "--at", at, "--json").out)
+        assert (found["path"], found["kind"]) == (str(FOLDER.absolute()), kind)
+
+
+def test_the_recordings_of_the_last_daemon_of_any_robot_are_meant_from_another_folder(
+    cli: Cli, stopped: list[Written], tmp_path: Path
+) -> None:
+    for age_s, robot in ((3_600, "robot"), (60, "r2")):
+        folder = tmp_path / robot
+        record(folder / f"{robot}_20260101_120000", stopped, robot=robot)
+        note = recordings_note_path(robot)
+        note.parent.mkdir(parents=True)
+        note.write_text(f"{folder}\n")
+        begun_s = note.stat().st_mtime - age_s
+        os.utime(note, (begun_s, begun_s))
+    for command in (["why"], ["info", "last"]):
+        last = json.loads(cli(*command, "--json").out)["path"]
+        assert last == str(tmp_path / "r2" / "r2_20260101_120000")
+        default = json.loads(cli(*command, "--robot", "robot", "--json").out)["path"]
+        assert default == str(tmp_path / "robot" / "robot_20260101_120000")
 
 
 def test_no_ros_is_imported(stopped: list[Written]) -> None:
