@@ -12,7 +12,7 @@ from typing import Any
 from robotctl.processes import Child, program, start
 from robotctl.recording.retention import RetentionPolicy
 from robotctl.recording.tidied import Tidied
-from robotctl.recording.tidy_job import TidyJob, remove_oldest
+from robotctl.recording.tidy_job import TidyJob
 
 _log = logging.getLogger(__name__)
 
@@ -25,12 +25,13 @@ class Tidier:
 
     After `begin`, which is for a daemon that is ready, a process of the lowest priority removes
     what is too much and repairs what a crash left: that reads files of any origin and any size.
-    After `file_finished` a thread removes what is too much by then.
+    After `file_finished` another one removes what is too much by then.
     """
 
     def __init__(self, policy: RetentionPolicy, recording: Path) -> None:
         """The folder `recording` is being recorded, and lies among the others."""
-        self._job = TidyJob(recording.parent, policy)
+        self._policy = policy
+        self._recordings = recording.parent
         self._recording = recording
         self._begun = asyncio.Event()
         self._finished = asyncio.Event()
@@ -49,28 +50,26 @@ class Tidier:
         """Tidy until cancelled."""
         await self._begun.wait()
         if await asyncio.to_thread(self._has_others):
-            await self._tidy_all()
+            await self._tidy(repairs=True)
         while True:
             await self._finished.wait()
             self._finished.clear()
-            for done in await asyncio.to_thread(
-                remove_oldest, self._job.recordings, self._job.policy
-            ):
-                self._tell(done)
+            await self._tidy(repairs=False)
 
     def _has_others(self) -> bool:
         try:
-            return any(path != self._recording for path in self._job.recordings.iterdir())
+            return any(path != self._recording for path in self._recordings.iterdir())
         except OSError:
             return False
 
-    async def _tidy_all(self) -> None:
+    async def _tidy(self, *, repairs: bool) -> None:
+        job = TidyJob(self._recordings, self._policy, repairs)
         try:
-            child = start([*program("robotctl.recording.tidying"), self._job.to_json()])
+            child = start([*program("robotctl.recording.tidying"), job.to_json()])
         except OSError as error:  # no process, no descriptor
             self._tell(Tidied(f"the recordings are not tidied: {error}", problem=True))
             return
-        said_by = f"the process that tidies {self._job.recordings}"
+        said_by = f"the process that tidies {self._recordings}"
         try:
             async with aclosing(_heard(child)) as heard:
                 async for said in heard:

@@ -9,6 +9,10 @@ class Damaged(Exception):
     """A part of the file cannot be read; the text says what is wrong, without naming the file."""
 
 
+class Unreadable(Damaged):
+    """The disk or the memory failed; at another time the same part may be readable."""
+
+
 class BeyondLimit(Damaged):
     """Reading on would take more work than `read_limits` allows; the text says how to allow it."""
 

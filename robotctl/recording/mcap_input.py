@@ -20,7 +20,7 @@ from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
 from mcap.records import McapRecord
 
-from robotctl.recording.damage import BeyondLimit, Damaged
+from robotctl.recording.damage import BeyondLimit, Damaged, Unreadable
 from robotctl.recording.read_limits import BYTES_PER_RECORD, RECORDS, ReadLimits
 from robotctl.recording.storage import is_locked
 from robotctl.recording.zstd_file import is_zstd_file, unpack_zstd_file
@@ -57,10 +57,13 @@ class _ExactStream(ReadDataStream):
 
 
 def parse(kind: _RecordClass[_Record], data: bytes) -> _Record:
-    """The record whose content, without opcode and length, is `data`. Raises Damaged."""
+    """The record whose content, without opcode and length, is `data`.
+
+    Raises Damaged, and MemoryError where there is no memory: that says nothing about the file.
+    """
     try:
         return kind.read(_ExactStream(BytesIO(data)))
-    except (McapError, ValueError, struct.error, OverflowError, MemoryError) as error:
+    except (McapError, ValueError, struct.error, OverflowError) as error:
         raise Damaged(f"a {kind.__name__.lower()} record is malformed") from error  # type: ignore[attr-defined]
 
 
@@ -75,6 +78,9 @@ class InputFile:
         `on_progress` gets bytes done and in total where it is unpacked.
         """
         self.path = path
+        self.failure: Unreadable | None = None
+        """The first read that failed for the disk or the memory, not for what the file holds."""
+
         self._fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
         try:
             status = os.fstat(self._fd)
@@ -117,8 +123,15 @@ class InputFile:
                     raise Damaged(f"it was cut off at byte {offset + len(data)} meanwhile")
                 data += more
         except OSError as error:
-            raise Damaged(f"the disk cannot read it at byte {offset}: {error.strerror}") from error
+            reason = f"the disk cannot read it at byte {offset}: {error.strerror}"
+            raise self.failed(reason) from error
         return data
+
+    def failed(self, reason: str) -> Unreadable:
+        """What to raise where disk or memory failed; `failure` keeps the first."""
+        failure = Unreadable(reason)
+        self.failure = self.failure or failure
+        return failure
 
     def close(self) -> None:
         """Close it; closing twice is harmless."""

@@ -10,7 +10,7 @@ from robotctl.errors import UnreadableFile
 from robotctl.recording.access import share_like
 from robotctl.recording.buffer import PlainMessage, pack
 from robotctl.recording.chunk_encoder import ChunkEncoder
-from robotctl.recording.damage import BeyondLimit, Damaged
+from robotctl.recording.damage import BeyondLimit, Damaged, Unreadable
 from robotctl.recording.file_index import (
     FileIndex,
     Place,
@@ -41,7 +41,8 @@ Progress = Callable[[int, int], None]
 class Salvage:
     """What came out of a recovery; `lost` says in sentences what did not.
 
-    With higher limits there would be more if `limit_reached`.
+    With higher limits there would be more if `limit_reached`. Where `failure` is not None, the disk
+    or the memory failed while it was read: at another time there may be more.
     """
 
     target: Path
@@ -49,6 +50,7 @@ class Salvage:
     attachment_count: int
     lost: tuple[str, ...]
     limit_reached: bool = False
+    failure: Unreadable | None = None
 
 
 def recover(
@@ -84,7 +86,12 @@ def recover(
                 raise UnreadableFile(f"{source} holds no readable message: {'; '.join(copy.lost)}")
     on_progress(total, total)
     return Salvage(
-        target, copy.message_count, copy.attachment_count, tuple(copy.lost), index.limit_reached
+        target,
+        copy.message_count,
+        copy.attachment_count,
+        tuple(copy.lost),
+        index.limit_reached,
+        file.failure,
     )
 
 

@@ -41,28 +41,35 @@ def enforce(recordings: Path, policy: RetentionPolicy, now_s: float) -> list[Rem
     files.sort(key=lambda pair: (pair[0].modified_s, pair[0].path))
     total = sum(file.size for file, _ in files)
     removed: list[Removed] = []
+    gone: set[Path] = set()
     touched: dict[Path, CatalogFolder] = {}
     for file, folder in files:
         too_much = policy.max_bytes is not None and total > policy.max_bytes
         too_old = policy.max_age_s is not None and now_s - file.modified_s > policy.max_age_s
         if file.live or folder.kept or not (too_much or too_old):
             continue
-        with suppress(OSError):  # somebody else's folder, or gone already
+        try:
             file.path.unlink()
+        except FileNotFoundError:  # another daemon was faster
+            pass
+        except OSError:  # it belongs to another user
+            continue
+        else:
             removed.append(Removed(file.path, file.size))
-            total -= file.size
-            touched[folder.path] = folder
+        gone.add(file.path)
+        total -= file.size
+        touched[folder.path] = folder
     for folder in touched.values():
         with suppress(OSError):
-            _tidy(folder, {each.path for each in removed})
+            _tidy(folder, gone)
     return removed
 
 
-def _tidy(folder: CatalogFolder, removed: set[Path]) -> None:
+def _tidy(folder: CatalogFolder, gone: set[Path]) -> None:
     """Have the bag list what is left of it, or go as a whole."""
     if folder.live:
         return  # its writer keeps the list
-    left = [file.path for file in folder.files if file.path not in removed]
+    left = [file.path for file in folder.files if file.path not in gone]
     if left:
         if len(left) < len(folder.files):
             rewrite_metadata(folder.path, left)

@@ -91,7 +91,10 @@ def stored_size_of(length: int, compression: str) -> int:
 def read_chunk(file: InputFile, ref: ChunkRef) -> bytes:
     """The chunk's records, unpacked and checked. Raises Damaged."""
     _check_size(file, ref)
-    data = _unpack(file.read(ref.data_offset, ref.data_size), ref)
+    try:
+        data = _unpack(file.read(ref.data_offset, ref.data_size), ref)
+    except MemoryError as error:
+        raise file.failed(f"no memory for a chunk of {ref.uncompressed_size} bytes") from error
     if len(data) != ref.uncompressed_size:
         raise Damaged(f"a chunk has {len(data)} bytes instead of {ref.uncompressed_size}")
     if ref.crc and crc32(data) != ref.crc:
@@ -145,6 +148,6 @@ def _unpack(stored: bytes, ref: ChunkRef) -> bytes:
         if ref.compression == "lz4":
             data: bytes = LZ4FrameDecompressor().decompress(stored, size)
             return data
-    except (ZstdError, RuntimeError, ValueError, MemoryError) as error:
+    except (ZstdError, RuntimeError, ValueError) as error:
         raise Damaged(f"a chunk's {ref.compression} data is corrupt") from error
     raise Damaged(f"a chunk is compressed by {ref.compression!r}, which is not supported")

@@ -34,6 +34,7 @@ from robotctl.recording.trailer import WrittenFile
 MAX_SUMMARY_BYTES = 256 << 20
 """Some 600,000 chunks; what claims more is taken for damage, and scanned."""
 
+_OPCODES = frozenset(Opcode)
 _FOOTER_BYTES = RECORD_HEAD.size + 20
 _CRC_BYTES = 4
 _DATA_END_BYTES = RECORD_HEAD.size + 4
@@ -99,6 +100,8 @@ def read_written_file(file: InputFile) -> WrittenFile:
     groups: dict[Opcode, bytes] = {}
     statistics = None
     for code, begin, end in walk_records(data):
+        if code not in _OPCODES:  # a private record, which readers pass over
+            continue
         opcode = Opcode(code)
         record = data[begin - RECORD_HEAD.size : end]
         groups[opcode] = groups.get(opcode, b"") + record

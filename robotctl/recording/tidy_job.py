@@ -6,7 +6,7 @@ import json
 import os
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from fcntl import LOCK_EX, flock
 from pathlib import Path
@@ -19,20 +19,22 @@ from robotctl.recording.tidied import Tidied
 
 @dataclass(frozen=True, slots=True)
 class TidyJob:
-    """Which folder to tidy, and how much to keep in it."""
+    """Which folder to tidy, how much to keep in it, and whether to repair what is left."""
 
     recordings: Path
     policy: RetentionPolicy
+    repairs: bool
 
     def to_json(self) -> str:
         """One line."""
-        return json.dumps({"recordings": str(self.recordings), "policy": asdict(self.policy)})
+        return json.dumps(asdict(self) | {"recordings": str(self.recordings)})
 
     @classmethod
     def from_json(cls, line: str) -> Self:
         """The job in a line of `to_json`."""
         given: dict[str, Any] = json.loads(line)
-        return cls(Path(given["recordings"]), RetentionPolicy(**given["policy"]))
+        policy = RetentionPolicy(**given["policy"])
+        return cls(Path(given["recordings"]), policy, given["repairs"])
 
 
 def tidy(job: TidyJob) -> Iterator[Tidied]:
@@ -43,32 +45,25 @@ def tidy(job: TidyJob) -> Iterator[Tidied]:
     recordings = job.recordings
     try:
         with _alone_in(recordings):
-            yield from remove_oldest(recordings, job.policy)
-            yield from repair(recordings)
+            for removed in enforce(recordings, job.policy, time.time()):
+                yield Tidied(f"removed for its age or the space: {removed.path}")
+            if job.repairs:
+                yield from repair(recordings)
     except Exception as error:  # noqa: BLE001 - files of any origin; ours to read, not to trust
-        yield _failed(recordings, error)
-
-
-def remove_oldest(recordings: Path, policy: RetentionPolicy) -> list[Tidied]:
-    """Remove what is too old or too much. Blocks."""
-    try:
-        removed = enforce(recordings, policy, time.time())
-    except Exception as error:  # noqa: BLE001 - files of any origin; ours to read, not to trust
-        return [_failed(recordings, error)]
-    return [Tidied(f"removed for its age or the space: {each.path}") for each in removed]
-
-
-def _failed(recordings: Path, error: Exception) -> Tidied:
-    text = f"{recordings} could not be tidied: {type(error).__name__}: {error}"
-    return Tidied(text, problem=True)
+        text = f"{recordings} could not be tidied: {type(error).__name__}: {error}"
+        yield Tidied(text, problem=True)
 
 
 @contextmanager
 def _alone_in(recordings: Path) -> Iterator[None]:
-    """Wait until no other process tidies the folder. Raises OSError."""
+    """Wait until no other process tidies the folder, where its file system has such locks.
+
+    Raises OSError if the folder cannot be opened.
+    """
     folder = os.open(recordings, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
-        flock(folder, LOCK_EX)
+        with suppress(OSError):  # NFS locks no descriptor that is open for reading only
+            flock(folder, LOCK_EX)
         yield
     finally:
         os.close(folder)

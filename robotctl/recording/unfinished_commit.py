@@ -30,15 +30,18 @@ def find_unfinished_commit(file: InputFile, index: FileIndex, data_end: int) -> 
     """The offset behind the last record of the data that belongs to the file; None if all do.
 
     `index` is that of the file's own summary, `data_end` where the data ends according to it.
-    Raises Damaged if not even the header can be read.
+    Raises Damaged if not even the header can be read, or if a chunk of the index lies behind that.
     """
     indexed = {place.offset for place in index.places}
+    last_indexed = max(indexed, default=0)
     _, offset = read_header(file)
     while offset < data_end:
         opcode, length = read_record_head(file, offset)
         end = offset + RECORD_HEAD.size + length
         unindexed = opcode == Opcode.CHUNK and offset not in indexed
         if opcode not in _DATA or unindexed or end > data_end:
+            if offset < last_indexed:
+                raise Damaged("a record that is not ours lies before its last chunk")
             return offset
         offset = end
     return None

@@ -114,6 +114,16 @@ def test_start_and_stop_do_not_wait_for_somebody_who_tidies(world: World) -> Non
     assert "could not be tidied" not in world.log()
 
 
+def test_a_stop_does_not_wait_for_the_retention_after_a_split(world: World) -> None:
+    world.ok("start", "--sim")
+    until(lambda: world.status()["recorder"]["written"] > 100)
+    with tidied_by_somebody(world.recordings):
+        world.ok("record", "split")
+        until(lambda: tidying(world))
+        world.ok("stop")
+        assert tidying(world) == []
+
+
 def test_a_folder_without_other_recordings_costs_no_process(world: World) -> None:
     world.ok("start", "--sim")
     until(lambda: world.status()["recorder"]["written"] > 100)

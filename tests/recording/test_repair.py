@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import random
+import shutil
+import struct
+import zlib
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
 import yaml
 from mcap.reader import make_reader
 from mcap.writer import Writer
+from zstandard import ZstdDecompressor
 
 from robotctl.recording import repair as repairing
+from robotctl.recording.file_index import FileIndex
+from robotctl.recording.mcap_input import InputFile
 from robotctl.recording.reader import read_info
 from robotctl.recording.recorder import Recorder, RecorderOptions
+from robotctl.recording.storage import DiskFile
 from robotctl.testing.recordings import TWIST, numbered, read_strictly, write_numbered
 from robotctl.testing.waiting import until
 
@@ -163,3 +173,149 @@ def test_what_is_too_much_to_read_is_left_as_it_is(
     assert "is left as it is" in sentence
     assert file.read_bytes() == content
     assert [path.name for path in file.parent.glob("*.repair")] == []
+
+
+Read = Callable[[int, int, int], bytes]
+
+
+def break_once(monkeypatch: pytest.MonkeyPatch, breaks: Callable[[bytes], bool]) -> None:
+    """Have the first read of something that `breaks` fail for the disk."""
+    pread: Read = os.pread
+    failed: list[int] = []
+
+    def failing(fd: int, length: int, offset: int) -> bytes:
+        data = pread(fd, length, offset)
+        if not failed and breaks(data):
+            failed.append(offset)
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        return data
+
+    monkeypatch.setattr("robotctl.recording.mcap_input.os.pread", failing)
+
+
+@pytest.mark.parametrize("torn", [False, True])
+def test_what_the_disk_cannot_read_now_is_left_for_the_next_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, torn: bool
+) -> None:
+    file = crashed(tmp_path / "run", 200)
+    if torn:
+        file.write_bytes(file.read_bytes()[:-10])
+    before, listed = file.read_bytes(), listed_messages(tmp_path / "run")
+    break_once(monkeypatch, lambda data: data.startswith(b"\x28\xb5\x2f\xfd"))
+    (sentence,) = repair(tmp_path)
+    assert "run_0.mcap could not be repaired: the disk cannot read it at byte" in sentence
+    assert file.read_bytes() == before
+    assert listed_messages(tmp_path / "run") == listed
+    assert len(repair(tmp_path)) == 1  # the disk reads it again
+    assert len(read_strictly(file)) == 200
+
+
+@pytest.mark.parametrize("torn", [False, True])
+def test_what_there_is_no_memory_for_is_left_for_the_next_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, torn: bool
+) -> None:
+    file = crashed(tmp_path / "run", 200)
+    if torn:
+        file.write_bytes(file.read_bytes()[:-10])
+    before = file.read_bytes()
+    failed: list[bytes] = []
+
+    class OnceNoMemory:
+        def decompress(self, data: bytes, *, max_output_size: int) -> bytes:
+            if not failed:
+                failed.append(data)
+                raise MemoryError
+            return ZstdDecompressor().decompress(data, max_output_size=max_output_size)
+
+    monkeypatch.setattr("robotctl.recording.stored_chunk.ZstdDecompressor", OnceNoMemory)
+    (sentence,) = repair(tmp_path)
+    assert "run_0.mcap could not be repaired: no memory for a chunk of" in sentence
+    assert file.read_bytes() == before
+    assert len(repair(tmp_path)) == 1
+    assert len(read_strictly(file)) == 200
+
+
+def test_a_full_disk_leaves_the_file_as_it_was_and_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = crashed(tmp_path / "run", 200)
+    before = file.read_bytes()
+    write_at = DiskFile.write_at
+
+    def failing(self: DiskFile, parts: Sequence[bytes], offset: int) -> None:
+        end = offset + sum(map(len, parts))
+        if end > len(before):
+            write_at(self, [b"".join(parts)[: len(before) - offset]], offset)
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        write_at(self, parts, offset)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(DiskFile, "write_at", failing)
+        (done,) = repairing.repair(tmp_path)
+    assert done.problem
+    assert "run_0.mcap could not be repaired: No space left on device" in done.text
+    assert file.read_bytes() == before
+    assert repair(tmp_path) == ["repaired: run_0.mcap was not closed: its 200 messages are whole"]
+
+
+def with_private_record(data: bytes) -> bytes:
+    """The file with a private record at the end of its summary."""
+    footer_bytes, magic_bytes = 29, 8
+    footer = len(data) - footer_bytes - magic_bytes
+    start = struct.unpack_from("<Q", data, footer + 9)[0]
+    summary = data[start:footer] + struct.pack("<BQ", 0x90, 3) + b"abc"
+    end = data[footer : footer + footer_bytes - 4]
+    crc = zlib.crc32(summary + end)
+    return data[:start] + summary + end + struct.pack("<I", crc) + data[-magic_bytes:]
+
+
+def test_a_private_record_in_a_summary_does_not_stop_the_repair(tmp_path: Path) -> None:
+    first, second = crashed(tmp_path / "run1", 100), crashed(tmp_path / "run2", 100)
+    first.write_bytes(with_private_record(first.read_bytes()))
+    assert repair(tmp_path) == [
+        "repaired: run1_0.mcap was not closed: its 100 messages are whole",
+        "repaired: run2_0.mcap was not closed: its 100 messages are whole",
+    ]
+    assert len(read_strictly(first)) == len(read_strictly(second)) == 100
+
+
+def test_a_file_that_cannot_be_repaired_keeps_no_other_from_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = crashed(tmp_path / "run0", 100)
+    for number in (1, 2):
+        shutil.copy(file, tmp_path / "run0" / f"run0_{number}.mcap")
+    crashed(tmp_path / "run1", 100)
+    find = repairing.find_unfinished_commit
+
+    def failing(file: InputFile, index: FileIndex, data_end: int) -> int | None:
+        if file.path.name == "run0_1.mcap":
+            raise ValueError("a surprise")
+        return find(file, index, data_end)
+
+    monkeypatch.setattr(repairing, "find_unfinished_commit", failing)
+    sentences = repair(tmp_path)
+    assert [sentence.split(" was ")[0] for sentence in sentences] == [
+        "repaired: run0_0.mcap",
+        "run0_1.mcap could not be repaired: ValueError('a surprise') (the next start tries again)",
+        "repaired: run0_2.mcap",
+        "repaired: run1_0.mcap",
+    ]
+    assert listed_messages(tmp_path / "run0") == 300
+
+
+def test_the_list_of_a_bag_counts_what_was_repaired_before_the_end(tmp_path: Path) -> None:
+    first, second = crashed(tmp_path / "run", 100), tmp_path / "run" / "run_1.mcap"
+    shutil.copy(first, second)
+    done = repairing.repair(tmp_path)
+    next(done)
+    done.close()  # type: ignore[attr-defined]
+    assert listed_messages(tmp_path / "run") == 200
+
+
+def test_a_repair_removes_nothing_that_it_has_not_written(tmp_path: Path) -> None:
+    crashed(tmp_path / "run", 10)
+    notes = tmp_path / "run" / "how to.repair"
+    notes.write_text("a user's")
+    assert len(repair(tmp_path)) == 1
+    assert notes.read_text() == "a user's"

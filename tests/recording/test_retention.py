@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from robotctl.recording.clip_job import ClipJob, make_clip
 from robotctl.recording.reader import read_info
 from robotctl.recording.recorder import Recorder, RecorderOptions
 from robotctl.recording.retention import DAY_S, RetentionPolicy, enforce
+from robotctl.recording.tidy_job import TidyJob, tidy
 from robotctl.testing.recordings import TWIST, read_strictly, write_numbered
 from robotctl.testing.waiting import until
 
@@ -147,3 +149,33 @@ def test_what_robotctl_has_not_recorded_stays(tmp_path: Path) -> None:
     assert names(tmp_path / "away" / "linked") == ["linked_0.mcap", "metadata.yaml"]
     assert names(tmp_path / "run") == ["path.png"]
     assert names(tmp_path / "theirs") == ["theirs_0.mcap"]
+
+
+def test_what_another_daemon_has_removed_first_counts_as_gone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sizes = [recorded(tmp_path / f"run{n}", age_s=100.0 - n) for n in range(3)]
+    unlink = Path.unlink
+
+    def beaten(self: Path, missing_ok: bool = False) -> None:
+        unlink(self, missing_ok)
+        if self.name == "run0_0.mcap":
+            raise FileNotFoundError
+
+    monkeypatch.setattr(Path, "unlink", beaten)
+    assert enforce(tmp_path, RetentionPolicy(max_bytes=sum(sizes[1:])), NOW_S) == []
+    assert names(tmp_path) == ["run1", "run2"]
+
+
+def test_a_file_system_without_such_locks_is_tidied_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recorded(tmp_path / "run", age_s=0.0)
+
+    def no_lock(fd: int, operation: int) -> None:
+        raise OSError(errno.EBADF, os.strerror(errno.EBADF))
+
+    monkeypatch.setattr("robotctl.recording.tidy_job.flock", no_lock)
+    (done,) = tidy(TidyJob(tmp_path, RetentionPolicy(max_bytes=0), repairs=False))
+    assert done.text.startswith("removed for its age or the space: ")
+    assert names(tmp_path) == []
