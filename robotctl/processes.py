@@ -17,7 +17,7 @@ import signal
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -149,12 +149,15 @@ def start(
 ) -> Child:
     """Start `command`, which is told by `option` which descriptor is the pipe to speak on.
 
-    Its stdout and stderr go to `log`, and it then leaves our session and outlives us; without a log
-    both go to our stderr, and it has a process group of its own: a Ctrl-C in our terminal is ours
-    to pass on. Its stdin is a pipe where it `obeys`, else /dev/null.
+    Its stdout and stderr go to `log`, and it then leaves our session, outlives us and inherits no
+    descriptor of our caller; without a log both go to our stderr, and it has a process group of its
+    own: a Ctrl-C in our terminal is ours to pass on. Its stdin is a pipe where it `obeys`, else
+    /dev/null.
     """
     ours: list[int] = []
     theirs: list[int] = []
+    if log is not None:
+        _keep_descriptors()
     try:
         said, speaking = _pipe()
         ours.append(said)
@@ -227,6 +230,15 @@ def readable_within(descriptor: int, seconds: float) -> bool:
     poll = select.poll()
     poll.register(descriptor, select.POLLIN)
     return bool(poll.poll(max(0, int(seconds * 1000))))
+
+
+def _keep_descriptors() -> None:
+    """Let no child inherit what we inherited: a lock or a pipe of the shell would stay open."""
+    with suppress(OSError):  # no /proc
+        for descriptor in map(int, os.listdir("/proc/self/fd")):
+            if descriptor > 2:
+                with suppress(OSError):  # closed meanwhile, as the one that listed them
+                    os.set_inheritable(descriptor, False)
 
 
 def _output(log: Path | None) -> tuple[Any, ...]:

@@ -17,7 +17,7 @@ import pytest
 from robotctl.config import RecordingParams
 from robotctl.daemon import black_box
 from robotctl.daemon.black_box import BlackBox
-from robotctl.processes import Child, Lines, program, start
+from robotctl.processes import Child, Lines, program, readable_within, start
 from robotctl.recording.events import EventKind, RecordedEvent
 from robotctl.recording.reader import read_info
 from robotctl.replay.check_many import check_many
@@ -207,6 +207,21 @@ def test_with_a_log_a_child_leaves_our_session_and_writes_there(tmp_path: Path) 
         process.close(DEADLINE_S)
     assert (tmp_path / "log").read_text() == "printed\ncomplained"
     assert (tmp_path / "log").stat().st_mode & 0o077 == 0
+
+
+def test_a_child_that_outlives_us_inherits_no_descriptor_of_our_caller(tmp_path: Path) -> None:
+    reading, writing = os.pipe()
+    try:
+        os.set_inheritable(writing, True)
+        with child("say(fd, {})\nos.read(0, 1)", log=tmp_path / "log", obeys=True) as process:
+            os.close(writing)
+            writing = -1
+            process.hear_one(DEADLINE_S)
+            assert readable_within(reading, 0), "the child holds the other end"
+    finally:
+        os.close(reading)
+        if writing >= 0:
+            os.close(writing)
 
 
 def test_a_program_that_was_started_without_stdin_stdout_and_stderr_starts_children() -> None:
