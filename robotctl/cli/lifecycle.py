@@ -20,7 +20,7 @@ from robotctl.cli.options import ConfigFile, DomainId, Json, Robot, new_app
 from robotctl.cli.process import interrupted_by
 from robotctl.cli.screen import mode_text
 from robotctl.cli.text import json_text, printable, short_path
-from robotctl.errors import NoDaemon
+from robotctl.errors import NoDaemon, UsageError
 from robotctl.ipc.client import command_for
 from robotctl.paths import DEFAULT_ROBOT, chain_to, check_robot_name, log_path
 from robotctl.printable import without_colours
@@ -86,6 +86,8 @@ def start(
       robotctl start --observe --recordings /data
       robotctl start --exclude '/camera/*,type:sensor_msgs/msg/PointCloud2'
     """
+    if foreground and as_json:
+        raise UsageError("--foreground with --json", "leave --json out: READY is JSON anyway")
     options = StartOptions(
         robot=check_robot_name(robot),
         config=config,

@@ -162,6 +162,15 @@ def test_foreground_becomes_the_daemon(spawn: Callable[..., subprocess.Popen[str
     assert process.wait(30) == 0
 
 
+def test_foreground_is_not_combined_with_json(
+    spawn: Callable[..., subprocess.Popen[str]],
+) -> None:
+    process = spawn("start", "--foreground", "--json")
+    out, _ = process.communicate(timeout=30)
+    assert process.returncode == 2
+    assert json.loads(out)["error"]["kind"] == "usage"
+
+
 # The log
 
 
