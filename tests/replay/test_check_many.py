@@ -91,17 +91,23 @@ check_many([Path({str(long)!r})] * 200)
     until(lambda: not any(map(is_alive, workers)))
 
 
-def test_a_killed_check_leaves_no_process_behind(tmp_path: Path) -> None:
+def test_a_killed_check_leaves_no_process_and_no_traceback_behind(tmp_path: Path) -> None:
     long = record(tmp_path / "long", drive(60.0))
     program = f"""
 from pathlib import Path
 from robotctl.replay.check_many import check_many
-check_many([Path({str(long)!r})] * 200)
+check_many([Path({str(long)!r})] * 200, lambda done, total: done and print(done, flush=True))
 """
-    checking = subprocess.Popen([sys.executable, "-c", program], process_group=0)
-    parent = psutil.Process(checking.pid)
-    until(lambda: parent.children())
-    workers = parent.children()
+    checking = subprocess.Popen(
+        [sys.executable, "-c", program],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        process_group=0,
+    )
+    assert checking.stdout is not None
+    checking.stdout.readline()
+    workers = psutil.Process(checking.pid).children()
     checking.kill()
-    checking.wait()
+    _, told = checking.communicate(timeout=DEADLINE_S)
+    assert told == b""
     until(lambda: not any(map(is_alive, workers)))
