@@ -50,6 +50,9 @@ def is_shared(path: Path) -> bool:
 
 
 def _set(path: Path, mode: int) -> None:
-    if stat.S_IMODE(path.stat().st_mode) != mode:
+    before = path.stat().st_mode
+    if stat.S_ISDIR(before):
+        mode |= before & stat.S_ISGID  # what is made in the folder gets its group
+    if stat.S_IMODE(before) != mode:
         with suppress(OSError):  # a file system without permissions
             path.chmod(mode)

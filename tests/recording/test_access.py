@@ -95,6 +95,16 @@ def test_a_folder_that_is_there_keeps_its_mode(tmp_path: Path) -> None:
     assert stat.S_IMODE((tmp_path / "recordings").stat().st_mode) == 0o2755
 
 
+@pytest.mark.parametrize("shared", [False, True])
+def test_recordings_keep_the_group_of_a_folder_that_hands_it_down(
+    tmp_path: Path, shared: bool
+) -> None:
+    (tmp_path / "recordings").mkdir()
+    (tmp_path / "recordings").chmod(0o2750)
+    recording = begin(tmp_path / "recordings", shared=shared).close().file.parent
+    assert stat.S_IMODE(recording.stat().st_mode) == (0o2750 if shared else 0o2700)
+
+
 def test_a_file_system_without_permissions_is_recorded_to(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
