@@ -45,6 +45,7 @@ def index_of(
 def _index_of(file: InputFile, on_progress: Callable[[int], None], *, places: bool) -> FileIndex:
     deadline = time.monotonic() + _GROWING_S
     while True:
+        file.refresh()
         try:
             index = index_from_summary(file, places=places)
             if places:

@@ -79,8 +79,11 @@ class Recording:
         self.missing: list[str] = []
         text = metadata_text(path)
         paths = recording_files(path)
+        all_files = False
         if paths != [path]:
-            for sentence in absent_files(text, paths):
+            absent = absent_files(text, paths)
+            all_files = not absent
+            for sentence in absent:
                 note_missing(self.missing, sentence)
         try:
             for each in paths:
@@ -90,7 +93,7 @@ class Recording:
             raise
         if not self._files:
             raise UnreadableFile(f"{path} cannot be read: {'; '.join(self.missing)}")
-        for sentence in lacking(text, self._files, all_files=paths != [path]):
+        for sentence in lacking(text, self._files, all_files=all_files):
             note_missing(self.missing, sentence)
 
     def close(self) -> None:

@@ -82,13 +82,14 @@ def _conversion(path: Path) -> str:
 def absent_files(text: str, present: list[Path]) -> list[str]:
     """A sentence for each file that the text of `metadata.yaml` names beside those present.
 
+    A file is there also if it lies there unpacked, or packed, under the name that goes with that.
     It is read before the folder is listed: a daemon adds the file first, then its name.
     """
-    names = {path.name for path in present}
+    names = {path.name.removesuffix(SUFFIX) for path in present}
     return [
         f"{name}: metadata.yaml names it, but it is not there"
         for name in files_in(text)
-        if name not in names
+        if name.removesuffix(SUFFIX) not in names
     ]
 
 

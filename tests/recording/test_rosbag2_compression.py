@@ -10,7 +10,7 @@ import pytest
 import yaml
 from mcap.reader import make_reader
 from mcap.writer import Writer
-from zstandard import ZstdCompressor
+from zstandard import ZstdCompressor, ZstdDecompressor
 
 from robotctl.errors import UnreadableFile
 from robotctl.recording.clip import Moment, cut
@@ -177,6 +177,18 @@ def test_a_file_that_was_compressed_as_a_whole_is_read(tmp_path: Path) -> None:
     steps: list[tuple[int, int]] = []
     Recording(file, on_progress=lambda done, total: steps.append((done, total))).close()
     assert steps[-1] == (file.stat().st_size, file.stat().st_size)
+
+
+@pytest.mark.parametrize("keep_packed", [True, False])
+def test_a_file_that_was_unpacked_beside_its_bag_is_not_missing(
+    tmp_path: Path, keep_packed: bool
+) -> None:
+    file = packed(tmp_path / "bag")
+    file.with_suffix("").write_bytes(ZstdDecompressor().decompress(file.read_bytes()))
+    if not keep_packed:
+        file.unlink()
+    info = read_info(file.parent)
+    assert (info.message_count, info.missing) == (len(SENT), ())
 
 
 @pytest.mark.parametrize("keep", [0.3, 0.6, 0.95])

@@ -21,10 +21,7 @@ def test_a_file_that_rosbag2_names_and_that_is_not_there_is_missing(tmp_path: Pa
     (tmp_path / "bag").chmod(0o755)
     (tmp_path / "bag" / "wbag_3.mcap").unlink()
     info = read_info(tmp_path / "bag")
-    assert info.missing == (
-        "wbag_3.mcap: metadata.yaml names it, but it is not there",
-        f"metadata.yaml counts 6074 messages, and {info.message_count} are there",
-    )
+    assert info.missing == ("wbag_3.mcap: metadata.yaml names it, but it is not there",)
 
 
 @needs_samples
