@@ -130,14 +130,17 @@ class TopicAccount:
             return 0
         before = self.latched.pop(gid, None)
         freed = len(before.data) if before else 0
-        if len(data) > room + freed:
+        try:
+            own = bytes(data) if len(data) <= room + freed else None  # of bytes this is no copy
+        except MemoryError:
+            own = None
+        if own is None:
             self.forgotten += 1
             return -freed
         if len(self.latched) >= MAX_LATCHED:
             freed += len(self.latched.pop(next(iter(self.latched))).data)
         log_ns = min(max(log_ns, 0), MAX_TIME_NS)
         publish_ns = min(max(publish_ns, 0), MAX_TIME_NS)
-        own = bytes(data)  # of bytes this is no copy
         self.latched[gid] = LatchedMessage(own, log_ns, publish_ns, sequence & MAX_SEQUENCE)
         return len(own) - freed
 

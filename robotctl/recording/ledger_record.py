@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Iterable, Mapping
 
 from robotctl.recording.account import TopicStats
@@ -13,11 +14,15 @@ _COUNTS = ("received", "written", "queued", "dropped", "lost", "unseen", "bytes"
 
 def ledger_values(topics: Iterable[TopicStats]) -> dict[str, str]:
     """The ledger as the values of a metadata record."""
-    ledger: dict[str, str] = {}
+    totals: dict[tuple[str, str], Counter[str]] = {}
     for stats in topics:
-        # A topic is recorded with a second type where somebody publishes one.
-        name = f"{stats.name} ({stats.type_name})" if stats.name in ledger else stats.name
-        ledger[name] = json.dumps({count: getattr(stats, count) for count in _COUNTS})
+        counts = totals.setdefault((stats.name, stats.type_name), Counter())
+        counts.update({count: getattr(stats, count) for count in _COUNTS})
+    ledger: dict[str, str] = {}
+    for (topic, type_name), counts in totals.items():
+        # A topic is recorded with a second type where a node publishes one.
+        name = f"{topic} ({type_name})" if topic in ledger else topic
+        ledger[name] = json.dumps(counts)
     return ledger
 
 

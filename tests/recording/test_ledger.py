@@ -7,7 +7,10 @@ import random
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robotctl.recording.account import Topic, TopicAccount, TopicStats
+from robotctl.recording.identity import LEDGER_RECORD
 from robotctl.recording.ledger import MAX_PUBLISHERS, SequenceLedger
+from robotctl.recording.ledger_record import ledger_values, read_ledger
 
 
 def feed(ledger: SequenceLedger, gid: bytes, *sequences: int) -> None:
@@ -83,3 +86,26 @@ def test_lost_is_exactly_what_lies_between_the_received_ones(
     if received:
         assert ledger.unseen == received[0] - 1
         assert ledger.lost == received[-1] - received[0] + 1 - len(received)
+
+
+def test_the_record_adds_up_all_channels_of_a_topic() -> None:
+    def stats(type_name: str, received: int) -> TopicStats:
+        return TopicAccount(Topic("/scan", type_name), received=received).stats()
+
+    values = ledger_values([stats("a/msg/A", 1), stats("b/msg/B", 10), stats("b/msg/B", 100)])
+    told = read_ledger({LEDGER_RECORD: values})
+    assert {name: counts["received"] for name, counts in told.items()} == {
+        "/scan": 1,
+        "/scan (b/msg/B)": 110,
+    }
+
+
+def test_a_latched_message_without_memory_gives_back_the_room_of_the_one_before() -> None:
+    class Endless(bytes):
+        def __bytes__(self) -> bytes:
+            raise MemoryError
+
+    account = TopicAccount(Topic("/map", "a/msg/A", offered_qos="durability: transient_local"))
+    assert account.keep_latched(b"gid", bytes(100), 0, 0, 0, 1000) == 100
+    assert account.keep_latched(b"gid", Endless(10), 0, 0, 1, 900) == -100
+    assert (account.latched_messages(), account.forgotten) == ([], 1)
