@@ -114,9 +114,11 @@ class BagWriter:
         successor = self._new_file()
         try:
             self._file.finish()
-        except OSError:
-            successor.abandon()
-            successor.path.unlink()
+        except BaseException:
+            with suppress(OSError):
+                successor.abandon()
+            with suppress(OSError):
+                successor.path.unlink()
             raise
         self._finished.append(self._file.describe())
         self._finished_bytes += self._file.size

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from mcap.records import Channel, Schema
@@ -32,7 +33,7 @@ class RecordingFile:
         metadata: Mapping[str, str],
         accounts: Sequence[TopicAccount],
     ) -> None:
-        """Create the file; it is valid and on the disk when this returns."""
+        """Create the file; it is valid and on the disk when this returns, or it is not there."""
         self.path = path
         self._accounts = accounts
         self._encoder = ChunkEncoder(options.compression, options.compression_level)
@@ -49,8 +50,11 @@ class RecordingFile:
             self._add_bag_metadata()
             self._mcap.commit()
             self._mcap.sync()
-        except OSError:
-            self._mcap.close()
+        except BaseException:
+            with suppress(OSError):
+                self._mcap.close()
+            with suppress(OSError):
+                path.unlink()
             raise
 
     @property
@@ -107,13 +111,14 @@ class RecordingFile:
         self._mcap.add_metadata(LEDGER_RECORD, ledger_values(topics))
         self._mcap.commit()
         self._mcap.sync()
-        self._mcap.close()
         self._finished = True
+        self._mcap.close()
 
     def abandon(self) -> None:
         """After an OSError: leave the file as the last good write had left it."""
         if self._finished:
             return
+        self._finished = True
         try:
             self._mcap.cut_back()
         finally:

@@ -6,6 +6,7 @@ import errno
 import os
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from fcntl import LOCK_EX, LOCK_NB, LOCK_SH, LOCK_UN, flock
 from pathlib import Path
 from typing import Protocol
@@ -95,8 +96,11 @@ class DiskFile:
         try:
             _lock(self._fd)
             _sync_folder(path.parent)  # the name itself must survive a power cut, too
-        except OSError:
+        except BaseException:
             os.close(self._fd)
+            if new:
+                with suppress(OSError):
+                    path.unlink()
             raise
 
     def write_at(self, parts: Sequence[Buffer], offset: int) -> None:
@@ -123,5 +127,7 @@ class DiskFile:
             raise OSError(errno.ENOENT, "somebody has removed the file")
 
     def close(self) -> None:
-        """Close the descriptor. Raises OSError."""
-        os.close(self._fd)
+        """Close the descriptor; closing twice is harmless. Raises OSError."""
+        descriptor, self._fd = self._fd, -1
+        if descriptor >= 0:
+            os.close(descriptor)

@@ -8,6 +8,7 @@ import random
 import signal
 import threading
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
 from multiprocessing import get_context
@@ -30,6 +31,7 @@ from robotctl.recording.recorder import (
     RecorderState,
     RecorderStats,
 )
+from robotctl.recording.storage import Buffer, DiskFile
 from robotctl.testing.mcap_faults import FailingFile, GatedFile, VolatileFile
 from robotctl.testing.recordings import (
     TWIST,
@@ -207,6 +209,30 @@ def test_an_error_while_closing_keeps_every_message(tmp_path: Path) -> None:
     stats = recorder.close()
     assert len(failures) == 1
     assert_accounted(stats, 100)
+    assert_first_numbers(stats.file, 100)
+
+
+def test_a_file_that_was_finished_is_not_touched_when_it_fails_to_close(tmp_path: Path) -> None:
+    class FailsAtClose(DiskFile):
+        closed = False
+
+        def write_at(self, parts: Sequence[Buffer], offset: int) -> None:
+            assert not self.closed
+            super().write_at(parts, offset)
+
+        def close(self) -> None:
+            self.closed = True
+            super().close()
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    failures: list[str] = []
+    recorder = Recorder(
+        tmp_path / "run", RecorderOptions(open_file=FailsAtClose), on_failure=failures.append
+    )
+    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 101))
+    stats = recorder.close()
+    assert len(failures) == 1
+    assert "Input/output error" in failures[0]
     assert_first_numbers(stats.file, 100)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import random
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
@@ -82,3 +82,34 @@ def test_a_file_is_being_written_until_it_is_closed(tmp_path: Path) -> None:
     file.close()
     assert not is_being_written(tmp_path / "file")
     assert not is_being_written(tmp_path / "file")
+
+
+def test_a_file_that_cannot_be_begun_is_not_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(fd: int) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr(os, "fsync", fail)
+    with pytest.raises(OSError, match="Input/output error"):
+        DiskFile(tmp_path / "file")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_descriptor_that_failed_to_close_is_never_used_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def close_and_fail(fd: int, close: Callable[[int], None] = os.close) -> None:
+        close(fd)
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    file = DiskFile(tmp_path / "file")
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "close", close_and_fail)
+        with pytest.raises(OSError, match="Input/output error"):
+            file.close()
+    with (tmp_path / "other").open("wb"):  # gets the number of the descriptor
+        with pytest.raises(OSError, match="Bad file descriptor"):
+            file.write_at([b"wrong"], 0)
+        file.close()
+    assert (tmp_path / "other").read_bytes() == b""
