@@ -1,69 +1,12 @@
-"""`python -m robotctl.daemon`: starts a daemon and says on `--ready-fd` what came of it."""
+"""`python -m robotctl.daemon`: a Ctrl-C while it imports ends it without a traceback."""
 
-from __future__ import annotations
-
-import asyncio
-import resource
 import sys
-from collections.abc import Callable
-from contextlib import ExitStack
-from typing import Any
 
-from robotctl import environment
-from robotctl.daemon import options as command_line
-from robotctl.daemon.lock import owned
-from robotctl.daemon.log import log_to_stderr
-from robotctl.daemon.options import DaemonOptions
-from robotctl.daemon.starter import Starter
-from robotctl.errors import INTERRUPTED_EXIT_CODE, RobotctlError
-from robotctl.paths import lock_path
-from robotctl.streams import open_standard_streams
+from robotctl.errors import INTERRUPTED_EXIT_CODE
 
+try:
+    from robotctl.daemon.startup import main
 
-def main(arguments: list[str]) -> int:
-    """Run a daemon to its end and return its exit code."""
-    open_standard_streams()
-    note = environment.prepare()
-    with ExitStack() as at_end, log_to_stderr():
-        return _main(arguments, [note] if note else [], at_end)
-
-
-def _main(arguments: list[str], notes: list[str], at_end: ExitStack) -> int:
-    """As `main`; what has to be the last, after the log too, is left to `at_end`."""
-    starter = Starter(command_line.parse_ready_fd(arguments))
-    _allow_many_files()
-    try:
-        options = command_line.parse(arguments)
-        at_end.enter_context(owned(lock_path(options.robot), options.robot))
-        _run(options, starter.tell, notes, at_end)
-    except RobotctlError as error:
-        return starter.fail(error)
-    except KeyboardInterrupt:  # before the loop took the signals over
-        return INTERRUPTED_EXIT_CODE
-    except OSError as error:
-        where = f": {error.filename}" if error.filename else ""
-        return starter.fail(RobotctlError(f"{error.strerror or error}{where}"))
-    except Exception as error:  # noqa: BLE001 - whatever it was, the starter is told
-        return starter.fail_unexpectedly(error)
-    return 0
-
-
-def _run(
-    options: DaemonOptions,
-    tell: Callable[[dict[str, Any]], None],
-    notes: list[str],
-    at_end: ExitStack,
-) -> None:
-    from robotctl.daemon.app import serve  # after environment.prepare(): it imports rclpy
-
-    asyncio.run(serve(options, notes, tell, at_end))
-
-
-def _allow_many_files() -> None:
-    """Each recorded topic is one: the usual soft limit, 1024, is kept low for select(2) only."""
-    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
-
-
-if __name__ == "__main__":
     sys.exit(main(sys.argv[1:]))
+except KeyboardInterrupt:
+    sys.exit(INTERRUPTED_EXIT_CODE)

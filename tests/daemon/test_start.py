@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import subprocess
+import sys
 from collections.abc import Callable
 from shutil import rmtree
 
@@ -190,6 +191,26 @@ def test_a_failed_start_in_the_foreground_says_why_in_one_line(world: World) -> 
     assert (ran.exit_code, ran.out) == (4, "")
     assert ran.err.startswith("robotctl: cannot record into ")
     assert ran.err.count("\n") == 1
+
+
+@pytest.mark.parametrize("module", ["asyncio", "robotctl.daemon.lock", "robotctl.daemon.app"])
+def test_a_ctrl_c_while_the_daemon_is_still_importing_ends_it_without_a_traceback(
+    module: str, world: World
+) -> None:
+    program = f"""
+import runpy, signal, sys
+class Interrupting:
+    def find_spec(self, name, path, target=None):
+        if name == {module!r}:
+            signal.raise_signal(signal.SIGINT)
+sys.meta_path.insert(0, Interrupting())
+runpy.run_module("robotctl.daemon", run_name="__main__", alter_sys=True)
+"""
+    command = [sys.executable, "-P", "-c", program, "--robot", "robot"]
+    ran = subprocess.run(
+        command, env=world.environment, cwd=world.folder, capture_output=True, timeout=DEADLINE_S
+    )
+    assert (ran.returncode, ran.stderr) == (130, b"")
 
 
 # Without a robot
