@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import random
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -281,6 +282,39 @@ def test_a_file_torn_within_any_write_is_read_and_repaired(tmp_path: Path, size:
         if not found:
             continue  # nothing to repair it with
         assert len(read_strictly(path)) >= 2 * state.chunks, state[1:]
+
+
+def test_a_read_that_fails_once_during_a_repair_loses_no_message(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recorded = record(tmp_path / "run", LARGE, Compression.NONE)
+    path = tmp_path / "run" / "run_0.mcap"
+    reads, fail_at = 0, 0
+    pread = os.pread
+
+    def failing(fd: int, length: int, offset: int) -> bytes:
+        nonlocal reads
+        reads += 1
+        if reads == fail_at:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        return pread(fd, length, offset)
+
+    monkeypatch.setattr("robotctl.recording.mcap_input.os.pread", failing)
+    for state in states(recorded):
+        if state.chunks != 2 or state.torn:
+            continue
+        path.write_bytes(state.content)
+        reads, fail_at = 0, 0
+        assert [*repair(tmp_path)]
+        whole, count = len(read_strictly(path)), reads
+        assert count > 20
+        for at in range(1, count + 1):
+            path.write_bytes(state.content)
+            reads, fail_at = 0, at
+            list(repair(tmp_path))
+            fail_at = 0  # the next start
+            list(repair(tmp_path))
+            assert len(read_strictly(path)) == whole, (state.step, at)
 
 
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EIO])
