@@ -13,12 +13,14 @@ from pathlib import Path
 
 import pytest
 import yaml
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from zstandard import ZstdDecompressor
 
 from robotctl.recording import repair as repairing
-from robotctl.recording.file_index import FileIndex
+from robotctl.recording.file_index import FileIndex, read_record_head
+from robotctl.recording.indexing import index_of
 from robotctl.recording.mcap_input import InputFile
 from robotctl.recording.reader import read_info
 from robotctl.recording.recorder import Recorder, RecorderOptions
@@ -319,3 +321,17 @@ def test_a_repair_removes_nothing_that_it_has_not_written(tmp_path: Path) -> Non
     notes.write_text("a user's")
     assert len(repair(tmp_path)) == 1
     assert notes.read_text() == "a user's"
+
+
+def test_a_foreign_record_among_the_chunks_cuts_off_none_of_them(tmp_path: Path) -> None:
+    file = crashed(tmp_path / "run", 200)
+    data = bytearray(file.read_bytes())
+    before = read_strictly(file)
+    with InputFile(file) as source:
+        place = index_of(source).places[1]
+        offset = place.offset + place.length
+        assert read_record_head(source, offset)[0] == Opcode.MESSAGE_INDEX
+    data[offset] = 0x90
+    file.write_bytes(data)
+    assert len(repair(tmp_path)) == 1
+    assert [message.data for message in read_strictly(file)] == [m.data for m in before]
