@@ -239,6 +239,7 @@ BOMBS: Final[dict[str, Callable[[], bytes]]] = {
         chunk(messages(250_000)), 800, 200_000_000, 31 * 250_000
     ),
     "large messages": lambda: begun(repeated(chunk(messages(1, 64 * _MIB)))),
+    "messages of 24 MB": lambda: begun(repeated(chunk(messages(1, 24_000_000)))),
     "large messages, indexed": lambda: indexed(
         chunk(messages(1, 64 * _MIB)), 100, 100, 31 + 64 * _MIB
     ),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -14,8 +15,10 @@ from mcap.records import Channel
 from robotctl.errors import UnreadableFile, UsageError
 from robotctl.recording.buffer import pack
 from robotctl.recording.chunk_encoder import ChunkEncoder
+from robotctl.recording.damage import BeyondLimit
 from robotctl.recording.journal import MAX_TEXT_BYTES, JournalEntry, Kind, decode, encode
 from robotctl.recording.mcap_file import McapFile
+from robotctl.recording.mcap_format import MESSAGE_HEAD
 from robotctl.recording.options import Compression
 from robotctl.recording.read_limits import (
     BYTES_PER_RECORD,
@@ -27,6 +30,7 @@ from robotctl.recording.read_limits import (
 )
 from robotctl.recording.reader import read_info
 from robotctl.recording.storage import DiskFile
+from robotctl.recording.stored_chunk import UnpackBudget
 from robotctl.testing.mcap_bombs import (
     BOMBS,
     SIZE,
@@ -167,6 +171,21 @@ def test_what_robots_record_that_is_all_zeros_passes(tmp_path: Path, count: int,
     info = read_info(path)
     assert info.message_count == count
     assert info.missing == ("its end is damaged: what was written last may be lost",)
+
+
+@pytest.mark.parametrize(
+    ("count", "size"),
+    [(1941, 1280 * 720 * 3), (863, 1920 * 1080 * 3), (335, 16_000_000)],
+    ids=["720p", "1080p", "map"],
+)
+def test_of_large_messages_of_zeros_as_many_pass_as_the_manual_says(count: int, size: int) -> None:
+    budget = UnpackBudget(ReadLimits.of(1_000_000))
+    for _ in range(count):
+        budget.spend(MESSAGE_HEAD.size + size)
+    with pytest.raises(BeyondLimit, match="unpacked it would take more than 512 MiB"):
+        budget.spend(MESSAGE_HEAD.size + size)
+    manual = (Path(__file__).parents[2] / "docs" / "recordings.md").read_text()
+    assert re.search(rf"\b{count:,} (frames of|of|maps of)", manual)
 
 
 def test_a_journal_entry_with_an_endless_text_is_told(tmp_path: Path) -> None:
