@@ -114,7 +114,7 @@ class _Player:
 
     def _hear(self, said: dict[str, Any]) -> None:
         if "error" in said:
-            self._outcome.error = error_for_exit_code(said["exit_code"], said["error"])
+            self._outcome.error = error_for_exit_code(said["exit_code"], said["error"], said)
         if "progress" in said:
             self._paused = said["progress"]["paused"]
         self._outcome.summary = said.get("summary", self._outcome.summary)

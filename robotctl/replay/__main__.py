@@ -1,8 +1,8 @@
 """`python -m robotctl.replay --say-fd N`: plays the job on stdin, and tells on N how it goes.
 
 One line of JSON each: {"note"}, {"waiting"}, {"start"}, {"progress"}, {"summary"}, and {"error",
-"exit_code"}. Further lines on stdin control the replay (robotctl.replay.controls), and its end
-stops it: a replay never outlives who asked for it.
+"exit_code"} with the error's details. Further lines on stdin control the replay
+(robotctl.replay.controls), and its end stops it: a replay never outlives who asked for it.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def _main(arguments: list[str], at_end: ExitStack) -> int:
     try:
         _play(job, lines, tell, at_end)
     except RobotctlError as error:
-        tell({"error": str(error), "exit_code": error.exit_code})
+        tell({"error": str(error), "exit_code": error.exit_code, **error.details()})
         return error.exit_code
     except Exception as error:  # noqa: BLE001 - no traceback reaches a user who did not ask for it
         if job.debug:
