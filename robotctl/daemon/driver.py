@@ -137,7 +137,7 @@ class Driver:
         """Return what the control socket offers."""
         return {
             **common_methods(self._status, self._host.stop),
-            **recording_methods(self.recorder),
+            **recording_methods(self.recorder, self._host.options.robot),
             **self._driving.table(),
         }
 

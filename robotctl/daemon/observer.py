@@ -41,7 +41,7 @@ class Observer:
         """Return what the control socket offers; whatever would move a robot is refused."""
         return {
             **common_methods(self._status, self._host.stop),
-            **recording_methods(self.recorder),
+            **recording_methods(self.recorder, self._host.options.robot),
             "path": Method(NoParams, self._refuse),
             "set_mode": Method(SetModeParams, self._refuse),
             "reset": Method(ResetParams, self._refuse),

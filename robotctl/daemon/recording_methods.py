@@ -7,6 +7,7 @@ from typing import Any
 from robotctl.daemon.ending import until
 from robotctl.daemon.flight_recorder import FlightRecorder
 from robotctl.errors import Refused
+from robotctl.ipc.advice import advice
 from robotctl.ipc.connection import Method
 from robotctl.ipc.params import MarkParams, NoParams
 
@@ -17,11 +18,17 @@ COMMIT_DEADLINE_S = 5.0
 """For the disk to take what is queued: the writer thread takes it four times a second."""
 
 
-def recording_methods(recorder: FlightRecorder) -> dict[str, Method[Any]]:
-    """Return `record_status`, `record_commit`, `record_split` and `mark`."""
+def recording_methods(recorder: FlightRecorder, robot: str) -> dict[str, Method[Any]]:
+    """Return `record_status`, `record_commit`, `record_split` and `mark`; cures name `robot`."""
+
+    def failure() -> str:
+        return advice(recorder.failure, robot).sentence
 
     async def status(_: NoParams) -> dict[str, Any]:
-        return {**recorder.report.facts(), "warnings": list(recorder.report.warnings())}
+        return {
+            **recorder.report.facts(),
+            "warnings": [advice(text, robot).sentence for text in recorder.report.warnings()],
+        }
 
     async def commit(_: NoParams) -> dict[str, Any]:
         """Answer once the file holds all that was received before this request."""
@@ -35,7 +42,7 @@ def recording_methods(recorder: FlightRecorder) -> dict[str, Method[Any]]:
         return {
             "file": _file_of(recorder),
             "uncommitted": uncommitted(),
-            "failure": recorder.failure,
+            "failure": failure(),
         }
 
     async def split(_: NoParams) -> dict[str, Any]:
@@ -46,13 +53,13 @@ def recording_methods(recorder: FlightRecorder) -> dict[str, Method[Any]]:
         ):
             raise Refused("the disk is too slow: the next file is begun when it can be")
         if recorder.failure:
-            raise Refused(recorder.failure)
+            raise Refused(failure())
         file = _file_of(recorder)
         return {"message": f"Recording goes on in {file}", "finished": before, "file": file}
 
     async def mark(params: MarkParams) -> dict[str, Any]:
         if recorder.failure:
-            raise Refused(recorder.failure)
+            raise Refused(failure())
         event = recorder.mark(params.text, params.source)
         return {"message": "Marked", "text": params.text, "time_ns": event.log_ns}
 

@@ -87,7 +87,7 @@ class StatusSource:
             **{key: status[key] for key in told},
             "recording": status["recorder"]["file"],
             "log": str(log_path(self._options.robot)),
-            "notes": notes,
+            "notes": [advice(note, self._options.robot).sentence for note in notes],
         }
 
     def _warnings(self) -> Iterator[str]:

@@ -1,0 +1,53 @@
+"""Cures that a daemon tells name the robot to which it belongs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from robotctl.daemon.flight_recorder import FlightRecorder
+from robotctl.daemon.options import DaemonOptions
+from robotctl.daemon.recorder_report import RecorderReport
+from robotctl.daemon.recording_methods import recording_methods
+from robotctl.daemon.status import ROBOT_FACTS, StatusSource
+from robotctl.errors import Refused
+from robotctl.ipc.params import MarkParams, NoParams
+
+FAILURE = "the recorder failed: see robotctl logs"
+FAILURE_OF_R2 = f"{FAILURE} --robot r2"
+
+
+@pytest.fixture
+def report() -> RecorderReport:
+    facts = {"topics": [], "recorder": {"file": "run.mcap"}}
+    fake = SimpleNamespace(facts=lambda: facts, warnings=lambda: iter([FAILURE]))
+    return cast(RecorderReport, fake)
+
+
+async def test_a_failed_recorder_tells_the_cure_for_its_robot(report: RecorderReport) -> None:
+    stats = SimpleNamespace(received=1, written=1, dropped=0)
+    recorder = SimpleNamespace(
+        failure=FAILURE, report=report, stats=lambda: stats, split=lambda: None
+    )
+    methods = recording_methods(cast(FlightRecorder, recorder), "r2")
+    status: Any = await methods["record_status"].handler(NoParams())
+    assert status["warnings"] == [FAILURE_OF_R2]
+    commit: Any = await methods["record_commit"].handler(NoParams())
+    assert commit["failure"] == FAILURE_OF_R2
+    for name, params in (("record_split", NoParams()), ("mark", MarkParams("here", "test"))):
+        with pytest.raises(Refused, match=f"{FAILURE_OF_R2}$"):
+            await methods[name].handler(params)
+
+
+def test_the_notes_of_a_start_tell_the_cure_for_its_robot(report: RecorderReport) -> None:
+    robot: Any = SimpleNamespace(
+        facts=lambda: dict.fromkeys(ROBOT_FACTS), warnings=lambda: iter(())
+    )
+    options = DaemonOptions("r2", None, Path(), None, None, 0)
+    source = StatusSource(options, report, robot, "", [])
+    note = "moving is refused: no odometry: (robotctl status lists the topics)"
+    (told,) = source.summary([note])["notes"]
+    assert "(robotctl status --robot r2 lists the topics)" in told
