@@ -35,12 +35,11 @@ def last_before(
         if not unsettled:
             break
         if source.may_hold(unsettled):
-            placed = [
-                (message.log_ns, rank, number, message)
-                for number, message in enumerate(_messages(source, on_missing))
-            ]
-            for topic in unsettled:
-                mine = [each for each in placed if each[-1].topic == topic]
+            placed: dict[str, list[_Placed]] = {topic: [] for topic in unsettled}
+            for number, message in enumerate(_messages(source, on_missing)):
+                if message.topic in placed:
+                    placed[message.topic].append((message.log_ns, rank, number, message))
+            for topic, mine in placed.items():
                 held[topic] = sorted(mine + held[topic])[-wanted[topic] :]
     return [each[-1] for each in sorted(each for topic in held.values() for each in topic)]
 
