@@ -96,7 +96,7 @@ async def test_what_the_disk_did_not_take_is_counted(
 ) -> None:
     monkeypatch.setattr(recording_methods, "COMMIT_DEADLINE_S", 0.2)
     given: Any = recorder
-    commit = recording_methods.recording_methods(given)["record_commit"].handler
+    commit = recording_methods.recording_methods(given, "robot")["record_commit"].handler
     answer = await commit(NoParams())
     assert answer["uncommitted"] == uncommitted
     assert answer["failure"] == recorder.failure

@@ -81,7 +81,7 @@ def test_each_golden_request_is_taken(line: dict[str, Any]) -> None:
     nothing = cast(Any, None)  # what carries a method out is not called
     methods: dict[str, Method[Any]] = {
         **common_methods(nothing, nothing),
-        **recording_methods(nothing),
+        **recording_methods(nothing, "robot"),
         **DrivingMethods(nothing, nothing, nothing).table(),
     }
     params = HelloParams if line["method"] == "hello" else methods[line["method"]].params
