@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 
 from robotctl.testing.waiting import until
@@ -24,7 +25,8 @@ def test_one_command_of_a_publisher_that_is_gone_at_once_stops_a_moving_robot(
     peer = new_peer(world)
     sent_ns = peer("command_and_go", linear=0.1)
     until(lambda: world.status()["mode"] == "ERROR")
-    assert "also published a velocity command" in world.status()["mode_reason"]
+    # The graph may show the publisher before its command comes.
+    assert re.search("also publishe[sd] (a )?velocity command", world.status()["mode_reason"])
     world.ok("stop")
     (heard, *_) = events(world, "ForeignCommandHeard")
     assert heard["t_ns"] - sent_ns < 200_000_000  # 20 ms on a quiet machine
