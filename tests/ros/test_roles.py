@@ -261,6 +261,19 @@ async def test_who_takes_the_command_is_counted_by_type_and_without_recorders(
     another.destroy_node()
 
 
+async def test_a_robot_that_takes_another_type_is_no_listener_and_its_type_is_named(
+    session: Session, new_context: Callable[[], Any], until: Until
+) -> None:
+    from geometry_msgs.msg import TwistStamped
+    from rclpy.node import Node
+
+    velocity = VelocityPublisher(session, "cmd_vel")
+    stamped = Node("stamped", context=new_context())
+    stamped.create_subscription(TwistStamped, "/r2/cmd_vel", print, 10)
+    await until(lambda: velocity.listeners() == (0, ("geometry_msgs/msg/TwistStamped",)))
+    stamped.destroy_node()
+
+
 @pytest.mark.parametrize("percentage", [0.5, 80.0, -1.0, math.nan])
 async def test_a_battery_level_is_handed_on_as_it_is_reported(
     session: Session, node: Any, until: Until, percentage: float
