@@ -25,12 +25,12 @@ from recording.figures import Figure, Round, table
 from robotctl.config import Config, with_setting
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.types import DriveRequested
-from robotctl.recording.journal import JournalEntry
-from robotctl.recording.recorder import Compression, RecorderOptions
-from robotctl.replay.check import check
-from robotctl.replay.check_many import check_many
-from robotctl.replay.closed_loop import closed_loop
-from robotctl.replay.report import Verdict
+from robotctl.recording.format.journal import JournalEntry
+from robotctl.recording.write.recorder import Compression, RecorderOptions
+from robotctl.rerun.check import check
+from robotctl.rerun.check_many import check_many
+from robotctl.rerun.check_report import Verdict
+from robotctl.rerun.closed_loop import closed_loop
 from robotctl.testing.drives import BEGIN_NS, Written, drive_requested, journaled, record
 
 RATE_HZ = 100.0
@@ -43,7 +43,7 @@ BYTES_PER_S = 138_000
 MEMORY = """
 import sys
 from pathlib import Path
-from robotctl.replay.check import check
+from robotctl.rerun.check import check
 report = check(Path(sys.argv[1]))
 assert report.verdict == "same", report
 status = Path("/proc/self/status").read_text()

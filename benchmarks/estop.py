@@ -31,11 +31,13 @@ import tempfile
 from collections import defaultdict
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).parents[1]))  # tests.support
+
 from recording import publisher
 from stopping.loads import SITUATIONS, Bench
 from stopping.witness import Witness, witness
 
-from robotctl.testing.world import PATIENT, new_world
+from tests.support.world import PATIENT, new_world
 
 P99_LIMIT_MS = 20.0
 TICK_S = 0.02

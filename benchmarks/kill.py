@@ -33,9 +33,9 @@ from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from robotctl.recording.reader import read_messages
-from robotctl.recording.recorder import Recorder, Topic
-from robotctl.ros.raw import UNKNOWN_GID
+from robotctl.recording.read.reader import read_messages
+from robotctl.recording.write.recorder import Recorder, Topic
+from robotctl.ros.executor.raw import UNKNOWN_GID
 
 TARGET = 1 / 200
 IMAGES = Topic("/image", "sensor_msgs/msg/Image")
@@ -138,7 +138,7 @@ def main() -> int:
     parser.add_argument("--hz", type=float, default=60.0)
     parser.add_argument("--scratch", type=Path, help="a folder on the disk to use")
     arguments = parser.parse_args()
-    get_context("forkserver").set_forkserver_preload(["robotctl.recording.recorder"])
+    get_context("forkserver").set_forkserver_preload(["robotctl.recording.write.recorder"])
     found = dict.fromkeys(READERS, 0)
     with TemporaryDirectory(dir=arguments.scratch) as scratch:
         for number in range(arguments.n):

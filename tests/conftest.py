@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, settings
 
 from robotctl.domains import reserved_domain
 from robotctl.environment import prepare
-from robotctl.testing.waiting import loop_until
+from tests.support.waiting import loop_until
 
 # The same examples in each run, and no limits on how long one takes: they depend on the machine.
 settings.register_profile(

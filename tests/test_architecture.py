@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -14,23 +16,7 @@ import robotctl
 
 ROOT = Path(robotctl.__file__).parent
 
-BOTTOM = {
-    *("errors", "paths", "trust", "config", "environment", "domains", "processes", "streams"),
-    *("printable", "regular_file", "__init__"),
-}
-"""Modules beside the packages, below all of them but the kernel."""
-
-ALLOWED: dict[str, set[str]] = {
-    "kernel": set(),
-    "sim": {"kernel"},
-    "ros": {"kernel", "sim", *BOTTOM},
-    "recording": {"kernel", *BOTTOM},
-    "ipc": {"kernel", *BOTTOM},
-    "replay": {"kernel", "sim", "ros", "recording", "ipc", *BOTTOM},
-    "daemon": {"kernel", "sim", "ros", "recording", "ipc", "replay", *BOTTOM},
-    "cli": {"kernel", "sim", "ros", "recording", "ipc", "replay", "daemon", *BOTTOM},
-}
-"""What each package may import of robotctl beside itself; `testing` may import all."""
+PAGE = ROOT.parent / "docs" / "architecture.md"
 
 ROS_MODULES = {"rclpy", "ament_index_python", "rosidl_runtime_py", "robot_controller"}
 MESSAGE_SUFFIXES = ("_msgs", "_interfaces", "_srvs")
@@ -75,29 +61,59 @@ def is_ros(name: str) -> bool:
     return name in ROS_MODULES or name.endswith(MESSAGE_SUFFIXES)
 
 
-def test_the_map_names_every_package() -> None:
-    packages = {path.parent.name for path in ROOT.glob("*/__init__.py")}
-    assert packages <= {*ALLOWED, "testing"}
+def rooms() -> dict[str, set[str]]:
+    """Return the table of the page: each room, and what it may import of the others."""
+    layout = PAGE.read_text(encoding="utf-8").split("## Layout", 1)[1].split("\n## ", 1)[0]
+    rows = re.findall(r"^\| `([a-z_.]+)` \| [^|]+ \|([^|]*)\|$", layout, re.MULTILINE)
+    return {room: set(re.findall(r"`([a-z_.]+)`", allowed)) for room, allowed in rows}
 
 
-@pytest.mark.parametrize("package", ALLOWED)
-def test_imports_point_in_one_direction(package: str) -> None:
-    assert package in ("replay", "daemon") or modules(package)
-    for path in modules(package):
-        used = {name.split(".")[0] for name in own_imports(path)}
-        assert used <= {package, *ALLOWED[package]}, path.relative_to(ROOT)
+def is_within(module: str, room: str) -> bool:
+    return module == room or module.startswith(f"{room}.")
 
 
-@pytest.mark.parametrize("module", sorted(BOTTOM - {"config"}))
-def test_the_modules_at_the_bottom_import_nothing_above_them(module: str) -> None:
-    path = ROOT / f"{module}.py"
-    used = {name.split(".")[0] for name in own_imports(path)} if path.exists() else set()
-    assert used <= BOTTOM - {"config"}
+def room_of(module: str) -> str:
+    """Return the narrowest room of the page that holds the module."""
+    return max((room for room in rooms() if is_within(module, room)), key=len, default="")
 
 
-def test_the_configuration_knows_only_what_it_configures() -> None:
-    used = {name.split(".")[0] for name in own_imports(ROOT / "config.py")}
-    assert used <= {"errors", "kernel", "regular_file", "sim"}
+def own_modules() -> dict[str, Path]:
+    """Return every module below robotctl, named without that."""
+    paths = {".".join(path.relative_to(ROOT).with_suffix("").parts): path for path in modules("")}
+    return {name.removesuffix(".__init__"): path for name, path in paths.items()}
+
+
+def test_the_page_has_a_room_for_every_module_and_no_other() -> None:
+    found = {name: room_of(name) for name in own_modules() if name != "__init__"}
+    inner = {room.rpartition(".")[0] for room in rooms()}
+    assert {name for name, room in found.items() if not room and name not in inner} == set()
+    assert set(rooms()) == {room for room in found.values() if room}
+
+
+def test_imports_keep_to_the_table_of_the_page() -> None:
+    table = rooms()
+    for name, path in own_modules().items():
+        if not (room := room_of(name)):
+            continue
+        within = {room, *(other for other in table if is_within(other, room))}
+        for used in own_imports(path) - {"__init__"}:
+            allowed = any(is_within(used, other) for other in {*table[room], *within})
+            assert allowed, f"{name} ({room}) imports {used}"
+
+
+def test_the_table_allows_no_more_than_is_used() -> None:
+    used: dict[str, set[str]] = {room: set() for room in rooms()}
+    for name, path in own_modules().items():
+        if room := room_of(name):
+            used[room] |= own_imports(path)
+    for room, allowed in rooms().items():
+        idle = {each for each in allowed if not any(is_within(one, each) for one in used[room])}
+        assert not idle, f"{room} does not import {idle}"
+
+
+def test_no_imports_go_in_a_circle() -> None:
+    graph = {name: own_imports(path) - {name} for name, path in own_modules().items()}
+    TopologicalSorter(graph).prepare()  # raises CycleError, with the circle
 
 
 def test_the_kernel_is_pure() -> None:
@@ -124,23 +140,9 @@ def test_the_kernel_opens_nothing_and_prints_nothing() -> None:
 
 def test_only_the_ros_package_imports_ros() -> None:
     for path in sorted(ROOT.rglob("*.py")):
-        if path.is_relative_to(ROOT / "ros") or path.is_relative_to(ROOT / "testing"):
+        if path.is_relative_to(ROOT / "ros"):
             continue
         assert not {name for name in foreign_imports(path) if is_ros(name)}, path.relative_to(ROOT)
-
-
-def test_the_executor_stands_alone() -> None:
-    """It can be lifted out of robotctl with the files that it needs, all beside it."""
-    needed, waiting = set(), ["ros.executor"]
-    while waiting:
-        name = waiting.pop()
-        if name in needed:
-            continue
-        needed.add(name)
-        path = source_of(f"robotctl.{name}")
-        assert path is not None
-        waiting += own_imports(path)
-    assert {name.split(".")[0] for name in needed} == {"ros"}
 
 
 @pytest.mark.parametrize("module", ["ipc.protocol", "ipc.client", "ipc.peer"])

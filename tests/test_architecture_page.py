@@ -28,9 +28,3 @@ def test_the_page_names_every_exit_code() -> None:
     text = PAGE.read_text(encoding="utf-8").split("## Exit codes", 1)[1]
     named = {int(number) for number in re.findall(r"\b(\d+) [a-z]", text)}
     assert named == codes | {0, errors.INTERRUPTED_EXIT_CODE}
-
-
-def test_the_page_names_every_package() -> None:
-    text = PAGE.read_text(encoding="utf-8")
-    for package in (ROOT / "robotctl").glob("*/__init__.py"):
-        assert f"`{package.parent.name}`" in text

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from robotctl import errors
-from robotctl.cli.commands import MODULES
+from robotctl.cli.registry import COMMANDS
 from robotctl.config import Config, flat
 from robotctl.kernel.safety import RULES
 
@@ -24,7 +24,7 @@ def test_every_command_that_a_page_names_exists(page: Path) -> None:
     named = set(
         re.findall(r"^\s*(?:uv run )?robotctl ([a-z][a-z-]*)", "\n".join(pieces), re.MULTILINE)
     )
-    assert named <= set(MODULES), named - set(MODULES)
+    assert named <= set(COMMANDS), named - set(COMMANDS)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
@@ -36,7 +36,7 @@ def test_every_page_that_a_page_links_to_exists(page: Path) -> None:
 
 def test_the_readme_names_every_command() -> None:
     readme = (ROOT / "README.md").read_text()
-    assert [name for name in MODULES if f"robotctl {name}" not in readme] == []
+    assert [name for name in COMMANDS if f"robotctl {name}" not in readme] == []
 
 
 def test_the_parameters_are_documented_with_their_defaults() -> None:

@@ -15,15 +15,15 @@ from typing import Any
 import pytest
 
 from robotctl.config import RecordingParams
-from robotctl.daemon import black_box
-from robotctl.daemon.black_box import BlackBox
+from robotctl.daemon.recording import black_box
+from robotctl.daemon.recording.black_box import BlackBox
 from robotctl.processes import Child, Lines, program, readable_within, start
-from robotctl.recording.events import EventKind, RecordedEvent
-from robotctl.recording.reader import read_info
-from robotctl.replay.check_many import check_many
-from robotctl.testing.bags import talk, write_bag
+from robotctl.recording.format.events import EventKind, RecordedEvent
+from robotctl.recording.read.reader import read_info
+from robotctl.rerun.check_many import check_many
 from robotctl.testing.drives import drive, record
-from robotctl.testing.waiting import DEADLINE_S
+from tests.support.bags import talk, write_bag
+from tests.support.waiting import DEADLINE_S
 
 ROBOTCTL = (sys.executable, "-c", "from robotctl.cli.app import main; main()")
 
@@ -41,6 +41,9 @@ if any(name in sys.orig_argv for name in {modules}):
         os.write(fd, b'[RTPS_TRANSPORT_SHM Error] Failed fastrtps_port7412\\n{{"x": 1}}\\n')
 """
 """Prints as Fast DDS does, before the process says anything, and what looks like our lines too."""
+
+CHECKER = "robotctl.rerun.check_process"
+CUTTER = "robotctl.recording.keep.clip_process"
 
 
 @contextmanager
@@ -66,7 +69,11 @@ def all_of(process: Child) -> list[dict[str, Any]]:
 @pytest.fixture
 def noisy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Let each child print to stdout and stderr when it starts, in a folder that is returned."""
-    modules = ["robotctl.replay", "robotctl.replay.check_worker", "robotctl.recording"]
+    modules = [
+        "robotctl.replay",
+        "robotctl.rerun.check_process",
+        "robotctl.recording.keep.clip_process",
+    ]
     folder = tmp_path / "site"
     folder.mkdir()
     (folder / "sitecustomize.py").write_text(NOISE.format(modules=modules))
@@ -245,7 +252,7 @@ def test_a_program_that_cannot_be_started_leaves_no_descriptor_behind() -> None:
     assert os.listdir("/proc/self/fd") == before
 
 
-@pytest.mark.parametrize("module", ["robotctl.replay.check_worker", "robotctl.recording"])
+@pytest.mark.parametrize("module", [CHECKER, CUTTER])
 def test_a_child_that_is_started_by_hand_says_so(module: str) -> None:
     ran = subprocess.run([*program(module), "{}"], capture_output=True, text=True, timeout=60)
     assert (ran.returncode, ran.stdout) == (1, "")
@@ -263,10 +270,10 @@ def test_lines_come_out_of_pieces() -> None:
 
 
 def test_every_child_is_started_in_one_way() -> None:
-    from robotctl.cli import launch, playing
-    from robotctl.replay import check_many as checking
+    from robotctl.cli.support import launch, player_process
+    from robotctl.rerun import check_many as checking
 
-    programs = (launch.DAEMON, playing.PLAYER, checking.WORKER, black_box.CUTTER)
+    programs = (launch.DAEMON, player_process.PLAYER, checking.WORKER, black_box.CUTTER)
     assert all(each[:3] == (sys.executable, "-P", "-m") for each in programs)
     root = Path(launch.__file__).parent.parent
     for path in root.rglob("*.py"):

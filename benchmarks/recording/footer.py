@@ -13,12 +13,12 @@ from pathlib import Path
 
 from recording.figures import Figure
 
-from robotctl.recording.account import TopicAccount
-from robotctl.recording.buffer import pack
-from robotctl.recording.mcap_format import MESSAGE_HEAD
-from robotctl.recording.options import RecorderOptions
-from robotctl.recording.recorder import Topic
-from robotctl.recording.recording_file import RecordingFile
+from robotctl.recording.format.records import MESSAGE_HEAD
+from robotctl.recording.format.topics import TopicAccount
+from robotctl.recording.write.buffer import pack
+from robotctl.recording.write.recorder import Topic
+from robotctl.recording.write.recorder_options import RecorderOptions
+from robotctl.recording.write.recording_file import RecordingFile
 
 TOPICS = 30
 MESSAGE_BYTES = 52

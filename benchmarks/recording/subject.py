@@ -25,6 +25,7 @@ from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import ExitStack, asynccontextmanager, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -113,7 +114,7 @@ def plain(folder: Path) -> Iterator[tuple[Taker, Callable[[Any], Any]]]:
 
 @contextmanager
 def recording(compressed: bool, folder: Path) -> Iterator[tuple[Taker, Callable[[Any], Any]]]:
-    from robotctl.recording.recorder import Compression, Recorder, RecorderOptions, Topic
+    from robotctl.recording.write.recorder import Compression, Recorder, RecorderOptions, Topic
 
     compression = Compression.ZSTD if compressed else Compression.NONE
     options = RecorderOptions(compression=compression)
@@ -139,7 +140,7 @@ TAPPED = {
 async def tapped(contender: str, topic: str, folder: Path) -> AsyncIterator[Taker]:
     """Take every topic of the domain as the daemon does, into the contender's sink."""
     from robotctl.ros.session import ros_session
-    from robotctl.ros.tap import Tap
+    from robotctl.ros.tap.tap import Tap
 
     with ExitStack() as at_end, TAPPED[contender](folder) as (taker, open_sink):
         async with ros_session(domain_id=domain_id(), namespace="", at_end=at_end) as session:
@@ -157,8 +158,7 @@ async def classic(topic: str, folder: Path) -> AsyncIterator[Taker]:
     from mcap.writer import CompressionType, Writer
     from rclpy.executors import SingleThreadedExecutor
 
-    from robotctl.ros.message_types import message_class
-    from robotctl.ros.qos import RECORDING_DEPTH
+    from robotctl.ros.messages.qos import RECORDING_DEPTH
 
     rclpy.init(args=[], domain_id=domain_id())
     node = rclpy.create_node("recorder")
@@ -186,7 +186,9 @@ async def classic(topic: str, folder: Path) -> AsyncIterator[Taker]:
             while not stop.is_set():
                 executor.spin_once(timeout_sec=0.1)
 
-        node.create_subscription(message_class(type_name), topic, write, RECORDING_DEPTH, raw=True)
+        package, kind, name = type_name.split("/")
+        message_class = getattr(import_module(f"{package}.{kind}"), name)
+        node.create_subscription(message_class, topic, write, RECORDING_DEPTH, raw=True)
         thread = threading.Thread(target=spin)
         thread.start()
         yield counter

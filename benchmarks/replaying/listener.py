@@ -23,8 +23,8 @@ def listen(topics: list[list[str]], *, urgent: bool) -> None:
     from rclpy.node import Node
 
     from robotctl.ros import AsyncioExecutor, RawTap
-    from robotctl.ros.message_types import message_class
-    from robotctl.ros.recorded_qos import replay_qos
+    from robotctl.ros.messages.classes import message_class
+    from robotctl.ros.playback.recorded_qos import replay_qos
 
     heard: list[tuple[int, int]] = []
 

@@ -17,7 +17,7 @@ from typing import Any
 
 from replaying.material import ODOMETRY, QOS, START_NS
 
-from robotctl.recording.reader import read_messages
+from robotctl.recording.read.reader import read_messages
 
 READ_AHEAD = 1000
 
@@ -26,7 +26,7 @@ def play_with_robotctl(file: Path, domain_id: int) -> list[int]:
     """The player's own process, with a note of the time before each message is handed over."""
     from robotctl.replay import __main__ as process
     from robotctl.replay.job import Job
-    from robotctl.ros.replay_session import ReplaySession
+    from robotctl.ros.playback.playback import ReplaySession
 
     stamps: list[int] = []
     opened = ReplaySession.open
@@ -55,8 +55,8 @@ def play_with_robotctl(file: Path, domain_id: int) -> list[int]:
 @contextmanager
 def opened(domain_id: int) -> Iterator[Callable[[bytes], bool]]:
     """The same publisher for the others."""
-    from robotctl.ros.membership import Membership
-    from robotctl.ros.replay_session import ReplaySession
+    from robotctl.ros.playback.membership import Membership
+    from robotctl.ros.playback.playback import ReplaySession
 
     with Membership(domain_id) as membership:
         ros = ReplaySession(membership)

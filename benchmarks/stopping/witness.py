@@ -21,7 +21,7 @@ from std_srvs.srv import Trigger
 from robotctl.errors import RobotctlError
 from robotctl.ipc.client import call
 from robotctl.kernel.modes import Mode
-from robotctl.testing.waiting import until
+from tests.support.waiting import until
 
 PATIENCE_S = 5.0
 """A stop that has not come by then counts as never."""

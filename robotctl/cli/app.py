@@ -35,18 +35,18 @@ def run(arguments: list[str]) -> int:
         if command is not None:
             command()
         else:
-            from robotctl.cli.commands import dispatch
+            from robotctl.cli.registry import dispatch
 
             dispatch(arguments or ["--help"])
         sys.stdout.flush()
     except BrokenPipeError:  # the reader of our output has seen enough
-        from robotctl.cli.failure import drop_output
+        from robotctl.cli.support.failure import drop_output
 
         drop_output(sys.stdout)
     except (Exception, KeyboardInterrupt) as error:  # no traceback unless it was asked for
         if debug and not isinstance(error, KeyboardInterrupt):
             raise
-        from robotctl.cli.failure import report
+        from robotctl.cli.support.failure import report
 
         return report(error, as_json=as_json)
     return 0

@@ -11,7 +11,7 @@ import os
 from collections.abc import Callable
 from functools import partial
 
-from robotctl.cli import control
+from robotctl.cli.support import control
 from robotctl.paths import DEFAULT_ROBOT
 
 ROBOT_VARIABLE = "ROBOTCTL_ROBOT"

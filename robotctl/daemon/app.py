@@ -10,12 +10,12 @@ from typing import Any
 
 from robotctl import __version__
 from robotctl.config import Config, load
+from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.driver import Driver
-from robotctl.daemon.ending import told_to_end
 from robotctl.daemon.host import Daemon, Host, Ready
 from robotctl.daemon.observer import Observer
-from robotctl.daemon.options import DaemonOptions
-from robotctl.daemon.recordings import remember
+from robotctl.daemon.recording.folder import remember
+from robotctl.daemon.shutdown import told_to_end
 from robotctl.daemon.supervisor import Supervisor
 from robotctl.domains import is_deserted
 from robotctl.ipc.listener import remove_stale

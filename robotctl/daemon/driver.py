@@ -10,24 +10,25 @@ from functools import partial
 from math import nan
 from typing import Any
 
-from robotctl.daemon.control import Control
-from robotctl.daemon.driving import DrivingMethods
-from robotctl.daemon.effects import Effects
-from robotctl.daemon.ending import stand_still, until
-from robotctl.daemon.flight_recorder import FlightRecorder
-from robotctl.daemon.foreign_commands import ForeignCommands
+from robotctl.daemon.api.common import common_methods
+from robotctl.daemon.api.driving import DrivingMethods
+from robotctl.daemon.api.recording import recording_methods
+from robotctl.daemon.api.status import StatusSource
+from robotctl.daemon.control.dispatcher import Control
+from robotctl.daemon.control.effects import Effects
+from robotctl.daemon.control.foreign_commands import ForeignCommands
+from robotctl.daemon.control.inputs import Inputs
+from robotctl.daemon.control.journal_writer import Journal
+from robotctl.daemon.control.latch import Latch
+from robotctl.daemon.control.motion import Motion
+from robotctl.daemon.control.other_nodes import somebody_is_driven, watch_graph
+from robotctl.daemon.control.pending import Requests
+from robotctl.daemon.control.watchdog import Watchdog
 from robotctl.daemon.host import Host, Ready, running
-from robotctl.daemon.inputs import Inputs
-from robotctl.daemon.journal import Journal
-from robotctl.daemon.latch import Latch
-from robotctl.daemon.methods import common_methods
-from robotctl.daemon.motion import Motion
-from robotctl.daemon.neighbours import somebody_is_driven, watch_graph
-from robotctl.daemon.recording_methods import recording_methods
-from robotctl.daemon.requests import Requests
-from robotctl.daemon.status import StatusSource
+from robotctl.daemon.recording.flight_recorder import FlightRecorder
+from robotctl.daemon.shutdown import stand_still
 from robotctl.daemon.supervisor import Work
-from robotctl.daemon.watchdog import Watchdog
+from robotctl.daemon.waiting import until
 from robotctl.errors import RobotctlError
 from robotctl.ipc.advice import advice
 from robotctl.ipc.connection import Method
@@ -45,15 +46,15 @@ from robotctl.kernel.types import (
     Tick,
 )
 from robotctl.paths import latch_path
-from robotctl.ros import qos
-from robotctl.ros.battery_subscriber import BatterySubscriber
-from robotctl.ros.journal_publisher import JournalPublisher
-from robotctl.ros.mode_service import EVENTS_OF_SERVICES, ModeService, Shown
-from robotctl.ros.odom_subscriber import OdomSubscriber
-from robotctl.ros.simulated_robot import SimulatedRobot
-from robotctl.ros.tapped import LATENCY_S
-from robotctl.ros.ticker import Ticker
-from robotctl.ros.velocity_publisher import TYPE_NAME, VelocityPublisher
+from robotctl.ros.executor.ticker import Ticker
+from robotctl.ros.messages import qos
+from robotctl.ros.nodes.battery_subscriber import BatterySubscriber
+from robotctl.ros.nodes.journal_publisher import JournalPublisher
+from robotctl.ros.nodes.mode_service import EVENTS_OF_SERVICES, ModeService, Shown
+from robotctl.ros.nodes.odom_subscriber import OdomSubscriber
+from robotctl.ros.nodes.simulated_robot import SimulatedRobot
+from robotctl.ros.nodes.velocity_publisher import TYPE_NAME, VelocityPublisher
+from robotctl.ros.tap.subscription import LATENCY_S
 
 _log = logging.getLogger(__name__)
 

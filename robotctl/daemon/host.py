@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from robotctl.config import Config
-from robotctl.daemon.flight_recorder import FlightRecorder
-from robotctl.daemon.options import DaemonOptions
-from robotctl.daemon.status import PartWarning
+from robotctl.daemon.api.status import PartWarning
+from robotctl.daemon.command_line import DaemonOptions
+from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.daemon.supervisor import Supervisor, Work
 from robotctl.ipc.connection import Method
 from robotctl.ipc.server import ControlServer

@@ -6,11 +6,11 @@ import logging
 from collections.abc import Iterator, Mapping
 from typing import Any, NoReturn
 
-from robotctl.daemon.flight_recorder import FlightRecorder
+from robotctl.daemon.api.common import common_methods
+from robotctl.daemon.api.recording import recording_methods
+from robotctl.daemon.api.status import ROBOT_FACTS, StatusSource
 from robotctl.daemon.host import Host, Ready, running
-from robotctl.daemon.methods import common_methods
-from robotctl.daemon.recording_methods import recording_methods
-from robotctl.daemon.status import ROBOT_FACTS, StatusSource
+from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.errors import Refused
 from robotctl.ipc.connection import Method
 from robotctl.ipc.params import DriveParams, NoParams, ResetParams, SetModeParams

@@ -7,10 +7,10 @@ from collections.abc import Callable
 from contextlib import ExitStack
 
 from robotctl.config import Config
-from robotctl.daemon.ending import told_to_end
+from robotctl.daemon.shutdown import told_to_end
 from robotctl.kernel.battery import full_level
+from robotctl.ros.nodes.simulated_robot import SimulatedRobot
 from robotctl.ros.session import ros_session
-from robotctl.ros.simulated_robot import SimulatedRobot
 
 
 async def simulate(

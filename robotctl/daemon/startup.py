@@ -9,11 +9,11 @@ from contextlib import ExitStack
 from typing import Any
 
 from robotctl import environment
-from robotctl.daemon import options as command_line
+from robotctl.daemon import command_line as command_line
+from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.lock import owned
-from robotctl.daemon.log import log_to_stderr
-from robotctl.daemon.options import DaemonOptions
-from robotctl.daemon.starter import Starter
+from robotctl.daemon.log.lines import log_to_stderr
+from robotctl.daemon.ready_report import Starter
 from robotctl.errors import INTERRUPTED_EXIT_CODE, RobotctlError
 from robotctl.paths import lock_path
 from robotctl.streams import open_standard_streams

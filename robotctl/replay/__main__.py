@@ -21,10 +21,10 @@ from robotctl import environment
 from robotctl.errors import RobotctlError
 from robotctl.processes import Lines, say, say_fd
 from robotctl.replay.job import Job
-from robotctl.replay.neighbours import domain_of
+from robotctl.replay.other_daemons import domain_of
 
 if TYPE_CHECKING:
-    from robotctl.replay.record import Tell
+    from robotctl.replay.notes import Tell
 
 SWITCH_INTERVAL_S = 1e-4
 """How long the thread that keeps time waits for another one to let it go on (default 5 ms)."""
@@ -62,13 +62,13 @@ def _main(arguments: list[str], at_end: ExitStack) -> int:
 def _play(job: Job, lines: Iterator[bytes], tell: Tell, at_end: ExitStack) -> None:
     """Play a job, as the lines say."""
     # After environment.prepare(): it imports rclpy.
-    from robotctl.ros.membership import Membership
+    from robotctl.ros.playback.membership import Membership
 
     membership = at_end.enter_context(Membership(domain_of(job)))
     # Others are discovered while this is imported.
     from robotctl.replay.controls import command_of
-    from robotctl.replay.session import Replay
-    from robotctl.ros.replay_session import ReplaySession
+    from robotctl.replay.run import Replay
+    from robotctl.ros.playback.playback import ReplaySession
 
     replay = Replay(job, ReplaySession(membership), tell)
 

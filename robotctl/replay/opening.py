@@ -6,14 +6,14 @@ from collections.abc import Iterable, Sequence
 from typing import Final
 
 from robotctl.errors import IN_PARENTHESES, Refused
-from robotctl.recording.reader import TopicInfo
+from robotctl.recording.read.reader import TopicInfo
 from robotctl.replay import plan
 from robotctl.replay.job import Job
+from robotctl.replay.notes import Record
 from robotctl.replay.plan import Route
 from robotctl.replay.player import Send, Ticks
-from robotctl.replay.record import Record
 from robotctl.replay.timeline import Span
-from robotctl.ros.replay_session import ReplaySession, Unpublishable
+from robotctl.ros.playback.playback import ReplaySession, Unpublishable
 
 CLOCK: Final = "/clock"
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Final
 
 from robotctl.replay.clock import Clock
+from robotctl.replay.lateness import Lateness
 from robotctl.replay.schedule import Schedule
 from robotctl.replay.steering import Steering
 from robotctl.replay.timeline import Entry
-from robotctl.replay.timing import Lateness
 
 Send = Callable[[bytes], bool | None]
 """Hands a serialized message to the middleware: False where that did not take it, None where it

@@ -9,23 +9,12 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from robotctl.ros.executor import AsyncioExecutor
-    from robotctl.ros.raw import RawTap
-    from robotctl.ros.ticker import Tick, Ticker
+    from robotctl.ros.executor import AsyncioExecutor, RawTap, Tick, Ticker
 
 __all__ = ["AsyncioExecutor", "RawTap", "Tick", "Ticker"]
 
-_HOMES = {
-    "AsyncioExecutor": "robotctl.ros.executor",
-    "RawTap": "robotctl.ros.raw",
-    "Tick": "robotctl.ros.ticker",
-    "Ticker": "robotctl.ros.ticker",
-}
-
 
 def __getattr__(name: str) -> object:
-    try:
-        home = _HOMES[name]
-    except KeyError:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}") from None
-    return getattr(importlib.import_module(home), name)
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module("robotctl.ros.executor"), name)

@@ -10,14 +10,14 @@ from pathlib import Path
 
 from robotctl import __version__
 from robotctl.config import Config, flat
-from robotctl.daemon.journal import Journal
+from robotctl.daemon.control.journal_writer import Journal
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.patterns import Pattern
 from robotctl.kernel.types import DriveRequested, Effect, Event, PublishTwist, Twist
-from robotctl.recording.journal import TYPE_NAME, JournalEntry, decode, encode
-from robotctl.recording.recorder import Recorder, RecorderOptions, Topic
-from robotctl.replay.closed_loop import closed_loop
-from robotctl.testing.recordings import GID, ODOMETRY, START_NS, TWIST
+from robotctl.recording.format.journal import TYPE_NAME, JournalEntry, decode, encode
+from robotctl.recording.write.recorder import Recorder, RecorderOptions, Topic
+from robotctl.rerun.closed_loop import closed_loop
+from tests.support.recordings import GID, ODOMETRY, START_NS, TWIST
 
 BEGIN_NS = 5_000_000_000
 """Steady time at which drives begin."""

@@ -15,7 +15,9 @@ from typing import Any
 import pytest
 
 import robotctl
-from robotctl.cli import app, launch, text
+from robotctl.cli import app
+from robotctl.cli.support import launch
+from robotctl.cli.terminal import text
 from robotctl.errors import NoDaemon
 from robotctl.ipc.client import Client
 from robotctl.processes import Child
@@ -93,7 +95,9 @@ def daemon(cli: Callable[..., Ran]) -> None:
 
 PROGRAM = """
 import sys
-from robotctl.cli import app, launch, text
+from robotctl.cli import app
+from robotctl.cli.support import launch
+from robotctl.cli.terminal import text
 launch.DAEMON = (sys.executable, sys.argv.pop(1))
 app.main()
 """

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from robotctl.cli.background import Background
-from robotctl.testing.waiting import DEADLINE_S, until
+from robotctl.cli.support.background import Background
+from tests.support.waiting import DEADLINE_S, until
 
 
 def started(work: Callable[[], dict[str, Any]]) -> Background:

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.recording.journal import JournalEntry
+from robotctl.recording.format.journal import JournalEntry
 from robotctl.testing.drives import Written, drive, record
 
 Cli = Callable[..., Any]

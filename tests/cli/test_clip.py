@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 
 from robotctl.paths import recordings_note_path
-from robotctl.recording.events import EventKind, RecordedEvent
-from robotctl.recording.reader import read_info
-from robotctl.recording.recorder import Recorder
-from robotctl.testing.recordings import START_NS, TWIST, number_of, read_strictly, write_numbered
+from robotctl.recording.format.events import EventKind, RecordedEvent
+from robotctl.recording.read.reader import read_info
+from robotctl.recording.write.recorder import Recorder
+from tests.support.recordings import START_NS, TWIST, number_of, read_strictly, write_numbered
 
 Cli = Callable[..., Any]
 

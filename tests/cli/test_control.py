@@ -14,13 +14,13 @@ from typing import Any
 import pytest
 
 from robotctl import processes
-from robotctl.cli import control, interrupted_drive
-from robotctl.cli.background import Background
+from robotctl.cli.support import control, interrupted_drive
+from robotctl.cli.support.background import Background
 from robotctl.ipc.client import Client, call
 from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
 from robotctl.kernel.modes import Mode
-from robotctl.testing.waiting import until
-from robotctl.testing.world import STATUS_KEYS
+from tests.support.waiting import until
+from tests.support.world import STATUS_KEYS
 
 
 def mode() -> str:

@@ -12,11 +12,11 @@ from typing import Any
 
 import pytest
 
-from robotctl.cli import demo
-from robotctl.cli.demo import CONFIG
+from robotctl.cli.commands import demo
+from robotctl.cli.commands.demo import CONFIG
 from robotctl.config import Config, load
 from robotctl.ipc.client import call
-from robotctl.recording.reader import read_info
+from robotctl.recording.read.reader import read_info
 
 
 def sockets(home: Path) -> list[str]:

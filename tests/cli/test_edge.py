@@ -17,12 +17,13 @@ import pytest
 from typer.main import get_command
 
 import robotctl
-from robotctl.cli import commands, control
-from robotctl.cli.commands import MODULES
-from robotctl.recording.recorder import Recorder
-from robotctl.testing.recordings import TWIST, write_numbered
+from robotctl.cli import registry
+from robotctl.cli.registry import COMMANDS as OURS
+from robotctl.cli.support import control
+from robotctl.recording.write.recorder import Recorder
+from tests.support.recordings import TWIST, write_numbered
 
-COMMANDS = [*MODULES, "record status", "record split", "recordings keep", "recordings unkeep"]
+COMMANDS = [*OURS, "record status", "record split", "recordings keep", "recordings unkeep"]
 
 NO_DAEMON = "robotctl: no daemon for robot 'robot' (start one with: robotctl start)\n"
 
@@ -331,7 +332,7 @@ def test_nothing_at_all_shows_the_help(cli: Callable[..., Any]) -> None:
     ran = cli()
     assert ran.exit_code == 0
     assert ran.out == cli("--help").out
-    assert all(f"\n  {name} " in ran.out for name in MODULES)
+    assert all(f"\n  {name} " in ran.out for name in OURS)
 
 
 def test_no_sentence_in_the_list_of_commands_is_cut(cli: Callable[..., Any]) -> None:
@@ -347,7 +348,7 @@ def test_every_help_fits_80_columns(name: str, cli: Callable[..., Any]) -> None:
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_example_in_the_help_can_be_typed(name: str) -> None:
-    app: Any = get_command(commands.app)
+    app: Any = get_command(registry.app)
     context = app.make_context("robotctl", [], resilient_parsing=True)
     command = app
     for word in name.split():

@@ -14,11 +14,12 @@ from typing import Any
 import pytest
 
 from robotctl import __version__
-from robotctl.cli import launch, lifecycle
+from robotctl.cli.commands import logs, start
+from robotctl.cli.support import launch
 from robotctl.errors import NoDaemon
 from robotctl.ipc.client import call
 from robotctl.paths import log_path
-from robotctl.testing.waiting import until
+from tests.support.waiting import until
 
 
 def children() -> set[int]:
@@ -146,7 +147,7 @@ def test_a_daemon_that_is_ready_but_was_not_told_of_ends_with_its_start(
         os.kill(os.getpid(), number)
         yield "ready"
 
-    monkeypatch.setattr(lifecycle, "summary", interrupted)
+    monkeypatch.setattr(start, "summary", interrupted)
     assert cli("start").exit_code == 130
     assert children() == before
     with pytest.raises(NoDaemon):
@@ -239,11 +240,11 @@ def following(path: Path, monkeypatch: pytest.MonkeyPatch, *steps: Callable[[], 
             raise Enough
         step()
 
-    monkeypatch.setattr("robotctl.cli.lifecycle.time.sleep", wait)
+    monkeypatch.setattr("robotctl.cli.commands.logs.time.sleep", wait)
 
     def lines() -> Iterator[str]:
         try:
-            yield from lifecycle._lines(path, follow=True)
+            yield from logs._lines(path, follow=True)
         except Enough:
             return
 

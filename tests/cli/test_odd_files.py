@@ -15,11 +15,11 @@ from typing import Any
 import pytest
 
 from robotctl.config import load
-from robotctl.daemon.options import parse
+from robotctl.daemon.command_line import parse
 from robotctl.errors import ConfigError, UsageError
 from robotctl.paths import log_path, make_private, recordings_note_path
 from robotctl.testing.drives import drive, record
-from robotctl.testing.waiting import DEADLINE_S
+from tests.support.waiting import DEADLINE_S
 
 RECORDING = "run"
 

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from robotctl.cli import commands, control, quick
+from robotctl.cli import quick, registry
+from robotctl.cli.support import control
 from robotctl.errors import UsageError
 
 NAMES = ["status", "set_mode", "estop", "reset", "stop"]
@@ -59,7 +60,7 @@ def by_typer(arguments: list[str], calls: list[Any]) -> Any:
     """The call that typer makes of the arguments, or None where it refuses them."""
     calls.clear()
     try:
-        commands.dispatch(arguments)
+        registry.dispatch(arguments)
     except UsageError:
         return None
     return calls[0]

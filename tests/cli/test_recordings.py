@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from robotctl.paths import recordings_note_path
-from robotctl.recording.events import EventKind, RecordedEvent
-from robotctl.recording.recorder import Recorder, Topic
-from robotctl.testing.recordings import START_NS, TWIST, read_strictly, write_numbered
+from robotctl.recording.format.events import EventKind, RecordedEvent
+from robotctl.recording.write.recorder import Recorder, Topic
+from tests.support.recordings import START_NS, TWIST, read_strictly, write_numbered
 
 Cli = Callable[..., Any]
 

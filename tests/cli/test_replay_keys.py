@@ -18,8 +18,8 @@ from typing import Any
 
 import pytest
 
-from robotctl.testing.bags import Line, odometry, status, write_bag
-from robotctl.testing.waiting import DEADLINE_S
+from tests.support.bags import Line, odometry, status, write_bag
+from tests.support.waiting import DEADLINE_S
 
 ECHO_FLAGS = 3
 CODE = "from robotctl.cli.app import main; main()"

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robotctl.cli import topic_table
-from robotctl.cli.topic_table import TopicTable
+from robotctl.cli.terminal import topic_table
+from robotctl.cli.terminal.topic_table import TopicTable
 
 SERVICE_EVENT = "/set_mode/_service_event"
 SERVICE_EVENT_TYPE = "robot_controller/srv/SetMode_Event"

@@ -13,10 +13,10 @@ from typing import Any
 
 import pytest
 
-from robotctl.cli import watch
-from robotctl.cli.background import Background
-from robotctl.cli.status_line import HEADER, status_line
-from robotctl.cli.view import live_view
+from robotctl.cli.commands import watch
+from robotctl.cli.support.background import Background
+from robotctl.cli.terminal.live_view import live_view
+from robotctl.cli.terminal.status_line import HEADER, status_line
 from robotctl.errors import Refused
 from robotctl.ipc.client import call
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.recording.journal import JournalEntry
+from robotctl.recording.format.journal import JournalEntry
 from robotctl.testing.drives import Written, drive, drive_requested, record
 
 Cli = Callable[..., Any]

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from robotctl.testing.drives import drive, record
-from robotctl.testing.mcap_faults import chunks_of, zero
+from robotctl.testing.faults import chunks_of, zero
 
 ZEROS = "a chunk was here, and is zeros now, as a power cut leaves them"
 

@@ -12,11 +12,11 @@ from typing import Any
 
 import pytest
 
-from robotctl.daemon.options import DaemonOptions
+from robotctl.daemon.command_line import DaemonOptions
 from robotctl.errors import NoDaemon
 from robotctl.ipc.client import call
-from robotctl.testing.waiting import DEADLINE_S
-from robotctl.testing.world import Peer, World, new_world
+from tests.support.waiting import DEADLINE_S
+from tests.support.world import Peer, World, new_world
 
 with warnings.catch_warnings():
     # Where the interface generators are installed, rclpy imports an old parser with them.

@@ -14,14 +14,14 @@ import pytest
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
-from robotctl.recording.journal import Kind
-from robotctl.recording.reader import read_info, read_messages
-from robotctl.replay.check import check
-from robotctl.replay.report import Verdict
-from robotctl.testing.bags import text
-from robotctl.testing.recordings import read_strictly
-from robotctl.testing.waiting import until
-from robotctl.testing.world import PATIENT, Peer, Ran, World, journal_of, new_world, read_back
+from robotctl.recording.format.journal import Kind
+from robotctl.recording.read.reader import read_info, read_messages
+from robotctl.rerun.check import check
+from robotctl.rerun.check_report import Verdict
+from tests.support.bags import text
+from tests.support.recordings import read_strictly
+from tests.support.waiting import until
+from tests.support.world import PATIENT, Peer, Ran, World, journal_of, new_world, read_back
 
 MARK = "the door \x1b[2J opened"
 CONFIG = f"{PATIENT}recording: {{clip_before_s: 2.0, clip_after_s: 0.5}}\n"

@@ -10,8 +10,8 @@ import time
 import pytest
 
 from robotctl.ipc.client import Client
-from robotctl.testing.waiting import DEADLINE_S, until
-from robotctl.testing.world import World
+from tests.support.waiting import DEADLINE_S, until
+from tests.support.world import World
 
 STOP_WITHIN_S = 1.0
 """Ten times what an emergency stop may take on a busy machine."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 
-from robotctl.testing.waiting import DEADLINE_S, until
-from robotctl.testing.world import World
+from tests.support.waiting import DEADLINE_S, until
+from tests.support.world import World
 
 
 def test_a_waiting_client_that_is_killed_ends_its_drive_and_the_next_one_is_told_of_the_end(

@@ -7,11 +7,11 @@ from collections.abc import Callable
 
 import pytest
 
-from robotctl.daemon import ending
-from robotctl.daemon.control import Control
-from robotctl.daemon.ending import stand_still
-from robotctl.daemon.journal import Journal
-from robotctl.daemon.requests import Requests
+from robotctl.daemon import shutdown
+from robotctl.daemon.control.dispatcher import Control
+from robotctl.daemon.control.journal_writer import Journal
+from robotctl.daemon.control.pending import Requests
+from robotctl.daemon.shutdown import stand_still
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
@@ -26,10 +26,10 @@ from robotctl.kernel.types import (
     ResetRequested,
     Tick,
 )
-from robotctl.recording.journal import JournalEntry, Kind, decode
-from robotctl.replay.rerun import rerun
+from robotctl.recording.format.journal import JournalEntry, Kind, decode
+from robotctl.rerun.rerun import rerun
 from robotctl.testing.kernels import moving
-from robotctl.testing.waiting import loop_until
+from tests.support.waiting import loop_until
 
 
 class Bench:
@@ -168,7 +168,7 @@ async def test_a_last_zero_that_fails_is_sent_again() -> None:
 
 
 async def test_a_ramp_that_takes_too_long_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ending, "RAMP_DOWN_S", 0.01)
+    monkeypatch.setattr(shutdown, "RAMP_DOWN_S", 0.01)
     bench = Bench(moving().kernel.params, moving().state)
     bench.do = lambda effect: bench.requests.answer(effect) if type(effect) is Reply else None
     monkeypatch.setattr(time, "monotonic_ns", lambda: bench.control.state.tick_t_ns)

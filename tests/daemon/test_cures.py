@@ -8,11 +8,11 @@ from typing import Any, cast
 
 import pytest
 
-from robotctl.daemon.flight_recorder import FlightRecorder
-from robotctl.daemon.options import DaemonOptions
-from robotctl.daemon.recorder_report import RecorderReport
-from robotctl.daemon.recording_methods import recording_methods
-from robotctl.daemon.status import ROBOT_FACTS, StatusSource
+from robotctl.daemon.api.recording import recording_methods
+from robotctl.daemon.api.status import ROBOT_FACTS, StatusSource
+from robotctl.daemon.command_line import DaemonOptions
+from robotctl.daemon.recording.flight_recorder import FlightRecorder
+from robotctl.daemon.recording.report import RecorderReport
 from robotctl.errors import Refused
 from robotctl.ipc.params import MarkParams, NoParams
 

@@ -13,15 +13,15 @@ from pathlib import Path
 import pytest
 
 from robotctl.config import RecordingParams
-from robotctl.daemon import black_box
-from robotctl.daemon.black_box import CUTTER, BlackBox
+from robotctl.daemon.recording import black_box
+from robotctl.daemon.recording.black_box import CUTTER, BlackBox
 from robotctl.processes import start
-from robotctl.recording.clip import Moment
-from robotctl.recording.clip_job import ClipJob
-from robotctl.recording.events import EventKind, RecordedEvent
-from robotctl.recording.recorder import Recorder
-from robotctl.testing.recordings import GID, TWIST, numbered
-from robotctl.testing.waiting import DEADLINE_S, until
+from robotctl.recording.format.events import EventKind, RecordedEvent
+from robotctl.recording.keep.clip import Moment
+from robotctl.recording.keep.clip_job import ClipJob
+from robotctl.recording.write.recorder import Recorder
+from tests.support.recordings import GID, TWIST, numbered
+from tests.support.waiting import DEADLINE_S, until
 
 SAY = """
 import os, sys

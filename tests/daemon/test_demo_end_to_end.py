@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.recording.reader import read_info
-from robotctl.testing.waiting import DEADLINE_S, until
-from robotctl.testing.world import World, read_back
+from robotctl.recording.read.reader import read_info
+from tests.support.waiting import DEADLINE_S, until
+from tests.support.world import World, read_back
 
 
 def test_the_demo_drives_a_lap_and_shows_what_was_recorded(world: World) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.daemon.driving import DrivingMethods
+from robotctl.daemon.api.driving import DrivingMethods
 from robotctl.errors import Refused, UsageError
 from robotctl.ipc.params import DriveParams, EndDriveParams
 from robotctl.kernel.drive import Drive

@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from robotctl.daemon import latch_file
-from robotctl.daemon.effects import Effects
-from robotctl.daemon.latch import Latch
-from robotctl.daemon.latch_file import LatchedStop
-from robotctl.daemon.requests import Requests, UnsavedReply
+from robotctl.daemon.control import latch_file
+from robotctl.daemon.control.effects import Effects
+from robotctl.daemon.control.latch import Latch
+from robotctl.daemon.control.latch_file import LatchedStop
+from robotctl.daemon.control.pending import Requests, UnsavedReply
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import (
     Cause,
@@ -25,7 +25,7 @@ from robotctl.kernel.types import (
     Reply,
     Twist,
 )
-from robotctl.recording.events import EventKind, RecordedEvent
+from robotctl.recording.format.events import EventKind, RecordedEvent
 
 REPLY = Reply(1, True, "Mode changed to EMERGENCY_STOP", Mode.EMERGENCY_STOP)
 

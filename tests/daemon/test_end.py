@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from robotctl.kernel.types import ModeChanged
-from robotctl.replay.rerun import rerun
-from robotctl.testing.waiting import DEADLINE_S, until
-from robotctl.testing.world import PATIENT, World, journal_of, read_back
+from robotctl.rerun.rerun import rerun
+from tests.support.waiting import DEADLINE_S, until
+from tests.support.world import PATIENT, World, journal_of, read_back
 
 
 def pid_of(world: World, robot: str = "robot") -> int:

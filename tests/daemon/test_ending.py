@@ -8,8 +8,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from robotctl.daemon.ending import told_to_end
-from robotctl.testing.waiting import loop_until
+from robotctl.daemon.shutdown import told_to_end
+from tests.support.waiting import loop_until
 
 
 @pytest.fixture

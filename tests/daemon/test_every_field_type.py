@@ -16,10 +16,10 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 
-from robotctl.recording.reader import read_messages
-from robotctl.testing.bags import padded
-from robotctl.testing.waiting import until
-from robotctl.testing.world import World, new_world
+from robotctl.recording.read.reader import read_messages
+from tests.support.bags import padded
+from tests.support.waiting import until
+from tests.support.world import World, new_world
 
 messages = pytest.importorskip("test_msgs.msg", reason="test_msgs is not installed")
 fixtures = pytest.importorskip("test_msgs.message_fixtures")

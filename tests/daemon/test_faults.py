@@ -16,24 +16,24 @@ from typing import Any
 import pytest
 
 from robotctl.daemon.app import serve
-from robotctl.daemon.inputs import Inputs
-from robotctl.daemon.options import DaemonOptions
-from robotctl.daemon.recorder_report import RecorderReport
-from robotctl.daemon.watchdog import Watchdog
+from robotctl.daemon.command_line import DaemonOptions
+from robotctl.daemon.control.inputs import Inputs
+from robotctl.daemon.control.watchdog import Watchdog
+from robotctl.daemon.recording.report import RecorderReport
 from robotctl.errors import Refused
 from robotctl.ipc.client import Client
 from robotctl.ipc.listener import Listener
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.patterns import PatternKind
 from robotctl.kernel.types import ModeRequested
-from robotctl.recording.reader import read_info
-from robotctl.replay.rerun import rerun
-from robotctl.ros.mode_service import ModeService
-from robotctl.ros.simulated_robot import SimulatedRobot
-from robotctl.ros.tap import Tap
-from robotctl.ros.velocity_publisher import VelocityPublisher
-from robotctl.testing.waiting import until
-from robotctl.testing.world import Peer, World, journal_of, read_back
+from robotctl.recording.read.reader import read_info
+from robotctl.rerun.rerun import rerun
+from robotctl.ros.nodes.mode_service import ModeService
+from robotctl.ros.nodes.simulated_robot import SimulatedRobot
+from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
+from robotctl.ros.tap.tap import Tap
+from tests.support.waiting import until
+from tests.support.world import Peer, World, journal_of, read_back
 
 
 class Bomb:

@@ -9,22 +9,22 @@ from typing import Any
 
 import pytest
 
-from robotctl.daemon import recordings
+from robotctl.daemon.recording import folder
 from robotctl.kernel.patterns import PatternKind
-from robotctl.recording.journal import Kind, decode
-from robotctl.recording.reader import read_info, read_messages
-from robotctl.recording.recorder import RecorderOptions
-from robotctl.replay.check import check
-from robotctl.replay.report import Verdict
-from robotctl.testing.waiting import loop_until
-from robotctl.testing.world import PATIENT, World
+from robotctl.recording.format.journal import Kind, decode
+from robotctl.recording.read.reader import read_info, read_messages
+from robotctl.recording.write.recorder import RecorderOptions
+from robotctl.rerun.check import check
+from robotctl.rerun.check_report import Verdict
+from tests.support.waiting import loop_until
+from tests.support.world import PATIENT, World
 
 
 @pytest.fixture(autouse=True)
 def short_files(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let each chunk fill a file."""
     options = partial(RecorderOptions, split_bytes=1)
-    monkeypatch.setattr(recordings, "RecorderOptions", options)
+    monkeypatch.setattr(folder, "RecorderOptions", options)
 
 
 def files_of(world: World) -> list[Path]:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
-from robotctl.testing.lines import Told
-from robotctl.testing.waiting import until
-from robotctl.testing.world import Peer, World
+from tests.support.lines import Told, peer
+from tests.support.waiting import until
+from tests.support.world import Peer, World
 
 STRANGE = [
     ("/types/main", "lib2to3/__main__/X"),
@@ -30,7 +29,7 @@ TOO_LARGE = 160_000_000
 @pytest.fixture
 def hostile(world: World) -> Iterator[Told]:
     """A process that does not validate what it announces."""
-    told = Told([sys.executable, "-m", "robotctl.testing.hostile_peer"], world.environment)
+    told = Told(peer("hostile_peer"), world.environment)
     yield told
     told.close()
 

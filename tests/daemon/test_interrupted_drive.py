@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from robotctl.testing.waiting import DEADLINE_S, until
-from robotctl.testing.world import PATIENT, World, new_world
+from tests.support.waiting import DEADLINE_S, until
+from tests.support.world import PATIENT, World, new_world
 
 GENTLE = f"{PATIENT}limits: {{linear_accel_mps2: 0.1, angular_accel_rps2: 0.3}}\n"
 """A ramp down from 0.3 m/s takes 3 s: there is time for a second Ctrl-C."""

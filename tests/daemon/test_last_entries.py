@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from robotctl.recording.recorder import Recorder, RecorderStats
-from robotctl.testing.world import Peer, World, journal_of, read_back
+from robotctl.recording.write.recorder import Recorder, RecorderStats
+from tests.support.world import Peer, World, journal_of, read_back
 
 SLOW_DISK_S = 0.3
 """What the end of a recording takes here; meanwhile the peer sends 15 samples."""

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.daemon import latch as latch_module
-from robotctl.daemon import latch_file
-from robotctl.daemon.latch import Latch
-from robotctl.daemon.latch_file import LatchedStop
+from robotctl.daemon.control import latch as latch_module
+from robotctl.daemon.control import latch_file
+from robotctl.daemon.control.latch import Latch
+from robotctl.daemon.control.latch_file import LatchedStop
 from robotctl.errors import UsageError
 from robotctl.kernel.types import Cause
-from robotctl.testing.waiting import loop_until
+from tests.support.waiting import loop_until
 
 BY_OPERATOR = Cause.OPERATOR_STOP
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import sys
 
-from robotctl.daemon.log import PlainFormatter
+from robotctl.daemon.log.lines import PlainFormatter
 
 
 def formatted(message: str, *arguments: object, failed: bool = False) -> str:

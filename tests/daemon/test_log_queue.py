@@ -10,12 +10,12 @@ from collections.abc import Callable
 
 import pytest
 
-from robotctl.daemon.log_queue import CAPACITY_BYTES
-from robotctl.testing.waiting import DEADLINE_S
+from robotctl.daemon.log.queue import CAPACITY_BYTES
+from tests.support.waiting import DEADLINE_S
 
 LOGGING = """
 import ctypes, logging, os, sys, time, warnings
-from robotctl.daemon.log import log_to_stderr
+from robotctl.daemon.log.lines import log_to_stderr
 log = logging.getLogger("test")
 def asked():
     print("asked", flush=True)

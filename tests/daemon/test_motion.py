@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from robotctl.daemon import motion
-from robotctl.daemon.motion import MIN_STEP_M, Motion
+from robotctl.daemon.control import motion
+from robotctl.daemon.control.motion import MIN_STEP_M, Motion
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.params import KernelParams
 from robotctl.testing.kernels import Bench, moving

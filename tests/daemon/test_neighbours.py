@@ -9,8 +9,8 @@ import subprocess
 import time
 from collections.abc import Callable
 
-from robotctl.testing.waiting import DEADLINE_S, until
-from robotctl.testing.world import PATIENT, Peer, World
+from tests.support.waiting import DEADLINE_S, until
+from tests.support.world import PATIENT, Peer, World
 
 
 def test_no_robot_is_simulated_where_one_is(

@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from robotctl.replay.neighbours import daemons_in, running_daemons
-from robotctl.testing.waiting import until
-from robotctl.testing.world import STATUS_KEYS, Peer, Ran, World, new_world, read_back
+from robotctl.replay.other_daemons import daemons_in, running_daemons
+from tests.support.waiting import until
+from tests.support.world import STATUS_KEYS, Peer, Ran, World, new_world, read_back
 
 COMMANDS = 200
 

@@ -6,8 +6,8 @@ import json
 import re
 from collections.abc import Callable
 
-from robotctl.testing.waiting import until
-from robotctl.testing.world import Peer, World, journal_of, read_back
+from tests.support.waiting import until
+from tests.support.world import Peer, World, journal_of, read_back
 
 Event = dict[str, float]
 

@@ -8,15 +8,15 @@ from typing import Any
 
 import pytest
 
-from robotctl.daemon.inputs import Inputs
-from robotctl.daemon.motion import Motion
-from robotctl.daemon.recorder_report import RecorderReport
+from robotctl.daemon.control.inputs import Inputs
+from robotctl.daemon.control.motion import Motion
+from robotctl.daemon.recording.report import RecorderReport
 from robotctl.daemon.supervisor import OUT_OF_MEMORY
 from robotctl.errors import RobotctlError
 from robotctl.kernel.patterns import PatternKind
-from robotctl.ros.velocity_publisher import VelocityPublisher
-from robotctl.testing.waiting import loop_until
-from robotctl.testing.world import World, read_back
+from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
+from tests.support.waiting import loop_until
+from tests.support.world import World, read_back
 
 STILL = bytes(48)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.daemon.provenance import provenance, revision, revision_around
+from robotctl.daemon.recording.provenance import provenance, revision, revision_around
 
 
 def git(folder: Path, *arguments: str) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.ros.pool import Pool
+from robotctl.ros.executor.pool import Pool
 
 LOOKS_PER_S = 100
 """Of the recorder at its topics. A rest of 30 ms makes 33 of them, one of 2 ms made 200."""

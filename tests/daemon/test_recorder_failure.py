@@ -11,13 +11,13 @@ from typing import Any
 
 import pytest
 
-from robotctl.daemon import recordings, statistics
+from robotctl.daemon.recording import folder, topic_rates
 from robotctl.kernel.patterns import PatternKind
-from robotctl.recording.recorder import RecorderOptions
-from robotctl.replay.rerun import rerun
-from robotctl.testing.mcap_faults import FailingFile
-from robotctl.testing.waiting import until
-from robotctl.testing.world import PATIENT, World, journal_of, read_back
+from robotctl.recording.write.recorder import RecorderOptions
+from robotctl.rerun.rerun import rerun
+from robotctl.testing.faults import FailingFile
+from tests.support.waiting import until
+from tests.support.world import PATIENT, World, journal_of, read_back
 
 NEVER = 1 << 60
 FILE_BYTES = 60_000
@@ -33,7 +33,7 @@ def disk(monkeypatch: pytest.MonkeyPatch) -> list[FailingFile]:
         return opened[-1]
 
     options = partial(RecorderOptions, open_file=open_file)
-    monkeypatch.setattr(recordings, "RecorderOptions", options)
+    monkeypatch.setattr(folder, "RecorderOptions", options)
     return opened
 
 
@@ -93,8 +93,8 @@ async def test_a_heavy_topic_is_named_once_with_the_filter_that_leaves_it_out(
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    monkeypatch.setattr(statistics, "HEAVY_BYTES_PER_S", 1.0)
-    monkeypatch.setattr(statistics, "HEAVY_WINDOW_S", 1.0)
+    monkeypatch.setattr(topic_rates, "HEAVY_BYTES_PER_S", 1.0)
+    monkeypatch.setattr(topic_rates, "HEAVY_WINDOW_S", 1.0)
     told = "robotctl start --exclude /battery_state leaves it out of the recording"
     async with in_process() as daemon:
         status = await daemon.until(

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from robotctl.config import Config
-from robotctl.daemon.recordings import open_recorder
-from robotctl.recording.reader import read_info
-from robotctl.testing.world import World
+from robotctl.daemon.recording.folder import open_recorder
+from robotctl.recording.read.reader import read_info
+from tests.support.world import World
 
 STEERING = "rec\n\x1b[2J\x1b[31mordings"
 

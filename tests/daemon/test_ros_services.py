@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from robotctl.testing.waiting import until
-from robotctl.testing.world import PATIENT, Peer, World
+from tests.support.waiting import until
+from tests.support.world import PATIENT, Peer, World
 
 GENTLE = "limits.linear_accel_mps2: 0.03\n"
 """A ramp from 0.1 m/s takes 3 s."""

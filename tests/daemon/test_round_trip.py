@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from robotctl.testing.bags import padded
-from robotctl.testing.waiting import until
-from robotctl.testing.world import World, read_back
+from tests.support.bags import padded
+from tests.support.waiting import until
+from tests.support.world import World, read_back
 
 RELIABLE = ("/cmd_vel", "/robot_status", "/robotctl/journal")
 BEST_EFFORT = ("/odom", "/battery_state")

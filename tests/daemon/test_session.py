@@ -13,10 +13,10 @@ from typing import Any
 
 import pytest
 
-from robotctl.recording.journal import JournalEntry, Kind
-from robotctl.replay.rerun import rerun
-from robotctl.testing.waiting import until
-from robotctl.testing.world import STATUS_KEYS, Peer, World, journal_of, new_world, read_back
+from robotctl.recording.format.journal import JournalEntry, Kind
+from robotctl.rerun.rerun import rerun
+from tests.support.waiting import until
+from tests.support.world import STATUS_KEYS, Peer, World, journal_of, new_world, read_back
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,7 +254,7 @@ def test_every_message_is_recorded_from_the_first_to_the_last(session: Session, 
 def test_every_call_of_the_service_is_recorded_with_its_answer(session: Session) -> None:
     from rclpy.serialization import deserialize_message
 
-    from robotctl.ros.message_types import message_class
+    from robotctl.ros.messages.classes import message_class
 
     kind = message_class("robot_controller/srv/SetMode_Event")
     events = [

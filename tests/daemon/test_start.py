@@ -10,8 +10,8 @@ from shutil import rmtree
 
 import pytest
 
-from robotctl.testing.waiting import DEADLINE_S, until
-from robotctl.testing.world import ROBOTCTL, Peer, World
+from tests.support.waiting import DEADLINE_S, until
+from tests.support.world import ROBOTCTL, Peer, World
 
 
 def pid_of(world: World, robot: str = "robot") -> int:

@@ -10,16 +10,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robotctl.daemon.diagnosis import MAX_TOPICS, diagnose
-from robotctl.daemon.statistics import (
+from robotctl.daemon.recording.loss_diagnosis import MAX_TOPICS, diagnose
+from robotctl.daemon.recording.topic_rates import (
     HEAVY_BYTES_PER_S,
     HEAVY_WINDOW_S,
     HeavyTopics,
     RateMeter,
     by_topic,
 )
-from robotctl.recording.recorder import RecorderState, RecorderStats, TopicStats
-from robotctl.ros.diagnostics_publisher import Level
+from robotctl.recording.write.recorder import RecorderState, RecorderStats, TopicStats
+from robotctl.ros.nodes.diagnostics_publisher import Level
 
 S = 1_000_000_000
 CAMERA, SCAN = ("/camera", "sensor_msgs/msg/Image"), ("/scan", "sensor_msgs/msg/LaserScan")

@@ -12,11 +12,11 @@ from typing import Any
 
 import pytest
 
-from robotctl.recording.reader import read_info
-from robotctl.recording.recorder import Recorder
-from robotctl.testing.recordings import TWIST, write_numbered
-from robotctl.testing.waiting import until
-from robotctl.testing.world import World
+from robotctl.recording.read.reader import read_info
+from robotctl.recording.write.recorder import Recorder
+from tests.support.recordings import TWIST, write_numbered
+from tests.support.waiting import until
+from tests.support.world import World
 
 _listeners: list[Callable[[str], None]] = []
 
@@ -67,7 +67,7 @@ def tidied_by_somebody(recordings: Path) -> Iterator[None]:
 
 def tidying(world: World) -> list[int]:
     found = world.processes().items()
-    return [pid for pid, command in found if "robotctl.recording.tidying" in command]
+    return [pid for pid, command in found if "robotctl.recording.keep.tidy_process" in command]
 
 
 async def test_no_file_of_the_folder_is_opened_before_ready(

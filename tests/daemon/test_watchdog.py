@@ -14,10 +14,10 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.daemon.processor_time import ProcessorTime
-from robotctl.daemon.watchdog import CONFIRM_S, SHOWN_FRAMES, Watchdog, where
+from robotctl.daemon.control.processor_time import ProcessorTime
+from robotctl.daemon.control.watchdog import CONFIRM_S, SHOWN_FRAMES, Watchdog, where
 from robotctl.kernel.types import Cause, FaultReported, LoopStalled
-from robotctl.testing.waiting import DEADLINE_S, until
+from tests.support.waiting import DEADLINE_S, until
 
 
 class Gate:

@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 
 from robotctl.cli import app
-from robotctl.daemon import recording_methods
+from robotctl.daemon.api import recording
 from robotctl.ipc.client import call
 from robotctl.ipc.params import NoParams
-from robotctl.testing.waiting import until
-from robotctl.testing.world import World
+from tests.support.waiting import until
+from tests.support.world import World
 
 ROUNDS = 5
 
@@ -94,9 +94,9 @@ class SlowDisk:
 async def test_what_the_disk_did_not_take_is_counted(
     recorder: SlowDisk, uncommitted: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(recording_methods, "COMMIT_DEADLINE_S", 0.2)
+    monkeypatch.setattr(recording, "COMMIT_DEADLINE_S", 0.2)
     given: Any = recorder
-    commit = recording_methods.recording_methods(given, "robot")["record_commit"].handler
+    commit = recording.recording_methods(given, "robot")["record_commit"].handler
     answer = await commit(NoParams())
     assert answer["uncommitted"] == uncommitted
     assert answer["failure"] == recorder.failure

@@ -11,13 +11,13 @@ from mcap.reader import make_reader
 from robotctl import __version__
 from robotctl.cli import app
 from robotctl.config import Config
-from robotctl.daemon.recordings import open_recorder
-from robotctl.recording.events import EventKind, events_in
-from robotctl.recording.ledger_record import read_ledger
-from robotctl.recording.reader import Recording, read_info, read_messages
-from robotctl.replay.check import check
-from robotctl.replay.invariants import unbalanced
-from robotctl.replay.report import Verdict
+from robotctl.daemon.recording.folder import open_recorder
+from robotctl.recording.format.events import EventKind, events_in
+from robotctl.recording.format.ledger_record import read_ledger
+from robotctl.recording.read.reader import Recording, read_info, read_messages
+from robotctl.rerun.check import check
+from robotctl.rerun.check_report import Verdict
+from robotctl.rerun.invariants import unbalanced
 
 GOLDEN = Path(__file__).parent
 RECORDINGS = ("stopped", "killed", "foreign")

@@ -11,17 +11,17 @@ import pytest
 
 from robotctl import errors
 from robotctl.config import Config, flat, load
-from robotctl.daemon.driving import DrivingMethods
-from robotctl.daemon.methods import common_methods
-from robotctl.daemon.recording_methods import recording_methods
+from robotctl.daemon.api.common import common_methods
+from robotctl.daemon.api.driving import DrivingMethods
+from robotctl.daemon.api.recording import recording_methods
 from robotctl.ipc.connection import Method
 from robotctl.ipc.params import HelloParams
 from robotctl.ipc.protocol import PROTOCOL_VERSION
 from robotctl.kernel.codec import to_json
-from robotctl.recording.journal import JournalEntry, Kind
-from robotctl.replay.report import Verdict
-from robotctl.replay.values import read_effect, read_event, read_snapshot
-from robotctl.replay.vocabulary import Vocabulary
+from robotctl.recording.format.journal import JournalEntry, Kind
+from robotctl.rerun.check_report import Verdict
+from robotctl.rerun.journal_values import read_effect, read_event, read_snapshot
+from robotctl.rerun.vocabulary import Vocabulary
 
 GOLDEN = Path(__file__).parent
 READERS = {Kind.EVENT: read_event, Kind.EFFECT: read_effect, Kind.SNAPSHOT: read_snapshot}

@@ -17,7 +17,7 @@ from robotctl.ipc.params import DriveParams, NoParams, ResetParams, SetModeParam
 from robotctl.ipc.protocol import encode_request
 from robotctl.ipc.server import ControlServer, Identity, Limits, Method
 from robotctl.paths import socket_path
-from robotctl.testing.waiting import DEADLINE_S
+from tests.support.waiting import DEADLINE_S
 
 
 class FakeRobot:

@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from robotctl.cli.commands import MODULES
+from robotctl.cli.registry import MODULES
 from robotctl.ipc.advice import advice
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode

@@ -18,7 +18,7 @@ import pytest
 from robotctl.errors import AlreadyRunning, UsageError
 from robotctl.ipc import listener
 from robotctl.ipc.server import ControlServer, Identity
-from robotctl.testing.waiting import loop_until
+from tests.support.waiting import loop_until
 
 IDENTITY = Identity("robot", "0.1.0", 1)
 

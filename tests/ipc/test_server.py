@@ -12,7 +12,7 @@ import pytest
 
 from robotctl.ipc import connection
 from robotctl.ipc.protocol import MAX_REQUEST_BYTES, Code, encode_request
-from robotctl.testing.waiting import DEADLINE_S
+from tests.support.waiting import DEADLINE_S
 
 
 def request(method: str, **params: object) -> bytes:

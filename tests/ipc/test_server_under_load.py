@@ -17,7 +17,7 @@ import pytest
 from robotctl.ipc import connection
 from robotctl.ipc.protocol import Code, encode_request
 from robotctl.ipc.server import Limits
-from robotctl.testing.waiting import DEADLINE_S, loop_until
+from tests.support.waiting import DEADLINE_S, loop_until
 
 
 def request(method: str, **params: object) -> bytes:

@@ -33,8 +33,8 @@ from robotctl.kernel.types import (
     Reply,
     Tick,
 )
-from robotctl.testing import strategies
 from robotctl.testing.kernels import moving
+from tests.support import strategies
 
 EVENTS = strategies.event(strategies.INT64, strategies.INT64)
 FLOAT = strategies.ANY_FLOAT

@@ -18,7 +18,7 @@ from robotctl.kernel.params import KernelParams, VelocityLimits
 from robotctl.kernel.patterns import MIN_SIZE_M, Pattern, PatternKind, lap_of
 from robotctl.kernel.tracking import Reference, track
 from robotctl.kernel.types import ZERO, DriveEnded, DriveRequested, ModeChanged, ModeRequested
-from robotctl.replay.closed_loop import closed_loop
+from robotctl.rerun.closed_loop import closed_loop
 from robotctl.sim.robot import SimParams
 from robotctl.testing.kernels import Driven, drive_simulated, moving, while_moving
 

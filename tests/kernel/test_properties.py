@@ -35,8 +35,8 @@ from robotctl.kernel.types import (
     Tick,
     Twist,
 )
-from robotctl.testing import strategies
 from robotctl.testing.kernels import TICK_NS, Bench, moving, ready
+from tests.support import strategies
 
 REQUESTS = (ModeRequested, ResetRequested, DriveRequested)
 RELEASES = (0,)

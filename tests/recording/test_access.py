@@ -10,18 +10,18 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from robotctl.cli.picture import write_png
+from robotctl.cli.terminal.picture import write_png
 from robotctl.config import Config, with_setting
-from robotctl.daemon.recordings import open_recorder
-from robotctl.recording.catalog import set_kept
-from robotctl.recording.clip import Moment
-from robotctl.recording.clip_job import ClipJob, make_clip
-from robotctl.recording.recorder import Recorder
-from robotctl.recording.recover import recover
-from robotctl.recording.recover_folder import recover_folder
-from robotctl.recording.repair import repair
-from robotctl.testing.numbered_files import foreign
-from robotctl.testing.recordings import START_NS, TWIST, write_numbered
+from robotctl.daemon.recording.folder import open_recorder
+from robotctl.recording.keep.catalog import set_kept
+from robotctl.recording.keep.clip import Moment
+from robotctl.recording.keep.clip_job import ClipJob, make_clip
+from robotctl.recording.keep.recover import recover
+from robotctl.recording.keep.recover_folder import recover_folder
+from robotctl.recording.keep.repair import repair
+from robotctl.recording.write.recorder import Recorder
+from tests.support.numbered_files import foreign
+from tests.support.recordings import START_NS, TWIST, write_numbered
 
 PRIVATE = {"file": 0o600, "folder": 0o700}
 SHARED = {"file": 0o640, "folder": 0o750}

@@ -13,14 +13,11 @@ import pytest
 from mcap.records import Channel
 
 from robotctl.errors import UnreadableFile, UsageError
-from robotctl.recording.buffer import pack
-from robotctl.recording.chunk_encoder import ChunkEncoder
-from robotctl.recording.damage import BeyondLimit
-from robotctl.recording.journal import MAX_TEXT_BYTES, JournalEntry, Kind, decode, encode
-from robotctl.recording.mcap_file import McapFile
-from robotctl.recording.mcap_format import MESSAGE_HEAD
-from robotctl.recording.options import Compression
-from robotctl.recording.read_limits import (
+from robotctl.recording.disk.storage import DiskFile
+from robotctl.recording.format.journal import MAX_TEXT_BYTES, JournalEntry, Kind, decode, encode
+from robotctl.recording.format.records import MESSAGE_HEAD
+from robotctl.recording.read.damage import BeyondLimit
+from robotctl.recording.read.read_limits import (
     BYTES_PER_RECORD,
     FAST_CHUNK_DISCOUNT,
     RECORDS,
@@ -28,10 +25,13 @@ from robotctl.recording.read_limits import (
     VARIABLE,
     ReadLimits,
 )
-from robotctl.recording.reader import read_info
-from robotctl.recording.storage import DiskFile
-from robotctl.recording.stored_chunk import UnpackBudget
-from robotctl.testing.mcap_bombs import (
+from robotctl.recording.read.reader import read_info
+from robotctl.recording.read.stored_chunk import UnpackBudget
+from robotctl.recording.write.buffer import pack
+from robotctl.recording.write.chunk_encoder import ChunkEncoder
+from robotctl.recording.write.mcap_writer import McapFile
+from robotctl.recording.write.recorder_options import Compression
+from tests.support.mcap_bombs import (
     BOMBS,
     SIZE,
     begun,
@@ -40,7 +40,7 @@ from robotctl.testing.mcap_bombs import (
     spaces_in_metadata,
     write_bomb,
 )
-from robotctl.testing.numbered_files import salvaged
+from tests.support.numbered_files import salvaged
 
 DEADLINE_S = 20.0
 """Ten times what is promised: other tests share the machine."""
@@ -51,10 +51,10 @@ PROGRAM = """
 import json, sys, time
 from pathlib import Path
 from robotctl.errors import RobotctlError
-from robotctl.recording.listing import list_recording
-from robotctl.recording.reader import read_info
-from robotctl.recording.recover import recover
-from robotctl.replay.check import check
+from robotctl.recording.keep.listing import list_recording
+from robotctl.recording.read.reader import read_info
+from robotctl.recording.keep.recover import recover
+from robotctl.rerun.check import check
 
 path, said = Path(sys.argv[1]), {}
 for name, answer in {

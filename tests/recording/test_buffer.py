@@ -8,9 +8,9 @@ from collections.abc import Iterator
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from robotctl.recording.buffer import PackBuffer, Taken, pack
-from robotctl.recording.mcap_format import MESSAGE_HEAD
-from robotctl.testing.recordings import number_of, numbered
+from robotctl.recording.format.records import MESSAGE_HEAD
+from robotctl.recording.write.buffer import PackBuffer, Taken, pack
+from tests.support.recordings import number_of, numbered
 
 
 def packing(buffer: PackBuffer, number: int, channel: int, log_ns: int) -> Iterator[None]:

@@ -11,18 +11,18 @@ from hypothesis import strategies as st
 from rosbags.highlevel import AnyReader
 
 from robotctl.errors import Refused
-from robotctl.recording.clip import Clip, Moment, cut
-from robotctl.recording.events import EventKind, RecordedEvent
-from robotctl.recording.journal import JournalEntry, Kind, decode, encode
-from robotctl.recording.reader import Recording, read_info, read_messages
-from robotctl.recording.recorder import Recorder, RecorderOptions, Topic
-from robotctl.recording.storage import DiskFile
-from robotctl.replay.check import check
-from robotctl.replay.report import Verdict
-from robotctl.testing.bags import LATCHED, STRING, VOLATILE, Line, text, write_bag
+from robotctl.recording.disk.storage import DiskFile
+from robotctl.recording.format.events import EventKind, RecordedEvent
+from robotctl.recording.format.journal import JournalEntry, Kind, decode, encode
+from robotctl.recording.keep.clip import Clip, Moment, cut
+from robotctl.recording.read.reader import Recording, read_info, read_messages
+from robotctl.recording.write.recorder import Recorder, RecorderOptions, Topic
+from robotctl.rerun.check import check
+from robotctl.rerun.check_report import Verdict
 from robotctl.testing.drives import BEGIN_NS, JOURNAL, Written, drive, serialized
-from robotctl.testing.recordings import GID, QOS, START_NS, TWIST, read_strictly
-from robotctl.testing.waiting import until
+from tests.support.bags import LATCHED, STRING, VOLATILE, Line, text, write_bag
+from tests.support.recordings import GID, QOS, START_NS, TWIST, read_strictly
+from tests.support.waiting import until
 
 DURATION_S = 40.0
 MAP = Topic("/map", STRING, "string data\n", "", QOS.replace(": volatile", ": transient_local"))

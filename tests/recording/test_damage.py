@@ -21,13 +21,13 @@ from mcap.records import (
 from mcap.writer import CompressionType
 
 from robotctl.errors import UnreadableFile
-from robotctl.recording.damage import Damaged
-from robotctl.recording.mcap_input import parse
-from robotctl.recording.reader import read_info, read_messages
-from robotctl.recording.recorder import Compression
-from robotctl.testing.mcap_faults import mutated, record_boundaries
-from robotctl.testing.numbered_files import first_numbers, foreign, recorded, salvaged
-from robotctl.testing.recordings import (
+from robotctl.recording.read.damage import Damaged
+from robotctl.recording.read.mcap_input import parse
+from robotctl.recording.read.reader import read_info, read_messages
+from robotctl.recording.write.recorder import Compression
+from robotctl.testing.faults import mutated, record_boundaries
+from tests.support.numbered_files import first_numbers, foreign, recorded, salvaged
+from tests.support.recordings import (
     number_of,
 )
 

@@ -12,10 +12,10 @@ import pytest
 import zstandard
 from mcap.writer import Writer
 
-from robotctl.recording.mcap_format import MAGIC
-from robotctl.recording.reader import read_info
-from robotctl.testing.numbered_files import salvaged
-from robotctl.testing.recordings import (
+from robotctl.recording.format.records import MAGIC
+from robotctl.recording.read.reader import read_info
+from tests.support.numbered_files import salvaged
+from tests.support.recordings import (
     numbered,
 )
 
@@ -87,8 +87,8 @@ def test_what_claims_to_be_huge_is_refused_before_memory_is_taken(
 def test_chunks_that_all_overlap_are_not_all_held_in_memory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("robotctl.recording.read_limits.OPEN_BYTES", 10_000)
-    monkeypatch.setattr("robotctl.recording.read_limits.OPEN_RATIO", 0)
+    monkeypatch.setattr("robotctl.recording.read.read_limits.OPEN_BYTES", 10_000)
+    monkeypatch.setattr("robotctl.recording.read.read_limits.OPEN_RATIO", 0)
     path = tmp_path / "overlap.mcap"
     with path.open("wb") as stream:
         writer = Writer(stream, chunk_size=3000)

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from robotctl.errors import UnreadableFile
-from robotctl.recording.journal import TYPE_NAME, JournalEntry, Kind, encode
-from robotctl.recording.journal_reader import journal_topic, read_journal
-from robotctl.recording.reader import Recording
-from robotctl.recording.recorder import Recorder, RecorderOptions, Topic
-from robotctl.testing.recordings import GID, START_NS, TWIST
+from robotctl.recording.format.journal import TYPE_NAME, JournalEntry, Kind, encode
+from robotctl.recording.read.journal_reader import journal_topic, read_journal
+from robotctl.recording.read.reader import Recording
+from robotctl.recording.write.recorder import Recorder, RecorderOptions, Topic
+from tests.support.recordings import GID, START_NS, TWIST
 
 
 def record(folder: Path, robot: str, topics: dict[str, Iterable[int]]) -> Path:

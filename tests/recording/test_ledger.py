@@ -7,10 +7,10 @@ import random
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robotctl.recording.account import Topic, TopicAccount, TopicStats
-from robotctl.recording.identity import LEDGER_RECORD
-from robotctl.recording.ledger import MAX_PUBLISHERS, SequenceLedger
-from robotctl.recording.ledger_record import ledger_values, read_ledger
+from robotctl.recording.format.identity import LEDGER_RECORD
+from robotctl.recording.format.ledger import MAX_PUBLISHERS, SequenceLedger
+from robotctl.recording.format.ledger_record import ledger_values, read_ledger
+from robotctl.recording.format.topics import Topic, TopicAccount, TopicStats
 
 
 def feed(ledger: SequenceLedger, gid: bytes, *sequences: int) -> None:

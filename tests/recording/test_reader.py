@@ -11,14 +11,14 @@ import pytest
 from mcap.writer import CompressionType, IndexType, Writer
 
 from robotctl.errors import UnreadableFile
-from robotctl.recording.indexing import index_of
-from robotctl.recording.mcap_format import MAGIC
-from robotctl.recording.mcap_input import InputFile
-from robotctl.recording.reader import Recording, read_info, read_messages
-from robotctl.recording.recorder import Compression, Recorder, RecorderOptions
-from robotctl.recording.storage import DiskFile
-from robotctl.testing.numbered_files import first_numbers, foreign, recorded, salvaged
-from robotctl.testing.recordings import (
+from robotctl.recording.disk.storage import DiskFile
+from robotctl.recording.format.records import MAGIC
+from robotctl.recording.read.indexing import index_of
+from robotctl.recording.read.mcap_input import InputFile
+from robotctl.recording.read.reader import Recording, read_info, read_messages
+from robotctl.recording.write.recorder import Compression, Recorder, RecorderOptions
+from tests.support.numbered_files import first_numbers, foreign, recorded, salvaged
+from tests.support.recordings import (
     ODOMETRY,
     TWIST,
     numbered,

@@ -18,11 +18,10 @@ from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader as RosbagsReader
 
 from robotctl.errors import Refused
-from robotctl.recording import bag_writer
-from robotctl.recording import recorder as recorder_module
-from robotctl.recording.background import SLICE_S
-from robotctl.recording.drain import NICE
-from robotctl.recording.recorder import (
+from robotctl.recording.disk.thread_priority import SLICE_S
+from robotctl.recording.write import bag_writer
+from robotctl.recording.write import recorder as recorder_module
+from robotctl.recording.write.recorder import (
     Compression,
     Recorder,
     RecorderOptions,
@@ -30,7 +29,8 @@ from robotctl.recording.recorder import (
     RecorderStats,
     Topic,
 )
-from robotctl.testing.recordings import (
+from robotctl.recording.write.writer_thread import NICE
+from tests.support.recordings import (
     GID,
     ODOMETRY,
     QOS,
@@ -41,7 +41,7 @@ from robotctl.testing.recordings import (
     read_strictly,
     write_numbered,
 )
-from robotctl.testing.waiting import until
+from tests.support.waiting import until
 
 OpenRecorder = Callable[..., Recorder]
 MIB = 1 << 20
@@ -508,7 +508,7 @@ class Slow:
 def test_a_message_that_is_being_packed_while_closing_is_counted(
     open_recorder: OpenRecorder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("robotctl.recording.drain._SETTLE_S", 60.0)
+    monkeypatch.setattr("robotctl.recording.write.writer_thread._SETTLE_S", 60.0)
     recorder = open_recorder(flush_s=60.0)
     channel = recorder.add_topic(TWIST)
     write_numbered(recorder, channel, range(1, 3))

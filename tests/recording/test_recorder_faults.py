@@ -19,21 +19,21 @@ from shutil import rmtree
 import pytest
 
 from robotctl.errors import Refused
-from robotctl.recording.account import TopicAccount
-from robotctl.recording.bag_writer import BagWriter
-from robotctl.recording.buffer import PackBuffer
-from robotctl.recording.mcap_format import MESSAGE_HEAD
-from robotctl.recording.reader import read_info, read_messages
-from robotctl.recording.recorder import (
+from robotctl.recording.disk.storage import Buffer, DiskFile
+from robotctl.recording.format.records import MESSAGE_HEAD
+from robotctl.recording.format.topics import TopicAccount
+from robotctl.recording.read.reader import read_info, read_messages
+from robotctl.recording.write.bag_writer import BagWriter
+from robotctl.recording.write.buffer import PackBuffer
+from robotctl.recording.write.recorder import (
     Compression,
     Recorder,
     RecorderOptions,
     RecorderState,
     RecorderStats,
 )
-from robotctl.recording.storage import Buffer, DiskFile
-from robotctl.testing.mcap_faults import FailingFile, GatedFile, VolatileFile
-from robotctl.testing.recordings import (
+from robotctl.testing.faults import FailingFile, GatedFile, VolatileFile
+from tests.support.recordings import (
     TWIST,
     number_of,
     numbered,
@@ -42,7 +42,7 @@ from robotctl.testing.recordings import (
     record_up_to_file_size,
     write_numbered,
 )
-from robotctl.testing.waiting import until
+from tests.support.waiting import until
 
 KIB = 1 << 10
 CURES = {
@@ -59,7 +59,7 @@ CURES = {
 def fork() -> ForkServerContext:
     """Forks from a clean process that has the recorder imported: no threads are copied."""
     context = get_context("forkserver")
-    context.set_forkserver_preload(["robotctl.testing.recordings"])
+    context.set_forkserver_preload(["tests.support.recordings"])
     return context
 
 

@@ -14,12 +14,12 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from robotctl.errors import Refused, UnreadableFile
-from robotctl.recording.events import EventKind, RecordedEvent
-from robotctl.recording.reader import read_info, read_messages
-from robotctl.recording.recorder import Recorder, RecorderOptions
-from robotctl.recording.recover import recover
-from robotctl.testing.mcap_faults import FailingFile, mutated, record_boundaries
-from robotctl.testing.recordings import (
+from robotctl.recording.format.events import EventKind, RecordedEvent
+from robotctl.recording.keep.recover import recover
+from robotctl.recording.read.reader import read_info, read_messages
+from robotctl.recording.write.recorder import Recorder, RecorderOptions
+from robotctl.testing.faults import FailingFile, mutated, record_boundaries
+from tests.support.recordings import (
     START_NS,
     TWIST,
     number_of,

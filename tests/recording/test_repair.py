@@ -18,15 +18,15 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from zstandard import ZstdDecompressor
 
-from robotctl.recording import repair as repairing
-from robotctl.recording.file_index import FileIndex, read_record_head
-from robotctl.recording.indexing import index_of
-from robotctl.recording.mcap_input import InputFile
-from robotctl.recording.reader import read_info
-from robotctl.recording.recorder import Recorder, RecorderOptions
-from robotctl.recording.storage import DiskFile
-from robotctl.testing.recordings import TWIST, numbered, read_strictly, write_numbered
-from robotctl.testing.waiting import until
+from robotctl.recording.disk.storage import DiskFile
+from robotctl.recording.keep import repair as repairing
+from robotctl.recording.read.file_index import FileIndex, read_record_head
+from robotctl.recording.read.indexing import index_of
+from robotctl.recording.read.mcap_input import InputFile
+from robotctl.recording.read.reader import read_info
+from robotctl.recording.write.recorder import Recorder, RecorderOptions
+from tests.support.recordings import TWIST, numbered, read_strictly, write_numbered
+from tests.support.waiting import until
 
 
 def repair(recordings: Path) -> list[str]:
@@ -166,11 +166,11 @@ def test_what_is_too_much_to_read_is_left_as_it_is(
         file.write_bytes(file.read_bytes()[:-30])
     content = file.read_bytes()
     if limit == "UNPACKED":
-        monkeypatch.setattr("robotctl.recording.read_limits.UNPACKED_BYTES", 500)
-        monkeypatch.setattr("robotctl.recording.read_limits.UNPACKED_RATIO", 0)
+        monkeypatch.setattr("robotctl.recording.read.read_limits.UNPACKED_BYTES", 500)
+        monkeypatch.setattr("robotctl.recording.read.read_limits.UNPACKED_RATIO", 0)
     else:
-        monkeypatch.setattr("robotctl.recording.read_limits.RECORDS", 150)
-        monkeypatch.setattr("robotctl.recording.read_limits.BYTES_PER_RECORD", 1e9)
+        monkeypatch.setattr("robotctl.recording.read.read_limits.RECORDS", 150)
+        monkeypatch.setattr("robotctl.recording.read.read_limits.BYTES_PER_RECORD", 1e9)
     (sentence,) = repair(tmp_path)
     assert "is left as it is" in sentence
     assert file.read_bytes() == content
@@ -192,7 +192,7 @@ def break_once(monkeypatch: pytest.MonkeyPatch, breaks: Callable[[bytes], bool])
             raise OSError(errno.EIO, os.strerror(errno.EIO))
         return data
 
-    monkeypatch.setattr("robotctl.recording.mcap_input.os.pread", failing)
+    monkeypatch.setattr("robotctl.recording.read.mcap_input.os.pread", failing)
 
 
 @pytest.mark.parametrize("torn", [False, True])
@@ -229,7 +229,7 @@ def test_what_there_is_no_memory_for_is_left_for_the_next_start(
                 raise MemoryError
             return ZstdDecompressor().decompress(data, max_output_size=max_output_size)
 
-    monkeypatch.setattr("robotctl.recording.stored_chunk.ZstdDecompressor", OnceNoMemory)
+    monkeypatch.setattr("robotctl.recording.read.stored_chunk.ZstdDecompressor", OnceNoMemory)
     (sentence,) = repair(tmp_path)
     assert "run_0.mcap could not be repaired: no memory for a chunk of" in sentence
     assert file.read_bytes() == before

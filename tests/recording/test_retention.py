@@ -10,14 +10,14 @@ import pytest
 from mcap.writer import Writer
 from rosbags.rosbag2 import Reader as RosbagsReader
 
-from robotctl.recording.clip import Moment
-from robotctl.recording.clip_job import ClipJob, make_clip
-from robotctl.recording.reader import read_info
-from robotctl.recording.recorder import Recorder, RecorderOptions
-from robotctl.recording.retention import DAY_S, RetentionPolicy, enforce
-from robotctl.recording.tidy_job import TidyJob, tidy
-from robotctl.testing.recordings import TWIST, read_strictly, write_numbered
-from robotctl.testing.waiting import until
+from robotctl.recording.keep.clip import Moment
+from robotctl.recording.keep.clip_job import ClipJob, make_clip
+from robotctl.recording.keep.retention import DAY_S, RetentionPolicy, enforce
+from robotctl.recording.keep.tidy_job import TidyJob, tidy
+from robotctl.recording.read.reader import read_info
+from robotctl.recording.write.recorder import Recorder, RecorderOptions
+from tests.support.recordings import TWIST, read_strictly, write_numbered
+from tests.support.waiting import until
 
 NOW_S = 2_000_000_000.0
 
@@ -175,7 +175,7 @@ def test_a_file_system_without_such_locks_is_tidied_all_the_same(
     def no_lock(fd: int, operation: int) -> None:
         raise OSError(errno.EBADF, os.strerror(errno.EBADF))
 
-    monkeypatch.setattr("robotctl.recording.tidy_job.flock", no_lock)
+    monkeypatch.setattr("robotctl.recording.keep.tidy_job.flock", no_lock)
     (done,) = tidy(TidyJob(tmp_path, RetentionPolicy(max_bytes=0), repairs=False))
     assert done.text.startswith("removed for its age or the space: ")
     assert names(tmp_path) == []

@@ -13,15 +13,15 @@ from mcap.writer import Writer
 from zstandard import ZstdCompressor, ZstdDecompressor
 
 from robotctl.errors import UnreadableFile
-from robotctl.recording.clip import Moment, cut
-from robotctl.recording.listing import list_recording
-from robotctl.recording.reader import Recording, read_info, read_messages
-from robotctl.recording.recover import recover
-from robotctl.recording.recover_folder import recover_folder
-from robotctl.recording.source import ALWAYS
-from robotctl.testing.bags import START_NS, data, talk, write_bag
-from robotctl.testing.numbered_files import salvaged
-from robotctl.testing.recordings import read_strictly
+from robotctl.recording.keep.clip import Moment, cut
+from robotctl.recording.keep.listing import list_recording
+from robotctl.recording.keep.recover import recover
+from robotctl.recording.keep.recover_folder import recover_folder
+from robotctl.recording.read.messages import ALWAYS
+from robotctl.recording.read.reader import Recording, read_info, read_messages
+from tests.support.bags import START_NS, data, talk, write_bag
+from tests.support.numbered_files import salvaged
+from tests.support.recordings import read_strictly
 
 LINES = talk("/alpha", 50)
 SENT = data(LINES)

@@ -8,8 +8,8 @@ from shutil import copyfile, copytree
 
 import pytest
 
-from robotctl.recording.reader import read_info, read_messages
-from robotctl.testing.numbered_files import salvaged
+from robotctl.recording.read.reader import read_info, read_messages
+from tests.support.numbered_files import salvaged
 
 SAMPLES = Path(__file__).parents[3] / "shared" / "samples" / "rosbag2"
 needs_samples = pytest.mark.skipif(not SAMPLES.is_dir(), reason=f"no sample bags at {SAMPLES}")

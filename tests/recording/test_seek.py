@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.writer import IndexType, Writer
 
-from robotctl.recording.mcap_input import InputFile
-from robotctl.recording.reader import Message, Recording
-from robotctl.testing.recordings import numbered
+from robotctl.recording.read.mcap_input import InputFile
+from robotctl.recording.read.reader import Message, Recording
+from tests.support.recordings import numbered
 
 TOPICS = ("/a", "/b", "/map")
 

@@ -14,19 +14,19 @@ from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader as RosbagsReader
 
 from robotctl.errors import Refused
-from robotctl.recording import bag_writer
-from robotctl.recording.ledger_record import read_ledger
-from robotctl.recording.reader import read_info, read_messages
-from robotctl.recording.recorder import (
+from robotctl.recording.disk.storage import DiskFile, is_being_written
+from robotctl.recording.format.ledger_record import read_ledger
+from robotctl.recording.read.reader import read_info, read_messages
+from robotctl.recording.write import bag_writer
+from robotctl.recording.write.recorder import (
     Compression,
     Recorder,
     RecorderOptions,
     RecorderState,
     Topic,
 )
-from robotctl.recording.storage import DiskFile, is_being_written
-from robotctl.testing.mcap_faults import FailingFile, GatedFile
-from robotctl.testing.recordings import (
+from robotctl.testing.faults import FailingFile, GatedFile
+from tests.support.recordings import (
     GID,
     ODOMETRY,
     QOS,
@@ -36,7 +36,7 @@ from robotctl.testing.recordings import (
     read_strictly,
     write_numbered,
 )
-from robotctl.testing.waiting import until
+from tests.support.waiting import until
 
 LATCHED = Topic(
     "/robot_status",

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.recording.storage import MAX_PARTS, DiskFile, is_being_written
+from robotctl.recording.disk.storage import MAX_PARTS, DiskFile, is_being_written
 
 
 def test_writes_that_the_kernel_cuts_short_are_completed(

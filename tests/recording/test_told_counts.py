@@ -8,17 +8,17 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.recording.journal_reader import read_journal
-from robotctl.recording.listing import list_recording
-from robotctl.recording.reader import Recording, read_info
-from robotctl.recording.recorder import Recorder, RecorderOptions
-from robotctl.recording.recover import recover
-from robotctl.recording.recover_folder import recover_folder
-from robotctl.recording.storage import Storage
+from robotctl.recording.disk.storage import Storage
+from robotctl.recording.keep.listing import list_recording
+from robotctl.recording.keep.recover import recover
+from robotctl.recording.keep.recover_folder import recover_folder
+from robotctl.recording.read.journal_reader import read_journal
+from robotctl.recording.read.reader import Recording, read_info
+from robotctl.recording.write.recorder import Recorder, RecorderOptions
 from robotctl.testing.drives import drive, record
-from robotctl.testing.mcap_faults import FailingFile, chunks_of
-from robotctl.testing.numbered_files import recorded, salvaged
-from robotctl.testing.recordings import TWIST, write_numbered
+from robotctl.testing.faults import FailingFile, chunks_of
+from tests.support.numbered_files import recorded, salvaged
+from tests.support.recordings import TWIST, write_numbered
 
 
 def recorded_twice(folder: Path) -> tuple[Path, bytes]:

@@ -21,17 +21,17 @@ from mcap.records import ChunkIndex, Footer, Message, Statistics, SummaryOffset
 from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
 
-from robotctl.recording.account import TopicAccount
-from robotctl.recording.buffer import pack
-from robotctl.recording.mcap_format import MAGIC
-from robotctl.recording.mcap_input import RECORD_HEAD, parse, walk_records
-from robotctl.recording.options import Compression, RecorderOptions
-from robotctl.recording.reader import read_messages
-from robotctl.recording.recording_file import RecordingFile
-from robotctl.recording.repair import repair
-from robotctl.recording.storage import Buffer, DiskFile
-from robotctl.testing.mcap_faults import PAGE, FailingFile
-from robotctl.testing.recordings import ODOMETRY, TWIST, numbered, read_strictly
+from robotctl.recording.disk.storage import Buffer, DiskFile
+from robotctl.recording.format.records import MAGIC
+from robotctl.recording.format.topics import TopicAccount
+from robotctl.recording.keep.repair import repair
+from robotctl.recording.read.mcap_input import RECORD_HEAD, parse, walk_records
+from robotctl.recording.read.reader import read_messages
+from robotctl.recording.write.buffer import pack
+from robotctl.recording.write.recorder_options import Compression, RecorderOptions
+from robotctl.recording.write.recording_file import RecordingFile
+from robotctl.testing.faults import PAGE, FailingFile
+from tests.support.recordings import ODOMETRY, TWIST, numbered, read_strictly
 
 COMMITS = 12
 LARGE = 40_000
@@ -299,7 +299,7 @@ def test_a_read_that_fails_once_during_a_repair_loses_no_message(
             raise OSError(errno.EIO, os.strerror(errno.EIO))
         return pread(fd, length, offset)
 
-    monkeypatch.setattr("robotctl.recording.mcap_input.os.pread", failing)
+    monkeypatch.setattr("robotctl.recording.read.mcap_input.os.pread", failing)
     for state in states(recorded):
         if state.chunks != 2 or state.torn:
             continue

@@ -11,11 +11,11 @@ from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
 
 from robotctl.errors import UnreadableFile
-from robotctl.recording.mcap_format import MAGIC, MESSAGE_HEAD
-from robotctl.recording.reader import read_info
-from robotctl.recording.recorder import Compression
-from robotctl.testing.mcap_faults import record_boundaries
-from robotctl.testing.numbered_files import first_numbers, foreign, recorded, salvaged
+from robotctl.recording.format.records import MAGIC, MESSAGE_HEAD
+from robotctl.recording.read.reader import read_info
+from robotctl.recording.write.recorder import Compression
+from robotctl.testing.faults import record_boundaries
+from tests.support.numbered_files import first_numbers, foreign, recorded, salvaged
 
 
 def complete_prefix(data: bytes, length: int) -> int:

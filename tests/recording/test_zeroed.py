@@ -11,15 +11,15 @@ from mcap.opcode import Opcode
 from mcap.writer import CompressionType
 
 from robotctl.errors import UnreadableFile
-from robotctl.recording.clip import Moment, cut
-from robotctl.recording.reader import Recording, read_info, read_messages
-from robotctl.recording.recorder import Compression
-from robotctl.recording.recover import recover
-from robotctl.recording.recover_folder import recover_folder
-from robotctl.recording.source import ALWAYS
-from robotctl.testing.mcap_faults import PAGE, chunks_of, zero
-from robotctl.testing.numbered_files import first_numbers, foreign, recorded, salvaged
-from robotctl.testing.recordings import number_of, read_strictly
+from robotctl.recording.keep.clip import Moment, cut
+from robotctl.recording.keep.recover import recover
+from robotctl.recording.keep.recover_folder import recover_folder
+from robotctl.recording.read.messages import ALWAYS
+from robotctl.recording.read.reader import Recording, read_info, read_messages
+from robotctl.recording.write.recorder import Compression
+from robotctl.testing.faults import PAGE, chunks_of, zero
+from tests.support.numbered_files import first_numbers, foreign, recorded, salvaged
+from tests.support.recordings import number_of, read_strictly
 
 COUNT = 1000
 

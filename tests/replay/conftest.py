@@ -26,7 +26,7 @@ from robotctl.ipc.params import NoParams
 from robotctl.ipc.server import ControlServer, Identity, Method
 from robotctl.paths import make_private, runtime_folder, socket_path
 from robotctl.ros import AsyncioExecutor, RawTap
-from robotctl.testing.waiting import DEADLINE_S
+from tests.support.waiting import DEADLINE_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +126,7 @@ class Listener:
 
     def listen(self, topic: str, type_name: str, qos: Any = 1000) -> None:
         """Subscribe."""
-        from robotctl.ros.message_types import message_class
+        from robotctl.ros.messages.classes import message_class
 
         heard = self.heard.setdefault(topic, [])
         tap = RawTap(lambda data, *_: heard.append(data))

@@ -12,10 +12,10 @@ from typing import Any
 import pytest
 from zstandard import ZstdCompressor
 
-from robotctl.recording.mcap_format import MAGIC
-from robotctl.recording.reader import read_info
-from robotctl.testing.bags import STRING, TWIST, Line, data, in_order, talk, text, twist, write_bag
-from robotctl.testing.mcap_faults import chunks_of, zero
+from robotctl.recording.format.records import MAGIC
+from robotctl.recording.read.reader import read_info
+from robotctl.testing.faults import chunks_of, zero
+from tests.support.bags import STRING, TWIST, Line, data, in_order, talk, text, twist, write_bag
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 SAMPLES = Path(__file__).parents[3] / "shared" / "samples" / "rosbag2"

@@ -13,7 +13,7 @@ from rclpy.serialization import serialize_message
 from service_msgs.msg import ServiceEventInfo
 from std_srvs.srv import SetBool
 
-from robotctl.testing.bags import (
+from tests.support.bags import (
     OTHER_HASH,
     START_NS,
     STRING,

@@ -9,12 +9,12 @@ from collections.abc import Iterator
 
 import pytest
 
-from robotctl.recording.reader import Message
+from robotctl.recording.read.reader import Message
 from robotctl.replay.clock import SteadyClock
+from robotctl.replay.lateness import Lateness
 from robotctl.replay.player import LEAD_NS, Player
 from robotctl.replay.read_ahead import AHEAD_ENTRIES, BATCH_ENTRIES, ReadAhead
 from robotctl.replay.timeline import MIN_PASS_NS, Entry, Span, entries
-from robotctl.replay.timing import Lateness
 
 MS = 1_000_000
 

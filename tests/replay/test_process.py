@@ -11,13 +11,13 @@ from typing import Any
 
 import pytest
 
-from robotctl.cli.playing import PLAYER
+from robotctl.cli.support.player_process import PLAYER
 from robotctl.processes import start
 from robotctl.replay.controls import Command
 from robotctl.replay.job import Job
 from robotctl.replay.schedule import RATES
-from robotctl.testing.bags import STRING, Line, text, write_bag
-from robotctl.testing.waiting import DEADLINE_S
+from tests.support.bags import STRING, Line, text, write_bag
+from tests.support.waiting import DEADLINE_S
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 

@@ -12,8 +12,8 @@ from rclpy.qos import (
     qos_check_compatible,
 )
 
-from robotctl.ros.qos import LATCHED, SENSOR, to_yaml
-from robotctl.ros.recorded_qos import MAX_DEPTH, latched_depth, replay_qos
+from robotctl.ros.messages.qos import LATCHED, SENSOR, to_yaml
+from robotctl.ros.playback.recorded_qos import MAX_DEPTH, latched_depth, replay_qos
 
 OLD = """\
 - history: 3

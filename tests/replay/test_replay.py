@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-from robotctl.testing.bags import (
+from tests.support.bags import (
     LATCHED,
     SENSOR,
     STRING,
@@ -134,7 +134,7 @@ async def test_what_was_latched_before_the_offset_is_latched_again(
 async def test_a_folder_of_rosbag2_is_played_in_order(
     bag: str, listener: Any, replay: Any, until: Until
 ) -> None:
-    from robotctl.recording.reader import read_messages
+    from robotctl.recording.read.reader import read_messages
 
     folder = next(
         (each / bag for each in (Path(__file__).parents[3] / "shared" / "samples").glob("rosbag2")),

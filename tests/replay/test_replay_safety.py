@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.testing.bags import (
+from tests.support.bags import (
     OTHER_HASH,
     STRING,
     TWIST,

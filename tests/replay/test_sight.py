@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robotctl.kernel.geometry import Pose
-from robotctl.recording.reader import Recording
-from robotctl.replay.sight import Sight
+from robotctl.recording.read.reader import Recording
+from robotctl.replay.recorded_robot import Sight
 from robotctl.replay.timeline import Span
-from robotctl.testing.bags import ODOMETRY, START_NS, STATUS, Line, odometry, status, write_bag
+from tests.support.bags import ODOMETRY, START_NS, STATUS, Line, odometry, status, write_bag
 
 
 def seen(tmp_path: Path, lines: list[Line], **options: Any) -> Sight:

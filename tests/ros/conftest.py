@@ -18,8 +18,8 @@ from typing import Any
 import pytest
 
 from robotctl.domains import reserved_domain
-from robotctl.testing.lines import Told
-from robotctl.testing.waiting import until as wait_until
+from tests.support.lines import Told
+from tests.support.waiting import until as wait_until
 
 # Inherited by every process that a test starts.
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
@@ -183,7 +183,7 @@ async def session(domain_id: int) -> AsyncIterator[Any]:
 @pytest.fixture
 async def taken(session: Any) -> AsyncIterator[Taken]:
     """What a running tap takes."""
-    from robotctl.ros.tap import Tap
+    from robotctl.ros.tap.tap import Tap
 
     made = Taken()
     made.tap = Tap(session, made.open, made.wanted)

@@ -21,8 +21,8 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import UInt64
 from std_srvs.srv import SetBool
 
-from robotctl.testing.lines import obey
-from robotctl.testing.waiting import DEADLINE_S, until
+from tests.support.lines import obey
+from tests.support.waiting import DEADLINE_S, until
 
 
 class Peer:

@@ -14,8 +14,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.types import Odometry, Twist
-from robotctl.ros.cdr import OdometryEncoder, decode_odometry, decode_twist, encode_twist
-from robotctl.ros.convert import to_odometry, to_twist
+from robotctl.ros.messages.cdr import OdometryEncoder, decode_odometry, decode_twist, encode_twist
+from robotctl.ros.messages.convert import to_odometry, to_twist
 
 finite = st.floats(allow_nan=False, allow_infinity=False, min_value=-1e6, max_value=1e6)
 anything = st.floats(width=64)

@@ -1,4 +1,4 @@
-"""Messages made by robotctl.ros.decoder are those that rclpy makes."""
+"""Messages made by robotctl.ros.executor.decoder are those that rclpy makes."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from rosidl_parser.definition import (
 )
 from sensor_msgs.msg import JointState
 
-from robotctl.ros import decoder
-from robotctl.ros.decoder import decoder_of
+from robotctl.ros.executor import decoder
+from robotctl.ros.executor.decoder import decoder_of
 
 PACKAGES = (
     "actionlib_msgs",

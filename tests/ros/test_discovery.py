@@ -11,8 +11,8 @@ from rclpy.context import Context
 from rclpy.node import Node
 from std_msgs.msg import String
 
-from robotctl.ros.discovery import Discovery, _heard
-from robotctl.ros.membership import Membership
+from robotctl.ros.graph.discovery import Discovery, _heard
+from robotctl.ros.playback.membership import Membership
 
 TOPICS = [f"/topic_{number}" for number in range(20)]
 OURS, THEIRS = bytes(12), bytes([1] * 12)

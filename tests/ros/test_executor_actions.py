@@ -12,7 +12,7 @@ from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalRespons
 from rclpy.node import Node
 
 from robotctl.ros import AsyncioExecutor
-from robotctl.testing.waiting import DEADLINE_S
+from tests.support.waiting import DEADLINE_S
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 Peer = Callable[..., Awaitable[Any]]
@@ -88,7 +88,7 @@ async def test_finished_goals_are_forgotten_after_their_result_timeout(
     borrowed_action: ModuleType,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("robotctl.ros.actions.EXPIRY_POLL_S", 0.05)
+    monkeypatch.setattr("robotctl.ros.executor.sources.actions.EXPIRY_POLL_S", 0.05)
     count = borrowed_action.Count
 
     async def execute(handle: Any) -> Any:

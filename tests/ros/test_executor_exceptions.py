@@ -13,7 +13,8 @@ from rclpy.node import Node
 from std_msgs.msg import UInt64
 from std_srvs.srv import SetBool
 
-from robotctl.ros import AsyncioExecutor, RawTap, rcl
+from robotctl.ros import AsyncioExecutor, RawTap
+from robotctl.ros.executor import rcl
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 Peer = Callable[..., Awaitable[Any]]
@@ -138,7 +139,7 @@ async def test_a_service_that_returns_no_response_is_reported_and_serves_on(
 async def test_a_failing_take_is_reported_and_tried_again_later(
     context: Any, node: Node, topic: str, until: Until, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("robotctl.ros.sources.RETRY_AFTER_FAILED_TAKE_S", 0.01)
+    monkeypatch.setattr("robotctl.ros.executor.sources.source.RETRY_AFTER_FAILED_TAKE_S", 0.01)
     told: list[str] = []
     got: list[int] = []
     tapped: list[bytes] = []

@@ -13,8 +13,8 @@ from std_msgs.msg import UInt64
 from std_srvs.srv import SetBool
 
 from robotctl.ros import AsyncioExecutor, RawTap, Ticker
-from robotctl.ros.runtime import SHORTEST_SLICE_NS, SLICE_NS, TURN_NS
-from robotctl.testing.waiting import DEADLINE_S
+from robotctl.ros.executor.runtime import SHORTEST_SLICE_NS, SLICE_NS, TURN_NS
+from tests.support.waiting import DEADLINE_S
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 

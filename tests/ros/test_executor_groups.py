@@ -16,7 +16,7 @@ from std_msgs.msg import UInt64
 from std_srvs.srv import SetBool
 
 from robotctl.ros import AsyncioExecutor
-from robotctl.testing.waiting import DEADLINE_S
+from tests.support.waiting import DEADLINE_S
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 

@@ -15,8 +15,8 @@ from rclpy.node import Node
 from std_msgs.msg import UInt64
 
 from robotctl.ros import AsyncioExecutor, RawTap
-from robotctl.testing.descriptors import loop_descriptors
-from robotctl.testing.entities import populate
+from tests.support.descriptors import loop_descriptors
+from tests.support.entities import populate
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 RunPython = Callable[..., CompletedProcess[str]]

@@ -14,8 +14,8 @@ from std_msgs.msg import UInt64
 from std_srvs.srv import SetBool
 
 from robotctl.ros import AsyncioExecutor
-from robotctl.testing.entities import populate
-from robotctl.testing.waiting import DEADLINE_S
+from tests.support.entities import populate
+from tests.support.waiting import DEADLINE_S
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 
@@ -111,7 +111,7 @@ async def test_an_executor_that_is_not_open_or_is_open_already_says_so(context: 
 async def test_two_tasks_that_open_one_executor_at_once_open_it_once(
     context: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("robotctl.ros.proof._proven", False)
+    monkeypatch.setattr("robotctl.ros.executor.self_test._proven", False)
     executor = AsyncioExecutor(context)
     first = asyncio.create_task(executor.__aenter__())
     await asyncio.sleep(0)

@@ -12,13 +12,14 @@ from typing import Any
 
 import pytest
 
-from robotctl.ros import AsyncioExecutor, rcl
-from robotctl.testing.waiting import DEADLINE_S
+from robotctl.ros import AsyncioExecutor
+from robotctl.ros.executor import rcl
+from tests.support.waiting import DEADLINE_S
 
 
 @pytest.fixture
 def unproven(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("robotctl.ros.proof._proven", False)
+    monkeypatch.setattr("robotctl.ros.executor.self_test._proven", False)
 
 
 async def open_and_close(context: Any) -> None:
@@ -30,9 +31,9 @@ async def test_the_path_is_proven_by_a_message_before_the_executor_opens(
     context: Any, unproven: None
 ) -> None:
     await open_and_close(context)
-    from robotctl.ros import proof
+    from robotctl.ros.executor import self_test
 
-    assert proof._proven
+    assert self_test._proven
 
 
 async def test_a_platform_without_eventfd_is_refused(
@@ -65,7 +66,7 @@ async def test_a_middleware_whose_callback_never_comes_is_refused(
 ) -> None:
     harmless = ctypes.cast(ctypes.CDLL(None).getpid, ctypes.c_void_p).value
     monkeypatch.setattr(rcl, "_eventfd_write", lambda: harmless)
-    monkeypatch.setattr("robotctl.ros.proof.PROOF_TIMEOUT_S", 0.1)
+    monkeypatch.setattr("robotctl.ros.executor.self_test.PROOF_TIMEOUT_S", 0.1)
     with pytest.raises(rcl.UnsupportedPlatform, match="did not announce a message to itself"):
         await open_and_close(context)
 

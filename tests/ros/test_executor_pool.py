@@ -17,10 +17,10 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import UInt64
 
 from robotctl.ros import AsyncioExecutor, RawTap
-from robotctl.ros import pool as pool_module
-from robotctl.ros.pool import Pool
-from robotctl.ros.subscriptions import affordable_rest_s
-from robotctl.testing.waiting import DEADLINE_S
+from robotctl.ros.executor import pool as pool_module
+from robotctl.ros.executor.pool import Pool
+from robotctl.ros.executor.sources.subscriptions import affordable_rest_s
+from tests.support.waiting import DEADLINE_S
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 

@@ -14,7 +14,7 @@ from rclpy.qos import QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import UInt64
 
 from robotctl.ros import AsyncioExecutor
-from robotctl.testing.waiting import until as wait_until
+from tests.support.waiting import until as wait_until
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 Peer = Callable[..., Awaitable[Any]]

@@ -12,8 +12,8 @@ from rclpy.node import Node
 from std_srvs.srv import SetBool
 
 from robotctl.ros import AsyncioExecutor
-from robotctl.ros.services import ServiceSource
-from robotctl.testing.waiting import DEADLINE_S
+from robotctl.ros.executor.sources.services import ServiceSource
+from tests.support.waiting import DEADLINE_S
 
 Peer = Callable[..., Awaitable[Any]]
 

@@ -11,7 +11,8 @@ from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import UInt64
 
-from robotctl.ros import AsyncioExecutor, RawTap, rcl
+from robotctl.ros import AsyncioExecutor, RawTap
+from robotctl.ros.executor import rcl
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 Peer = Callable[..., Awaitable[Any]]

@@ -14,9 +14,9 @@ from rclpy.task import Future
 from std_srvs.srv import SetBool
 
 from robotctl.ros import AsyncioExecutor
-from robotctl.testing.descriptors import loop_descriptors
-from robotctl.testing.entities import populate
-from robotctl.testing.waiting import DEADLINE_S
+from tests.support.descriptors import loop_descriptors
+from tests.support.entities import populate
+from tests.support.waiting import DEADLINE_S
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 
@@ -28,7 +28,7 @@ Until = Callable[[Callable[[], object]], Awaitable[None]]
 async def test_opening_may_be_cancelled_at_any_await(
     context: Any, node: Node, turns: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("robotctl.ros.proof._proven", False)
+    monkeypatch.setattr("robotctl.ros.executor.self_test._proven", False)
     populate(node, f"/cancelled_{turns}", lambda _: None)
     before = loop_descriptors()
     executor = AsyncioExecutor(context)

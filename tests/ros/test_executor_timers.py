@@ -12,7 +12,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from robotctl.ros import AsyncioExecutor
-from robotctl.testing.waiting import DEADLINE_S
+from tests.support.waiting import DEADLINE_S
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 Peer = Callable[..., Awaitable[Any]]

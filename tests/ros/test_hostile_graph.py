@@ -14,14 +14,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rclpy.qos import QoSProfile
 
-from robotctl.ros import graph, qos, tap, type_loader, unrecorded
-from robotctl.ros.discovery import _known
-from robotctl.ros.graph import Endpoint
-from robotctl.ros.tap import Tap
-from robotctl.ros.type_loader import TypeLoader
-from robotctl.ros.unrecorded import MAX_WARNINGS
-from robotctl.testing.lines import Told
-from robotctl.testing.waiting import DEADLINE_S
+from robotctl.ros.graph import endpoints
+from robotctl.ros.graph.discovery import _known
+from robotctl.ros.graph.endpoints import Endpoint
+from robotctl.ros.messages import qos
+from robotctl.ros.tap import tap, type_loader, unrecorded
+from robotctl.ros.tap.tap import Tap
+from robotctl.ros.tap.type_loader import TypeLoader
+from robotctl.ros.tap.unrecorded import MAX_WARNINGS
+from tests.support.lines import Told, peer
+from tests.support.waiting import DEADLINE_S
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 Hostile = Callable[..., Awaitable[None]]
@@ -40,7 +42,7 @@ STRANGE_TOPICS = ("/my-topic", "/bad\xff\x1b[31m", "/line\nfeed", "//", "/" + "x
 def hostile(domain_id: int) -> Iterator[Hostile]:
     """A process that does not validate what it announces."""
     told = Told(
-        [sys.executable, "-m", "robotctl.testing.hostile_peer"],
+        peer("hostile_peer"),
         {**os.environ, "ROS_DOMAIN_ID": str(domain_id)},
     )
 
@@ -86,7 +88,7 @@ async def test_a_topic_of_a_node_whose_name_is_no_text_is_recorded(
     taken: Any, node: Any, topic: str, until: Until, hostile: Hostile
 ) -> None:
     def names() -> list[str]:
-        return [each.node_name for each in graph.publishers(node, topic)]
+        return [each.node_name for each in endpoints.publishers(node, topic)]
 
     await hostile("offer", topic=topic)
     await rename(hostile, lambda: names() == ["\\xff\x1b[31m"])
@@ -208,13 +210,13 @@ class FakeNode:
         self.subscribed = 0
 
     def count_publishers(self, topic: str) -> int:
-        if not graph.is_topic_name(topic):
+        if not endpoints.is_topic_name(topic):
             raise ValueError(f"topic name {topic!r} is invalid")
         return len(self.graph.get(topic, ()))
 
     def create_subscription(self, kind: Any, topic: str, *_: Any, **__: Any) -> Any:
         self.subscribed += 1
-        if not graph.is_topic_name(topic) or self.subscribed % 3 == 0:
+        if not endpoints.is_topic_name(topic) or self.subscribed % 3 == 0:
             raise RuntimeError(f"cannot subscribe to {topic!r}")
         return object()
 
@@ -236,11 +238,11 @@ def publisher(type_name: str, profile: QoSProfile = qos.COMMAND) -> Endpoint:
 
 def show(monkeypatch: pytest.MonkeyPatch, snapshot: dict[str, list[Endpoint]]) -> None:
     monkeypatch.setattr(
-        graph,
+        endpoints,
         "topics",
         lambda _: {name: [each.topic_type for each in found] for name, found in snapshot.items()},
     )
-    monkeypatch.setattr(graph, "publishers", lambda _, topic: snapshot.get(topic, []))
+    monkeypatch.setattr(endpoints, "publishers", lambda _, topic: snapshot.get(topic, []))
 
 
 ANY = st.text(st.characters(exclude_categories=()), max_size=12)

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from robotctl.ros import rcl
-from robotctl.ros.raw import RawTap
+from robotctl.ros.executor import rcl
+from robotctl.ros.executor.raw import RawTap
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 LARGE = rcl.LARGE_BYTES + 1

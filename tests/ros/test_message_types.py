@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robotctl.ros import message_types
-from robotctl.ros.message_types import UnusableType, message_class
-from robotctl.ros.type_definition import definition_of, type_hash_of
+from robotctl.ros.messages import classes
+from robotctl.ros.messages.classes import UnusableType, message_class
+from robotctl.ros.messages.type_definition import definition_of, type_hash_of
 
 HOSTILE = (
     "lib2to3/__main__/X",
@@ -75,7 +75,7 @@ def test_what_loading_a_type_raises_is_a_reason_and_no_more(
     (package / "__init__.py").write_text(f"{text}\n")
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(message_types, "_is_ctrl_c", lambda: False)
+    monkeypatch.setattr(classes, "_is_ctrl_c", lambda: False)
     with pytest.raises(UnusableType, match="cannot be loaded"):
         message_class("broken_msgs/msg/Broken")
     for name in [name for name in sys.modules if name.startswith("broken_msgs")]:

@@ -13,14 +13,16 @@ import pytest
 
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import Odometry, Reply, Twist
-from robotctl.ros import graph, mode_service, odom_subscriber, qos
-from robotctl.ros.battery_subscriber import BatterySubscriber
-from robotctl.ros.diagnostics_publisher import TOPIC, Diagnosis, DiagnosticsPublisher, Level
-from robotctl.ros.mode_service import ModeService, Shown
-from robotctl.ros.odom_subscriber import OdomSubscriber
+from robotctl.ros.graph import endpoints
+from robotctl.ros.messages import qos
+from robotctl.ros.nodes import mode_service, odom_subscriber
+from robotctl.ros.nodes.battery_subscriber import BatterySubscriber
+from robotctl.ros.nodes.diagnostics_publisher import TOPIC, Diagnosis, DiagnosticsPublisher, Level
+from robotctl.ros.nodes.mode_service import ModeService, Shown
+from robotctl.ros.nodes.odom_subscriber import OdomSubscriber
+from robotctl.ros.nodes.simulated_robot import SimulatedRobot
+from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
 from robotctl.ros.session import Session, ros_session
-from robotctl.ros.simulated_robot import SimulatedRobot
-from robotctl.ros.velocity_publisher import VelocityPublisher
 from robotctl.sim.robot import SimParams
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
@@ -202,10 +204,10 @@ async def test_of_many_other_publishers_some_are_named_and_the_rest_counted(
 ) -> None:
     velocity = VelocityPublisher(session, "cmd_vel")
     others = [
-        graph.Endpoint(f"{number:03}{'x' * 400}", "/", "t", b"%d" % number, qos.COMMAND)
+        endpoints.Endpoint(f"{number:03}{'x' * 400}", "/", "t", b"%d" % number, qos.COMMAND)
         for number in range(600)
     ]
-    monkeypatch.setattr(graph, "publishers", lambda node, topic: others)
+    monkeypatch.setattr(endpoints, "publishers", lambda node, topic: others)
     names = velocity.other_publishers()
     assert names[-1] == "592 more"
     assert len("".join(names)) < 2_000

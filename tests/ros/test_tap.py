@@ -8,11 +8,13 @@ from typing import Any
 import pytest
 import yaml
 
-from robotctl.ros import qos, type_loader
+from robotctl.ros.messages import qos
+from robotctl.ros.messages.topic_description import TopicDescription
+from robotctl.ros.messages.type_definition import definition_of, holds_bytes, type_hash_of
 from robotctl.ros.session import Session
-from robotctl.ros.tap import Tap, TappedTopic
-from robotctl.ros.tapped import TappedSubscription
-from robotctl.ros.type_definition import definition_of, holds_bytes, type_hash_of
+from robotctl.ros.tap import type_loader
+from robotctl.ros.tap.subscription import TappedSubscription
+from robotctl.ros.tap.tap import Tap
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 
@@ -86,7 +88,7 @@ async def test_what_nobody_publishes_and_what_comes_otherwise_are_not_subscribed
     from std_msgs.msg import UInt64
 
     node.create_subscription(UInt64, f"{topic}_listened", print, 10)
-    sink = taken.tap.reserve(TappedTopic("/reserved", "", "", "", ""))
+    sink = taken.tap.reserve(TopicDescription("/reserved", "", "", "", ""))
     reserved = publisher(node, "/reserved")
     publisher(node, topic)
     await until(lambda: topic in taken.topics)

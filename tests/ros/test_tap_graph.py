@@ -11,10 +11,12 @@ from typing import Any
 
 import pytest
 
-from robotctl.ros import proof, qos, tap
+from robotctl.ros.executor import self_test
+from robotctl.ros.messages import qos
 from robotctl.ros.session import Session
-from robotctl.ros.tap import Tap
-from robotctl.testing.waiting import DEADLINE_S
+from robotctl.ros.tap import tap
+from robotctl.ros.tap.tap import Tap
+from tests.support.waiting import DEADLINE_S
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 
@@ -138,7 +140,7 @@ async def test_hidden_topics_are_taken_but_for_the_executors_own(
     taken: Any, node: Any, topic: str, until: Until
 ) -> None:
     hidden = topic.replace("/", "/_")
-    own = f"{proof.TOPIC_PREFIX}4711"
+    own = f"{self_test.TOPIC_PREFIX}4711"
     publisher(node, own)
     published = publisher(node, hidden)
     await until(published.get_subscription_count)

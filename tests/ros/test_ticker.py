@@ -10,8 +10,8 @@ from itertools import pairwise
 import pytest
 
 from robotctl.ros import Ticker
-from robotctl.testing.descriptors import loop_descriptors
-from robotctl.testing.waiting import DEADLINE_S
+from tests.support.descriptors import loop_descriptors
+from tests.support.waiting import DEADLINE_S
 
 
 async def test_every_tick_is_due_at_a_multiple_of_the_period_after_the_first() -> None:

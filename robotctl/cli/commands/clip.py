@@ -1,0 +1,173 @@
+"""clip: what happened around an event, as a file that stands alone."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Iterator
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from robotctl.cli.options import Json, new_app
+from robotctl.cli.support.answer import tell
+from robotctl.cli.support.recording_paths import (
+    RecordedBy,
+    Recordings,
+    find_recording,
+    recordings_folder,
+    recordings_of,
+)
+from robotctl.cli.support.time_argument import parse_moment
+from robotctl.cli.terminal.progress import progress_bar
+from robotctl.cli.terminal.text import duration, moment, printable, short_path
+from robotctl.errors import IN_PARENTHESES, RecoveredWithLoss, Refused, UnreadableFile, UsageError
+
+if TYPE_CHECKING:
+    from robotctl.recording.keep.clip import Clip, Moment
+    from robotctl.recording.keep.listing import ListedRecording
+
+app = new_app()
+
+MAX_SECONDS = 86_400.0
+
+
+class Event(StrEnum):
+    """What a clip can be about; the values are those of EventKind."""
+
+    ESTOP = "estop"
+    ERROR = "error"
+    MARK = "mark"
+
+
+@app.command()
+def clip(
+    file: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[FILE]",
+            help="An MCAP file, a recording's folder or name, or `last` [default: the newest "
+            "with such an event].",
+        ),
+    ] = None,
+    event: Annotated[
+        Event | None,
+        typer.Option(metavar="KIND", help="The last estop, error or mark [default: any of them]."),
+    ] = None,
+    at: Annotated[
+        str | None,
+        typer.Option(
+            metavar="T", help="A time instead: seconds into the recording, 12:03:04, or a date."
+        ),
+    ] = None,
+    before: Annotated[float, typer.Option(metavar="S", help="Seconds before it.")] = 30.0,
+    after: Annotated[float, typer.Option(metavar="S", help="Seconds after it.")] = 5.0,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", metavar="OUT", help="What to write [default: in RECORDING/clips]."
+        ),
+    ] = None,
+    folder: Recordings = None,
+    robot: RecordedBy = None,
+    as_json: Json = False,
+) -> None:
+    """Cut what happened around an event into a file that stands alone.
+
+    Of any recording, also one that goes on. The clip opens wherever recordings do, and can be
+    checked by replay --check: latched messages and the journal are repeated from before.
+
+    \b
+    Examples:
+      robotctl clip
+      robotctl clip --event estop --before 30 --after 5
+      robotctl clip last --at 12:03:04 -o incident.mcap
+    """
+    from robotctl.recording.keep.clip_job import ClipJob, make_clip, remaining_s
+
+    if event is not None and at is not None:
+        raise UsageError("--event and --at", "give one of them")
+    for option, seconds in (("--before", before), ("--after", after)):
+        if not (math.isfinite(seconds) and 0 <= seconds <= MAX_SECONDS):
+            raise UsageError(f"{option} {seconds:g}", f"give seconds from 0 to {MAX_SECONDS:g}")
+    source, about = _find(file, event, at, robot, folder)
+    job = ClipJob(source.path, about, before, after, output)
+    wait_s = remaining_s(job, source)
+    if wait_s > 1.0 and not as_json:
+        print(f"robotctl: waiting {wait_s:.0f} s for what comes after it", file=sys.stderr)
+    with progress_bar("cutting", quiet=as_json) as on_progress:
+        made = make_clip(job, on_progress)
+    error = None
+    if made.lost:
+        error = RecoveredWithLoss(f"not all of it could be read: {'; '.join(made.lost)}")
+    tell(_as_object(source.path, made), _lines(made), as_json=as_json, error=error)
+
+
+def _find(
+    file: str | None, event: Event | None, at: str | None, robot: str | None, folder: Path | None
+) -> tuple[ListedRecording, Moment]:
+    """The recording and the moment that are meant. Raises Refused where there is none."""
+    from robotctl.recording.keep.listing import list_recording
+    from robotctl.recording.read.files import recording_files
+
+    if file is None:
+        candidates = recordings_of(robot, recordings_folder(robot, folder))
+        if not candidates:
+            find_recording("last", robot, folder)  # which says what is missing
+    else:
+        candidates = [find_recording(file, robot, folder)]
+    for path in candidates:
+        try:
+            listed = list_recording(path)
+        except OSError as error:
+            if file is not None:
+                recording_files(path)  # says what is wrong with it
+                raise UnreadableFile(f"{path} cannot be read: {error.strerror}") from error
+            continue
+        found = _moment(listed, event, at)
+        if found is not None:
+            return listed, found
+    if at is not None:
+        where = "no recording holds" if file is None else f"{candidates[0]} does not hold"
+        raise Refused(f"{where} the time {at}", "see: robotctl recordings", sentence=IN_PARENTHESES)
+    what = "no emergency stop, error or mark" if event is None else f"no event {event.value!r}"
+    where = "any recording" if file is None else str(candidates[0])
+    raise Refused(f"there is {what} in {where}", "any time: --at", sentence=IN_PARENTHESES)
+
+
+def _moment(listed: ListedRecording, event: Event | None, at: str | None) -> Moment | None:
+    from robotctl.recording.keep.clip import Moment
+
+    if at is not None:
+        at_ns = parse_moment(at, listed.start_ns, listed.end_ns)
+        held = listed.start_ns <= at_ns <= listed.end_ns
+        return Moment(at_ns) if held else None
+    wanted = set(Event) if event is None else {event}
+    events = [each for each in listed.events if each.kind.value in wanted]
+    return Moment.of(max(events, key=lambda each: each.log_ns)) if events else None
+
+
+def _as_object(source: Path, made: Clip) -> dict[str, Any]:
+    about = made.moment
+    return {
+        "source": str(source),
+        "target": str(made.target),
+        "event": None if about.kind is None else about.kind.value,
+        "event_ns": about.log_ns,
+        "text": about.text,
+        "start_ns": made.start_ns,
+        "end_ns": made.end_ns,
+        "messages": made.message_count,
+        "lost": list(made.lost),
+    }
+
+
+def _lines(made: Clip) -> Iterator[str]:
+    about = made.moment
+    what = "" if about.kind is None else f"{about.kind.value}: {printable(about.text)}, "
+    yield f"{short_path(made.target)}"
+    yield f"  around     {what}{moment(about.log_ns)}"
+    length_s = (made.end_ns - made.start_ns) / 1e9
+    yield f"  holds      {made.message_count} messages in {duration(length_s)}"

@@ -1,0 +1,219 @@
+"""demo: everything once, with a simulated robot of its own."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from robotctl.cli.commands.drive import tracking_lines
+from robotctl.cli.commands.watch import POLL_S, polled_until, show
+from robotctl.cli.options import Json, new_app
+from robotctl.cli.support.background import Background
+from robotctl.cli.support.control import source, stop_daemon
+from robotctl.cli.support.launch import INTERRUPTIONS, StartOptions, launch
+from robotctl.cli.support.signals import ignoring, interrupted_by
+from robotctl.cli.terminal.picture import Path2D, braille, write_png
+from robotctl.cli.terminal.text import is_terminal, json_text, number, printable, short_path, size
+from robotctl.cli.terminal.topic_table import TopicTable
+from robotctl.domains import reserved_domain
+from robotctl.errors import NoDaemon, RobotctlError
+from robotctl.ipc.client import call, command_for
+
+app = new_app()
+
+CONFIG = Path(__file__).with_name("demo.yaml")
+
+SIDE_M = 1.0
+
+SENSORS_DEADLINE_S = 20.0
+"""For the simulator's first odometry and battery: a second, and ROS discovery under load."""
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What the demo has seen, of the drive and of the daemon just before its end."""
+
+    drive: dict[str, Any]
+    status: dict[str, Any]
+    wanted: Path2D
+    driven: Path2D
+
+    @property
+    def folder(self) -> Path:
+        """The recording's folder."""
+        return Path(self.status["recorder"]["file"]).parent
+
+    @property
+    def missing_messages(self) -> int:
+        """Messages that were sent and are not in the recording."""
+        recorder = self.status["recorder"]
+        return int(recorder["lost"]) + int(recorder["dropped"])
+
+
+@app.command()
+def demo(
+    recordings: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Where to record [default: ./recordings].")
+    ] = None,
+    keep: Annotated[
+        bool, typer.Option("--keep", help="Leave the daemon running at the end.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Drive a simulated robot around a square and show the recording.
+
+    Takes a robot name and a ROS domain of its own, so no running daemon is touched. Needs less
+    than a minute; Ctrl-C ends it early and leaves a valid recording.
+
+    \b
+    Examples:
+      robotctl demo
+      robotctl demo --keep --recordings /tmp/demo
+    """
+    robot = f"demo_{os.getpid()}"
+    with reserved_domain() as domain_id:
+        options = StartOptions(
+            robot, config=CONFIG, recordings=recordings, sim=True, domain_id=domain_id
+        )
+        if not as_json:
+            print(f"starting a simulated robot: {robot}, ROS domain {domain_id}", flush=True)
+        with _daemon(options, keep=keep):
+            outcome = _drive_one_lap(robot, quiet=as_json)
+    png = outcome.folder / "path.png"
+    write_png(png, outcome.wanted, outcome.driven, _title(robot, outcome.drive))
+    if as_json:
+        print(json_text(_as_object(robot, outcome, png)))
+    else:
+        print("\n".join(_report(robot, outcome, png, keep=keep)))
+
+
+@contextmanager
+def _daemon(options: StartOptions, *, keep: bool) -> Iterator[None]:
+    """A daemon that ends with the block, unless it is to be kept and nothing went wrong."""
+    with interrupted_by(INTERRUPTIONS):
+        try:
+            for note in launch(options).get("notes") or []:
+                print(f"note: {printable(note)}", file=sys.stderr)
+            yield
+            if not keep:
+                with ignoring(INTERRUPTIONS):
+                    _stop_if_running(options.robot)
+        except BaseException:
+            with ignoring(INTERRUPTIONS):
+                file = _recording_of(options.robot)
+                if file is not None:
+                    _stop_if_running(options.robot)
+                    print(f"stopped; recorded until then: {file}", file=sys.stderr)
+            raise
+
+
+def _drive_one_lap(robot: str, *, quiet: bool) -> Outcome:
+    params = {
+        "pattern": "square",
+        "side_m": SIDE_M,
+        "laps": 1,
+        "wait": True,
+        "source": source("demo"),
+    }
+    _wait_for_sensors(robot)
+    drive = Background(partial(call, robot, "drive", params, deadline_s=None))
+    drive.start()
+    if not quiet:
+        show(polled_until(drive, robot))
+    result = drive.result()
+    path = call(robot, "path")
+    return Outcome(result, call(robot, "status"), path["reference"], path["driven"])
+
+
+def _wait_for_sensors(robot: str) -> None:
+    """Return when the robot knows where it is and how full its battery is."""
+    until = time.monotonic() + SENSORS_DEADLINE_S
+    while time.monotonic() < until:
+        status = call(robot, "status")
+        if status.get("pose") is not None and status.get("battery") is not None:
+            return
+        time.sleep(POLL_S)
+    raise RobotctlError(
+        f"the simulated robot sent no odometry within {SENSORS_DEADLINE_S:g} s "
+        "(is UDP on the loopback interface blocked?)"
+    )
+
+
+def _recording_of(robot: str) -> str | None:
+    """The file that the robot's daemon writes; None where there is no daemon."""
+    try:
+        return short_path(call(robot, "status")["recorder"]["file"])
+    except NoDaemon:
+        return None
+
+
+def _stop_if_running(robot: str) -> None:
+    with suppress(NoDaemon):
+        stop_daemon(robot)
+
+
+def _as_object(robot: str, outcome: Outcome, png: Path) -> dict[str, Any]:
+    from robotctl.recording.read.reader import read_info
+
+    topics = read_info(outcome.folder).topics
+    return {
+        "robot": robot,
+        "recording": str(outcome.folder),
+        "picture": str(png),
+        "messages": {topic.name: topic.message_count for topic in topics},
+        "lost": outcome.missing_messages,
+        **outcome.drive,
+    }
+
+
+def _report(robot: str, outcome: Outcome, png: Path, *, keep: bool) -> Iterator[str]:
+    from robotctl.recording.read.reader import read_info
+
+    found = read_info(outcome.folder)
+    folder = short_path(outcome.folder)
+    yield f"\n  recording   {folder} ({size(found.size_bytes)})"
+    yield f"  picture     {short_path(png)}"
+    yield f"  messages    {found.message_count}, {outcome.missing_messages} lost"
+    yield from tracking_lines(outcome.drive)
+    heard = [topic for topic in found.topics if topic.message_count]
+    table = TopicTable((topic.name, topic.type_name) for topic in heard)
+    yield f"\n{table.header}"
+    for topic in heard:
+        yield table.row(topic.name, topic.type_name, topic.message_count, topic.rate_hz)
+    if len(heard) < len(found.topics):
+        yield f"  and {len(found.topics) - len(heard)} more without a message"
+    if "utf" in (sys.stdout.encoding or "").lower():
+        colour = is_terminal() and not os.environ.get("NO_COLOR")
+        yield "\n  driven (line) over wanted (dots)"
+        yield from braille(outcome.wanted, outcome.driven, colour=colour)
+    yield "\nnext:"
+    yield from (f"  {command}" for command in _next_commands(robot, folder, keep=keep))
+
+
+def _next_commands(robot: str, folder: str, *, keep: bool) -> list[str]:
+    """Three commands, ready to paste."""
+    recording = shlex.quote(folder)
+    if keep:
+        return [
+            command_for(robot, "watch"),
+            f"robotctl info {recording}",
+            command_for(robot, "stop"),
+        ]
+    return [f"robotctl info {recording}", f"robotctl replay {recording}", "robotctl start"]
+
+
+def _title(robot: str, drive: dict[str, Any]) -> str:
+    rms, worst = (
+        number(drive.get(key), ".3f") for key in ("cross_track_rms_m", "cross_track_max_m")
+    )
+    return f"{robot}: {SIDE_M:g} m square, off track {rms} m RMS, {worst} m at most"

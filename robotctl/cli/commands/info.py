@@ -1,0 +1,170 @@
+"""info: what a recording holds."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from robotctl.cli.options import Json, new_app
+from robotctl.cli.support.answer import tell
+from robotctl.cli.support.recording_paths import RecordedBy, Recordings, find_recording
+from robotctl.cli.terminal.text import duration, moment, printable, short_path, size
+from robotctl.cli.terminal.topic_table import TopicTable
+from robotctl.errors import UnreadableFile
+
+if TYPE_CHECKING:
+    from robotctl.recording.format.events import RecordedEvent
+    from robotctl.recording.read.reader import RecordingInfo
+
+app = new_app()
+
+MAX_EVENTS_SHOWN = 20
+
+_POLICIES = {
+    "reliability": {"1": "reliable", "2": "best_effort"},
+    "durability": {"1": "transient_local", "2": "volatile"},
+    "history": {"1": "keep_last", "2": "keep_all", "3": "unknown"},
+}
+"""With the numbers that rosbag2 wrote before version 9 of its metadata (rmw/types.h). The history
+is unknown where DDS did not tell it to the recorder."""
+
+_ENTRY = re.compile(r"^ *(reliability|durability|history|depth): *(\w+)", re.MULTILINE)
+
+
+@app.command()
+def info(
+    file: Annotated[
+        str,
+        typer.Argument(
+            metavar="FILE", help="An MCAP file, a recording's folder or name, or `last`."
+        ),
+    ],
+    folder: Recordings = None,
+    robot: RecordedBy = None,
+    as_json: Json = False,
+) -> None:
+    """Show what a recording holds: topics, counts, rates, QoS, events.
+
+    Reads any MCAP file. Of a damaged one it shows what can be read, says what is missing, and
+    exits with 6.
+
+    \b
+    Examples:
+      robotctl info last
+      robotctl info recordings/robot_20260101_120000
+      robotctl info run.mcap --json | jq '.topics[].name'
+    """
+    from robotctl.recording.read.reader import read_info
+
+    path = find_recording(file, robot, folder)
+    found = read_info(path)
+    error = None
+    if found.missing:
+        error = UnreadableFile(
+            f"{path} is incomplete: {'; '.join(found.missing)}",
+            f"save what can be read: robotctl recover {shlex.quote(short_path(path))}",
+        )
+    tell(as_object(found), info_screen(found), as_json=as_json, error=error)
+
+
+def as_object(found: RecordingInfo) -> dict[str, Any]:
+    """The object of `info --json`; times in nanoseconds since the epoch, or seconds."""
+    from robotctl.recording.format.events import EventKind
+    from robotctl.recording.format.identity import EVENT_RECORD, LEDGER_RECORD
+    from robotctl.recording.format.ledger_record import read_ledger
+    from robotctl.recording.format.rosbag2 import METADATA_RECORD
+
+    told_elsewhere = (METADATA_RECORD, LEDGER_RECORD, EVENT_RECORD)
+    return {
+        "path": str(found.path),
+        "files": [str(path) for path in found.files],
+        "size_bytes": found.size_bytes,
+        "start_ns": found.start_ns,
+        "end_ns": found.end_ns,
+        "duration_s": found.duration_s,
+        "messages": found.message_count,
+        "profile": found.profile,
+        "library": found.library,
+        "topics": [
+            {
+                "name": topic.name,
+                "type": topic.type_name,
+                "count": topic.message_count,
+                "rate": topic.rate_hz,
+                "encoding": topic.encoding,
+                "qos": qos_text(topic.offered_qos),
+                "type_hash": topic.type_hash,
+            }
+            for topic in found.topics
+        ],
+        "events": [
+            {"kind": event.kind.value, "time_ns": event.log_ns, "text": event.text}
+            | ({"laps": event.laps} if event.kind is EventKind.DRIVE_ENDED else {})
+            for event in found.events
+        ],
+        "ledger": read_ledger(found.metadata),
+        "metadata": {
+            name: values for name, values in found.metadata.items() if name not in told_elsewhere
+        },
+        "missing": list(found.missing),
+    }
+
+
+def info_screen(found: RecordingInfo) -> Iterator[str]:
+    """The lines of `robotctl info`."""
+    count = len(found.files)
+    files = "" if count == 1 else f" in {count} files"
+    yield short_path(found.path)
+    yield f"  size       {size(found.size_bytes)}{files}"
+    if found.message_count:
+        yield f"  start      {moment(found.start_ns)}"
+        yield f"  duration   {duration(found.duration_s)}"
+    yield f"  messages   {found.message_count}"
+    if not found.indexed:
+        yield "  index      missing: the file was scanned from its beginning"
+    yield f"  writer     {printable(found.library)}, profile {printable(found.profile) or 'none'}"
+    table = TopicTable((topic.name, topic.type_name) for topic in found.topics)
+    if found.topics:
+        yield ""
+        yield table.header
+    for topic in found.topics:
+        yield table.row(topic.name, topic.type_name, topic.message_count, topic.rate_hz)
+        qos = qos_text(topic.offered_qos)
+        if qos:
+            yield f"    {printable(qos)}"
+    yield from event_lines(found.events)
+
+
+def event_lines(events: Sequence[RecordedEvent]) -> Iterator[str]:
+    """A table of the last events; nothing where there are none."""
+    if events:
+        yield ""
+        earlier = len(events) - MAX_EVENTS_SHOWN
+        yield "events" + (f" ({earlier} earlier ones: --json)" if earlier > 0 else "")
+    for event in events[-MAX_EVENTS_SHOWN:]:
+        yield f"  {moment(event.log_ns)}  {event.kind.value:<11}  {printable(event.text)}"
+
+
+def qos_text(offered: str) -> str:
+    """The QoS that a topic's publishers offered, in words; "" where the file does not say.
+
+    rosbag2 writes a flat list in block style; a YAML parser would be at the mercy of the file.
+    """
+    profiles = (
+        dict(_ENTRY.findall(part)) for part in re.split(r"^- ", offered, flags=re.MULTILINE)
+    )
+    return "; ".join(dict.fromkeys(_profile_text(profile) for profile in profiles if profile))
+
+
+def _profile_text(profile: dict[str, str]) -> str:
+    words = []
+    for policy, names in _POLICIES.items():
+        value = profile.get(policy, "unknown")
+        words.append(names.get(value, value))
+    if words[-1] == "keep_last":
+        words[-1] += f" {profile.get('depth', '')}"
+    return ", ".join(word for word in words if word != "unknown")

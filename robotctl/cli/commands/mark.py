@@ -1,0 +1,46 @@
+"""mark: name this moment in the recording."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from robotctl.cli.options import Json, Robot, new_app
+from robotctl.cli.support.control import source
+from robotctl.cli.terminal.text import (
+    json_text,
+    moment,
+    printable,
+)
+from robotctl.errors import UsageError
+from robotctl.ipc.client import call
+from robotctl.ipc.protocol import MAX_MARK_LENGTH
+from robotctl.paths import DEFAULT_ROBOT
+
+app = new_app()
+
+
+@app.command()
+def mark(
+    text: Annotated[str, typer.Argument(metavar="TEXT", help="What to find again, on one line.")],
+    robot: Robot = DEFAULT_ROBOT,
+    as_json: Json = False,
+) -> None:
+    """Mark this moment in the recording.
+
+    The mark is published on robotctl/marks, too; robotctl clip --event mark cuts out what happened
+    around it.
+
+    \b
+    Examples:
+      robotctl mark "the door opened"
+    """
+    text = text.strip()
+    if not 0 < len(text) <= MAX_MARK_LENGTH:
+        raise UsageError(f"a mark has 1 to {MAX_MARK_LENGTH} characters, not {len(text)}")
+    answer = call(robot, "mark", {"text": text, "source": source("mark")})
+    if as_json:
+        print(json_text(answer))
+    else:
+        print(f"marked {moment(answer['time_ns'])}: {printable(text)}")

@@ -1,0 +1,87 @@
+"""record: the recording that goes on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from robotctl.cli.options import Json, Robot, new_app
+from robotctl.cli.terminal.text import (
+    column_width,
+    columns,
+    elided,
+    json_text,
+    printable,
+    short_path,
+    size,
+)
+from robotctl.ipc.client import call
+from robotctl.paths import DEFAULT_ROBOT
+
+app = new_app()
+group = new_app()
+app.add_typer(group, name="record")
+
+SPLIT_DEADLINE_S = 15.0
+
+_COUNTS = {"received": 8, "written": 8, "queued": 6, "dropped": 7, "lost": 6, "unseen": 6}
+"""What is counted of each topic, and the width of its column."""
+
+_MIN_NAME_WIDTH = 24
+
+_COUNT_HEADER = " ".join(f"{title:>{width}}" for title, width in _COUNTS.items())
+
+
+@group.callback()
+def record() -> None:
+    """Look after the recording that goes on: status, split.
+
+    \b
+    Examples:
+      robotctl record status
+      robotctl record split
+    """
+
+
+@group.command()
+def status(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
+    """Show what of each topic was received, written and lost.
+
+    received = written + queued + dropped; lost were sent between messages that arrived, unseen
+    before the first that did.
+
+    \b
+    Examples:
+      robotctl record status
+      robotctl record status --json | jq .recorder.lost
+    """
+    answer = call(robot, "record_status")
+    print(json_text(answer) if as_json else "\n".join(status_lines(answer)))
+
+
+@group.command()
+def split(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
+    """Finish the current file, and go on in the next one without a gap.
+
+    \b
+    Examples:
+      robotctl record split
+    """
+    answer = call(robot, "record_split", deadline_s=SPLIT_DEADLINE_S)
+    print(json_text(answer) if as_json else printable(answer.get("message")))
+
+
+def status_lines(answer: dict[str, Any]) -> Iterator[str]:
+    """The lines of `robotctl record status`."""
+    recorder = answer.get("recorder") or {}
+    written = size(recorder.get("bytes") or 0)
+    yield f"{printable(recorder.get('state'))}: {short_path(recorder.get('file'))}, {written}"
+    names = [topic.get("name") for topic in answer.get("topics") or []]
+    most = columns() - len("   ") - len(_COUNT_HEADER)
+    name_width = column_width(names, at_least=_MIN_NAME_WIDTH, at_most=most)
+    yield f"  {'topic':{name_width}} {_COUNT_HEADER}"
+    for topic in answer.get("topics") or []:
+        known = {"received": topic.get("count"), **topic}
+        counts = " ".join(f"{known.get(key) or 0:>{width}}" for key, width in _COUNTS.items())
+        yield f"  {elided(topic.get('name'), name_width):{name_width}} {counts}"
+    yield from (f"warning: {printable(warning)}" for warning in answer.get("warnings") or [])

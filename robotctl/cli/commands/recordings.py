@@ -1,0 +1,202 @@
+"""recordings: what was recorded, and what of it is kept."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from robotctl.cli.options import Json, new_app
+from robotctl.cli.support.answer import tell
+from robotctl.cli.support.recording_paths import (
+    RecordedBy,
+    Recordings,
+    find_recording,
+    recordings_folder,
+    robot_of,
+)
+from robotctl.cli.terminal.progress import progress_bar
+from robotctl.cli.terminal.text import (
+    column_width,
+    columns,
+    duration,
+    elided,
+    json_text,
+    moment,
+    printable,
+    short_path,
+    size,
+)
+from robotctl.errors import IN_PARENTHESES, Refused, UsageError
+from robotctl.ipc.client import command_for
+from robotctl.paths import DEFAULT_ROBOT
+
+if TYPE_CHECKING:
+    from robotctl.recording.keep.listing import ListedRecording
+
+app = new_app()
+group = new_app()
+app.add_typer(group, name="recordings")
+
+Name = Annotated[
+    str, typer.Argument(metavar="NAME", help="A recording's name or folder, or `last`.")
+]
+
+_NAME_WIDTH = 26
+_OTHER_COLUMNS_WIDTH = 54
+
+
+@group.callback(invoke_without_command=True)
+def recordings(
+    context: typer.Context,
+    folder: Recordings = None,
+    robot: RecordedBy = None,
+    as_json: Json = False,
+) -> None:
+    """List recordings with length, laps and the worst that happened.
+
+    Those in ./recordings or, where it holds none, those of the running or last daemon. The oldest
+    are removed when a daemon starts (see recording.max_total_gb), except those marked with keep.
+
+    \b
+    Examples:
+      robotctl recordings
+      robotctl recordings --json | jq -r '.recordings[] | .path'
+      robotctl recordings keep robot_20260101_120000
+      robotctl recordings unkeep robot_20260101_120000
+    """
+    if context.invoked_subcommand is not None:
+        _refuse_options_before(context, context.invoked_subcommand)
+        return
+    from robotctl.recording.keep.listing import list_recordings
+
+    place = recordings_folder(robot, folder)
+    found: list[ListedRecording] = []
+    if place.is_dir():
+        try:
+            with progress_bar("reading", quiet=as_json) as on_progress:
+                found = [
+                    each
+                    for each in list_recordings(place, on_progress)
+                    if robot in (None, each.robot, robot_of(each.path))
+                ]
+        except OSError as error:
+            raise Refused(f"{place} cannot be listed: {error.strerror}") from error
+    if as_json:
+        print(json_text({"folder": str(place), "recordings": [_as_object(each) for each in found]}))
+    else:
+        print("\n".join(_screen(place, found, robot or DEFAULT_ROBOT)))
+
+
+@group.command()
+def keep(
+    name: Name, folder: Recordings = None, robot: RecordedBy = None, as_json: Json = False
+) -> None:
+    """Never remove a recording, whatever its age.
+
+    \b
+    Examples:
+      robotctl recordings keep last
+    """
+    path = _set_kept(name, folder, robot, kept=True)
+    told = f"{printable(path.name)} is kept, whatever its age"
+    tell({"path": str(path), "kept": True}, [told], as_json=as_json)
+
+
+@group.command()
+def unkeep(
+    name: Name, folder: Recordings = None, robot: RecordedBy = None, as_json: Json = False
+) -> None:
+    """Let a recording be removed again when its time has come.
+
+    \b
+    Examples:
+      robotctl recordings unkeep robot_20260101_120000
+    """
+    path = _set_kept(name, folder, robot, kept=False)
+    told = f"{printable(path.name)} is removed again when its time has come"
+    tell({"path": str(path), "kept": False}, [told], as_json=as_json)
+
+
+def _refuse_options_before(context: typer.Context, command: str) -> None:
+    """Raise UsageError for an option of the list that stands before `command`."""
+    for parameter in context.command.params:
+        source = context.get_parameter_source(parameter.name or "")
+        if source is not None and source.name == "COMMANDLINE":
+            raise UsageError(
+                f"{parameter.opts[0]} stands before {command}",
+                f"give it after: robotctl recordings {command} NAME {parameter.opts[0]} ...",
+            )
+
+
+def _set_kept(name: str, folder: Path | None, robot: str | None, *, kept: bool) -> Path:
+    from robotctl.recording.keep.catalog import set_kept
+
+    path = find_recording(name, robot, folder)
+    if not path.is_dir():
+        raise Refused(
+            f"{path} is no recording's folder",
+            "see: robotctl recordings",
+            sentence=IN_PARENTHESES,
+        )
+    try:
+        set_kept(path, kept)
+    except OSError as error:
+        raise Refused(f"{path} cannot be changed: {error.strerror}") from error
+    return path
+
+
+def _as_object(each: ListedRecording) -> dict[str, Any]:
+    return {
+        "name": each.path.name,
+        "path": str(each.path),
+        "robot": each.robot or None,
+        "start_ns": each.start_ns,
+        "duration_s": each.duration_s,
+        "size_bytes": each.size_bytes,
+        "files": each.files,
+        "laps": each.laps,
+        "worst": None if each.worst is None else each.worst.value,
+        "readable": each.readable,
+        "damage": list(each.damage),
+        "live": each.live,
+        "kept": each.kept,
+        "clips": [str(clip) for clip in each.clips],
+    }
+
+
+def _screen(place: Path, found: Sequence[ListedRecording], robot: str) -> Iterator[str]:
+    if not found:
+        start = command_for(robot, "start")
+        yield f"no recordings in {short_path(place)} (begin one: {start})"
+        return
+    yield f"{short_path(place)}: {size(sum(each.size_bytes for each in found))}"
+    names = (each.path.name for each in found)
+    most = max(columns() - _OTHER_COLUMNS_WIDTH, _NAME_WIDTH)
+    width = column_width(names, at_least=_NAME_WIDTH, at_most=most)
+    yield (f"  {'name':{width}} {'start':16} {'size':>8} {'duration':>11} {'laps':>4}  worst")
+    for each in found:
+        begun_ns = each.start_ns or round(each.modified_s * 1e9)
+        worst = "-" if each.worst is None else each.worst.value
+        yield (
+            f"  {elided(each.path.name, width):{width}} {moment(begun_ns)[:16]} "
+            f"{size(each.size_bytes):>8} {duration(each.duration_s):>11} {each.laps:>4}  "
+            f"{worst:5} {', '.join(_remarks(each))}"
+        ).rstrip()
+    if any(each.damage for each in found):
+        yield "damaged ones: robotctl recover NAME saves what can be read"
+
+
+def _remarks(each: ListedRecording) -> Iterator[str]:
+    if each.live:
+        yield "live"
+    if each.kept:
+        yield "kept"
+    if each.clips:
+        yield f"{len(each.clips)} clip{'s' * (len(each.clips) > 1)}"
+    if not each.readable:
+        yield "unreadable"
+    elif each.damage:
+        yield "damaged"

@@ -1,0 +1,276 @@
+"""replay: a recording to ROS, with its own timing, or only to the eye."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from signal import SIGHUP, SIGQUIT, SIGTERM
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from robotctl.cli.options import Json, new_app
+from robotctl.cli.support.answer import tell
+from robotctl.cli.support.player_process import Outcome, play
+from robotctl.cli.support.recording_paths import RecordedBy, find_recording
+from robotctl.cli.support.signals import interrupted_by
+from robotctl.cli.terminal.replay_lines import summary_lines
+from robotctl.cli.terminal.replay_screen import Screen, screen
+from robotctl.cli.terminal.text import short_path
+from robotctl.errors import Interrupted, UsageError
+from robotctl.paths import DEFAULT_ROBOT, check_robot_name
+from robotctl.replay.job import (
+    Job,
+    check_clock,
+    check_regex,
+    check_seconds,
+    parse_rate,
+    parse_remap,
+)
+
+if TYPE_CHECKING:
+    from robotctl.replay.recorded_robot import Sight
+    from robotctl.replay.timeline import Span
+
+app = new_app()
+
+MAX_DOMAIN_ID = 232
+"""The last ROS domain whose ports exist (DDSI-RTPS 2.5, 9.6.2.3)."""
+
+_OF_CHECKS = frozenset({"files", "check", "what_if", "resim", "robot", "as_json"})
+"""What --check, --what-if and --resim take."""
+
+MAX_READ_AHEAD = 1_000_000
+
+
+@app.command()
+def replay(
+    context: typer.Context,
+    files: Annotated[
+        list[Path],
+        typer.Argument(metavar="FILE", help="An MCAP file, a recording's folder or name, or last."),
+    ],
+    rate: Annotated[
+        str, typer.Option(metavar="X", help="Times the original speed; max: as fast as can be.")
+    ] = "1",
+    topics: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="Only these topics; repeatable.")
+    ] = None,
+    regex: Annotated[
+        str, typer.Option(metavar="RE", help="Topics with this in their name, beside --topics.")
+    ] = "",
+    exclude: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="Not these topics; repeatable.")
+    ] = None,
+    remap: Annotated[
+        list[str] | None,
+        typer.Option(metavar="OLD:=NEW", help="Publish a topic as another; repeatable."),
+    ] = None,
+    start_offset: Annotated[
+        float, typer.Option(metavar="S", help="Begin so many seconds into the recording.")
+    ] = 0.0,
+    play_duration: Annotated[
+        float | None,
+        typer.Option("--duration", metavar="S", help="Play so many recorded seconds."),
+    ] = None,
+    check: Annotated[
+        bool, typer.Option("--check", help="Decide again instead, and compare; needs no ROS.")
+    ] = False,
+    what_if: Annotated[
+        list[str] | None,
+        typer.Option(metavar="KEY=VALUE", help="Decide again with another parameter; repeatable."),
+    ] = None,
+    resim: Annotated[
+        bool, typer.Option("--resim", help="Drive again with a simulated robot that reacts.")
+    ] = False,
+    delay: Annotated[float, typer.Option(metavar="S", help="Wait before the first message.")] = 0.0,
+    loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
+    paused: Annotated[bool, typer.Option("--paused", help="Begin paused.")] = False,
+    clock: Annotated[
+        float | None, typer.Option(metavar="HZ", help="Publish the recorded time as /clock.")
+    ] = None,
+    wait_for: Annotated[
+        int,
+        typer.Option(metavar="N", min=0, help="Send nothing before so many subscribers are there."),
+    ] = 0,
+    service_requests: Annotated[
+        bool,
+        typer.Option("--publish-service-requests", help="Send recorded service requests as calls."),
+    ] = False,
+    read_ahead: Annotated[
+        int | None,
+        typer.Option(metavar="N", min=1, max=MAX_READ_AHEAD, help="Messages to read ahead."),
+    ] = None,
+    see: Annotated[bool, typer.Option("--view", help="Draw the recorded robot meanwhile.")] = False,
+    see_only: Annotated[
+        bool, typer.Option("--view-only", help="Draw the recorded robot; nothing goes to ROS.")
+    ] = False,
+    original_names: Annotated[
+        bool, typer.Option("--original-names", help="Not below /replay beside a daemon.")
+    ] = False,
+    force_types: Annotated[
+        bool, typer.Option("--force-types", help="Play types whose definition has changed.")
+    ] = False,
+    force: Annotated[bool, typer.Option("--force", hidden=True)] = False,
+    domain_id: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N", help="ROS domain [default: ROS_DOMAIN_ID, or the daemon's, or 0]."
+        ),
+    ] = None,
+    robot: RecordedBy = None,
+    as_json: Json = False,
+) -> None:
+    """Publish a recording to ROS with its original timing.
+
+    While a daemon runs in the same ROS domain, everything goes below /replay; --original-names
+    does without, unless the robot is moving. Under the original names, velocity commands and
+    service requests are withheld unless --topics names them.
+
+    Keys: space pauses, n sends the next message, + and - change the rate, q ends.
+
+    \b
+    Examples:
+      robotctl replay last
+      robotctl replay run.mcap --topics /odom,/tf --rate 2 --loop
+      robotctl replay run.mcap --remap /odom:=/old/odom --wait-for 1
+      robotctl replay run.mcap --rate max --json
+      robotctl replay recordings/* --check
+      robotctl replay run.mcap --resim --what-if tracking.k_y=8
+      robotctl replay run.mcap --view-only --start-offset 30
+    """
+    if force:
+        raise UsageError(
+            "--force has become two options: --original-names publishes beside a daemon, and "
+            "--force-types plays types that have changed"
+        )
+    if check and (what_if or resim):
+        raise UsageError("--check takes the recorded parameters", "leave --what-if and --resim out")
+    daemon_robot = check_robot_name(robot or DEFAULT_ROBOT)
+    if check or what_if or resim:
+        _refuse_playing_options(context)
+    if check:
+        from robotctl.cli.commands.replay_check import check_command
+
+        check_command(files, robot, as_json=as_json)
+        return
+    if what_if or resim:
+        from robotctl.cli.commands.replay_whatif import what_if_command
+
+        what_if_command(files, what_if or [], robot, closed_loop=resim, as_json=as_json)
+        return
+    name = _only(files)
+    path = find_recording(str(name), robot)
+    job = Job(
+        file=path.absolute(),
+        robot=daemon_robot,
+        domain_id=_domain_id(domain_id),
+        rate=parse_rate(rate),
+        topics=_names(topics),
+        regex=check_regex(regex),
+        exclude=_names(exclude),
+        remaps=tuple(parse_remap(each) for each in remap or ()),
+        start_offset_s=check_seconds("--start-offset", start_offset),
+        duration_s=None
+        if play_duration is None
+        else check_seconds("--duration", play_duration, positive=True),
+        delay_s=check_seconds("--delay", delay),
+        loop=loop,
+        paused=paused,
+        clock_hz=None if clock is None else check_clock(clock),
+        wait_for=wait_for,
+        service_requests=service_requests,
+        read_ahead=read_ahead,
+        original_names=original_names,
+        changed_types=force_types,
+        debug="--debug" in sys.argv,
+    )
+    if path != name and not as_json:
+        print(short_path(path), flush=True)
+    with interrupted_by((SIGTERM, SIGHUP, SIGQUIT)):
+        if see_only:
+            _view(job, quiet=as_json)
+        else:
+            _play(job, see=see, as_json=as_json)
+
+
+def _play(job: Job, *, see: bool, as_json: bool) -> None:
+    """Play to ROS, and print the summary."""
+
+    @contextmanager
+    def open_screen() -> Iterator[Screen]:
+        with ExitStack() as stack:
+            sight = stack.enter_context(_sight(job))[0] if see else None
+            yield stack.enter_context(screen(sight, quiet=as_json))
+
+    outcome = Outcome()
+    play(job, outcome, open_screen)
+    error = Interrupted() if outcome.interrupted else outcome.error
+    if outcome.summary:
+        lines = summary_lines(outcome.summary)
+        tell(outcome.summary, lines, as_json=as_json, error=error)
+    elif error is not None:
+        raise error
+
+
+def _view(job: Job, *, quiet: bool) -> None:
+    """Show the recording; nothing of ROS is imported. Raises UsageError."""
+    if job.rate is None:
+        raise UsageError("--view-only needs a --rate that is a number: nobody can see max")
+    from robotctl.cli.support.replay_without_ros import view
+
+    with _sight(job) as (sight, span), screen(sight, quiet=quiet) as shown:
+        view(job, sight, span, shown)
+
+
+@contextmanager
+def _sight(job: Job) -> Iterator[tuple[Sight, Span]]:
+    """The recorded robot during the part that is played."""
+    from robotctl.recording.read.reader import Recording
+    from robotctl.replay.recorded_robot import Sight
+    from robotctl.replay.timeline import span_of
+
+    with Recording(job.file) as recording:
+        span = span_of(recording.info(), job)
+        yield Sight(recording, span, loop=job.loop), span
+
+
+def _refuse_playing_options(context: typer.Context) -> None:
+    """Raise UsageError for an option that only says how to play."""
+    for parameter in context.command.params:
+        name = parameter.name or ""
+        source = context.get_parameter_source(name)
+        if name not in _OF_CHECKS and source is not None and source.name == "COMMANDLINE":
+            raise UsageError(
+                f"{parameter.opts[0]}: says how to play; leave it out with --check, "
+                "--what-if and --resim"
+            )
+
+
+def _only(files: list[Path]) -> Path:
+    """The one recording that is played. Raises UsageError."""
+    if len(files) > 1:
+        raise UsageError(
+            f"{len(files)} recordings: one at a time is played "
+            "(several files of one recording: give their folder)"
+        )
+    return files[0]
+
+
+def _names(given: list[str] | None) -> tuple[str, ...]:
+    """Topic names, given one by one or with commas."""
+    return tuple(name for text in given or () for name in text.split(",") if name)
+
+
+def _domain_id(given: int | None) -> int | None:
+    """The domain that was asked for. Raises UsageError."""
+    text = os.environ.get("ROS_DOMAIN_ID")
+    name, value = ("ROS_DOMAIN_ID", text) if given is None else ("--domain-id", str(given))
+    if not value:
+        return None
+    if not value.isdecimal() or int(value) > MAX_DOMAIN_ID:
+        raise UsageError(f"{name} is {value!r}", f"use 0 to {MAX_DOMAIN_ID}")
+    return int(value)

@@ -1,0 +1,37 @@
+"""set-mode: ask for a mode. `control` carries it out."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from robotctl.cli.options import Json, Robot, new_app
+from robotctl.cli.support import control
+from robotctl.paths import DEFAULT_ROBOT
+
+app = new_app()
+
+
+@app.command("set-mode")
+def set_mode(
+    mode: Annotated[
+        str,
+        typer.Argument(
+            metavar="MODE", help="idle, moving, error or emergency-stop, in any case, or 0 to 3."
+        ),
+    ],
+    robot: Robot = DEFAULT_ROBOT,
+    as_json: Json = False,
+) -> None:
+    """Ask for a mode; `moving` drives the configured pattern.
+
+    A refusal names the condition that does not hold, and exits with 4.
+
+    \b
+    Examples:
+      robotctl set-mode moving
+      robotctl set-mode EMERGENCY_STOP
+      robotctl set-mode 0
+    """
+    control.set_mode(mode, robot, as_json)

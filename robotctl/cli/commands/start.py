@@ -1,0 +1,122 @@
+"""start: the daemon, in the background or in this terminal."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from robotctl import __version__
+from robotctl.cli.commands.drive import Pattern
+from robotctl.cli.options import ConfigFile, DomainId, Json, Robot, new_app
+from robotctl.cli.support.launch import INTERRUPTIONS, StartOptions, launch
+from robotctl.cli.support.signals import interrupted_by
+from robotctl.cli.terminal.screen import mode_text
+from robotctl.cli.terminal.text import json_text, printable, short_path
+from robotctl.errors import UsageError
+from robotctl.ipc.client import command_for
+from robotctl.paths import DEFAULT_ROBOT, check_robot_name
+
+app = new_app()
+
+
+@app.command()
+def start(
+    robot: Robot = DEFAULT_ROBOT,
+    config: ConfigFile = None,
+    recordings: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Where to record [default: ./recordings].")
+    ] = None,
+    drive: Annotated[
+        Pattern | None, typer.Option(metavar="PATTERN", help="Start moving at once.")
+    ] = None,
+    sim: Annotated[
+        bool | None,
+        typer.Option(
+            "--sim/--no-sim",
+            help="Force or leave out the simulated robot; without either it "
+            "starts unless somebody publishes odometry already.",
+        ),
+    ] = None,
+    observe: Annotated[
+        bool,
+        typer.Option(
+            "--observe", help="Only record, beside anybody's stack: no command, no mode, no robot."
+        ),
+    ] = False,
+    include: Annotated[
+        list[str] | None,
+        typer.Option(metavar="PATTERN", help="Record only these topics; may be repeated."),
+    ] = None,
+    exclude: Annotated[
+        list[str] | None,
+        typer.Option(metavar="PATTERN", help="Do not record these topics; may be repeated."),
+    ] = None,
+    domain_id: DomainId = None,
+    foreground: Annotated[
+        bool, typer.Option("--foreground", help="Stay in the terminal, for systemd and containers.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Start the daemon and return when it is ready.
+
+    It records every topic from the first message on. Nothing moves before you say so.
+
+    A PATTERN is a topic (/scan), a glob (/camera/*) or a type
+    (type:sensor_msgs/msg/Image); several may stand between commas. What proves a drive
+    is always recorded: command, odometry, robot status and journal.
+
+    \b
+    Examples:
+      robotctl start
+      robotctl start --drive circle
+      robotctl start --no-sim --config robot.yaml --recordings /data
+      robotctl start --robot r2 --domain-id 5
+      robotctl start --observe --recordings /data
+      robotctl start --exclude '/camera/*,type:sensor_msgs/msg/PointCloud2'
+    """
+    if foreground and as_json:
+        raise UsageError("--foreground with --json", "leave --json out: READY is JSON anyway")
+    options = StartOptions(
+        robot=check_robot_name(robot),
+        config=config,
+        recordings=recordings,
+        drive=None if drive is None else drive.value,
+        sim=sim,
+        domain_id=domain_id,
+        observe=observe,
+        include=tuple(include or ()),
+        exclude=tuple(exclude or ()),
+    )
+    if foreground:
+        command = options.command()
+        os.execv(command[0], command)
+
+    def tell(ready: dict[str, Any]) -> None:
+        with suppress(BrokenPipeError):  # who has closed our stdout does not want to be told
+            print(json_text(ready) if as_json else "\n".join(summary(ready)), flush=True)
+
+    with interrupted_by(INTERRUPTIONS):
+        launch(options, tell)
+
+
+def summary(ready: dict[str, Any]) -> Iterator[str]:
+    """What a daemon that has just become ready says of itself."""
+    robot = printable(ready.get("robot"))
+    yield f"robotctl {__version__}: robot {robot} is ready"
+    yield f"  mode        {mode_text(ready)}"
+    domain, discovery = ready.get("domain_id"), printable(ready.get("discovery_range"))
+    yield f"  ROS         domain {domain}, discovery {discovery}"
+    if ready.get("sim") is not None:
+        yield f"  simulator   {'yes' if ready['sim'] else 'no'}"
+    yield f"  socket      {printable(ready.get('socket'))}"
+    yield f"  recording   {short_path(ready.get('recording'))}"
+    yield f"  log         {printable(ready.get('log'))}"
+    yield f"  pid         {ready.get('pid')}"
+    yield from (f"note: {printable(note)}" for note in ready.get("notes") or [])
+    if ready.get("mode") == "EMERGENCY_STOP":
+        yield f"still latched from before; release it with: {command_for(robot, 'reset')}"

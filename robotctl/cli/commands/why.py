@@ -1,0 +1,268 @@
+"""why: the chain that led to the last stop, refusal or fault."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from robotctl.cli.options import Json, new_app
+from robotctl.cli.support.answer import tell
+from robotctl.cli.support.recording_paths import (
+    LAST,
+    RecordedBy,
+    Recordings,
+    find_recording,
+    recordings_of,
+    robot_of,
+)
+from robotctl.cli.support.time_argument import is_offset, parse_moment
+from robotctl.cli.terminal.progress import Progress, progress_bar
+from robotctl.cli.terminal.text import row, short_path
+from robotctl.errors import NoDaemon, Refused, RobotctlError, UnreadableFile, UsageError
+from robotctl.ipc.advice import advice
+from robotctl.ipc.client import Client
+from robotctl.paths import DEFAULT_ROBOT
+
+if TYPE_CHECKING:
+    from robotctl.rerun.incident import Incident
+
+app = new_app()
+
+MAX_RECORDINGS = 20
+"""How many are searched, the newest first: each journal is read whole, seconds for an hour."""
+
+COMMIT_DEADLINE_S = 8.0
+"""Above the daemon's own deadline for it, so that its answer says what the disk did not take."""
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """An incident, the recording that holds it, and the later ones in which nothing happened."""
+
+    path: Path
+    incident: Incident
+    later: Sequence[Path]
+    missing: Sequence[str]
+
+
+@app.command()
+def why(
+    file: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[FILE]",
+            help="An MCAP file, a recording's folder or name, or `last` [default: the running "
+            "daemon's, or the last, or one before that].",
+        ),
+    ] = None,
+    at: Annotated[
+        str | None,
+        typer.Option(
+            metavar="T", help="What is nearest to it: seconds into the recording, 12:03:04, a date."
+        ),
+    ] = None,
+    folder: Recordings = None,
+    robot: RecordedBy = None,
+    as_json: Json = False,
+) -> None:
+    """Say why the robot was stopped last, or why a request was refused.
+
+    From the journal of a recording; needs neither ROS nor a daemon. A running daemon is asked to
+    write down first what it knows. Where nothing happened in the last recording, those of the
+    robot before it are searched.
+
+    \b
+    Examples:
+      robotctl why
+      robotctl why last --at 12:03:04
+      robotctl why incident.mcap --json
+    """
+    missing: list[str] = []
+    paths = _paths(file, robot, folder, missing)
+    with progress_bar("reading the journal", quiet=as_json) as on_progress:
+        if at is None:
+            found = _find(paths, None, missing, on_progress)
+        else:
+            path, at_ns = _at(paths, at, missing)
+            found = _find([path], at_ns, missing, on_progress)
+    tell(as_object(found), why_lines(found), as_json=as_json)
+
+
+def _paths(
+    file: str | None, robot: str | None, folder: Path | None, missing: list[str]
+) -> list[Path]:
+    """Return the recordings to search, the newest first; a live one holds all that is known."""
+    newest = asked = None
+    if file is None and folder is None:
+        asked = robot or DEFAULT_ROBOT
+        newest = _committed(asked, missing)
+    if newest is None:
+        newest = find_recording(file or LAST, robot, folder)
+        recorded_by = robot_of(newest)
+        if recorded_by not in (None, asked):
+            _committed(recorded_by, missing)
+    if file not in (None, LAST):
+        return [newest]
+    paths = recordings_of(robot_of(newest), newest.parent)
+    if newest not in paths:
+        return [newest]
+    return paths[paths.index(newest) :][:MAX_RECORDINGS]
+
+
+def _committed(robot: str, missing: list[str]) -> Path | None:
+    """Have the robot's daemon write down what it knows, and return its recording's folder."""
+    try:
+        with Client(robot) as client:
+            answer = _commit(client, missing)
+    except (NoDaemon, Refused, UsageError):  # nobody listens; or no robot's name
+        return None
+    return None if answer is None else Path(answer["file"]).parent
+
+
+def _commit(client: Client, missing: list[str]) -> dict[str, Any] | None:
+    try:
+        answer = client.call("record_commit", deadline_s=COMMIT_DEADLINE_S)
+    except RobotctlError as error:  # busy, stuck, ending, or of another version
+        missing.append(f"what the daemon has not written yet: {error}")
+        return None
+    if answer["uncommitted"]:
+        reason = answer["failure"] or "the disk is too slow"
+        missing.append(f"{answer['uncommitted']} messages that are not written: {reason}")
+    return answer
+
+
+def _at(paths: Sequence[Path], at: str, missing: list[str]) -> tuple[Path, int]:
+    """Return the recording to search for the time `at`, and that time [ns].
+
+    It is the newest that holds the time, else the newest that begins before it, else the newest;
+    `at` in seconds is into the newest. What cannot be read is passed over and told to `missing`.
+
+    Raises:
+        UnreadableFile: None can be read.
+    """
+    from robotctl.recording.read.reader import read_info
+
+    unreadable: list[UnreadableFile] = []
+    readable: list[tuple[Path, int]] = []
+    before: list[tuple[Path, int]] = []
+    for path in paths:
+        try:
+            info = read_info(path)
+        except UnreadableFile as error:
+            unreadable.append(error)
+            missing.append(str(error))
+            continue
+        at_ns = parse_moment(at, info.start_ns, info.end_ns)
+        if is_offset(at) or info.start_ns <= at_ns <= info.end_ns:
+            return path, at_ns
+        readable.append((path, at_ns))
+        if info.message_count and info.start_ns <= at_ns:
+            before.append((path, at_ns))
+    if not readable:
+        raise unreadable[0]
+    return (before or readable)[0]
+
+
+def _find(
+    paths: Sequence[Path], at_ns: int | None, missing: list[str], on_progress: Progress
+) -> Found:
+    """Return the last incident, or the one nearest to `at_ns`; raises Refused if there is none."""
+    from robotctl.rerun.incident import find_incident
+
+    later: list[Path] = []
+    for path in paths:
+        try:
+            searched = find_incident(path, at_ns, on_progress)
+        except UnreadableFile as error:
+            if len(paths) == 1:
+                raise
+            missing.append(str(error))
+            continue
+        missing += searched.missing
+        if searched.incident is not None:
+            return Found(path, searched.incident, later, missing)
+        later.append(path)
+    before = "" if len(paths) == 1 else f" and {len(paths) - 1} before it"
+    but = f" (but {'; '.join(missing)})" if missing else ""
+    raise Refused(f"{paths[0]}{before}: the robot was not stopped, and nothing was refused{but}")
+
+
+def why_lines(found: Found) -> Iterator[str]:
+    """Yield the sentences, as operators read them."""
+    from robotctl.rerun.why import explain
+
+    incident, robot = found.incident, robot_of(found.path) or DEFAULT_ROBOT
+    told = explain(incident)
+    yield from row(f"{_clock(incident)}  ", advice(told.what, robot).sentence)
+    rows = (
+        ("came in", told.came_in),
+        ("known", told.known),
+        ("rule", told.rule),
+        ("asked for", told.asked),
+        *(("went out" if not i else "", text) for i, text in enumerate(told.went_out)),
+        ("since", advice(told.since, robot).sentence),
+        ("then", _later(found)),
+        *(("missing", sentence) for sentence in found.missing),
+    )
+    for label, text in rows:
+        if text:
+            yield from row(f"  {label:12}", text)
+    after_s = (incident.t_ns - incident.begin_ns) / 1e9
+    yield f"  {'recorded in':12}{short_path(found.path)}, {after_s:.3f} s after its beginning"
+
+
+def _later(found: Found) -> str:
+    count = len(found.later)
+    if not count:
+        return ""
+    what = "a later recording" if count == 1 else f"{count} later recordings"
+    return f"{what} without a stop or a refusal, up to {short_path(found.later[0])}"
+
+
+def as_object(found: Found) -> dict[str, Any]:
+    """Return the object of `why --json`; times in seconds, milliseconds and ns since the epoch."""
+    from robotctl.rerun.journal_values import text_of
+    from robotctl.rerun.why import explain, rule_of
+
+    incident, robot = found.incident, robot_of(found.path) or DEFAULT_ROBOT
+    told = explain(incident)
+    rule = rule_of(incident)
+    sent_ms = None if incident.zero_ns is None else (incident.zero_ns - incident.log_ns) / 1e6
+    return {
+        "path": str(found.path),
+        "later": [str(path) for path in found.later],
+        "kind": incident.kind.value,
+        "seq": incident.seq,
+        "log_ns": incident.log_ns,
+        "after_s": (incident.t_ns - incident.begin_ns) / 1e9,
+        "mode_before": incident.before.mode.name if incident.before else None,
+        "mode": incident.after.mode.name if incident.after else None,
+        "cause": rule.cause.value if rule else None,
+        "cure": advice(rule.cure, robot).sentence if rule else None,
+        "zero_after_ms": sent_ms,
+        "event": text_of(incident.event),
+        "effects": [text_of(effect) for effect in incident.effects],
+        "what": advice(told.what, robot).sentence,
+        "came_in": told.came_in,
+        "known": told.known,
+        "rule": told.rule,
+        "asked": told.asked,
+        "went_out": list(told.went_out),
+        "since": advice(told.since, robot).sentence,
+        "missing": list(found.missing),
+    }
+
+
+def _clock(incident: Incident) -> str:
+    """The time of day, to the millisecond."""
+    seconds, rest_ns = divmod(incident.log_ns, 10**9)
+    try:
+        day = time.strftime("%H:%M:%S", time.localtime(seconds))
+    except (OverflowError, ValueError, OSError):  # a file may claim anything
+        return f"{incident.log_ns} ns"
+    return f"{day}.{rest_ns // 10**6:03}"

@@ -1,0 +1,103 @@
+"""The typer application. A command's module is imported when it is called, or for the help."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+from robotctl import __version__
+from robotctl.cli.options import new_app
+from robotctl.errors import IN_PARENTHESES, UsageError
+
+SECTIONS = {
+    "Without a robot": ("demo", "sim"),
+    "The daemon": ("start", "status", "watch", "logs", "stop"),
+    "The robot": ("drive", "set-mode", "estop", "reset"),
+    "Recordings": (*("record", "mark", "recordings", "info", "clip", "recover", "replay", "why"),),
+}
+"""The sections of the help, and the commands of each; `commands/` has a module for each."""
+
+COMMANDS = tuple(name for names in SECTIONS.values() for name in names)
+
+
+class LazyGroup(TyperGroup):
+    """Builds no command but the one that is asked for."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Every command, in the order of the help."""
+        return list(COMMANDS)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """The commands in their sections, each with the first sentence of its help."""
+        width = max(map(len, COMMANDS))
+        for title, names in SECTIONS.items():
+            commands = [self.get_command(ctx, name) for name in names]
+            with formatter.section(title):
+                formatter.write_dl(
+                    [
+                        (f"{command.name:{width}}", command.get_short_help_str(formatter.width))
+                        for command in commands
+                    ]
+                )
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """The command of that name, or None; an unknown name loads all, for a suggestion."""
+        if cmd_name not in COMMANDS:
+            self.commands = {name: self.get_command(ctx, name) for name in COMMANDS}
+            return None
+        module = importlib.import_module(f"robotctl.cli.commands.{cmd_name.replace('-', '_')}")
+        group = typer.main.get_group(module.app)
+        return group.commands[cmd_name]
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(f"robotctl {__version__}")
+        raise typer.Exit
+
+
+app = new_app(LazyGroup)
+
+
+@app.callback(
+    epilog="Exit codes: 0 ok, 1 internal, 2 usage, 3 no daemon, 4 refused, 5 already running, "
+    "6 unreadable file, 7 decided differently, 8 recovered with loss, 130 interrupted."
+)
+def root(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version."
+        ),
+    ] = False,
+    debug: Annotated[
+        bool, typer.Option("--debug", help="Show the traceback of an error (anywhere in the line).")
+    ] = False,
+) -> None:
+    """Drive a ROS 2 robot, stop it safely, record everything."""
+
+
+def dispatch(arguments: list[str]) -> None:
+    """Parse and carry out one command line.
+
+    Raises:
+        UsageError: What typer says against it, with the help to look at.
+    """
+    command = typer.main.get_command(app)
+    try:
+        with command.make_context("robotctl", arguments) as context:
+            command.invoke(context)
+    except typer.Exit as leaving:
+        if leaving.exit_code:
+            raise
+    except Exception as error:
+        # typer's usage errors share no public base over its versions, but this method.
+        describe = getattr(error, "format_message", None)
+        if describe is None:
+            raise
+        where = getattr(getattr(error, "ctx", None), "command_path", "robotctl")
+        text = " ".join(describe().split()).rstrip(".")
+        raise UsageError(text, f"see: {where} --help", sentence=IN_PARENTHESES) from error

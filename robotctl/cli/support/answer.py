@@ -1,0 +1,34 @@
+"""What a command answers: an object for machines, or lines for people."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+from typing import Any
+
+from robotctl.cli.support.failure import drop_output
+from robotctl.cli.terminal.text import json_text
+from robotctl.errors import RobotctlError
+
+
+def tell(
+    answer: dict[str, Any],
+    lines: Iterable[str],
+    *,
+    as_json: bool,
+    error: RobotctlError | None = None,
+) -> None:
+    """Print the answer, as one line of JSON or as lines of text, then raise `error`.
+
+    An error that `--json` shows takes the answer with it: stdout gets one object in all. The error
+    is raised also where the reader of stdout has gone: its exit code is the result.
+    """
+    if error is not None and as_json:
+        error.answer = answer
+        raise error
+    try:
+        print(json_text(answer) if as_json else "\n".join(lines), flush=True)
+    except BrokenPipeError:
+        drop_output(sys.stdout)
+    if error is not None:
+        raise error

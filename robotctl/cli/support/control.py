@@ -1,0 +1,84 @@
+"""What status, set-mode, estop, reset and stop do, without typer: see `quick`."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+from robotctl.cli.terminal.screen import status_screen
+from robotctl.cli.terminal.text import json_text, printable
+from robotctl.errors import RobotctlError, UsageError
+from robotctl.ipc.client import Client, call, command_for
+from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
+
+MODES = {"idle": 0, "moving": 1, "error": 2, "emergency-stop": EMERGENCY_STOP_MODE}
+
+STOP_DEADLINE_S = 30.0
+"""For the process to be gone: it ramps down, writes the rest of the recording and syncs it."""
+
+
+def status(robot: str, as_json: bool) -> None:
+    """Print the daemon's status, as a screen of text or one line of JSON."""
+    answer = call(robot, "status")
+    print(json_text(answer) if as_json else "\n".join(status_screen(answer)))
+
+
+def set_mode(mode: str, robot: str, as_json: bool) -> None:
+    """Ask for a mode by name or number; raises UsageError with the valid ones."""
+    number = mode_number(mode)
+    _show(call(robot, "set_mode", {"mode": number, "source": source("set-mode")}), as_json)
+
+
+def estop(robot: str, as_json: bool) -> None:
+    """Latch the emergency stop."""
+    params = {"mode": EMERGENCY_STOP_MODE, "source": source("estop")}
+    answer = call(robot, "set_mode", params)
+    _show(answer, as_json, hint=f"release it with: {command_for(robot, 'reset')}")
+
+
+def reset(robot: str, as_json: bool) -> None:
+    """Release ERROR or EMERGENCY_STOP to IDLE."""
+    _show(call(robot, "reset", {"source": source("reset")}), as_json)
+
+
+def stop(robot: str, as_json: bool) -> None:
+    """End the daemon, and return when its process is gone."""
+    _show(stop_daemon(robot), as_json)
+
+
+def stop_daemon(robot: str) -> dict[str, Any]:
+    """Ask the daemon to end, and return its answer when its process is gone."""
+    from robotctl.processes import readable_within, watched
+
+    with Client(robot) as client, watched(client.daemon_pid) as process:
+        answer = client.call("stop")
+        if process is not None and not readable_within(process, STOP_DEADLINE_S):
+            pid = client.daemon_pid
+            raise RobotctlError(
+                f"the daemon (pid {pid}) still runs after {STOP_DEADLINE_S:g} s: "
+                f"end it with kill -9 {pid}; its recording stays readable"
+            )
+    return answer
+
+
+def mode_number(text: str) -> int:
+    """The number of a mode that is given by name, in any case, with - or _, or as 0 to 3."""
+    name = text.strip().lower().replace("_", "-")
+    if name in MODES:
+        return MODES[name]
+    if name in [str(number) for number in MODES.values()]:
+        return int(name)
+    raise UsageError(f"no mode {text!r}", f"use {', '.join(MODES)}, or 0 to {max(MODES.values())}")
+
+
+def source(command: str) -> str:
+    """Who asks, for the daemon's log and journal."""
+    return f"robotctl {command} (uid {os.getuid()}, pid {os.getpid()})"
+
+
+def _show(answer: dict[str, Any], as_json: bool, hint: str = "") -> None:
+    if as_json:
+        print(json_text(answer))
+    else:
+        message = printable(answer.get("message", "done"))
+        print(f"{message} ({hint})" if hint else message)

@@ -1,0 +1,95 @@
+"""Single keys from the terminal, which gets its own settings back on every way out."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import sys
+import termios
+from collections.abc import Callable
+from types import FrameType
+from typing import Any, Self
+
+from robotctl.cli.terminal.text import is_terminal
+
+_LOCAL_FLAGS = 3
+"""Their place in what tcgetattr returns."""
+
+
+class Keyboard:
+    """While the block lasts keys come one by one and unseen; Ctrl-C and Ctrl-Z do what they do.
+
+    A Ctrl-Z takes effect in `read`, never in the midst of what is being drawn: `suspend` is called
+    before the process stops, and `resume` when it goes on. Without a terminal, and in the
+    background of a shell, there are no keys.
+    """
+
+    def __init__(self, suspend: Callable[[], object], resume: Callable[[], object]) -> None:
+        self._suspend = suspend
+        self._resume = resume
+        self._stop_asked = -1
+        self._file = sys.stdin.fileno() if sys.stdin is not None and sys.stdin.isatty() else -1
+        self._saved: list[Any] | None = None
+        self._previous: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> Self:
+        """Take the keys over."""
+        if self._file >= 0 and is_terminal():
+            self._stop_asked = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+            self._previous = {
+                signal.SIGTSTP: signal.signal(signal.SIGTSTP, self._ask_to_stop),
+                signal.SIGCONT: signal.signal(signal.SIGCONT, self._go_on),
+            }
+            self._take()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Give them back."""
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)
+        self._give_back()
+        if self._stop_asked >= 0:
+            os.close(self._stop_asked)
+            self._stop_asked = -1
+
+    @property
+    def sources(self) -> list[int]:
+        """What to wait for: the terminal and a Ctrl-Z, or nothing where there is no terminal."""
+        keys = [] if self._saved is None else [self._file]
+        return keys if self._stop_asked < 0 else [*keys, self._stop_asked]
+
+    def read(self) -> str:
+        """The keys that were pressed; call it when a source is ready."""
+        ready, _, _ = select.select(self.sources, [], [], 0.0)
+        if self._stop_asked in ready:
+            os.eventfd_read(self._stop_asked)
+            self._stop()
+        return os.read(self._file, 64).decode(errors="ignore") if self._file in ready else ""
+
+    def _take(self) -> None:
+        if self._saved is None and os.tcgetpgrp(self._file) == os.getpgrp():
+            self._saved = termios.tcgetattr(self._file)
+            unseen = termios.tcgetattr(self._file)
+            unseen[_LOCAL_FLAGS] &= ~(termios.ICANON | termios.ECHO)
+            termios.tcsetattr(self._file, termios.TCSADRAIN, unseen)
+
+    def _give_back(self) -> None:
+        if self._saved is not None:
+            termios.tcsetattr(self._file, termios.TCSADRAIN, self._saved)
+            self._saved = None
+
+    def _ask_to_stop(self, number: int, frame: FrameType | None) -> None:
+        os.eventfd_write(self._stop_asked, 1)
+
+    def _stop(self) -> None:
+        self._suspend()
+        self._give_back()
+        signal.signal(signal.SIGTSTP, signal.SIG_DFL)
+        os.kill(os.getpid(), signal.SIGTSTP)  # stands here until the shell lets it go on
+        signal.signal(signal.SIGTSTP, self._ask_to_stop)
+        self._take()
+        self._resume()
+
+    def _go_on(self, number: int, frame: FrameType | None) -> None:
+        self._take()  # it may have gone on in the background before

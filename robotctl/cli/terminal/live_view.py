@@ -1,0 +1,78 @@
+"""The live view of a daemon, drawn by rich from the object of `status --json`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rich.console import Group, RenderableType
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+from robotctl.cli.terminal.screen import (
+    battery_text,
+    is_observer,
+    mode_text,
+    pose_text,
+    velocity_text,
+)
+from robotctl.cli.terminal.text import columns, duration, number, printable, size
+
+_MODE_STYLES = {
+    "IDLE": "bold cyan",
+    "MOVING": "bold green",
+    "ERROR": "bold red",
+    "EMERGENCY_STOP": "bold white on red",
+}
+_MAX_TOPICS = 12
+"""So that the view stays within a terminal of 24 lines."""
+
+
+def live_view(status: dict[str, Any]) -> RenderableType:
+    """Mode, pose, speed, battery, recorder and topics in one panel."""
+    facts = Table.grid(padding=(0, 2))
+    facts.add_column(style="dim")
+    facts.add_column()
+    facts.add_row("mode", coloured_mode(status))
+    if not is_observer(status):
+        facts.add_row("pose", Text(pose_text(status)))
+        facts.add_row("velocity", Text(velocity_text(status)))
+        facts.add_row("battery", Text(battery_text(status)))
+    facts.add_row("recorder", _recorder(status.get("recorder") or {}))
+    for warning in status.get("warnings") or []:
+        facts.add_row("warning", Text(printable(warning), style="yellow"))
+    title = Text(f"{printable(status.get('robot'))}  up {duration(status.get('uptime_s') or 0)}")
+    body = Group(facts, Text(), _topics(status.get("topics") or []))
+    return Panel(body, title=title, title_align="left", width=columns())
+
+
+def coloured_mode(status: dict[str, Any]) -> Text:
+    """The mode in its colour, with phase and reason."""
+    mode = mode_text(status)
+    text = Text(mode, style=_MODE_STYLES.get(mode, "bold"))
+    if status.get("phase"):
+        text.append(f"  {printable(status['phase'])}", style="default not bold")
+    if status.get("mode_reason"):
+        text.append(f"  {printable(status['mode_reason'])}", style="dim not bold")
+    return text
+
+
+def _recorder(recorder: dict[str, Any]) -> Text:
+    text = Text(f"{printable(recorder.get('state'))}  {size(recorder.get('bytes') or 0)}  ")
+    text.append(f"{recorder.get('written')} messages  ")
+    for name in ("dropped", "lost"):
+        text.append(f"{recorder.get(name)} {name}  ", style="red" if recorder.get(name) else "")
+    return text
+
+
+def _topics(topics: list[dict[str, Any]]) -> Table:
+    table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
+    table.add_column("topic", no_wrap=True, overflow="ellipsis")
+    table.add_column("count", justify="right")
+    table.add_column("Hz", justify="right")
+    for topic in topics[:_MAX_TOPICS]:
+        name, count = printable(topic.get("name")), str(topic.get("count"))
+        table.add_row(Text(name), count, number(topic.get("rate"), ".1f"))
+    if len(topics) > _MAX_TOPICS:
+        table.add_row(Text(f"and {len(topics) - _MAX_TOPICS} more", style="dim"), "", "")
+    return table

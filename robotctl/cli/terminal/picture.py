@@ -1,0 +1,208 @@
+"""The driven path over the wanted one, in braille for the terminal and as a PNG."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from robotctl.recording.disk.access import open_private, share_like
+
+if TYPE_CHECKING:
+    from PIL.ImageDraw import ImageDraw
+
+Point = Sequence[float]
+"""x and y in metres."""
+
+Path2D = Sequence[Point]
+
+_MIN_SPAN_M = 0.1
+"""A robot that did not move is shown as a point in a picture of this size."""
+
+_BRAILLE = 0x2800
+_DOTS = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
+"""The bit of each dot of a braille cell, by column and row (Unicode, Braille Patterns)."""
+
+_WANTED_EVERY = 3
+"""The wanted path is dotted, so that both can be told apart without colour."""
+
+_DRIVEN_COLOUR, _WANTED_COLOUR, _PLAIN = "\x1b[32m", "\x1b[34m", "\x1b[0m"
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """The smallest rectangle, in metres, around all points."""
+
+    left: float
+    bottom: float
+    right: float
+    top: float
+
+    @classmethod
+    def around(cls, *paths: Path2D) -> Bounds:
+        """The rectangle around every finite point of the paths."""
+        points = [(x, y) for path in paths for x, y in finite(path)] or [(0.0, 0.0)]
+        left, right = _spread([x for x, _ in points])
+        bottom, top = _spread([y for _, y in points])
+        return cls(left, bottom, right, top)
+
+    @property
+    def span(self) -> float:
+        """The longer side."""
+        return max(self.right - self.left, self.top - self.bottom)
+
+
+def braille(wanted: Path2D, driven: Path2D, *, rows: int = 18, colour: bool = False) -> list[str]:
+    """The picture as lines of text, with axes in metres; the axes have the same scale."""
+    bounds = Bounds.around(wanted, driven)
+    dots_per_m = (rows * 4 - 1) / bounds.span
+    across = int((bounds.right - bounds.left) * dots_per_m) // 2 + 1
+    down = int((bounds.top - bounds.bottom) * dots_per_m) // 4 + 1
+
+    def place(path: Path2D) -> list[tuple[int, int]]:
+        return [
+            (round((x - bounds.left) * dots_per_m), round((bounds.top - y) * dots_per_m))
+            for x, y in finite(path)
+        ]
+
+    cells: dict[tuple[int, int], int] = {}
+    driven_cells = set()
+    for index, (x, y) in enumerate(_dots(place(wanted))):
+        if index % _WANTED_EVERY == 0:
+            _set(cells, x, y)
+    for x, y in _dots(place(driven)):
+        driven_cells.add(_set(cells, x, y))
+
+    def cell(column: int, row: int) -> str:
+        character = chr(_BRAILLE + cells[column, row]) if (column, row) in cells else " "
+        if not colour or character == " ":
+            return character
+        chosen = _DRIVEN_COLOUR if (column, row) in driven_cells else _WANTED_COLOUR
+        return f"{chosen}{character}{_PLAIN}"
+
+    labels = {0: f"{bounds.top:.2f}", down - 1: f"{bounds.bottom:.2f}"}
+    lines = [
+        f"{labels.get(row, ''):>7} \u2502" + "".join(cell(column, row) for column in range(across))
+        for row in range(down)
+    ]
+    left, right = f"{bounds.left:.2f}", f"{bounds.right:.2f} m"
+    gap = " " * max(1, across - len(left) - len(right))
+    scale = f"a dot is {1000 / dots_per_m:.0f} mm"
+    axis = " " * 8 + "\u2514" + "\u2500" * across
+    return [*lines, axis, f"{'':9}{left}{gap}{right}   {scale}"]
+
+
+def write_png(file: Path, wanted: Path2D, driven: Path2D, title: str) -> None:
+    """Write the picture, antialiased and with equal axes, readable as its folder is.
+
+    Raises OSError.
+    """
+    from PIL import Image, ImageDraw
+
+    canvas = Image.new("RGB", (_Plot.SIZE * _Plot.FINE,) * 2, "white")
+    plot = _Plot(ImageDraw.Draw(canvas), Bounds.around(wanted, driven))
+    plot.axes(title)
+    plot.path(wanted, "#9db8d9", 6, "wanted", 0)
+    plot.path(driven, "#d1481f", 2, "driven", 1)
+    with open(open_private(file, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), "wb") as stream:
+        canvas.resize((_Plot.SIZE,) * 2, Image.Resampling.LANCZOS).save(stream, "PNG")
+    share_like(file, file.parent)
+
+
+def finite(path: Path2D) -> list[tuple[float, float]]:
+    """The points of a path that can be drawn."""
+    return [(x, y) for x, y in path if math.isfinite(x) and math.isfinite(y)]
+
+
+class _Plot:
+    """Draws in metres on a canvas that is `FINE` times as large as the picture."""
+
+    SIZE = 800
+    FINE = 4
+    MARGIN = 80
+
+    def __init__(self, draw: ImageDraw, bounds: Bounds) -> None:
+        from PIL import ImageFont
+
+        self._draw = draw
+        self._font = ImageFont.load_default(16 * self.FINE)
+        self._span = bounds.span * 1.08
+        self._scale = (self.SIZE - 2 * self.MARGIN) / self._span
+        self._left = (bounds.left + bounds.right - self._span) / 2
+        self._top = (bounds.bottom + bounds.top + self._span) / 2
+
+    def axes(self, title: str) -> None:
+        """A frame with a grid, its numbers in metres, and the title."""
+        low, high = self.MARGIN, self.SIZE - self.MARGIN
+        for x in _ticks(self._left, self._left + self._span):
+            at = self._x(x)
+            self._line([(at, low), (at, high)], "#e6e6e6", 1)
+            self._text(at, high + 8, f"{x:g}", "ma")
+        for y in _ticks(self._top - self._span, self._top):
+            at = self._y(y)
+            self._line([(low, at), (high, at)], "#e6e6e6", 1)
+            self._text(low - 8, at, f"{y:g}", "rm")
+        corners = [(low, low), (high, low), (high, high), (low, high), (low, low)]
+        self._line(corners, "#808080", 1)
+        self._text(self.SIZE / 2, 16, title, "ma")
+        self._text(self.SIZE / 2, self.SIZE - 34, "x [m]", "ma")
+        self._text(low, low - 8, "y [m]", "rs")
+
+    def path(self, points: Path2D, colour: str, width: int, name: str, entry: int) -> None:
+        """A path, and its entry in the legend."""
+        line = [(self._x(x), self._y(y)) for x, y in finite(points)]
+        if line:
+            self._line(line, colour, width)
+        x, y = self.MARGIN + 120 * entry, self.MARGIN - 24
+        self._line([(x + 20, y), (x + 50, y)], colour, width)
+        self._text(x + 58, y, name, "lm")
+
+    def _x(self, metres: float) -> float:
+        return self.MARGIN + (metres - self._left) * self._scale
+
+    def _y(self, metres: float) -> float:
+        return self.MARGIN + (self._top - metres) * self._scale
+
+    def _line(self, points: Iterable[tuple[float, float]], colour: str, width: int) -> None:
+        fine = [(x * self.FINE, y * self.FINE) for x, y in points]
+        self._draw.line(fine, fill=colour, width=width * self.FINE, joint="curve")
+
+    def _text(self, x: float, y: float, text: str, anchor: str) -> None:
+        at = (x * self.FINE, y * self.FINE)
+        self._draw.text(at, text, fill="#404040", font=self._font, anchor=anchor)
+
+
+def _spread(values: list[float]) -> tuple[float, float]:
+    """The smallest and the largest value, at least _MIN_SPAN_M apart."""
+    low, high = min(values), max(values)
+    missing = max(0.0, _MIN_SPAN_M - (high - low)) / 2
+    return low - missing, high + missing
+
+
+def _dots(points: list[tuple[int, int]]) -> Iterator[tuple[int, int]]:
+    """Every dot on the way along the points, once a step."""
+    for (x0, y0), (x1, y1) in pairwise(points):
+        steps = max(abs(x1 - x0), abs(y1 - y0))
+        for step in range(steps):
+            yield round(x0 + (x1 - x0) * step / steps), round(y0 + (y1 - y0) * step / steps)
+    yield from points[-1:]
+
+
+def _set(cells: dict[tuple[int, int], int], x: int, y: int) -> tuple[int, int]:
+    """Set the dot and return its cell."""
+    cell = x // 2, y // 4
+    cells[cell] = cells.get(cell, 0) | _DOTS[x % 2][y % 4]
+    return cell
+
+
+def _ticks(low: float, high: float) -> list[float]:
+    """Round numbers between two, four to ten of them."""
+    rough = (high - low) / 8
+    magnitude = 10.0 ** math.floor(math.log10(rough))
+    step = next(m for m in (1, 2, 5, 10) if m * magnitude >= rough) * magnitude
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    return [round(number * step, 9) for number in range(first, last + 1)]

@@ -1,0 +1,154 @@
+"""What is seen of a replay: notes and a bar while it plays, and the robot with --view."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Protocol
+
+from robotctl.cli.terminal.text import duration, is_terminal, printable
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from robotctl.replay.recorded_robot import Sight
+
+KEYS = "space pause   n next message   + - rate   q quit"
+_BAR_WIDTH = 78
+LINE_S = 1.0
+"""Without a terminal --view prints a line a second."""
+
+
+class Screen(Protocol):
+    """Shows what the player says."""
+
+    def show(self, said: dict[str, Any]) -> None:
+        """A note, or how far the replay is."""
+
+    def suspend(self) -> None:
+        """Leave the terminal to others for a while."""
+
+    def resume(self) -> None:
+        """Take it again."""
+
+
+@contextmanager
+def screen(sight: Sight | None, *, quiet: bool) -> Iterator[Screen]:
+    """A bar where there is a terminal, else notes; nothing where it is to be quiet."""
+    if quiet:
+        yield _Nothing()
+    elif is_terminal():
+        bar = _Bar(sight)
+        bar.resume()
+        try:
+            yield bar
+        finally:
+            bar.suspend()
+    else:
+        yield _Notes(sight)
+
+
+class _Nothing:
+    def show(self, said: dict[str, Any]) -> None:
+        pass
+
+    def suspend(self) -> None:
+        pass
+
+    def resume(self) -> None:
+        pass
+
+
+class _Notes(_Nothing):
+    """Prints notes and, with a sight, a line a second."""
+
+    def __init__(self, sight: Sight | None) -> None:
+        self._sight = sight
+        self._line_at = 0.0
+
+    def show(self, said: dict[str, Any]) -> None:
+        if "note" in said:
+            print(printable(said["note"]), flush=True)
+        if "progress" in said and self._sight is not None:
+            self._print_sight(self._sight, said["progress"]["position_s"])
+
+    def _print_sight(self, sight: Sight, position_s: float) -> None:
+        from robotctl.cli.terminal.replay_view import recorded_line
+
+        sight.advance(round(position_s * 1e9))
+        if time.monotonic() >= self._line_at:
+            self._line_at = time.monotonic() + LINE_S
+            print(f"{position_s:.1f} s  {recorded_line(sight)}", flush=True)
+
+
+class _Bar:
+    """Draws over itself; notes stay above it."""
+
+    def __init__(self, sight: Sight | None) -> None:
+        from rich.live import Live
+
+        # Nobody else prints meanwhile, and a redirected stdout does not tell its encoding.
+        self._live = Live(
+            auto_refresh=False, transient=True, redirect_stdout=False, redirect_stderr=False
+        )
+        self._sight = sight
+        self._length_s = 0.0
+
+    def show(self, said: dict[str, Any]) -> None:
+        if "note" in said:
+            self._live.console.print(printable(said["note"]), markup=False, highlight=False)
+        elif "waiting" in said:
+            there, expected = said["waiting"]["there"], said["waiting"]["for"]
+            self._draw(f"waiting for subscribers: {there} of {expected}")
+        elif "start" in said:
+            self._length_s = said["start"]["length_s"]
+        elif "progress" in said:
+            self._draw(self._bar(said["progress"]), said["progress"]["position_s"])
+
+    def suspend(self) -> None:
+        self._live.stop()
+
+    def resume(self) -> None:
+        self._live.start()
+
+    def _draw(self, line: RenderableType, position_s: float = 0.0) -> None:
+        from rich.console import Group
+
+        parts = [line]
+        if self._sight is not None:
+            from robotctl.cli.terminal.replay_view import recorded_view
+
+            self._sight.advance(round(position_s * 1e9))
+            parts.insert(0, recorded_view(self._sight))
+        self._live.update(Group(*parts), refresh=True)
+
+    def _bar(self, progress: dict[str, Any]) -> RenderableType:
+        from rich.progress_bar import ProgressBar
+        from rich.table import Table
+        from rich.text import Text
+
+        position_s, length_s = progress["position_s"], self._length_s
+        if length_s and position_s > length_s:  # a loop
+            position_s %= length_s
+        lines = Table.grid()
+        lines.add_row(ProgressBar(total=length_s or 1.0, completed=position_s, width=_BAR_WIDTH))
+        lines.add_row(Text(bar_text(progress, position_s, length_s)))
+        lines.add_row(Text(KEYS, style="dim"))
+        return lines
+
+
+def bar_text(progress: dict[str, Any], position_s: float, length_s: float) -> str:
+    """Time, rate and what is behind, in words."""
+    rate = progress["rate"]
+    parts = [
+        f"{position_s:.1f} of {duration(length_s)}",
+        "as fast as possible" if rate is None else f"x{rate:g}",
+    ]
+    if "sent" in progress:
+        parts.append(f"{progress['sent']} sent")
+    if progress["paused"]:
+        parts.append("paused")
+    if progress.get("behind"):
+        parts.append(f"{progress['behind']} behind schedule")
+    return "   ".join(parts)

@@ -1,0 +1,33 @@
+"""The status as a row of a table, for where no live view can be drawn."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from robotctl.cli.terminal.screen import is_observer
+from robotctl.cli.terminal.text import number, printable
+
+_ROW = "{:>8} {:<14} {:>8} {:>8} {:>7} {:>7} {:>7} {:>8} {:>5}"
+HEADER = _ROW.format(
+    "up [s]", "mode", "x [m]", "y [m]", "theta", "v [m/s]", "battery", "written", "lost"
+)
+
+
+def status_line(status: dict[str, Any]) -> str:
+    """Mode, pose, speed, battery and recorder in the columns of HEADER; `-` is unknown."""
+    pose, velocity = status.get("pose") or {}, status.get("velocity") or {}
+    recorder = status.get("recorder") or {}
+    cells = (
+        _cell(status.get("uptime_s"), ".1f"),
+        "observing" if is_observer(status) else printable(status.get("mode")),
+        *(_cell(pose.get(key), ".3f") for key in ("x", "y", "theta")),
+        _cell(velocity.get("linear"), ".3f"),
+        _cell(status.get("battery"), ".0%"),
+        _cell(recorder.get("written"), "d"),
+        _cell(recorder.get("lost"), "d"),
+    )
+    return _ROW.format(*cells)
+
+
+def _cell(value: Any, form: str) -> str:
+    return "-" if value is None else number(value, form)

@@ -1,0 +1,1 @@
+"""What the control socket offers: one file for each group of methods."""

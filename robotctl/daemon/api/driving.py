@@ -1,0 +1,173 @@
+"""What the control socket offers to drive with; every method ends in an event for the kernel."""
+
+from __future__ import annotations
+
+import asyncio
+import dataclasses
+import time
+from math import isfinite
+from typing import Any
+
+from robotctl.daemon.control.dispatcher import Control
+from robotctl.daemon.control.motion import Motion
+from robotctl.daemon.control.pending import UnsavedReply
+from robotctl.errors import Refused, RobotctlError, UsageError
+from robotctl.ipc.advice import advice
+from robotctl.ipc.connection import Method
+from robotctl.ipc.params import DriveParams, EndDriveParams, NoParams, ResetParams, SetModeParams
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.params import KernelParams
+from robotctl.kernel.patterns import Pattern, PatternKind
+from robotctl.kernel.types import DriveReport, DriveRequested, ModeRequested, Reply, ResetRequested
+from robotctl.paths import DEFAULT_ROBOT
+
+DEFAULT_SIZE_M = {
+    PatternKind.SQUARE: 1.0,
+    PatternKind.CIRCLE: 0.5,
+    PatternKind.FIGURE_EIGHT: 0.5,
+}
+"""Of a pattern that is not the configured one: side of the square, radius of the circles."""
+
+MODE_DEADLINE_S = 30.0
+"""Longer than the ramp of any usual robot."""
+
+
+class DrivingMethods:
+    """The handlers of the control socket that ask something of the robot."""
+
+    def __init__(
+        self,
+        control: Control,
+        motion: Motion,
+        params: KernelParams,
+        robot: str = DEFAULT_ROBOT,
+    ) -> None:
+        self._robot = robot
+        self._control = control
+        self._motion = motion
+        self._params = params
+
+    def table(self) -> dict[str, Method[Any]]:
+        """Return every method by its name."""
+        return {
+            "path": Method(NoParams, self._get_path),
+            "set_mode": Method(SetModeParams, self._set_mode, MODE_DEADLINE_S),
+            "reset": Method(ResetParams, self._reset, MODE_DEADLINE_S),
+            "drive": Method(DriveParams, self._drive, None),
+            "end_drive": Method(EndDriveParams, self._end_drive, None),
+        }
+
+    def pattern(
+        self,
+        kind: PatternKind | None,
+        size_m: float | None = None,
+        speed_mps: float | None = None,
+    ) -> Pattern:
+        """Return a pattern; what is left out comes from the configuration."""
+        configured = self._params.pattern
+        if kind is None or kind is configured.kind:
+            kind, default_m = configured.kind, configured.size_m
+        else:
+            default_m = DEFAULT_SIZE_M[kind]
+        return Pattern(
+            kind,
+            default_m if size_m is None else size_m,
+            configured.speed_mps if speed_mps is None else speed_mps,
+        )
+
+    async def _get_path(self, _: NoParams) -> dict[str, Any]:
+        return self._motion.path()
+
+    async def _set_mode(self, params: SetModeParams) -> dict[str, Any]:
+        if params.mode not in list(Mode):
+            names = ", ".join(f"{mode.value} {mode.name}" for mode in Mode)
+            raise UsageError(f"{params.mode} is not a mode", f"use {names}")
+        request_id = self._control.new_request_id()
+        event = ModeRequested(time.monotonic_ns(), request_id, params.mode, params.source)
+        return self._answer(await self._control.request(event))
+
+    async def _reset(self, params: ResetParams) -> dict[str, Any]:
+        request_id = self._control.new_request_id()
+        event = ResetRequested(time.monotonic_ns(), request_id, params.source)
+        return self._answer(await self._control.request(event))
+
+    async def _drive(self, params: DriveParams) -> dict[str, Any]:
+        kind = PatternKind(params.pattern)
+        size_m, unused = params.side_m, params.radius_m
+        if kind is not PatternKind.SQUARE:
+            size_m, unused = unused, size_m
+        if unused is not None:
+            raise UsageError(
+                f"a {kind.value} has no {'radius' if kind is PatternKind.SQUARE else 'side'}: "
+                f"use --{'side' if kind is PatternKind.SQUARE else 'radius'}"
+            )
+        self._check_speed(params.speed_mps)
+        request_id = self._control.new_request_id()
+        event = DriveRequested(
+            time.monotonic_ns(),
+            request_id,
+            self.pattern(kind, size_m, params.speed_mps),
+            int(params.wait) if params.laps is None else params.laps,
+            params.replace,
+            params.source,
+        )
+        end = self._control.expect_end(request_id)
+        try:
+            answer = self._answer(await self._control.request(event))
+            if not params.wait:
+                return answer
+            ended = await end
+        except asyncio.CancelledError:
+            if params.wait:
+                self._end_unattended(event)
+            raise
+        finally:
+            end.cancel()
+        mode = self._control.state.mode
+        result = {"message": ended.reason, "mode": mode.name, **_figures(ended.report)}
+        if not (ended.completed if event.laps else mode is Mode.IDLE):
+            text = f"the drive ended after {ended.report.laps} laps: {ended.reason}"
+            raise Refused(*advice(text, self._robot), answer=result)
+        return result
+
+    async def _end_drive(self, params: EndDriveParams) -> dict[str, Any]:
+        """Ramp down; unlike a request for IDLE this never releases an error or a latched stop."""
+        state = self._control.state
+        if state.mode is not Mode.MOVING:
+            return {"message": f"The robot stands, in {state.mode.name}", "mode": state.mode.name}
+        return self._answer(await self._control.request(self._idle_request(params.source)))
+
+    def _end_unattended(self, event: DriveRequested) -> None:
+        """Ramp down the drive that `event` began: the client that waited for its end is gone."""
+        state = self._control.state
+        is_ours = state.drive is not None and state.drive.request_id == event.request_id
+        if is_ours and state.mode is Mode.MOVING:
+            self._control.begin(self._idle_request(f"{event.source}, whose connection closed"))
+
+    def _idle_request(self, source: str) -> ModeRequested:
+        request_id = self._control.new_request_id()
+        return ModeRequested(time.monotonic_ns(), request_id, Mode.IDLE, source)
+
+    def _check_speed(self, speed_mps: float | None) -> None:
+        """Raise UsageError for a speed that this robot is configured not to drive."""
+        limit_mps = self._params.limits.linear_mps
+        if speed_mps is not None and speed_mps > limit_mps:
+            raise UsageError(
+                f"a speed of {speed_mps:g} m/s is above limits.linear_mps, {limit_mps:g} m/s",
+                f"use at most {limit_mps:g}, or start with a configuration that allows more",
+            )
+
+    def _answer(self, reply: Reply) -> dict[str, Any]:
+        if isinstance(reply, UnsavedReply):
+            raise RobotctlError(*advice(reply.message, self._robot))
+        if not reply.ok:
+            raise Refused(*advice(reply.message, self._robot))
+        return {"message": reply.message, "mode": reply.mode.name}
+
+
+def _figures(report: DriveReport) -> dict[str, float | None]:
+    """Return how well the path was followed; None for what is not known."""
+    return {
+        name: value if isfinite(value) else None
+        for name, value in dataclasses.asdict(report).items()
+    }

@@ -1,0 +1,75 @@
+"""What the control socket offers around the recording."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from robotctl.daemon.recording.flight_recorder import FlightRecorder
+from robotctl.daemon.waiting import until
+from robotctl.errors import Refused
+from robotctl.ipc.advice import advice
+from robotctl.ipc.connection import Method
+from robotctl.ipc.params import MarkParams, NoParams
+
+SPLIT_DEADLINE_S = 5.0
+"""For the disk to finish one file and begin another."""
+
+COMMIT_DEADLINE_S = 5.0
+"""For the disk to take what is queued: the writer thread takes it four times a second."""
+
+
+def recording_methods(recorder: FlightRecorder, robot: str) -> dict[str, Method[Any]]:
+    """Return `record_status`, `record_commit`, `record_split` and `mark`; cures name `robot`."""
+
+    def failure() -> str:
+        return advice(recorder.failure, robot).sentence
+
+    async def status(_: NoParams) -> dict[str, Any]:
+        return {
+            **recorder.report.facts(),
+            "warnings": [advice(text, robot).sentence for text in recorder.report.warnings()],
+        }
+
+    async def commit(_: NoParams) -> dict[str, Any]:
+        """Answer once the file holds all that was received before this request."""
+        received = recorder.stats().received
+
+        def uncommitted() -> int:
+            stats = recorder.stats()
+            return max(received - stats.written - stats.dropped, 0)
+
+        await until(lambda: bool(recorder.failure) or not uncommitted(), COMMIT_DEADLINE_S)
+        return {
+            "file": _file_of(recorder),
+            "uncommitted": uncommitted(),
+            "failure": failure(),
+        }
+
+    async def split(_: NoParams) -> dict[str, Any]:
+        before = _file_of(recorder)
+        recorder.split()
+        if not await until(
+            lambda: bool(recorder.failure) or _file_of(recorder) != before, SPLIT_DEADLINE_S
+        ):
+            raise Refused("the disk is too slow: the next file is begun when it can be")
+        if recorder.failure:
+            raise Refused(failure())
+        file = _file_of(recorder)
+        return {"message": f"Recording goes on in {file}", "finished": before, "file": file}
+
+    async def mark(params: MarkParams) -> dict[str, Any]:
+        if recorder.failure:
+            raise Refused(failure())
+        event = recorder.mark(params.text, params.source)
+        return {"message": "Marked", "text": params.text, "time_ns": event.log_ns}
+
+    return {
+        "record_status": Method(NoParams, status),
+        "record_commit": Method(NoParams, commit),
+        "record_split": Method(NoParams, split, 2 * SPLIT_DEADLINE_S),
+        "mark": Method(MarkParams, mark),
+    }
+
+
+def _file_of(recorder: FlightRecorder) -> str:
+    return str(recorder.report.facts()["recorder"]["file"])

@@ -1,0 +1,98 @@
+"""What `robotctl status` tells: the stable keys, gathered from every part."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, Protocol
+
+from robotctl import __version__
+from robotctl.daemon.command_line import DaemonOptions
+from robotctl.daemon.recording.report import RecorderReport
+from robotctl.domains import discovery_range, is_on_this_machine_only
+from robotctl.ipc.advice import advice
+from robotctl.paths import log_path, socket_path
+
+PartWarning = Callable[[], str]
+"""Returns what is wrong with a part of the daemon in a sentence, "" where nothing is."""
+
+ROBOT_FACTS = (
+    "mode",
+    "phase",
+    "mode_reason",
+    "pose",
+    "velocity",
+    "battery",
+    "sim",
+    "stalls",
+    "odometry_dropped",
+)
+"""The keys of `RobotView.facts`."""
+
+
+class RobotView(Protocol):
+    """What is known of the robot."""
+
+    def facts(self) -> dict[str, Any]:
+        """Return the value of each of ROBOT_FACTS, None where unknown."""
+
+    def warnings(self) -> Iterator[str]:
+        """Say what is wrong, a sentence each."""
+
+
+class StatusSource:
+    """Gathers the status; `scheduling` is how the kernel schedules the loop's thread."""
+
+    def __init__(
+        self,
+        options: DaemonOptions,
+        recording: RecorderReport,
+        robot: RobotView,
+        scheduling: str,
+        parts: Iterable[PartWarning],
+    ) -> None:
+        self._options = options
+        self._recording = recording
+        self._robot = robot
+        self._scheduling = scheduling
+        self._parts = parts
+        self._started = time.monotonic()
+
+    def status(self) -> dict[str, Any]:
+        """Return the object of `robotctl status --json`."""
+        robot, facts = self._options.robot, self._robot.facts()
+        if facts["mode_reason"]:
+            facts["mode_reason"] = advice(facts["mode_reason"], robot).sentence
+        return {
+            "robot": robot,
+            "version": __version__,
+            "pid": os.getpid(),
+            **facts,
+            **self._recording.facts(),
+            "warnings": [advice(warning, robot).sentence for warning in self._warnings()],
+            "domain_id": self._options.domain_id,
+            "discovery_range": discovery_range(),
+            "scheduling": self._scheduling,
+            "socket": str(socket_path(self._options.robot)),
+            "uptime_s": round(time.monotonic() - self._started, 3),
+        }
+
+    def summary(self, notes: list[str]) -> dict[str, Any]:
+        """Return what a daemon that is ready says to whoever started it."""
+        status = self.status()
+        told = ("robot", "mode", "domain_id", "discovery_range", "sim", "socket", "pid")
+        return {
+            "ready": True,
+            **{key: status[key] for key in told},
+            "recording": status["recorder"]["file"],
+            "log": str(log_path(self._options.robot)),
+            "notes": [advice(note, self._options.robot).sentence for note in notes],
+        }
+
+    def _warnings(self) -> Iterator[str]:
+        yield from self._recording.warnings()
+        yield from self._robot.warnings()
+        yield from filter(None, (part() for part in self._parts))
+        if not is_on_this_machine_only():
+            yield "ROS discovery is not limited to this machine"

@@ -1,0 +1,78 @@
+"""What the kernel decided, done: each effect goes to the part that it belongs to."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from functools import partial
+
+from robotctl.daemon.control.latch import Latch
+from robotctl.daemon.control.pending import Requests, UnsavedReply
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.types import (
+    Cause,
+    DriveEnded,
+    Effect,
+    LatchEmergencyStop,
+    ModeChanged,
+    PublishTwist,
+    ReleaseEmergencyStop,
+    Reply,
+    Twist,
+)
+from robotctl.recording.format.events import EventKind, RecordedEvent
+
+_log = logging.getLogger(__name__)
+
+_NOTED = {Mode.EMERGENCY_STOP: EventKind.EMERGENCY_STOP, Mode.ERROR: EventKind.ERROR}
+"""Modes that somebody will look for in the recording."""
+
+
+class Effects:
+    """Carries out effects, in the loop's thread, without waiting for anything."""
+
+    def __init__(
+        self,
+        publish_twist: Callable[[Twist], None],
+        show_mode: Callable[[Mode], None],
+        note: Callable[[RecordedEvent], None],
+        latch: Latch,
+        requests: Requests,
+    ) -> None:
+        self._publish_twist = publish_twist
+        self._show_mode = show_mode
+        self._note = note
+        self._latch = latch
+        self._requests = requests
+
+    def carry_out(self, effect: Effect) -> None:
+        """Do it, or begin to; a reply is sent when all that came before it is done."""
+        match effect:
+            case PublishTwist():
+                self._publish_twist(effect.twist)
+            case ModeChanged():
+                _log.info("%s -> %s: %s", effect.previous.name, effect.mode.name, effect.reason)
+                self._show_mode(effect.mode)
+                if effect.mode in _NOTED:
+                    self._note(RecordedEvent(_NOTED[effect.mode], time.time_ns(), effect.reason))
+            case LatchEmergencyStop():
+                self._latch.set(effect.reason, effect.cause or Cause.OPERATOR_STOP)
+            case ReleaseEmergencyStop():
+                self._latch.clear()
+            case Reply():
+                self._latch.when_settled(partial(self._answer, effect))
+            case DriveEnded():
+                _log.info("drive ended: %s", effect.reason)
+                laps = effect.report.laps
+                self._note(
+                    RecordedEvent(EventKind.DRIVE_ENDED, time.time_ns(), effect.reason, laps)
+                )
+                self._requests.end_drive(effect)
+
+    def _answer(self, reply: Reply, problem: str) -> None:
+        if problem and reply.ok:
+            kind = UnsavedReply if reply.mode is Mode.EMERGENCY_STOP else Reply
+            message = f"{reply.message}, but {problem}"
+            reply = kind(reply.request_id, reply.ok, message, reply.mode)
+        self._requests.answer(reply)

@@ -1,0 +1,39 @@
+"""Writes the journal: numbers the entries and hands each one on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from robotctl.kernel.codec import to_json
+from robotctl.kernel.kernel import Kernel
+from robotctl.kernel.snapshot import Snapshot
+from robotctl.kernel.types import Effect, Event
+from robotctl.recording.format.identity import MADE_BY
+from robotctl.recording.format.journal import JournalEntry, Kind, encode
+
+
+class Journal:
+    """Hands every entry, serialized as ROS does, to `write` in order."""
+
+    def __init__(self, write: Callable[[bytes, int], None]) -> None:
+        """`write(serialized, seq)` is called for each entry."""
+        self._write = write
+        self._seq = 0
+
+    def event(self, event: Event) -> None:
+        """Note what comes in."""
+        self._add(event.t_ns, Kind.EVENT, event)
+
+    def effect(self, t_ns: int, effect: Effect) -> None:
+        """Note what was done, at the time of the event that asked for it."""
+        self._add(t_ns, Kind.EFFECT, effect)
+
+    def snapshot(self, t_ns: int, kernel: Kernel) -> None:
+        """Note all that is needed to go on from here."""
+        self._add(t_ns, Kind.SNAPSHOT, Snapshot(MADE_BY, kernel.params, kernel.state))
+
+    def _add(self, t_ns: int, kind: Kind, value: Any) -> None:
+        entry = JournalEntry(self._seq, t_ns, kind, type(value).__name__, to_json(value))
+        self._write(encode(entry), self._seq)
+        self._seq += 1

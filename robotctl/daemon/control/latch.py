@@ -1,0 +1,168 @@
+"""The emergency stop that outlives the process: a file, written off the loop and tried again."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from queue import SimpleQueue
+from threading import Thread
+
+from robotctl.daemon.control import latch_file
+from robotctl.daemon.control.latch_file import LatchedStop
+from robotctl.kernel.types import Cause
+
+_log = logging.getLogger(__name__)
+
+RETRY_S = 1.0
+"""How long after a failure the same change is tried again."""
+
+DISK_S = 2.0
+"""How long a reply waits for a disk that does not answer; the robot stands already."""
+
+Then = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class _Change:
+    number: int
+    carry_out: Callable[[], None]
+    fault: str
+    """What follows if it is not carried out."""
+
+    def failed(self, error: Exception) -> str:
+        """Say that it was not carried out, and why."""
+        return f"{self.fault}: the emergency-stop latch could not be saved: {error}"
+
+
+@dataclass(slots=True)
+class _Waiter:
+    number: int
+    then: Then
+    timer: asyncio.TimerHandle
+
+
+class Latch:
+    """The latch of one robot, for the loop's thread.
+
+    One change at a time is carried out, in a thread; of those that come meanwhile the last counts.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._work: SimpleQueue[_Change | None] = SimpleQueue()
+        self._change: _Change | None = None
+        """The last one that was asked for."""
+        self._settled = 0
+        """The number of the last change that was carried out, or failed."""
+        self._busy_since: float | None = None
+        self._problem = ""
+        self._waiters: list[_Waiter] = []
+        self._retry: asyncio.TimerHandle | None = None
+        # A disk that hangs must not hold the process up at its end.
+        self._thread = Thread(target=self._serve, name="latch", daemon=True)
+
+    def read(self) -> LatchedStop | None:
+        """Return the latched stop, None where none is latched. Blocks."""
+        return latch_file.read(self._path)
+
+    def set(self, reason: str, cause: Cause) -> None:
+        """Begin to remember the stop."""
+        stop = LatchedStop(reason, cause)
+        self._begin(partial(latch_file.write, self._path, stop), "a restart would forget this stop")
+
+    def clear(self) -> None:
+        """Begin to forget the stop."""
+        fault = "a restart would stop the robot again"
+        self._begin(partial(latch_file.remove, self._path), fault)
+
+    def when_settled(self, then: Then) -> None:
+        """Call `then(problem)` once every change so far is on the disk; "" where all went well.
+
+        A change that failed, or took longer than DISK_S, is a problem; it is tried again.
+        """
+        change = self._change
+        if change is None or self._settled == change.number:
+            then(self._problem)
+            return
+        waiter: _Waiter
+
+        def give_up() -> None:
+            self._waiters.remove(waiter)
+            then(self._overdue(change))
+
+        timer = asyncio.get_running_loop().call_later(DISK_S, give_up)
+        waiter = _Waiter(change.number, then, timer)
+        self._waiters.append(waiter)
+
+    def warning(self) -> str:
+        """Say that the disk does not hold what it should, "" where it does."""
+        problem, since = self._problem, self._busy_since
+        if since is not None and time.monotonic() - since > DISK_S and self._change is not None:
+            problem = self._overdue(self._change)
+        return f"{problem} (tried again each second)" if problem else ""
+
+    async def close(self) -> None:
+        """Wait for the last change, for DISK_S at most."""
+        settled = asyncio.Event()
+        self.when_settled(lambda _: settled.set())
+        await settled.wait()
+        if self._retry is not None:
+            self._retry.cancel()
+        self._work.put(None)
+
+    def _begin(self, carry_out: Callable[[], None], fault: str) -> None:
+        number = 1 if self._change is None else self._change.number + 1
+        self._change = _Change(number, carry_out, fault)
+        self._submit(self._change)
+
+    def _submit(self, change: _Change) -> None:
+        if self._busy_since is not None:
+            return
+        self._loop = asyncio.get_running_loop()
+        if self._thread.ident is None:
+            try:
+                self._thread.start()
+            except (RuntimeError, MemoryError) as error:  # the limit of threads is reached
+                self._done(change, change.failed(error))
+                return
+        self._busy_since = time.monotonic()
+        self._work.put(change)
+
+    def _done(self, change: _Change, problem: str) -> None:
+        self._busy_since = None
+        self._settled = change.number
+        if problem != self._problem:
+            _log.error("%s", problem) if problem else _log.info("the latch is up to date again")
+        self._problem = problem
+        if self._retry is not None:
+            self._retry.cancel()
+        if self._change is not None and change is not self._change:
+            self._submit(self._change)
+        elif problem:
+            self._retry = self._loop.call_later(RETRY_S, self._submit, change)
+        answered = [waiter for waiter in self._waiters if waiter.number <= change.number]
+        self._waiters = [waiter for waiter in self._waiters if waiter.number > change.number]
+        for waiter in answered:
+            waiter.timer.cancel()
+            waiter.then(problem)
+
+    def _overdue(self, change: _Change) -> str:
+        return f"{change.fault}: the disk of {self._path} has not answered for {DISK_S:g} s"
+
+    # In the thread
+
+    def _serve(self) -> None:
+        while (change := self._work.get()) is not None:
+            problem = ""
+            try:
+                change.carry_out()
+            except Exception as error:  # noqa: BLE001 - whatever it was, the change is not saved
+                problem = change.failed(error)
+            with suppress(RuntimeError):  # the loop is closed: nobody is left to tell
+                self._loop.call_soon_threadsafe(self._done, change, problem)

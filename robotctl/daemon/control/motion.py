@@ -1,0 +1,130 @@
+"""What is known of the robot and its drive, as `robotctl status` and `path` tell it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from typing import Any
+
+from robotctl.daemon.control.dispatcher import Control
+from robotctl.kernel.battery import is_level
+from robotctl.kernel.geometry import Pose
+from robotctl.kernel.health import Health
+from robotctl.kernel.params import KernelParams
+from robotctl.kernel.safety import FOREIGN_COMMAND_S, RULE_OF
+from robotctl.kernel.types import NS_PER_S, Cause
+
+MAX_DRIVEN_POSES = 20_000
+"""Of the driven path; beyond it every second pose is forgotten."""
+
+WARNED = (Cause.FOREIGN_PUBLISHER, Cause.SECOND_ODOMETRY, Cause.COMMAND_UNHEARD)
+"""Failed start conditions that `status` tells also while nobody asks for motion."""
+
+RECENT_S = 600.0
+"""How long `status` goes on telling of what is over."""
+
+MIN_STEP_M = 0.005
+"""Poses nearer to the one before are not kept."""
+
+_EXPECTED = (Cause.ODOMETRY_LOST, Cause.BATTERY_UNKNOWN, Cause.COMMAND_UNHEARD)
+"""What refuses a drive while the robot is not there."""
+
+
+class Motion:
+    """Looks at the kernel's state; `sim` says whether the robot is simulated."""
+
+    def __init__(self, control: Control, params: KernelParams) -> None:
+        self.sim = False
+        self._control = control
+        self._params = params
+        self._driven: list[Pose] = []
+        self._wanted: list[Pose] = []
+        self._drive_id: int | None = None
+
+    def drove_to(self, pose: Pose) -> None:
+        """Note a pose of the present drive."""
+        drive = self._control.state.drive
+        assert drive is not None
+        if drive.request_id != self._drive_id:
+            self._drive_id = drive.request_id
+            self._driven = [drive.origin]
+            self._wanted = [drive.origin.compose(pose) for pose in drive.path.outline()]
+        if self._driven[-1].distance(pose) >= MIN_STEP_M:
+            self._driven.append(pose)
+            if len(self._driven) > MAX_DRIVEN_POSES:
+                del self._driven[1::2]
+
+    def path(self) -> dict[str, Any]:
+        """Return the wanted and the driven path of the present or last drive [m, odom frame]."""
+        return {
+            "reference": [[pose.x, pose.y] for pose in self._wanted],
+            "driven": [[pose.x, pose.y] for pose in self._driven],
+        }
+
+    def is_connected(self) -> bool:
+        """Say whether odometry is fresher than its timeout."""
+        health = self._control.state.health
+        if health.odometry is None:
+            return False
+        age_s = (time.monotonic_ns() - health.odometry_t_ns) / 1e9
+        return age_s <= self._params.odometry.timeout_s
+
+    def missing(self) -> list[str]:
+        """Say what the configuration expects of a robot and discovery has not found, or not yet."""
+        health, now = self._control.state.health, time.monotonic_ns()
+        found = (RULE_OF[cause].present(health, self._params, now) for cause in _EXPECTED)
+        missing = [text for text in found if text]
+        if health.command_topic.listeners is None:
+            missing.append("the nodes that take the velocity command are not known yet")
+        return missing
+
+    def facts(self) -> dict[str, Any]:
+        """Return the robot's part of the status."""
+        state = self._control.state
+        odometry = state.health.odometry
+        level = state.health.battery_level
+        return {
+            "mode": state.mode.name,
+            "phase": state.phase.value,
+            "mode_reason": state.reason,
+            "pose": None
+            if odometry is None
+            else {"x": odometry.pose.x, "y": odometry.pose.y, "theta": odometry.pose.theta},
+            "velocity": None
+            if odometry is None
+            else {"linear": odometry.velocity.linear, "angular": odometry.velocity.angular},
+            "battery": level if is_level(level) else None,
+            "sim": self.sim,
+            "stalls": state.health.stalls.count,
+            "odometry_dropped": state.health.odometry_sources.dropped,
+        }
+
+    def warnings(self) -> Iterator[str]:
+        """Say what is wrong with the robot, or could be."""
+        health, now_ns = self._control.state.health, time.monotonic_ns()
+        for cause in WARNED:
+            problem = RULE_OF[cause].present(health, self._params, now_ns)
+            if problem:
+                yield problem
+        yield from _recent(health, now_ns)
+        if health.odometry_fault:
+            yield health.odometry_fault
+        if health.odometry is not None and not self.is_connected():
+            yield "odometry is older than its timeout"
+        if not self._params.battery.topic:
+            yield "no battery topic is configured: the battery is not checked"
+
+
+def _recent(health: Health, now_ns: int) -> Iterator[str]:
+    """Say what happened within RECENT_S and is over."""
+    stalls, topic = health.stalls, health.command_topic
+    age_s = (now_ns - stalls.last_t_ns) / NS_PER_S
+    if stalls.count and age_s <= RECENT_S:
+        yield (
+            f"stalls of the control loop: {stalls.count}, the last {age_s:.0f} s ago for "
+            f"{stalls.last_s:.2f} s ({stalls.detail}); zeros were sent meanwhile"
+        )
+    if topic.foreign_t_ns is not None:
+        age_s = (now_ns - topic.foreign_t_ns) / NS_PER_S
+        if FOREIGN_COMMAND_S < age_s <= RECENT_S and not health.foreign_publishers:
+            yield f"{topic.foreign_by} published a velocity command {age_s:.0f} s ago"

@@ -1,0 +1,54 @@
+"""Who else is on the graph: whether a robot is there already, and who else commands it."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import time
+from collections.abc import Callable
+
+from robotctl.daemon.waiting import until
+from robotctl.kernel.types import CommandListenersSeen, CommandPublishersSeen, Event
+from robotctl.ros.nodes.odom_subscriber import OdomSubscriber
+from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
+
+DISCOVERY_S = 4.0
+"""How long a start listens for somebody else's odometry before it simulates a robot.
+
+Fast DDS finds a process of the same machine within 0.15 s mostly, and within 2.6 s at worst.
+"""
+
+PUBLISHER_POLL_S = 0.2
+
+LOOKS_PER_INSPECTION = 5
+"""How often the subscriptions are inspected though their number is the same."""
+
+
+async def somebody_is_driven(odometry: OdomSubscriber, stop: asyncio.Event) -> bool:
+    """Listen for a robot that publishes odometry already; end early when told to stop."""
+    await until(lambda: odometry.count_publishers() > 0 or stop.is_set(), DISCOVERY_S)
+    return odometry.count_publishers() > 0
+
+
+async def watch_graph(
+    velocity: VelocityPublisher, odometry: OdomSubscriber, dispatch: Callable[[Event], None]
+) -> None:
+    """Tell the kernel who else publishes the velocity command and who takes it, until cancelled.
+
+    Also find the names of those who publish odometry.
+    """
+    publishers: tuple[str, ...] = ()
+    listeners: tuple[int, tuple[str, ...]] | None = None
+    count = -1
+    for look in itertools.count():
+        others = velocity.other_publishers() if velocity.count_publishers() > 1 else ()
+        if others != publishers:
+            publishers = others
+            dispatch(CommandPublishersSeen(time.monotonic_ns(), others))
+        if count != (count := velocity.count_listeners()) or look % LOOKS_PER_INSPECTION == 0:
+            seen = velocity.listeners()
+            if seen != listeners:
+                listeners = seen
+                dispatch(CommandListenersSeen(time.monotonic_ns(), *seen))
+        odometry.find_names()
+        await asyncio.sleep(PUBLISHER_POLL_S)

@@ -1,0 +1,1 @@
+"""The log of the daemon: lines for a terminal, written without holding up the loop."""

@@ -1,0 +1,116 @@
+"""The black box: a clip of each emergency stop and error, cut by a process of its own."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections import deque
+from pathlib import Path
+from typing import Any
+
+from robotctl.config import RecordingParams
+from robotctl.processes import program, start
+from robotctl.recording.format.events import EventKind, RecordedEvent
+from robotctl.recording.keep.clip import Moment
+from robotctl.recording.keep.clip_job import PATIENCE_S, ClipJob
+
+_log = logging.getLogger(__name__)
+
+CUTTER = program("robotctl.recording.keep.clip_process")
+
+CLIPPED = (EventKind.EMERGENCY_STOP, EventKind.ERROR)
+
+MAX_WAITING = 8
+MAX_CLIPS = 100
+"""In one life of the daemon: whoever stops it a thousand times must not fill the disk with it."""
+
+CUT_DEADLINE_S = 20.0
+END_DEADLINE_S = 10.0
+"""For all that is still to be cut when the daemon ends."""
+
+
+class BlackBox:
+    """Belongs to the loop's thread. The process has the lowest priority; nothing waits for it."""
+
+    def __init__(self, params: RecordingParams, recording: Path) -> None:
+        """Clips are cut out of the folder `recording`."""
+        self._params = params
+        self._recording = recording
+        self._waiting: deque[RecordedEvent] = deque()
+        self._came = asyncio.Event()
+        self._cutting: asyncio.Future[None] | None = None
+        self._ordered = 0
+
+    def note(self, event: RecordedEvent) -> None:
+        """Have a clip cut of `event`, if it is one of those."""
+        if event.kind not in CLIPPED or not self._params.clip_before_s:
+            return
+        if len(self._waiting) >= MAX_WAITING or self._ordered >= MAX_CLIPS:
+            _log.warning("no clip is cut of this %s: there are too many", event.kind.value)
+            return
+        self._ordered += 1
+        self._waiting.append(event)
+        self._came.set()
+
+    async def run(self) -> None:
+        """Cut what is ordered, each once it is over, until cancelled."""
+        while True:
+            self._came.clear()
+            while self._waiting:
+                since_s = (time.time_ns() - self._waiting[0].log_ns) / 1e9
+                after_s = self._params.clip_after_s
+                await asyncio.sleep(min(after_s - since_s, after_s))  # the clock may be set back
+                await self._cut_next(CUT_DEADLINE_S)
+            await self._came.wait()
+
+    async def finish(self) -> None:
+        """Cut what is still ordered, now that nothing more is recorded."""
+        until = time.monotonic() + END_DEADLINE_S
+        if self._cutting is not None:
+            await asyncio.wait({self._cutting}, timeout=END_DEADLINE_S)
+        while self._waiting and time.monotonic() < until:
+            await self._cut_next(until - time.monotonic())
+        for event in self._waiting:
+            _log.warning("no clip was cut of the %s: see robotctl clip", event.kind.value)
+
+    async def _cut_next(self, deadline_s: float) -> None:
+        event = self._waiting.popleft()
+        job = ClipJob(
+            self._recording,
+            Moment.of(event),
+            self._params.clip_before_s,
+            self._params.clip_after_s,
+        )
+        self._cutting = asyncio.get_running_loop().run_in_executor(None, _cut, job, deadline_s)
+        await asyncio.shield(self._cutting)
+
+
+def _cut(job: ClipJob, deadline_s: float) -> None:
+    """Let a process do it; the log says what came of it, and holds what the process wrote."""
+    what = "event" if job.moment.kind is None else job.moment.kind.value
+    try:
+        said = _result(job, deadline_s + PATIENCE_S)
+    except OSError as error:  # no process, no descriptor
+        said = {"error": str(error)}
+    if "target" in said:
+        _log.info("clip of the %s: %s", what, said["target"])
+        for sentence in said["lost"]:
+            _log.warning("it lacks something: %s", sentence)
+    else:
+        _log.warning("no clip was cut of the %s: %s", what, said["error"])
+
+
+def _result(job: ClipJob, deadline_s: float) -> dict[str, Any]:
+    """What the process says, or in "error" why it said nothing. Raises OSError."""
+    cutter = start([*CUTTER, job.to_json()])
+    try:
+        said = cutter.hear_one(deadline_s)
+    except TimeoutError:
+        cutter.close()
+        return {"error": f"its process took longer than {deadline_s:.0f} s"}
+    except (EOFError, ValueError):
+        exit_code = cutter.close(END_DEADLINE_S)
+        return {"error": f"its process ended with {exit_code} and said nothing of it"}
+    cutter.close(END_DEADLINE_S)
+    return said

@@ -1,0 +1,188 @@
+"""The flight recorder: what comes off the graph goes into the recording, and is accounted for."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections import Counter
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from shutil import rmtree
+
+from robotctl.config import Config
+from robotctl.daemon.command_line import DaemonOptions
+from robotctl.daemon.recording.black_box import BlackBox
+from robotctl.daemon.recording.folder import open_recorder, retention_policy
+from robotctl.daemon.recording.loop_calls import in_loop
+from robotctl.daemon.recording.report import RecorderReport
+from robotctl.daemon.recording.tidier import Tidier
+from robotctl.daemon.supervisor import Work
+from robotctl.recording.format.events import EventKind, RecordedEvent
+from robotctl.recording.write.recorder import RecorderStats, Topic
+from robotctl.recording.write.topic_filter import TopicFilter
+from robotctl.ros.executor.raw import UNKNOWN_GID, ViewSink
+from robotctl.ros.messages import qos
+from robotctl.ros.messages.topic_description import TopicDescription
+from robotctl.ros.nodes.diagnostics_publisher import TOPIC, TYPE_NAME, DiagnosticsPublisher
+from robotctl.ros.nodes.journal_publisher import JournalPublisher
+from robotctl.ros.nodes.mark_publisher import MarkPublisher
+from robotctl.ros.session import Session
+from robotctl.ros.tap.tap import Tap
+
+_log = logging.getLogger(__name__)
+
+SAMPLE_PERIOD_S = 1.0
+
+
+class FlightRecorder:
+    """Recorder and tap; it records from here on, foreign topics while its work runs.
+
+    What proves a drive is recorded whatever the filters say: command, odometry, robot status and
+    journal.
+    """
+
+    def __init__(
+        self,
+        options: DaemonOptions,
+        config: Config,
+        session: Session,
+        mode: Callable[[], str],
+        on_failure: Callable[[str], None] = lambda detail: None,
+        on_file: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Begin to record.
+
+        `mode` is asked from any thread. In the loop, `on_failure(detail)` is told where nothing is
+        recorded any more and the configuration wants the robot to stop then; `on_file` is called
+        for what each later file is to begin with, so that it stands alone. Raises Refused where
+        nothing can be written.
+        """
+        self._on_failure = on_failure
+        self._on_file = on_file
+        self._closing = False
+        self._must_record = config.on_recorder_failure == "stop"
+        self._recorder = open_recorder(
+            options.recordings,
+            options.robot,
+            config,
+            mode,
+            in_loop(self._failed),
+            in_loop(self._file_begun),
+            in_loop(self._file_full),
+        )
+        topics = (config.kernel.command.topic, config.kernel.odometry.topic)
+        proof = map(session.resolve, (*topics, "robot_status", "robotctl/journal"))
+        topic_filter = TopicFilter(config.recording.include, config.recording.exclude, proof)
+        self.tap = Tap(session, self._open_sink, topic_filter.records)
+        self.tap.subscribe_own(TOPIC, TYPE_NAME, qos.DIAGNOSTICS)
+        diagnostics = DiagnosticsPublisher(session, options.robot)
+        self._marks = MarkPublisher(session)
+        self._write_mark = self.tap.reserve(self._marks.description)
+        recording = self._recorder.stats().file.parent
+        self._black_box = BlackBox(config.recording, recording)
+        self.tidier = Tidier(retention_policy(config.recording), recording)
+        self.report = RecorderReport(
+            self._recorder, self.tap, topic_filter, diagnostics, self.tidier.problems
+        )
+
+    def work(self) -> dict[str, Work]:
+        """Return the tasks."""
+        return {
+            "recorder": self.tap.run,
+            "recorder's statistics": self._keep_statistics,
+            "black box": self._black_box.run,
+            "tidier": self.tidier.run,
+        }
+
+    def open_journal(self, publisher: JournalPublisher) -> Callable[[bytes, int], None]:
+        """Return what records and publishes an entry, given serialized and with its number."""
+        write = self.tap.reserve(publisher.description)
+
+        def write_entry(serialized: bytes, seq: int) -> None:
+            now_ns = time.time_ns()
+            write(serialized, now_ns, now_ns, seq + 1, UNKNOWN_GID)
+            publisher.publish(serialized)
+
+        return write_entry
+
+    @property
+    def failure(self) -> str:
+        """Why nothing is recorded any more, "" while all is well."""
+        return self._recorder.stats().failure
+
+    def note(self, event: RecordedEvent) -> None:
+        """Name an event in the recording's metadata, and have a clip cut of it if it is bad."""
+        self._recorder.note(event)
+        self._black_box.note(event)
+
+    def mark(self, text: str, source: str) -> RecordedEvent:
+        """Mark this moment, in the recording and on ROS."""
+        now_ns = time.time_ns()
+        event = RecordedEvent(EventKind.MARK, now_ns, f"{text} [{source}]")
+        self._write_mark(self._marks.publish(event.text), now_ns, now_ns, 0, UNKNOWN_GID)
+        self.note(event)
+        _log.info("marked: %s", event.text)
+        return event
+
+    def split(self) -> None:
+        """Go on in a new file, without a gap; returns before that is done."""
+        self._recorder.split()
+        self._on_file()
+
+    def stats(self) -> RecorderStats:
+        """Return what became of the messages so far."""
+        return self._recorder.stats()
+
+    def received(self) -> dict[str, int]:
+        """Return how many messages of each topic were received."""
+        counts: Counter[str] = Counter()
+        for topic in self._recorder.stats().topics:
+            counts[topic.name] += topic.received
+        return counts
+
+    async def close(self) -> None:
+        """Finish the recording; the disk is not waited for in the loop.
+
+        What comes in from now on is dropped: call this when nothing does any more.
+        """
+        self._closing = True
+        stats = await asyncio.to_thread(self._recorder.close)
+        _log.info(
+            "recorded %d messages in %s, %d dropped, %d lost",
+            stats.written,
+            stats.file,
+            stats.dropped,
+            stats.lost,
+        )
+        await self._black_box.finish()
+
+    async def discard(self) -> None:
+        """Leave nothing behind of a start that failed before anything ran."""
+        stats = await asyncio.to_thread(self._recorder.close)
+        await asyncio.to_thread(rmtree, stats.file.parent, ignore_errors=True)
+
+    async def _keep_statistics(self) -> None:
+        while True:
+            self.report.sample()
+            await asyncio.sleep(SAMPLE_PERIOD_S)
+
+    def _failed(self, detail: str) -> None:
+        _log.error("%s", detail)
+        if self._must_record:
+            self._on_failure(detail)
+
+    def _file_full(self, _: Path) -> None:
+        if not self._closing:
+            self.split()
+
+    def _file_begun(self, path: Path) -> None:
+        _log.info("recording goes on in %s", path)
+        self.tidier.file_finished()
+
+    def _open_sink(self, topic: TopicDescription) -> ViewSink:
+        described = Topic(
+            topic.name, topic.type_name, topic.definition, topic.type_hash, topic.offered_qos
+        )
+        return partial(self._recorder.write, self._recorder.add_topic(described))

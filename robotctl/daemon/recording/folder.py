@@ -1,0 +1,70 @@
+"""The recordings folder: how much of it is kept, and one recording opened in it."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from robotctl.config import Config, RecordingParams, flat
+from robotctl.daemon.recording.provenance import provenance
+from robotctl.errors import RobotctlError
+from robotctl.paths import make_private, recordings_note_path
+from robotctl.recording.keep.retention import DAY_S, RetentionPolicy
+from robotctl.recording.write.recorder import Compression, Recorder, RecorderOptions
+
+
+def retention_policy(params: RecordingParams) -> RetentionPolicy:
+    """Return how much is kept, as configured; 0 there means no limit."""
+    return RetentionPolicy(
+        round(params.max_total_gb * 1e9) or None, params.max_age_days * DAY_S or None
+    )
+
+
+def remember(recordings: Path, robot: str) -> list[str]:
+    """Note for later commands where the robot's recordings are; a sentence where that fails."""
+    note = recordings_note_path(robot)
+    try:
+        make_private(note.parent)
+        unfinished = note.with_suffix(".new")
+        unfinished.write_text(f"{recordings}\n", encoding="utf-8")
+        unfinished.replace(note)
+    except (OSError, UnicodeEncodeError, RobotctlError) as error:
+        return [f"`robotctl recordings` will not find {recordings}: {error}"]
+    return []
+
+
+def open_recorder(
+    recordings: Path,
+    robot: str,
+    config: Config,
+    mode: Callable[[], str],
+    on_failure: Callable[[str], None],
+    on_split: Callable[[Path], None],
+    on_full: Callable[[Path], None],
+) -> Recorder:
+    """Begin the recording ROBOT_DATE_TIME; raises Refused where nothing can be written.
+
+    `mode` is asked when a file begins; like the listeners, from any thread. `on_full` is to see
+    that the recorder's `split` is called.
+    """
+    compression = Compression.ZSTD if config.recording.compression == "zstd" else Compression.NONE
+    parameters = {f"parameter.{key}": str(value) for key, value in flat(config).items()}
+    described = {"robot": robot, **provenance(), **parameters}
+    return Recorder(
+        _new_folder(recordings, f"{robot}_{time.strftime('%Y%m%d_%H%M%S')}"),
+        RecorderOptions(compression=compression, group_readable=config.recording.group_readable),
+        metadata=lambda: {"mode": mode(), **described},
+        on_failure=on_failure,
+        on_split=on_split,
+        on_full=on_full,
+    )
+
+
+def _new_folder(recordings: Path, name: str) -> Path:
+    folder, attempt = recordings / name, 1
+    while os.path.lexists(folder):
+        attempt += 1
+        folder = recordings / f"{name}-{attempt}"
+    return folder

@@ -1,0 +1,39 @@
+"""The loss ledger as a diagnosis."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from robotctl.daemon.recording.topic_rates import by_topic
+from robotctl.recording.write.recorder import RecorderState, RecorderStats, TopicStats
+from robotctl.ros.nodes.diagnostics_publisher import Diagnosis, Level
+
+MAX_TOPICS = 100
+"""Topics that are named, those that lack most first."""
+
+
+def diagnose(stats: RecorderStats, warnings: Sequence[str]) -> Diagnosis:
+    """Return how the recorder is: an error where it records no more, a warning where it lacks."""
+    if stats.state is not RecorderState.RECORDING:
+        level, message = Level.ERROR, stats.failure or stats.state.value
+    elif stats.dropped or stats.lost:
+        level, message = Level.WARN, _lacking(stats)
+    elif warnings:
+        level, message = Level.WARN, warnings[0]
+    else:
+        level, message = Level.OK, "everything is recorded"
+    return Diagnosis("recorder", level, message, dict(_values(stats)))
+
+
+def _values(stats: RecorderStats) -> Iterator[tuple[str, str]]:
+    yield "state", stats.state.value
+    yield "file", str(stats.file)
+    for name in ("bytes", "received", "written", "queued", "dropped", "lost", "unseen"):
+        yield name, str(getattr(stats, name))
+    lacking = [topic for topic in by_topic(stats.topics) if topic.dropped or topic.lost]
+    lacking.sort(key=lambda topic: -topic.dropped - topic.lost)
+    yield from ((topic.name, _lacking(topic)) for topic in lacking[:MAX_TOPICS])
+
+
+def _lacking(counts: RecorderStats | TopicStats) -> str:
+    return f"{counts.dropped} messages dropped, {counts.lost} lost on their way here"

@@ -1,0 +1,121 @@
+"""How the recording goes: for `status`, for the log, and for diagnostics on ROS."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from robotctl.daemon.recording.loss_diagnosis import diagnose
+from robotctl.daemon.recording.topic_rates import HeavyTopics, RateMeter, by_topic
+from robotctl.recording.write.recorder import Recorder
+from robotctl.recording.write.topic_filter import TopicFilter
+from robotctl.ros.nodes.diagnostics_publisher import DiagnosticsPublisher
+from robotctl.ros.tap.tap import Tap
+
+_log = logging.getLogger(__name__)
+
+LEDGER = ("bytes", "written", "queued", "dropped", "lost", "unseen")
+"""What `status` tells of each topic beside its count and rate."""
+
+_NO_MEMORY = "are not recorded, for there is no memory: end other programs, or exclude large topics"
+
+
+class RecorderReport:
+    """Looks at recorder and tap."""
+
+    def __init__(
+        self,
+        recorder: Recorder,
+        tap: Tap,
+        topic_filter: TopicFilter,
+        diagnostics: DiagnosticsPublisher,
+        problems: Sequence[str],
+    ) -> None:
+        """`problems` grows: what is wrong with the other recordings in the folder."""
+        self._recorder = recorder
+        self._tap = tap
+        self._filter = topic_filter
+        self._diagnostics = diagnostics
+        self._problems = problems
+        self._rates = RateMeter()
+        self._heavy = HeavyTopics()
+        self._logged: set[str] = set()
+        self._logged_memory = False
+
+    def facts(self) -> dict[str, Any]:
+        """Return what `status` tells of the recording."""
+        stats = self._recorder.stats()
+        return {
+            "topics": [
+                {
+                    "name": topic.name,
+                    "type": topic.type_name,
+                    "count": topic.received,
+                    "rate": self._rates.rate((topic.name, topic.type_name)),
+                    **{name: getattr(topic, name) for name in LEDGER},
+                }
+                for topic in by_topic(stats.topics)
+            ],
+            "recorder": {
+                "state": stats.state.value,
+                "file": str(stats.file),
+                "bytes": stats.bytes,
+                "received": stats.received,
+                "written": stats.written,
+                "queued": stats.queued,
+                "dropped": stats.dropped,
+                "lost": stats.lost,
+            },
+        }
+
+    def warnings(self) -> Iterator[str]:
+        """Say what is not recorded, and why."""
+        stats = self._recorder.stats()
+        yield from (text for text in (stats.failure, stats.warning) if text)
+        if stats.no_memory:
+            yield f"{stats.no_memory} messages {_NO_MEMORY}"
+        if stats.dropped > stats.no_memory and not stats.failure:
+            worst = max(stats.topics, key=lambda topic: topic.dropped)
+            yield (
+                f"{stats.dropped} messages are not recorded, most of {worst.name}: "
+                "they came faster than the disk writes, or are larger than the queue"
+            )
+        if stats.not_repeated:
+            yield (
+                f"{stats.not_repeated} latched messages are recorded once and not repeated in "
+                "later files: together they are larger than the room kept for that"
+            )
+        yield from self._tap.unrecorded.warnings()
+        yield from (warning for _, warning in self._heavy_warnings())
+        yield from self._problems
+
+    def sample(self) -> None:
+        """Take the counts that rates are made of, and tell ROS; to be called once a second."""
+        now_ns = time.monotonic_ns()
+        stats = self._recorder.stats()
+        topics = {(each.name, each.type_name): each for each in by_topic(stats.topics)}
+        self._rates.sample(now_ns, {key: topic.received for key, topic in topics.items()})
+        sizes = {key: topic.bytes for key, topic in topics.items()}
+        self._heavy.sample(now_ns, sizes)
+        self._log_heavy()
+        if stats.no_memory and not self._logged_memory:
+            self._logged_memory = True
+            _log.warning("messages %s", _NO_MEMORY)
+        self._diagnostics.publish(diagnose(stats, list(self.warnings())))
+
+    def _heavy_warnings(self) -> Iterator[tuple[str, str]]:
+        """Yield each topic that is heavy now and can be left out, and what to say of it."""
+        for (topic, _), bytes_per_s in self._heavy.rates.items():
+            if self._filter.can_leave_out(topic):
+                rate = f"{topic} brings {bytes_per_s / 1e6:.1f} MB/s"
+                cure = f"robotctl start --exclude {topic} leaves it out of the recording"
+                yield topic, f"{rate}: {cure}"
+
+    def _log_heavy(self) -> None:
+        """Name each heavy topic once."""
+        for topic, warning in self._heavy_warnings():
+            if topic not in self._logged:
+                self._logged.add(topic)
+                _log.warning("%s", warning)

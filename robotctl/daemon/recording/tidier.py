@@ -1,0 +1,108 @@
+"""Keeping the recordings folder in order, without ever making anybody wait for it."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import AsyncGenerator
+from contextlib import aclosing
+from pathlib import Path
+from typing import Any
+
+from robotctl.processes import Child, program, start
+from robotctl.recording.keep.retention import RetentionPolicy
+from robotctl.recording.keep.tidy_job import TidyJob
+from robotctl.recording.keep.tidy_report import Tidied
+
+_log = logging.getLogger(__name__)
+
+MAX_PROBLEMS = 10
+"""Shown in the status; the log has all."""
+
+
+class Tidier:
+    """Belongs to the loop's thread.
+
+    After `begin`, which is for a daemon that is ready, a process of the lowest priority removes
+    what is too much and repairs what a crash left: that reads files of any origin and any size.
+    After `file_finished` another one removes what is too much by then.
+    """
+
+    def __init__(self, policy: RetentionPolicy, recording: Path) -> None:
+        """The folder `recording` is being recorded, and lies among the others."""
+        self._policy = policy
+        self._recordings = recording.parent
+        self._recording = recording
+        self._begun = asyncio.Event()
+        self._finished = asyncio.Event()
+        self.problems: list[str] = []
+        """Sentences about what is lost or could not be done."""
+
+    def begin(self) -> None:
+        """Begin to tidy."""
+        self._begun.set()
+
+    def file_finished(self) -> None:
+        """A file of ours has its full size."""
+        self._finished.set()
+
+    async def run(self) -> None:
+        """Tidy until cancelled."""
+        await self._begun.wait()
+        if await asyncio.to_thread(self._has_others):
+            await self._tidy(repairs=True)
+        while True:
+            await self._finished.wait()
+            self._finished.clear()
+            await self._tidy(repairs=False)
+
+    def _has_others(self) -> bool:
+        try:
+            return any(path != self._recording for path in self._recordings.iterdir())
+        except OSError:
+            return False
+
+    async def _tidy(self, *, repairs: bool) -> None:
+        job = TidyJob(self._recordings, self._policy, repairs)
+        try:
+            child = start([*program("robotctl.recording.keep.tidy_process"), job.to_json()])
+        except OSError as error:  # no process, no descriptor
+            self._tell(Tidied(f"the recordings are not tidied: {error}", problem=True))
+            return
+        said_by = f"the process that tidies {self._recordings}"
+        try:
+            async with aclosing(_heard(child)) as heard:
+                async for said in heard:
+                    self._tell(Tidied(said["text"], said["problem"]))
+        except (ValueError, KeyError):
+            self._tell(Tidied(f"{said_by} made no sense", problem=True))
+        except asyncio.CancelledError:
+            child.kill()  # the next start goes on
+            raise
+        finally:
+            exit_code = await asyncio.shield(asyncio.to_thread(child.close, 1.0))
+        if exit_code:
+            self._tell(Tidied(f"{said_by} ended with {exit_code}", problem=True))
+
+    def _tell(self, done: Tidied) -> None:
+        _log.log(logging.WARNING if done.problem else logging.INFO, "%s", done.text)
+        if done.problem and len(self.problems) < MAX_PROBLEMS:
+            self.problems.append(done.text)
+
+
+async def _heard(child: Child) -> AsyncGenerator[dict[str, Any]]:
+    """What the child says, until it says nothing more. Raises ValueError."""
+    loop, readable = asyncio.get_running_loop(), asyncio.Event()
+    loop.add_reader(child.fileno(), readable.set)
+    try:
+        while True:
+            await readable.wait()
+            readable.clear()
+            try:
+                said = child.hear()
+            except EOFError:
+                return
+            for each in said:
+                yield each
+    finally:
+        loop.remove_reader(child.fileno())

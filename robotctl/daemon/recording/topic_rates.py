@@ -1,0 +1,81 @@
+"""What the counts of the recorder tell over time: rates, and topics that bring too much."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+
+from robotctl.recording.write.recorder import TopicStats
+
+HEAVY_BYTES_PER_S = 5e6
+HEAVY_WINDOW_S = 5.0
+"""A topic is heavy that brings more than this, on average over so long..."""
+
+CALM_SHARE = 0.5
+"""...until it brings less than this part of it."""
+
+TopicKey = tuple[str, str]
+"""Name and type."""
+
+
+class RateMeter:
+    """Turns growing counts into rates [1/s] over the time between the last two samples."""
+
+    def __init__(self) -> None:
+        self._counts: Mapping[TopicKey, int] = {}
+        self._rates: dict[TopicKey, float] = {}
+        self._t_ns = 0
+
+    def sample(self, t_ns: int, counts: Mapping[TopicKey, int]) -> None:
+        """Take the counts at steady time `t_ns`."""
+        elapsed_s = (t_ns - self._t_ns) / 1e9
+        self._rates = {
+            topic: (count - self._counts.get(topic, 0)) / elapsed_s
+            for topic, count in counts.items()
+        }
+        self._counts, self._t_ns = counts, t_ns
+
+    def rate(self, topic: TopicKey) -> float:
+        """Return the latest rate, 0 before there is one."""
+        return round(self._rates.get(topic, 0.0), 2)
+
+
+class HeavyTopics:
+    """Knows which topics are heavy now, and at which rate [bytes/s]."""
+
+    def __init__(self) -> None:
+        self._samples: deque[tuple[int, Mapping[TopicKey, int]]] = deque()
+        self.rates: Mapping[TopicKey, float] = {}
+        """Of those that are heavy, over the last HEAVY_WINDOW_S."""
+
+    def sample(self, t_ns: int, sizes: Mapping[TopicKey, int]) -> None:
+        """Take the bytes received so far at steady time `t_ns`."""
+        samples = self._samples
+        samples.append((t_ns, sizes))
+        while len(samples) > 2 and t_ns - samples[1][0] >= HEAVY_WINDOW_S * 1e9:
+            samples.popleft()
+        first_ns, before = samples[0]
+        elapsed_s = (t_ns - first_ns) / 1e9
+        if elapsed_s < HEAVY_WINDOW_S:
+            return
+        rates = {topic: (size - before.get(topic, 0)) / elapsed_s for topic, size in sizes.items()}
+        self.rates = {
+            topic: rate
+            for topic, rate in rates.items()
+            if rate > HEAVY_BYTES_PER_S * (CALM_SHARE if topic in self.rates else 1.0)
+        }
+
+
+def by_topic(channels: Iterable[TopicStats]) -> list[TopicStats]:
+    """Return one entry a topic and type, by name: a topic that comes back may be recorded anew."""
+    found: dict[TopicKey, TopicStats] = {}
+    for channel in channels:
+        key = channel.name, channel.type_name
+        found[key] = _sum(found[key], channel) if key in found else channel
+    return [found[key] for key in sorted(found)]
+
+
+def _sum(one: TopicStats, other: TopicStats) -> TopicStats:
+    counts = ("received", "written", "queued", "dropped", "lost", "unseen", "bytes", "not_repeated")
+    return replace(one, **{name: getattr(one, name) + getattr(other, name) for name in counts})

@@ -1,0 +1,60 @@
+"""The end of a daemon: the robot stands, and the recording holds the last word."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import signal
+import time
+from collections.abc import Callable
+
+from robotctl.daemon.control.dispatcher import Control
+from robotctl.daemon.waiting import until
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.types import Cause, FaultReported, ModeRequested, Tick
+
+_log = logging.getLogger(__name__)
+
+RAMP_DOWN_S = 3.0
+"""How long a stop may take to ramp down before the command is cut to zero."""
+
+LAST_ZERO_S = 1.0
+"""How long a stop tries to send its last zero; beyond it the robot's command timeout has acted."""
+
+
+def told_to_end() -> asyncio.Event:
+    """Return an event that SIGINT and SIGTERM set, and SIGHUP unless it is ignored (nohup)."""
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        numbers.append(signal.SIGHUP)
+    loop, told = asyncio.get_running_loop(), asyncio.Event()
+    for number in numbers:
+        loop.add_signal_handler(number, told.set)
+    return told
+
+
+async def stand_still(control: Control, published: Callable[[], int]) -> None:
+    """Ramp down, or cut the command where that takes too long; then send one more zero.
+
+    No motion begins any more. `published()` counts the commands that were sent: a last zero that
+    fails, for want of memory or in the middleware, is sent again for LAST_ZERO_S.
+    """
+    detail = "the daemon is stopping"
+    control.dispatch(FaultReported(time.monotonic_ns(), Cause.DAEMON_ENDS, detail))
+    for mode in (Mode.IDLE, Mode.ERROR):
+        if control.state.mode is Mode.MOVING:
+            request = ModeRequested(
+                time.monotonic_ns(), control.new_request_id(), mode, "the daemon's end"
+            )
+            try:
+                await asyncio.wait_for(control.request(request), RAMP_DOWN_S)
+            except TimeoutError:
+                _log.error("not standing still after %g s", RAMP_DOWN_S)
+    sent = published()
+
+    def sends_zero() -> bool:
+        control.dispatch(Tick(time.monotonic_ns()))
+        return published() > sent
+
+    if not await until(sends_zero, LAST_ZERO_S):
+        _log.error("no last zero could be sent within %g s", LAST_ZERO_S)

@@ -1,0 +1,19 @@
+"""Waiting in the loop for a condition, with a deadline."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+
+POLL_S = 0.01
+
+
+async def until(condition: Callable[[], bool], deadline_s: float) -> bool:
+    """Wait until the condition holds or the time is over; say whether it holds."""
+    end = time.monotonic() + deadline_s
+    while not condition():
+        if time.monotonic() > end:
+            return False
+        await asyncio.sleep(POLL_S)
+    return True

@@ -1,0 +1,1 @@
+"""Files on the disk: access rights, positioned writes, errors."""

@@ -1,0 +1,1 @@
+"""What the files of a recording hold: MCAP records, rosbag2 metadata, the journal."""

@@ -1,0 +1,66 @@
+"""What somebody will look for in a recording, named in its files' metadata as it happens.
+
+The journal holds all of it, among a million other entries; these records are found through the
+summary, also of a file that grows or whose writer was killed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Self
+
+from mcap.records import Metadata
+
+from robotctl.recording.format.identity import EVENT_RECORD
+from robotctl.recording.format.topics import MAX_TIME_NS
+
+MAX_LAPS = 1_000_000
+"""What claims more is no drive of ours."""
+
+
+class EventKind(StrEnum):
+    """What happened."""
+
+    EMERGENCY_STOP = "estop"
+    ERROR = "error"
+    MARK = "mark"
+    DRIVE_ENDED = "drive ended"
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedEvent:
+    """One event; `log_ns` since the epoch, `laps` those of a drive that ended."""
+
+    kind: EventKind
+    log_ns: int
+    text: str
+    laps: int = 0
+
+    def values(self) -> Mapping[str, str]:
+        """As the metadata of a file holds it."""
+        values = {"kind": self.kind.value, "log_ns": str(self.log_ns), "text": self.text}
+        if self.kind is EventKind.DRIVE_ENDED:
+            values["laps"] = str(self.laps)
+        return values
+
+    @classmethod
+    def from_values(cls, values: Mapping[str, str]) -> Self:
+        """The event in the metadata of a file. Raises ValueError or KeyError where it is none."""
+        log_ns, laps = int(values["log_ns"]), int(values.get("laps", 0))
+        if not (0 <= log_ns <= MAX_TIME_NS and 0 <= laps <= MAX_LAPS):
+            raise ValueError("a number is out of range")
+        return cls(EventKind(values["kind"]), log_ns, values["text"], laps)
+
+
+def events_in(metadata: Iterable[Metadata]) -> list[RecordedEvent]:
+    """The events among these records, in their order; what is not understood is passed over."""
+    events = []
+    for record in metadata:
+        if record.name == EVENT_RECORD:
+            try:
+                events.append(RecordedEvent.from_values(record.metadata))
+            except (KeyError, ValueError):  # of a later version
+                continue
+    return events

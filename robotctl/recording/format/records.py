@@ -1,0 +1,133 @@
+"""The MCAP format as far as it is written: the records, and the bytes of a chunk.
+
+Specification: https://mcap.dev/spec. The records come from the `mcap` package, except for what
+is written per message or per chunk (message, message index, head of a chunk).
+"""
+
+from __future__ import annotations
+
+import struct
+from array import array
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import ChunkIndex, McapRecord
+
+from robotctl.recording.disk.storage import Buffer
+
+MAGIC: Final = b"\x89MCAP0\r\n"
+PlainMessage = tuple[int, bytes, int, int, int]
+"""Channel, data, log time [ns], publish time [ns], sequence."""
+
+MESSAGE_HEAD: Final = struct.Struct("<BQHIQQ")
+"""opcode, record length, channel id, sequence, log time [ns], publish time [ns]."""
+
+MESSAGE_FIELDS_BYTES: Final = 22
+"""What the record length of a message counts besides its data."""
+
+RECORD_HEAD_BYTES: Final = 9
+"""What precedes the content of each record: its opcode, and the length of the content."""
+
+UNWRITTEN_CHUNK: Final = b"\x86"
+"""An opcode of ours in place of a chunk's while the chunk is being written: the specification
+leaves 0x80 and above to applications, and readers skip what they do not know."""
+
+_CHUNK_HEAD = struct.Struct("<BQQQQI")
+_MESSAGE_INDEX_HEAD = struct.Struct("<BQHI")
+
+
+def record_bytes(record: McapRecord) -> bytes:
+    """The record as it stands in a file, with opcode and length."""
+    builder = RecordBuilder()
+    record.write(builder)
+    data: bytes = builder.end()  # type: ignore[no-untyped-call]  # the package leaves it untyped
+    return data
+
+
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """Messages to be written as one MCAP chunk.
+
+    `parts` are the chunk's records as they will be stored (compressed or not); `indexes` gives,
+    for each channel in it, an array('Q') of log time [ns] and offset in the uncompressed chunk,
+    alternating; start and end are the lowest and highest log time [ns].
+    """
+
+    parts: Sequence[Buffer]
+    compression: str
+    uncompressed_size: int
+    uncompressed_crc: int
+    start_ns: int
+    end_ns: int
+    indexes: Mapping[int, array[int]]
+
+    @property
+    def stored_size(self) -> int:
+        """Bytes of the records as they will be stored."""
+        return sum(map(len, self.parts))
+
+
+class PlacedChunk(NamedTuple):
+    """A chunk as it stands at one place of a file: its record, then its message indexes."""
+
+    head: bytes
+    """The record's beginning, before the stored messages."""
+
+    parts: Sequence[Buffer]
+    """The stored messages, the rest of the record."""
+
+    message_indexes: bytes
+    entry: ChunkIndex
+    """What the summary says of it."""
+
+    @property
+    def indexes_offset(self) -> int:
+        """Where the message indexes begin, behind the record."""
+        return self.entry.chunk_start_offset + self.entry.chunk_length
+
+    @property
+    def end(self) -> int:
+        """The offset behind record and message indexes."""
+        return self.indexes_offset + self.entry.message_index_length
+
+
+def place(chunk: Chunk, offset: int) -> PlacedChunk:
+    """The chunk as it stands at `offset` of a file."""
+    compression = chunk.compression.encode()
+    stored_size = chunk.stored_size
+    head = (
+        _CHUNK_HEAD.pack(
+            Opcode.CHUNK,
+            _CHUNK_HEAD.size - RECORD_HEAD_BYTES + 4 + len(compression) + 8 + stored_size,
+            chunk.start_ns,
+            chunk.end_ns,
+            chunk.uncompressed_size,
+            chunk.uncompressed_crc,
+        )
+        + len(compression).to_bytes(4, "little")
+        + compression
+        + stored_size.to_bytes(8, "little")
+    )
+    chunk_length = len(head) + stored_size
+    index_offsets: dict[int, int] = {}
+    indexes = bytearray()
+    for channel, entries in chunk.indexes.items():
+        index_offsets[channel] = offset + chunk_length + len(indexes)
+        size = len(entries) * entries.itemsize
+        indexes += _MESSAGE_INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, size + 6, channel, size)
+        indexes += entries.tobytes()
+    entry = ChunkIndex(
+        chunk_length=chunk_length,
+        chunk_start_offset=offset,
+        compression=chunk.compression,
+        compressed_size=stored_size,
+        message_end_time=chunk.end_ns,
+        message_index_length=len(indexes),
+        message_index_offsets=index_offsets,
+        message_start_time=chunk.start_ns,
+        uncompressed_size=chunk.uncompressed_size,
+    )
+    return PlacedChunk(head, chunk.parts, bytes(indexes), entry)

@@ -1,0 +1,177 @@
+"""rosbag2's own layout: a folder, its `metadata.yaml` (version 9), and the same text in each file.
+
+Written as rosbag2 of Jazzy writes it, so that `ros2 bag info` and `ros2 bag play` take the folder.
+The text is put together here: a YAML emitter would hold the interpreter for 50 ms at each split.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from io import TextIOWrapper
+from pathlib import Path
+
+from robotctl.recording.disk.access import open_private, share_like
+from robotctl.recording.format.topics import Topic
+from robotctl.regular_file import open_regular
+
+METADATA_FILE = "metadata.yaml"
+METADATA_RECORD = "rosbag2"
+_VERSION = 9
+_MAX_METADATA_CHARACTERS = 4 << 20
+"""Of a `metadata.yaml`: room for 8,000 topics; what comes later is not looked at."""
+
+_NO_START_NS = 2**63 - 1
+"""What rosbag2 writes as the start of a recording without messages."""
+
+# Possessive (`*+`): any text takes time in proportion to its length.
+_FILE_LIST = re.compile(r"^ *+relative_file_paths:\n((?: *+- .*+(?:\n|\Z))++)", re.MULTILINE)
+_COUNT = r"message_count: *+(\d{1,18}) *+$"
+_FILE_COUNT = re.compile(rf"^ *+- path: *+(.++)\n(?:(?! *+- ).*+\n)*? *+{_COUNT}", re.MULTILINE)
+_TOTAL_COUNT = re.compile(rf"^  {_COUNT}", re.MULTILINE)
+_QOS_LINE = re.compile(r"(- | {2,})[a-z_]+:( [\w.+-]+)?")
+
+
+@dataclass(frozen=True, slots=True)
+class BagFile:
+    """One file of a bag; times in nanoseconds since the epoch.
+
+    `counts` gives messages per topic, by the topic's position in the bag's list of topics.
+    """
+
+    name: str
+    start_ns: int
+    end_ns: int
+    counts: Mapping[int, int]
+
+    @property
+    def message_count(self) -> int:
+        """Messages of all topics."""
+        return sum(self.counts.values())
+
+
+def serialized_metadata(topics: Iterable[Topic], files: Sequence[BagFile]) -> str:
+    """The body of `metadata.yaml`, without its root key."""
+    return "\n".join(_body(topics, files))
+
+
+def write_metadata(folder: Path, topics: Iterable[Topic], files: Sequence[BagFile]) -> None:
+    """Write `metadata.yaml` into `folder`, whole or not at all. Raises OSError."""
+    lines = ["rosbag2_bagfile_information:", *_indented(_body(topics, files), 2), ""]
+    unfinished = folder / f".{METADATA_FILE}.tmp"
+    descriptor = open_private(unfinished, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW)
+    with open(descriptor, "w", encoding="utf-8") as stream:
+        stream.write("\n".join(lines))
+        stream.flush()
+        os.fsync(stream.fileno())
+    share_like(unfinished, folder)
+    unfinished.replace(folder / METADATA_FILE)
+
+
+def metadata_text(path: Path) -> str:
+    """The `metadata.yaml` of a recording, a folder or one of its files; "" if none can be read."""
+    try:
+        folder = path if path.is_dir() else path.parent
+        with TextIOWrapper(open_regular(folder / METADATA_FILE), encoding="utf-8") as stream:
+            return stream.read(_MAX_METADATA_CHARACTERS)
+    except (OSError, ValueError):
+        return ""  # the files speak for themselves
+
+
+def files_in(text: str) -> list[str]:
+    """The file names in the text of a `metadata.yaml`; none where there is no such list.
+
+    Only the list as rosbag2 and we write it, a line each: a YAML parser takes a second for 1 MB.
+    """
+    block = _FILE_LIST.search(text)
+    if block is None:
+        return []
+    lines = block[1].splitlines()
+    return [Path(line.strip().removeprefix("- ").strip("\"' ")).name for line in lines]
+
+
+def message_counts_in(text: str) -> dict[str, int]:
+    """The messages that the text of a `metadata.yaml` counts in each file, by its name."""
+    return {Path(name.strip("\"' ")).name: int(count) for name, count in _FILE_COUNT.findall(text)}
+
+
+def total_count_in(text: str) -> int:
+    """The messages that the text of a `metadata.yaml` counts in all files; 0 if it does not."""
+    found = _TOTAL_COUNT.search(text)
+    return int(found[1]) if found else 0
+
+
+def _body(topics: Iterable[Topic], files: Sequence[BagFile]) -> list[str]:
+    with_messages = [file for file in files if file.message_count]
+    start_ns = min((file.start_ns for file in with_messages), default=_NO_START_NS)
+    end_ns = max((file.end_ns for file in with_messages), default=_NO_START_NS)
+    lines = [
+        f"version: {_VERSION}",
+        "storage_identifier: mcap",
+        *_span(start_ns, end_ns),
+        f"message_count: {sum(file.message_count for file in files)}",
+    ]
+    entries: list[str] = []
+    for position, topic in enumerate(topics):
+        count = sum(file.counts.get(position, 0) for file in files)
+        entries += _topic(topic, count)
+    lines += _list("topics_with_message_count", entries)
+    lines += ['compression_format: ""', 'compression_mode: ""']
+    lines += _list("relative_file_paths", [f"- {_quoted(file.name)}" for file in files])
+    lines.append("files:")
+    for file in files:
+        empty = file.message_count == 0
+        first, last = (_NO_START_NS, _NO_START_NS) if empty else (file.start_ns, file.end_ns)
+        lines.append(f"  - path: {_quoted(file.name)}")
+        lines += _indented(_span(first, last), 4)
+        lines.append(f"    message_count: {file.message_count}")
+    return [*lines, "custom_data: ~", "ros_distro: jazzy"]
+
+
+def _topic(topic: Topic, count: int) -> list[str]:
+    # rosbags refuses the whole bag for the hash of a type that a service or an action implies.
+    type_hash = topic.type_hash if "/msg/" in topic.type_name else ""
+    return [
+        "- topic_metadata:",
+        f"    name: {_quoted(topic.name)}",
+        f"    type: {_quoted(topic.type_name)}",
+        f"    serialization_format: {_quoted(topic.encoding)}",
+        *_indented(_list("offered_qos_profiles", _qos_lines(topic.offered_qos)), 4),
+        f"    type_description_hash: {_quoted(type_hash)}",
+        f"  message_count: {count}",
+    ]
+
+
+def _span(start_ns: int, end_ns: int) -> list[str]:
+    return [
+        "duration:",
+        f"  nanoseconds: {end_ns - start_ns}",
+        "starting_time:",
+        f"  nanoseconds_since_epoch: {start_ns}",
+    ]
+
+
+def _list(key: str, lines: Sequence[str]) -> list[str]:
+    return [f"{key}:", *_indented(lines, 2)] if lines else [f"{key}: []"]
+
+
+def _indented(lines: Iterable[str], columns: int) -> list[str]:
+    return [" " * columns + line for line in lines]
+
+
+def _quoted(text: str) -> str:
+    """A double-quoted scalar: JSON's is YAML's, as far as names of topics and files go."""
+    return json.dumps(text, ensure_ascii=not text.isprintable())
+
+
+@lru_cache(maxsize=256)
+def _qos_lines(text: str) -> Sequence[str]:
+    """The lines of a list of profiles; none where the text is anything else, for readers insist."""
+    lines = text.rstrip().split("\n")
+    if not lines[0].startswith("- ") or not all(map(_QOS_LINE.fullmatch, lines)):
+        return ()
+    return tuple(lines)

@@ -1,0 +1,214 @@
+"""What stands behind the data of an MCAP file: DataEnd, summary, footer, magic."""
+
+from __future__ import annotations
+
+import struct
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from io import BytesIO
+from typing import NamedTuple, Self
+
+from isal.isal_zlib import crc32
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import DataEnd, Footer, Statistics, SummaryOffset
+
+from robotctl.recording.disk.storage import Buffer
+from robotctl.recording.format.records import MAGIC, RECORD_HEAD_BYTES, Chunk, record_bytes
+
+_GROUPS = (
+    Opcode.SCHEMA,
+    Opcode.CHANNEL,
+    Opcode.ATTACHMENT_INDEX,
+    Opcode.METADATA_INDEX,
+    Opcode.CHUNK_INDEX,
+    Opcode.STATISTICS,
+)
+"""In the order in which they stand. What each chunk changes comes last, so that a commit which
+adds nothing but a chunk writes only the end of the summary again."""
+
+_CRC = struct.Struct("<I")
+_DATA_END_BYTES = 13
+FOOTER_BYTES = 29 + len(MAGIC)
+"""Of footer and magic."""
+
+
+@dataclass(frozen=True, slots=True)
+class WrittenFile:
+    """The end of a valid file without attachments, as it was read.
+
+    `data_end` is the offset of its DataEnd record, `data_crc` the checksum therein; `groups`
+    holds the summary's records by their opcode, the way they stand there.
+    """
+
+    data_end: int
+    data_crc: int
+    groups: Mapping[Opcode, bytes]
+    statistics: Statistics
+
+
+@dataclass(frozen=True, slots=True)
+class TrailerState:
+    """What a file held at one moment: enough to make the trailer of then, also later."""
+
+    data_end: int
+    data_crc: int
+    statistics: bytes
+    group_sizes: Mapping[Opcode, int]
+    """Bytes of the groups that only grow: all but the statistics."""
+
+    @property
+    def kept_bytes(self) -> int:
+        """How far the trailer's bytes stay the same when nothing but a chunk is added."""
+        return _DATA_END_BYTES + sum(self.group_sizes.values())
+
+    def distant_footer(self) -> bytes:
+        """Footer and magic for an end of the file that leads back to this trailer, where it is."""
+        return record_bytes(Footer(self.data_end + _DATA_END_BYTES, 0, 0)) + MAGIC
+
+    def moved_to(self, data_end: int) -> TrailerState:
+        """The same content behind more data, whose checksum is not given (0)."""
+        return replace(self, data_end=data_end, data_crc=0)
+
+
+class Trailer(NamedTuple):
+    """The bytes of a trailer."""
+
+    data_end: bytes
+    """The DataEnd record."""
+
+    summary: list[Buffer]
+    """The groups, one behind the other."""
+
+    offsets: bytes
+    """The summary offsets."""
+
+    footer: bytes
+    """Footer and magic, FOOTER_BYTES in all."""
+
+    @property
+    def parts(self) -> list[Buffer]:
+        """All of it."""
+        return [*self.before_footer, self.footer]
+
+    @property
+    def before_footer(self) -> list[Buffer]:
+        """All but footer and magic."""
+        return [self.data_end, *self.summary, self.offsets]
+
+    def behind(self, position: int) -> list[Buffer]:
+        """What stands `position` bytes behind its beginning, and after that."""
+        parts: list[Buffer] = []
+        for part in self.parts:
+            parts.append(memoryview(part)[max(position, 0) :])
+            position -= len(part)
+        return parts
+
+    @property
+    def size(self) -> int:
+        """Bytes."""
+        return sum(map(len, self.parts))
+
+
+class Summary:
+    """What the file holds and where; it only grows."""
+
+    def __init__(self) -> None:
+        self.counts: dict[int, int] = {}
+        """Messages per channel id, of channels that have any."""
+
+        self.start_ns = 0
+        """Lowest log time in the file [ns]; 0 while it holds no message."""
+
+        self.end_ns = 0
+        """Highest log time in the file [ns]; 0 while it holds no message."""
+
+        self._groups = {opcode: bytearray() for opcode in _GROUPS}
+        self._numbers: Counter[Opcode] = Counter()
+
+    @classmethod
+    def of(cls, written: WrittenFile) -> Self:
+        """That of a file which is to be continued."""
+        self = cls()
+        for opcode, group in self._groups.items():
+            group += written.groups.get(opcode, b"")
+        statistics = written.statistics
+        self._numbers[Opcode.SCHEMA] = statistics.schema_count
+        self._numbers[Opcode.CHANNEL] = statistics.channel_count
+        self._numbers[Opcode.CHUNK_INDEX] = statistics.chunk_count
+        self._numbers[Opcode.METADATA_INDEX] = statistics.metadata_count
+        self.counts = dict(statistics.channel_message_counts)
+        self.start_ns = statistics.message_start_time
+        self.end_ns = statistics.message_end_time
+        return self
+
+    @property
+    def index_bytes(self) -> int:
+        """Bytes that the index of the chunks takes."""
+        return len(self._groups[Opcode.CHUNK_INDEX])
+
+    def add(self, opcode: Opcode, record: bytes) -> None:
+        """Take in a record that stands in the summary."""
+        self._groups[opcode] += record
+        self._numbers[opcode] += 1
+
+    def count(self, chunk: Chunk) -> None:
+        """Count the messages of a chunk, before its index is added."""
+        first = not self._numbers[Opcode.CHUNK_INDEX]
+        self.start_ns = chunk.start_ns if first else min(self.start_ns, chunk.start_ns)
+        self.end_ns = max(self.end_ns, chunk.end_ns)
+        for channel, entries in chunk.indexes.items():
+            self.counts[channel] = self.counts.get(channel, 0) + len(entries) // 2
+
+    def go_back_to(self, state: TrailerState | None) -> None:
+        """Count again what was counted at `state`, after a write that failed; None: nothing."""
+        counted = None
+        if state is not None:
+            content = BytesIO(state.statistics[RECORD_HEAD_BYTES:])
+            counted = Statistics.read(ReadDataStream(content))
+        self.counts = dict(counted.channel_message_counts) if counted else {}
+        self.start_ns = counted.message_start_time if counted else 0
+        self.end_ns = counted.message_end_time if counted else 0
+
+    def state(self, data_end: int, data_crc: int) -> TrailerState:
+        """The state of now; `data_end` is where the data ends, `data_crc` their checksum."""
+        statistics = Statistics(
+            attachment_count=self._numbers[Opcode.ATTACHMENT_INDEX],
+            channel_count=self._numbers[Opcode.CHANNEL],
+            channel_message_counts=self.counts,
+            chunk_count=self._numbers[Opcode.CHUNK_INDEX],
+            message_count=sum(self.counts.values()),
+            message_end_time=self.end_ns,
+            message_start_time=self.start_ns,
+            metadata_count=self._numbers[Opcode.METADATA_INDEX],
+            schema_count=self._numbers[Opcode.SCHEMA],
+        )
+        return TrailerState(
+            data_end=data_end,
+            data_crc=data_crc,
+            statistics=record_bytes(statistics),
+            group_sizes={opcode: len(group) for opcode, group in self._groups.items()},
+        )
+
+    def trailer(self, state: TrailerState) -> Trailer:
+        """The trailer that belongs to `state`."""
+        data_end = record_bytes(DataEnd(data_section_crc=state.data_crc))
+        summary_start = state.data_end + len(data_end)
+        groups: list[Buffer] = []
+        offsets = bytearray()
+        position = summary_start
+        for opcode, group in self._groups.items():
+            content: Buffer = memoryview(group)[: state.group_sizes[opcode]]
+            if opcode is Opcode.STATISTICS:
+                content = state.statistics
+            if not len(content):
+                continue
+            groups.append(content)
+            offsets += record_bytes(SummaryOffset(opcode, position, len(content)))
+            position += len(content)
+        footer = record_bytes(Footer(summary_start, position, 0))[: -_CRC.size]
+        crc = 0
+        for part in (*groups, offsets, footer):
+            crc = crc32(part, crc)
+        return Trailer(data_end, groups, bytes(offsets), footer + _CRC.pack(crc) + MAGIC)

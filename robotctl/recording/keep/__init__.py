@@ -1,0 +1,1 @@
+"""What happens to recordings afterwards: lists, repair, recovery, clips, removal."""

@@ -1,0 +1,102 @@
+"""The recordings below a folder that are ours, so that nobody else's are touched."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from robotctl.recording.disk.access import open_private, share_like
+from robotctl.recording.disk.storage import is_being_written
+from robotctl.recording.format.identity import OWN_LIBRARY
+from robotctl.recording.read.damage import Damaged
+from robotctl.recording.read.file_index import read_header
+from robotctl.recording.read.mcap_input import InputFile
+
+KEEP_FILE = "keep"
+"""A recording with a file of this name in its folder is never removed."""
+
+CLIPS_FOLDER = "clips"
+"""Within a recording's folder: not part of the bag, but of what is kept or removed with it."""
+
+
+@dataclass(frozen=True, slots=True)
+class CatalogFile:
+    """A file of a recording; `modified_s` in seconds since the epoch."""
+
+    path: Path
+    size: int
+    modified_s: float
+    live: bool
+    """A living process is writing it."""
+
+
+@dataclass(frozen=True, slots=True)
+class CatalogFolder:
+    """A recording of ours: `files` in their order, and the clips that were cut out of it."""
+
+    path: Path
+    files: tuple[CatalogFile, ...]
+    clips: tuple[CatalogFile, ...]
+    kept: bool
+
+    @property
+    def live(self) -> bool:
+        """A living process is recording into it."""
+        return any(file.live for file in self.files)
+
+
+def own_recordings(recordings: Path) -> Iterator[CatalogFolder]:
+    """The recordings directly below `recordings`, in the order of their names.
+
+    Symbolic links are not followed. What cannot be read is passed over. Raises OSError if
+    `recordings` itself cannot be listed.
+    """
+    for folder in sorted(recordings.iterdir()):
+        if folder.is_symlink() or not folder.is_dir():
+            continue
+        with suppress(OSError):
+            files, clips = tuple(_files(folder)), tuple(_clips(folder))
+            if files or clips:
+                yield CatalogFolder(folder, files, clips, (folder / KEEP_FILE).exists())
+
+
+def set_kept(folder: Path, kept: bool) -> None:
+    """Mark the recording in `folder` as never to be removed, or no longer. Raises OSError."""
+    if kept:
+        os.close(open_private(folder / KEEP_FILE, os.O_WRONLY | os.O_CREAT))
+        share_like(folder / KEEP_FILE, folder)
+    else:
+        (folder / KEEP_FILE).unlink(missing_ok=True)
+
+
+def _files(folder: Path) -> Iterator[CatalogFile]:
+    name = re.compile(re.escape(folder.name) + r"_(\d+)\.mcap")
+    numbered = [(name.fullmatch(path.name), path) for path in folder.iterdir()]
+    ours = sorted((int(match[1]), path) for match, path in numbered if match)
+    yield from _own(path for _, path in ours)
+
+
+def _clips(folder: Path) -> Iterator[CatalogFile]:
+    clips = folder / CLIPS_FOLDER
+    if clips.is_dir() and not clips.is_symlink():
+        yield from _own(sorted(clips.glob("*.mcap")))
+
+
+def _own(paths: Iterable[Path]) -> Iterator[CatalogFile]:
+    for path in paths:
+        if not path.is_symlink() and path.is_file() and _is_own(path):
+            stat = path.stat()
+            yield CatalogFile(path, stat.st_size, stat.st_mtime, is_being_written(path))
+
+
+def _is_own(path: Path) -> bool:
+    try:
+        with InputFile(path) as file:
+            header, _ = read_header(file)
+    except Damaged:
+        return False
+    return header.library.startswith(OWN_LIBRARY)

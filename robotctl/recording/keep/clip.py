@@ -1,0 +1,206 @@
+"""The black box: a file that stands alone, cut out of a recording around a moment.
+
+Before the cut begins stand the last messages of latched topics, and the journal since its last
+snapshot, so that a fresh kernel can decide everything in the clip once more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from robotctl.errors import Refused
+from robotctl.recording.disk.access import share_like
+from robotctl.recording.disk.new_file import new_file
+from robotctl.recording.format.events import EventKind, RecordedEvent, events_in
+from robotctl.recording.format.identity import (
+    CLIP_RECORD,
+    EVENT_RECORD,
+    INFO_RECORD,
+    LEDGER_RECORD,
+    LIBRARY,
+    RECOVERY_RECORD,
+)
+from robotctl.recording.format.records import PlainMessage
+from robotctl.recording.format.rosbag2 import METADATA_RECORD, BagFile, serialized_metadata
+from robotctl.recording.format.topics import MAX_LATCHED, Topic
+from robotctl.recording.read.file_index import note_missing
+from robotctl.recording.read.journal_reader import since_snapshot
+from robotctl.recording.read.messages import Window
+from robotctl.recording.read.reader import Message, Recording
+from robotctl.recording.write.buffer import pack
+from robotctl.recording.write.chunk_encoder import ChunkEncoder
+from robotctl.recording.write.mcap_writer import McapFile
+from robotctl.recording.write.recorder_options import Compression
+
+CHUNK_BYTES = 1 << 20
+
+_OF_THE_WHOLE = (METADATA_RECORD, LEDGER_RECORD, RECOVERY_RECORD, EVENT_RECORD, CLIP_RECORD)
+"""Metadata that would not be true of a part."""
+
+Progress = Callable[[int, int], None]
+"""Is told how many nanoseconds of the recording are done, and how many there are."""
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """What a clip is about: an event of the recording, or any time, whose kind is None."""
+
+    log_ns: int
+    kind: EventKind | None = None
+    text: str = ""
+
+    @classmethod
+    def of(cls, event: RecordedEvent) -> Moment:
+        """That of an event."""
+        return cls(event.log_ns, event.kind, event.text)
+
+
+@dataclass(frozen=True, slots=True)
+class Clip:
+    """A clip that was made; `lost` says in sentences what of it could not be read.
+
+    Times in nanoseconds since the epoch: those of the first and the last message that are not
+    repeated from before.
+    """
+
+    target: Path
+    moment: Moment
+    start_ns: int
+    end_ns: int
+    message_count: int
+    lost: tuple[str, ...]
+
+
+def cut(
+    recording: Recording,
+    moment: Moment,
+    window: Window,
+    target: Path,
+    on_progress: Progress = lambda done, total: None,
+) -> Clip:
+    """Write what was recorded in `window` (ns, both ends included) into the new file `target`.
+
+    Raises Refused if nothing was recorded then, or `target` exists or cannot be written; then
+    there is no `target` but one that was there before.
+    """
+    info = recording.info()
+    start_ns, end_ns = max(window[0], info.start_ns), min(window[1], info.end_ns)
+    if not info.message_count or start_ns > end_ns:
+        raise Refused(f"{recording.path} holds nothing of that time")
+    copy = _Copy(recording, moment, (start_ns, end_ns), on_progress)
+    with new_file(target) as storage:
+        copy.run(McapFile(storage, profile=info.profile, library=LIBRARY), target.name)
+        share_like(target, recording.path)
+    return Clip(target, moment, start_ns, end_ns, copy.message_count, tuple(copy.lost))
+
+
+class _Copy:
+    def __init__(
+        self, recording: Recording, moment: Moment, window: Window, on_progress: Progress
+    ) -> None:
+        self._recording = recording
+        self._moment = moment
+        self._window = window
+        self._on_progress = on_progress
+        self._encoder = ChunkEncoder(Compression.ZSTD, 1)
+        self._topics: list[Topic] = []
+        self._channels: dict[tuple[str, str], int] = {}
+        self.message_count = 0
+        self.lost: list[str] = list(recording.missing)
+
+    def run(self, mcap: McapFile, name: str) -> None:
+        """Write the clip. Raises OSError, and Refused where it would be empty."""
+        for record in self._recording.metadata():
+            if record.name not in (*_OF_THE_WHOLE, INFO_RECORD):
+                mcap.add_metadata(record.name, record.metadata)
+        self._add_info(mcap)
+        for event in events_in(self._recording.metadata()):
+            if self._window[0] <= event.log_ns <= self._window[1]:
+                mcap.add_metadata(EVENT_RECORD, event.values())
+        self._add_channels(mcap)
+        self._write(mcap, self._before())
+        before = self.message_count
+        self._write(mcap, self._within())
+        if self.message_count == before:
+            raise Refused(f"{self._recording.path} holds nothing of that time")
+        mcap.add_metadata(CLIP_RECORD, self._about())
+        summary = mcap.summary
+        bag_file = BagFile(name, summary.start_ns, summary.end_ns, dict(summary.counts))
+        text = serialized_metadata(self._topics, [bag_file])
+        mcap.add_metadata(METADATA_RECORD, {"serialized_metadata": text})
+        mcap.commit()
+        mcap.sync()
+
+    def _add_info(self, mcap: McapFile) -> None:
+        """The robot and what made the recording; the mode at its beginning is not that of ours."""
+        found = self._recording.info().metadata.get(INFO_RECORD)
+        if found is not None:
+            values = {key: value for key, value in found.items() if key != "mode"}
+            mcap.add_metadata(INFO_RECORD, values)
+
+    def _add_channels(self, mcap: McapFile) -> None:
+        for key, (channel, schema) in self._recording.channels().items():
+            number = len(self._channels)
+            self._channels[key] = number
+            if schema is not None:
+                mcap.add_schema(replace(schema, id=number + 1))
+            schema_id = 0 if schema is None else number + 1
+            mcap.add_channel(replace(channel, id=number, schema_id=schema_id))
+            self._topics.append(
+                Topic(
+                    name=channel.topic,
+                    type_name=key[1],
+                    type_hash=channel.metadata.get("topic_type_hash", ""),
+                    offered_qos=channel.metadata.get("offered_qos_profiles", ""),
+                    encoding=channel.message_encoding,
+                )
+            )
+
+    def _before(self) -> Iterator[Message]:
+        """The journal since its last snapshot; what is latched, as if it came when we begin."""
+        start_ns = self._window[0]
+        yield from since_snapshot(self._recording, start_ns, self._lose)
+        latched = {topic.name: MAX_LATCHED for topic in self._topics if topic.latched}
+        for message in self._recording.last_before(start_ns, latched, self._lose):
+            yield message._replace(log_ns=start_ns)
+
+    def _within(self) -> Iterator[Message]:
+        start_ns, end_ns = self._window
+        for message in self._recording.messages(None, self._lose, self._window):
+            yield message
+            self._on_progress(message.log_ns - start_ns, end_ns - start_ns)
+
+    def _write(self, mcap: McapFile, messages: Iterable[Message]) -> None:
+        waiting: list[PlainMessage] = []
+        size = 0
+        for message in messages:
+            channel = self._channels[message.topic, message.type_name]
+            waiting.append(
+                (channel, message.data, message.log_ns, message.publish_ns, message.sequence)
+            )
+            size += len(message.data)
+            if size >= CHUNK_BYTES:
+                mcap.commit(self._encoder.encode(pack(waiting)), finished=False)
+                self.message_count += len(waiting)
+                waiting, size = [], 0
+        if waiting:
+            mcap.commit(self._encoder.encode(pack(waiting)), finished=False)
+            self.message_count += len(waiting)
+
+    def _about(self) -> dict[str, str]:
+        moment, (start_ns, end_ns) = self._moment, self._window
+        return {
+            "of": ", ".join(path.name for path in self._recording.info().files),
+            "event": "" if moment.kind is None else moment.kind.value,
+            "event_ns": str(moment.log_ns),
+            "text": moment.text,
+            "start_ns": str(start_ns),
+            "end_ns": str(end_ns),
+            "lost": "\n".join(self.lost),
+        }
+
+    def _lose(self, sentence: str) -> None:
+        if sentence not in self.lost:
+            note_missing(self.lost, sentence)

@@ -1,0 +1,120 @@
+"""One clip from the order to the file: waits for what is still to come, and finds it a name."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+from robotctl.errors import Refused
+from robotctl.recording.disk.access import is_shared, make_folder
+from robotctl.recording.format.events import EventKind
+from robotctl.recording.keep.catalog import CLIPS_FOLDER
+from robotctl.recording.keep.clip import Clip, Moment, Progress, cut
+from robotctl.recording.keep.listing import ListedRecording, list_recording
+from robotctl.recording.read.reader import Recording
+
+PATIENCE_S = 3.0
+"""How long a recording that goes on may take to show what was due."""
+
+_LOOK_AGAIN_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class ClipJob:
+    """What to cut out of the recording `source`; no `target` means: into its folder of clips."""
+
+    source: Path
+    moment: Moment
+    before_s: float
+    after_s: float
+    target: Path | None = None
+
+    def to_json(self) -> str:
+        """One line."""
+        moment = self.moment
+        return json.dumps(
+            {
+                "source": str(self.source),
+                "log_ns": moment.log_ns,
+                "kind": None if moment.kind is None else moment.kind.value,
+                "text": moment.text,
+                "before_s": self.before_s,
+                "after_s": self.after_s,
+                "target": None if self.target is None else str(self.target),
+            }
+        )
+
+    @classmethod
+    def from_json(cls, line: str) -> Self:
+        """The job in a line of `to_json`."""
+        given: dict[str, Any] = json.loads(line)
+        kind, target = given["kind"], given["target"]
+        return cls(
+            Path(given["source"]),
+            Moment(given["log_ns"], None if kind is None else EventKind(kind), given["text"]),
+            given["before_s"],
+            given["after_s"],
+            None if target is None else Path(target),
+        )
+
+    @property
+    def end_ns(self) -> int:
+        """Until when [ns since the epoch]."""
+        return self.moment.log_ns + round(self.after_s * 1e9)
+
+
+def remaining_s(job: ClipJob, listed: ListedRecording) -> float:
+    """How long the recording will go on before all is there that was asked for."""
+    if not listed.live or listed.end_ns >= job.end_ns:
+        return 0.0
+    return max(job.end_ns - time.time_ns(), 0) / 1e9
+
+
+def make_clip(job: ClipJob, on_progress: Progress = lambda done, total: None) -> Clip:
+    """Cut it, once the recording has come so far or has ended.
+
+    Raises as `cut` does, and UnreadableFile where the recording cannot be read.
+    """
+    _wait_for_end(job)
+    target = job.target or _free_name(job)
+    with Recording(job.source) as recording:
+        return cut(
+            recording,
+            job.moment,
+            (max(job.moment.log_ns - round(job.before_s * 1e9), 0), job.end_ns),
+            target,
+            on_progress,
+        )
+
+
+def _wait_for_end(job: ClipJob) -> None:
+    due_s = min((job.end_ns - time.time_ns()) / 1e9, job.after_s)  # the clock may be set back
+    deadline = time.monotonic() + due_s + PATIENCE_S
+    while time.monotonic() < deadline:
+        listed = list_recording(job.source)
+        if not listed.live or listed.end_ns >= job.end_ns:
+            return
+        time.sleep(_LOOK_AGAIN_S)
+
+
+def _free_name(job: ClipJob) -> Path:
+    """A name in the folder of clips beside the recording's files, which it creates."""
+    source = job.source
+    folder = (source if source.is_dir() else source.parent) / CLIPS_FOLDER
+    try:
+        if not folder.is_dir():
+            make_folder(folder, shared=is_shared(folder.parent))
+    except OSError as error:
+        raise Refused(f"cannot write into {folder}: {error.strerror} (elsewhere: -o)") from error
+    at = time.strftime("%H%M%S", time.localtime(job.moment.log_ns // 10**9))
+    kind = "at" if job.moment.kind is None else job.moment.kind.value
+    name, attempt = f"{source.stem}_{kind}_{at}", 1
+    target = folder / f"{name}.mcap"
+    while os.path.lexists(target):
+        attempt += 1
+        target = folder / f"{name}-{attempt}.mcap"
+    return target

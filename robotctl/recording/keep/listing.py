@@ -1,0 +1,139 @@
+"""The recordings below a folder, whoever made them, as a list shows them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from errno import ENOENT
+from pathlib import Path
+
+from robotctl.recording.format.events import EventKind, RecordedEvent, events_in
+from robotctl.recording.format.identity import INFO_RECORD
+from robotctl.recording.format.rosbag2 import metadata_text
+from robotctl.recording.keep.catalog import CLIPS_FOLDER, KEEP_FILE
+from robotctl.recording.read.damage import Damaged
+from robotctl.recording.read.declared_counts import lacking
+from robotctl.recording.read.files import files_of_bag, natural_order
+from robotctl.recording.read.indexing import index_of
+from robotctl.recording.read.mcap_input import InputFile
+from robotctl.recording.read.messages import OpenFile
+from robotctl.recording.read.zstd_file import is_zstd_file
+
+GRAVEST_FIRST = (EventKind.EMERGENCY_STOP, EventKind.ERROR)
+
+
+@dataclass(frozen=True, slots=True)
+class ListedRecording:
+    """A recording: a folder of files, or a single file.
+
+    Times in nanoseconds since the epoch, 0 without messages; `damage` says in sentences what
+    cannot be read; a recording that is not `readable` holds nothing that can be.
+    """
+
+    path: Path
+    robot: str
+    start_ns: int
+    end_ns: int
+    modified_s: float
+    size_bytes: int
+    files: int
+    clips: tuple[Path, ...]
+    events: tuple[RecordedEvent, ...]
+    readable: bool
+    damage: tuple[str, ...]
+    live: bool
+    kept: bool
+
+    @property
+    def duration_s(self) -> float:
+        """Seconds from the first message to the last."""
+        return (self.end_ns - self.start_ns) / 1e9
+
+    @property
+    def laps(self) -> int:
+        """Whole laps of the drives that have ended."""
+        return sum(event.laps for event in self.events)
+
+    @property
+    def worst(self) -> EventKind | None:
+        """The gravest that happened; None where nothing bad did."""
+        kinds = {event.kind for event in self.events}
+        return next((kind for kind in GRAVEST_FIRST if kind in kinds), None)
+
+
+def list_recordings(
+    folder: Path, on_progress: Callable[[int, int], None] = lambda done, total: None
+) -> Iterator[ListedRecording]:
+    """The recordings directly below `folder`, in the order of their names.
+
+    `on_progress` gets recordings done and in total. Symbolic links are not followed. Raises
+    OSError if `folder` cannot be listed.
+    """
+    found = [path for path in sorted(folder.iterdir()) if _files(path)]
+    for done, path in enumerate(found):
+        on_progress(done, len(found))
+        with suppress(OSError):  # it is gone: removed by a daemon's retention, say
+            yield list_recording(path)
+    on_progress(len(found), len(found))
+
+
+def _files(path: Path) -> list[Path]:
+    if path.is_symlink():
+        return []
+    if path.suffix == ".mcap" and path.is_file():
+        return [path]
+    try:
+        return sorted(path.glob("*.mcap"), key=natural_order) if path.is_dir() else []
+    except OSError:
+        return []
+
+
+def _packed_files(path: Path) -> list[Path]:
+    """What has to be unpacked to be listed: only where it is asked for by its name."""
+    if is_zstd_file(path) and path.is_file():
+        return [path]
+    return files_of_bag(path) if path.is_dir() else []
+
+
+def list_recording(path: Path) -> ListedRecording:
+    """The recording `path`, a folder or a file. Raises OSError if it is not there."""
+    text = metadata_text(path)
+    files = _files(path) or _packed_files(path)
+    if not files:
+        raise FileNotFoundError(ENOENT, os.strerror(ENOENT), str(path))
+    opened: list[OpenFile] = []
+    damage: list[str] = []
+    live = False
+    for each in files:
+        prefix = "" if each == path else f"{each.name}: "
+        try:
+            with InputFile(each) as file:
+                live = live or file.is_changing()
+                opened.append(OpenFile(each, file, index_of(file, places=False)))
+            damage += (prefix + sentence for sentence in opened[-1].index.missing)
+        except (Damaged, OSError) as error:
+            damage.append(f"{prefix}{error}")
+    if opened:
+        damage += lacking(text, opened, all_files=files != [path])
+    indexes = [each.index for each in opened]
+    with_messages = [index for index in indexes if index.message_count]
+    metadata = [record for index in indexes for record in index.metadata]
+    info = next((record.metadata for record in metadata if record.name == INFO_RECORD), {})
+    stats = [each.stat() for each in files]
+    return ListedRecording(
+        path=path,
+        robot=info.get("robot", ""),
+        start_ns=min((index.start_ns for index in with_messages), default=0),
+        end_ns=max((index.end_ns for index in with_messages), default=0),
+        modified_s=max(stat.st_mtime for stat in stats),
+        size_bytes=sum(stat.st_size for stat in stats),
+        files=len(files),
+        clips=tuple(sorted((path / CLIPS_FOLDER).glob("*.mcap"))) if path.is_dir() else (),
+        events=tuple(events_in(metadata)),
+        readable=bool(indexes),
+        damage=tuple(damage),
+        live=live,
+        kept=path.is_dir() and (path / KEEP_FILE).exists(),
+    )

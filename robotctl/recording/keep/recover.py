@@ -1,0 +1,180 @@
+"""Salvaging what a broken file of any writer still holds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from robotctl.errors import UnreadableFile
+from robotctl.recording.disk.access import share_like
+from robotctl.recording.disk.new_file import new_file
+from robotctl.recording.disk.storage import DiskFile, Storage
+from robotctl.recording.format.identity import LIBRARY, RECOVERY_RECORD
+from robotctl.recording.format.records import PlainMessage
+from robotctl.recording.format.rosbag2 import METADATA_RECORD, metadata_text
+from robotctl.recording.read.damage import BeyondLimit, Damaged, Unreadable
+from robotctl.recording.read.declared_counts import lacking
+from robotctl.recording.read.file_index import (
+    FileIndex,
+    Place,
+    note_missing,
+    read_attachment,
+    read_record_head,
+)
+from robotctl.recording.read.indexing import index_of
+from robotctl.recording.read.mcap_input import InputFile
+from robotctl.recording.read.message_compression import without_compression
+from robotctl.recording.read.messages import ALWAYS, OpenFile, Source, names_of
+from robotctl.recording.write.buffer import pack
+from robotctl.recording.write.chunk_encoder import ChunkEncoder
+from robotctl.recording.write.mcap_writer import McapFile
+from robotctl.recording.write.recorder_options import Compression
+
+_BATCH_BYTES = 8 << 20
+"""Messages that become one chunk of the copy: a chunk of the original may be larger by far."""
+
+Progress = Callable[[int, int], None]
+"""Is told bytes done and bytes in total."""
+
+
+@dataclass(frozen=True, slots=True)
+class Salvage:
+    """What came out of a recovery; `lost` says in sentences what did not.
+
+    With higher limits there would be more if `limit_reached`. Where `failure` is not None, the disk
+    or the memory failed while it was read: at another time there may be more.
+    """
+
+    target: Path
+    message_count: int
+    attachment_count: int
+    lost: tuple[str, ...]
+    limit_reached: bool = False
+    failure: Unreadable | None = None
+
+
+def recover(
+    source: Path,
+    target: Path,
+    *,
+    on_progress: Progress = lambda done, total: None,
+    open_file: Callable[[Path], Storage] = DiskFile,
+) -> Salvage:
+    """Write all that can be read of the file `source` into the new file `target`.
+
+    Raises UnreadableFile if nothing can be read, Refused if `target` exists or cannot be
+    written. After an error there is no `target` but one that was there before.
+    """
+    try:
+        file = InputFile(source, on_progress)
+    except (OSError, ValueError, Damaged) as error:
+        raise UnreadableFile(f"{source} cannot be read: {_reason(error)}") from error
+    text = metadata_text(source)
+    with file:
+        total = 2 * file.size  # once to find what there is, once to copy it
+        try:
+            index = index_of(file, lambda done: on_progress(done, total))
+        except Damaged as damage:
+            raise UnreadableFile(f"{source} cannot be read: {damage}") from damage
+        for sentence in lacking(text, [OpenFile(source, file, index)], all_files=False):
+            index.miss(sentence)
+        copy = _Copy(file, index, lambda done: on_progress(file.size + done, total))
+        with new_file(target, open_file) as storage:
+            copy.run(storage)
+            share_like(target, source)
+            if not copy.message_count and copy.lost:
+                raise UnreadableFile(f"{source} holds no readable message: {'; '.join(copy.lost)}")
+    on_progress(total, total)
+    return Salvage(
+        target,
+        copy.message_count,
+        copy.attachment_count,
+        tuple(copy.lost),
+        index.limit_reached,
+        file.failure,
+    )
+
+
+class _Copy:
+    """Copies the readable messages of one file, in file order."""
+
+    def __init__(
+        self, file: InputFile, index: FileIndex, on_progress: Callable[[int], None]
+    ) -> None:
+        self._file = file
+        self._index = index
+        self._open_file = OpenFile(file.path, file, index)
+        self._names = names_of(index)
+        self._on_progress = on_progress
+        self.lost = list(index.missing)
+        self.message_count = 0
+        self.attachment_count = 0
+
+    def run(self, storage: Storage) -> None:
+        """Write the copy. Raises OSError."""
+        index = self._index
+        library = f"{LIBRARY}, recovered from {index.library}"
+        mcap = McapFile(storage, profile=index.profile, library=library)
+        for schema in index.schemas.values():
+            if schema.id:  # 0 stands for no schema
+                mcap.add_schema(schema)
+        for channel in index.channels.values():
+            known = channel.schema_id in index.schemas
+            mcap.add_channel(channel if known else replace(channel, schema_id=0))
+        encoder = ChunkEncoder(Compression.ZSTD, 1)
+        for place in index.places:
+            for messages in self._read(place):
+                mcap.commit(encoder.encode(pack(messages)), finished=False)
+                self.message_count += len(messages)
+            self._on_progress(place.offset)
+        if sentence := index.unaccounted():
+            note_missing(self.lost, sentence)
+        self._copy_attachments(mcap)
+        for record in index.metadata:
+            values = record.metadata
+            if record.name == METADATA_RECORD:
+                values = without_compression(values)
+            mcap.add_metadata(record.name, values)
+        mcap.add_metadata(RECOVERY_RECORD, {"lost": "\n".join(self.lost)})
+        mcap.commit()
+        mcap.sync()
+
+    def _copy_attachments(self, mcap: McapFile) -> None:
+        behind = 0
+        for offset in sorted(self._index.attachments):
+            try:
+                if offset < behind:
+                    raise Damaged("it lies within another one")
+                _, length = read_record_head(self._file, offset)
+                behind = offset + length
+                mcap.add_attachment(read_attachment(self._file, offset))
+            except Damaged as damage:
+                self._index.limit_reached |= isinstance(damage, BeyondLimit)
+                note_missing(self.lost, f"the attachment at byte {offset} is lost: {damage}")
+            else:
+                mcap.commit(finished=False)  # one at a time in memory
+                self.attachment_count += 1
+
+    def _read(self, place: Place) -> Iterator[list[PlainMessage]]:
+        """The messages at a place, some megabytes at a time."""
+        source = Source(self._open_file, place, self._names, ALWAYS)
+        messages: list[PlainMessage] = []
+        size = 0
+        try:
+            for message in source.plain_messages():
+                messages.append(message)
+                size += len(message[1])
+                if size >= _BATCH_BYTES:
+                    yield messages
+                    messages, size = [], 0
+        except Damaged as damage:
+            self._index.limit_reached |= isinstance(damage, BeyondLimit)
+            end = place.offset + place.length
+            note_missing(self.lost, f"bytes {place.offset} to {end} are lost: {damage}")
+        if messages:
+            yield messages
+
+
+def _reason(error: Exception) -> str:
+    return (error.strerror if isinstance(error, OSError) else None) or str(error)

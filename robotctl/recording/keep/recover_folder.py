@@ -1,0 +1,67 @@
+"""Salvaging a recording of several files."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from functools import partial
+from itertools import accumulate
+from pathlib import Path
+from shutil import rmtree
+
+from robotctl.errors import Refused, UnreadableFile
+from robotctl.recording.disk.access import is_shared, make_folder
+from robotctl.recording.format.rosbag2 import metadata_text, total_count_in
+from robotctl.recording.keep.bag_metadata import rewrite_metadata
+from robotctl.recording.keep.recover import Progress, Salvage, recover
+from robotctl.recording.read.files import absent_files, recording_files
+from robotctl.recording.read.zstd_file import SUFFIX
+
+
+def recover_folder(
+    source: Path, target: Path, *, on_progress: Progress = lambda done, total: None
+) -> Salvage:
+    """Write all that can be read of the recording `source` into the new folder `target`.
+
+    Raises as `recover` does; after an error there is no `target` but one that was there before.
+    """
+    text = metadata_text(source)
+    paths = recording_files(source)
+    sizes = [2 * path.stat().st_size if path.exists() else 0 for path in paths]
+    try:
+        make_folder(target, shared=is_shared(source))
+    except OSError as error:
+        raise Refused(f"cannot write {target}: {error.strerror}") from error
+    lost = absent_files(text, paths)
+    saved: list[Salvage] = []
+    try:
+        for path, before in zip(paths, accumulate(sizes[:-1], initial=0), strict=True):
+            tell = partial(_tell, on_progress, before, sum(sizes))
+            try:
+                salvage = recover(path, target / path.name.removesuffix(SUFFIX), on_progress=tell)
+            except UnreadableFile as error:
+                lost.append(str(error))
+            else:
+                saved.append(salvage)
+                lost += (f"{path.name}: {sentence}" for sentence in salvage.lost)
+        told, count = total_count_in(text), sum(salvage.message_count for salvage in saved)
+        if not lost and told > count:
+            lost.append(f"metadata.yaml counts {told} messages, and {count} are there")
+        if not saved:
+            raise UnreadableFile("; ".join(lost))
+        rewrite_metadata(target, [salvage.target for salvage in saved])
+    except BaseException as error:
+        with suppress(OSError):
+            rmtree(target)
+        if isinstance(error, OSError):
+            raise Refused(f"cannot write {target}: {error.strerror}") from error
+        raise
+    return Salvage(
+        target,
+        count,
+        sum(salvage.attachment_count for salvage in saved),
+        tuple(lost),
+    )
+
+
+def _tell(on_progress: Progress, before: int, total: int, done: int, _: int) -> None:
+    on_progress(before + done, total)

@@ -1,0 +1,173 @@
+"""Making whole what a killed process or a power cut has left of our own recordings.
+
+A file that cannot be read now, for its disk or for lack of memory, is left as it is: the next start
+tries again.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from isal.isal_zlib import crc32
+
+from robotctl.errors import RobotctlError
+from robotctl.recording.disk.disk_errors import reason_of
+from robotctl.recording.disk.storage import DiskFile
+from robotctl.recording.format.identity import LEDGER_RECORD, RECOVERY_RECORD
+from robotctl.recording.format.records import PlainMessage
+from robotctl.recording.format.trailer import WrittenFile
+from robotctl.recording.keep.bag_metadata import rewrite_metadata
+from robotctl.recording.keep.catalog import CatalogFolder, own_recordings
+from robotctl.recording.keep.recover import recover
+from robotctl.recording.keep.tidy_report import Tidied
+from robotctl.recording.keep.unfinished_commit import find_unfinished_commit, messages_of_chunk
+from robotctl.recording.read.damage import Damaged
+from robotctl.recording.read.file_index import FileIndex
+from robotctl.recording.read.mcap_input import InputFile, walk_records
+from robotctl.recording.read.summary_section import index_from_summary, read_written_file
+from robotctl.recording.write.buffer import pack
+from robotctl.recording.write.chunk_encoder import ChunkEncoder
+from robotctl.recording.write.mcap_writer import McapFile
+from robotctl.recording.write.recorder_options import Compression
+
+_UNFINISHED = ".repair"
+_PIECE_BYTES = 1 << 20
+
+
+def repair(recordings: Path) -> Iterator[Tidied]:
+    """Repair the recordings below `recordings` that nobody is writing; yield what is done.
+
+    A file that is whole but was never closed is marked as checked, so that it is read once only;
+    a torn one is replaced by what can be read of it. Blocks: it reads the whole of each such file.
+    Raises OSError if `recordings` cannot be listed; what fails below it is yielded as a problem.
+    """
+    for folder in own_recordings(recordings):
+        if not folder.live:
+            try:
+                yield from _repair_folder(folder)
+            except Exception as error:  # noqa: BLE001 - the other folders are still to be repaired
+                yield _failed(str(folder.path), error)
+
+
+def _repair_folder(folder: CatalogFolder) -> Iterator[Tidied]:
+    _remove_leftovers(folder.path)
+    changed = False
+    try:
+        for file in folder.files:
+            try:
+                tidied = _repair_file(file.path)
+            except Exception as error:  # noqa: BLE001 - files of any origin; one must not stop all
+                yield _failed(file.path.name, error)
+                continue
+            if tidied:
+                changed = True
+                yield tidied
+    finally:
+        if changed:
+            rewrite_metadata(folder.path, [file.path for file in folder.files])
+
+
+def _remove_leftovers(folder: Path) -> None:
+    """Remove what an interrupted repair has left. Raises OSError."""
+    name = re.compile(re.escape(folder.name) + r"_\d+\.mcap" + re.escape(_UNFINISHED))
+    for path in folder.iterdir():
+        if name.fullmatch(path.name) and path.is_file() and not path.is_symlink():
+            path.unlink()
+
+
+def _repair_file(path: Path) -> Tidied | None:
+    """What was done to the file; None if it was closed properly.
+
+    Raises OSError, Damaged, MemoryError; the file is then as it was.
+    """
+    with InputFile(path) as file:
+        try:
+            if index_from_summary(file, places=False).has_metadata(LEDGER_RECORD, RECOVERY_RECORD):
+                return None
+            index = index_from_summary(file)
+            if index.limit_reached:
+                missing = "; ".join(index.missing)
+                text = f"{path.name} was not closed and is left as it is: {missing}"
+                return Tidied(text, problem=True)
+            _verify(file, index)
+            written = read_written_file(file)
+            unfinished = find_unfinished_commit(file, index, written.data_end)
+        except Damaged:
+            if file.failure:
+                raise file.failure from None
+            return _replace(path)
+        messages = [] if unfinished is None else messages_of_chunk(file, unfinished)
+        data_end = written.data_end if unfinished is None else unfinished
+        written = replace(written, data_end=data_end, data_crc=_checksum(file, data_end))
+        old_end = file.read(data_end, file.size - data_end)
+        if file.failure:  # else a chunk that could not be read would be cut off
+            raise file.failure
+    _close(path, written, messages, old_end)
+    count = index.message_count + len(messages)
+    return Tidied(f"repaired: {path.name} was not closed: its {count} messages are whole")
+
+
+def _close(
+    path: Path, written: WrittenFile, messages: Sequence[PlainMessage], old_end: bytes
+) -> None:
+    """End the file behind its data and `messages`, as checked. Raises OSError.
+
+    `old_end` is what follows the data now. After an error the file ends with it again.
+    """
+    storage = DiskFile(path, new=False)
+    try:
+        mcap = McapFile.resume(storage, written)
+        mcap.add_metadata(RECOVERY_RECORD, {"lost": ""})
+        mcap.commit(ChunkEncoder(Compression.ZSTD, 1).encode(pack(messages)) if messages else None)
+        storage.truncate(mcap.size)
+        mcap.sync()
+    except BaseException:  # the disk is full, or there is no memory
+        storage.write_at([old_end], written.data_end)
+        storage.truncate(written.data_end + len(old_end))
+        raise
+    finally:
+        storage.close()
+
+
+def _verify(file: InputFile, index: FileIndex) -> None:
+    """Read everything once. Raises Damaged."""
+    left = file.limits.records
+    for place in index.places:
+        left -= sum(1 for _ in walk_records(place.read(file), left))
+
+
+def _checksum(file: InputFile, data_end: int) -> int:
+    """The CRC of the file up to `data_end`. Raises Damaged."""
+    crc = 0
+    for offset in range(0, data_end, _PIECE_BYTES):
+        crc = crc32(file.read(offset, min(_PIECE_BYTES, data_end - offset)), crc)
+    return crc
+
+
+def _replace(path: Path) -> Tidied:
+    """Put what can be read of the file in its place. Raises OSError, Unreadable."""
+    repaired = path.with_name(path.name + _UNFINISHED)
+    try:
+        salvage = recover(path, repaired)
+    except RobotctlError as error:
+        return Tidied(f"{path.name} was torn and cannot be repaired: {error}", problem=True)
+    if salvage.failure:
+        repaired.unlink()
+        raise salvage.failure
+    if salvage.limit_reached:
+        repaired.unlink()
+        text = f"{path.name} was torn and is left as it is: {'; '.join(salvage.lost)}"
+        return Tidied(text, problem=True)
+    repaired.replace(path)
+    lost = "; ".join(salvage.lost)
+    text = f"repaired: {path.name} was torn: {salvage.message_count} messages are whole ({lost})"
+    return Tidied(text, problem=True)
+
+
+def _failed(name: str, error: Exception) -> Tidied:
+    reason = error if isinstance(error, Damaged) else reason_of(error)
+    text = f"{name} could not be repaired: {reason} (the next start tries again)"
+    return Tidied(text, problem=True)

@@ -1,0 +1,80 @@
+"""Removing the oldest recordings of ours, so that the disk does not fill up."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from robotctl.recording.format.rosbag2 import METADATA_FILE
+from robotctl.recording.keep.bag_metadata import rewrite_metadata
+from robotctl.recording.keep.catalog import CLIPS_FOLDER, CatalogFolder, own_recordings
+
+DAY_S = 86_400.0
+
+
+@dataclass(frozen=True, slots=True)
+class RetentionPolicy:
+    """How much is kept: in total [bytes] and for how long [s]; None for no limit."""
+
+    max_bytes: int | None = 20_000_000_000
+    max_age_s: float | None = 30 * DAY_S
+
+
+@dataclass(frozen=True, slots=True)
+class Removed:
+    """A file that retention has removed."""
+
+    path: Path
+    size: int
+
+
+def enforce(recordings: Path, policy: RetentionPolicy, now_s: float) -> list[Removed]:
+    """Remove files below `recordings`, the oldest first, until `policy` holds.
+
+    Never removed: a file that is being written, a recording with a `keep` file in its folder and
+    its clips, anything that robotctl has not recorded. `now_s` is in seconds since the epoch.
+    Blocks. Raises OSError if `recordings` cannot be listed.
+    """
+    folders = list(own_recordings(recordings))
+    files = [(file, folder) for folder in folders for file in (*folder.files, *folder.clips)]
+    files.sort(key=lambda pair: (pair[0].modified_s, pair[0].path))
+    total = sum(file.size for file, _ in files)
+    removed: list[Removed] = []
+    gone: set[Path] = set()
+    touched: dict[Path, CatalogFolder] = {}
+    for file, folder in files:
+        too_much = policy.max_bytes is not None and total > policy.max_bytes
+        too_old = policy.max_age_s is not None and now_s - file.modified_s > policy.max_age_s
+        if file.live or folder.kept or not (too_much or too_old):
+            continue
+        try:
+            file.path.unlink()
+        except FileNotFoundError:  # another daemon was faster
+            pass
+        except OSError:  # it belongs to another user
+            continue
+        else:
+            removed.append(Removed(file.path, file.size))
+        gone.add(file.path)
+        total -= file.size
+        touched[folder.path] = folder
+    for folder in touched.values():
+        with suppress(OSError):
+            _tidy(folder, gone)
+    return removed
+
+
+def _tidy(folder: CatalogFolder, gone: set[Path]) -> None:
+    """Have the bag list what is left of it, or go as a whole."""
+    if folder.live:
+        return  # its writer keeps the list
+    left = [file.path for file in folder.files if file.path not in gone]
+    if left:
+        if len(left) < len(folder.files):
+            rewrite_metadata(folder.path, left)
+        return
+    (folder.path / METADATA_FILE).unlink(missing_ok=True)
+    with suppress(OSError):  # there is none, or something is left in it
+        (folder.path / CLIPS_FOLDER).rmdir()
+    folder.path.rmdir()

@@ -1,0 +1,69 @@
+"""Tidying a recordings folder: what is too old or too much goes, what a crash left is repaired."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass
+from fcntl import LOCK_EX, flock
+from pathlib import Path
+from typing import Any, Self
+
+from robotctl.recording.keep.repair import repair
+from robotctl.recording.keep.retention import RetentionPolicy, enforce
+from robotctl.recording.keep.tidy_report import Tidied
+
+
+@dataclass(frozen=True, slots=True)
+class TidyJob:
+    """Which folder to tidy, how much to keep in it, and whether to repair what is left."""
+
+    recordings: Path
+    policy: RetentionPolicy
+    repairs: bool
+
+    def to_json(self) -> str:
+        """One line."""
+        return json.dumps(asdict(self) | {"recordings": str(self.recordings)})
+
+    @classmethod
+    def from_json(cls, line: str) -> Self:
+        """The job in a line of `to_json`."""
+        given: dict[str, Any] = json.loads(line)
+        policy = RetentionPolicy(**given["policy"])
+        return cls(Path(given["recordings"]), policy, given["repairs"])
+
+
+def tidy(job: TidyJob) -> Iterator[Tidied]:
+    """Remove first, then repair what is left; yield each thing as it is done. Blocks.
+
+    Waits for whoever else tidies the folder. A file that is being written is not touched.
+    """
+    recordings = job.recordings
+    try:
+        with _alone_in(recordings):
+            for removed in enforce(recordings, job.policy, time.time()):
+                yield Tidied(f"removed for its age or the space: {removed.path}")
+            if job.repairs:
+                yield from repair(recordings)
+    except Exception as error:  # noqa: BLE001 - files of any origin; ours to read, not to trust
+        text = f"{recordings} could not be tidied: {type(error).__name__}: {error}"
+        yield Tidied(text, problem=True)
+
+
+@contextmanager
+def _alone_in(recordings: Path) -> Iterator[None]:
+    """Wait until no other process tidies the folder, where its file system has such locks.
+
+    Raises OSError if the folder cannot be opened.
+    """
+    folder = os.open(recordings, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        with suppress(OSError):  # NFS locks no descriptor that is open for reading only
+            flock(folder, LOCK_EX)
+        yield
+    finally:
+        os.close(folder)

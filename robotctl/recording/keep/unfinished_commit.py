@@ -1,0 +1,72 @@
+"""What a kill in the middle of a commit leaves between the data and a trailer that is valid."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from mcap.opcode import Opcode
+
+from robotctl.recording.format.records import PlainMessage
+from robotctl.recording.read.damage import Damaged
+from robotctl.recording.read.file_index import (
+    FileIndex,
+    Place,
+    PlaceKind,
+    read_header,
+    read_record_head,
+)
+from robotctl.recording.read.mcap_input import (
+    MESSAGE_FIELDS,
+    RECORD_HEAD,
+    InputFile,
+    walk_records,
+)
+
+_DATA = (
+    Opcode.SCHEMA,
+    Opcode.CHANNEL,
+    Opcode.CHUNK,
+    Opcode.MESSAGE_INDEX,
+    Opcode.METADATA,
+)
+"""What our recordings hold before DataEnd."""
+
+
+def find_unfinished_commit(file: InputFile, index: FileIndex, data_end: int) -> int | None:
+    """The offset behind the last record of the data that belongs to the file; None if all do.
+
+    `index` is that of the file's own summary, `data_end` where the data ends according to it.
+    Raises Damaged if not even the header can be read, or if a chunk of the index lies behind that.
+    """
+    indexed = {place.offset for place in index.places}
+    last_indexed = max(indexed, default=0)
+    _, offset = read_header(file)
+    while offset < data_end:
+        opcode, length = read_record_head(file, offset)
+        end = offset + RECORD_HEAD.size + length
+        unindexed = opcode == Opcode.CHUNK and offset not in indexed
+        if opcode not in _DATA or unindexed or end > data_end:
+            if offset < last_indexed:
+                raise Damaged("a record that is not ours lies before its last chunk")
+            return offset
+        offset = end
+    return None
+
+
+def messages_of_chunk(file: InputFile, offset: int) -> list[PlainMessage]:
+    """The messages of the chunk at `offset`; none if no whole chunk is there."""
+    try:
+        opcode, length = read_record_head(file, offset)
+        if opcode != Opcode.CHUNK:
+            return []
+        place = Place(PlaceKind.CHUNK, offset, RECORD_HEAD.size + length, 0, 0, None)
+        return list(_messages(place.read(file)))
+    except Damaged:
+        return []
+
+
+def _messages(data: bytes) -> Iterator[PlainMessage]:
+    for opcode, start, end in walk_records(data):
+        if opcode == Opcode.MESSAGE:
+            channel, sequence, log_ns, publish_ns = MESSAGE_FIELDS.unpack_from(data, start)
+            yield channel, data[start + MESSAGE_FIELDS.size : end], log_ns, publish_ns, sequence

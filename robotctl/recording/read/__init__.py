@@ -1,0 +1,1 @@
+"""Reads any MCAP recording, damaged and hostile ones too."""

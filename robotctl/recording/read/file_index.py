@@ -1,0 +1,219 @@
+"""What one MCAP file holds and where, as far as it is known."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, field
+from enum import Enum
+
+from isal.isal_zlib import crc32
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Header, Metadata, Schema
+
+from robotctl.recording.format.records import MAGIC
+from robotctl.recording.read.damage import BeyondLimit, Damaged
+from robotctl.recording.read.mcap_input import (
+    MAX_RECORD_BYTES,
+    RECORD_HEAD,
+    InputFile,
+    parse,
+)
+from robotctl.recording.read.stored_chunk import read_chunk, read_chunk_ref, read_torn_chunk
+from robotctl.recording.read.work import ReadAccount
+
+MAX_SENTENCES = 20
+"""What is missing is said in so many sentences at most."""
+
+
+_CRC = struct.Struct("<I")
+_ATTACHMENT_FIXED_BYTES = 8 + 8 + 4 + 4 + 8
+"""Log time, create time, lengths of name and media type, size of the data."""
+
+
+class PlaceKind(Enum):
+    """How messages lie in a file."""
+
+    CHUNK = "chunk"
+    TORN_CHUNK = "torn chunk"
+    """The end of the file cuts it off."""
+
+    LOOSE = "loose"
+    """A run of records outside any chunk."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A part of the file that holds messages: `length` bytes at `offset`, log times in ns.
+
+    `channels` are those that have messages there; None if that is not known. The last two are
+    what the summary says of a chunk; `unpacked_bytes` is None where it says nothing.
+    """
+
+    kind: PlaceKind
+    offset: int
+    length: int
+    start_ns: int
+    end_ns: int
+    channels: frozenset[int] | None
+    unpacked_bytes: int | None = None
+    compression: str = ""
+
+    def size_in_memory(self, file: InputFile) -> int:
+        """The bytes that `read` will return, as the file claims. Raises Damaged."""
+        if self.kind is PlaceKind.LOOSE:
+            return self.length
+        if self.unpacked_bytes is not None:
+            return self.unpacked_bytes
+        return read_chunk_ref(file, self.offset, self.length).uncompressed_size
+
+    def read(self, file: InputFile) -> bytes:
+        """The records at this place, unpacked. Raises Damaged, also if the summary tells else."""
+        if self.kind is PlaceKind.LOOSE:
+            return file.read(self.offset, self.length)
+        ref = read_chunk_ref(file, self.offset, self.length)
+        if self.unpacked_bytes is not None:
+            told = self.unpacked_bytes, self.compression, self.start_ns, self.end_ns
+            if (ref.uncompressed_size, ref.compression, ref.start_ns, ref.end_ns) != told:
+                raise Damaged("a chunk is not the one that the summary describes")
+        return (read_chunk if self.kind is PlaceKind.CHUNK else read_torn_chunk)(file, ref)
+
+
+def note_missing(missing: list[str], sentence: str) -> None:
+    """Append `sentence`, but let the list not grow beyond what anybody reads."""
+    if len(missing) < MAX_SENTENCES:
+        missing.append(sentence)
+    elif len(missing) == MAX_SENTENCES:
+        missing.append("and more")
+
+
+@dataclass(slots=True)
+class FileIndex:
+    """The content of one file; `missing` says in sentences what cannot be read."""
+
+    profile: str
+    library: str
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    places: list[Place] = field(default_factory=list)
+    counts: dict[int, int] = field(default_factory=dict)
+    start_ns: int = 0
+    end_ns: int = 0
+    metadata: list[Metadata] = field(default_factory=list)
+    attachments: list[int] = field(default_factory=list)
+    """Offsets of their records."""
+
+    missing: list[str] = field(default_factory=list)
+    scanned: bool = False
+    """There was no valid summary."""
+
+    message_compression: str = ""
+    """How each message is compressed by itself; "" where it is as it was sent."""
+
+    gaps: list[tuple[int, int]] = field(default_factory=list)
+    """Parts of the data that the summary does not describe: start and end [bytes]."""
+
+    told_metadata: int = 0
+    told_attachments: int = 0
+    """How many the summary counts, wherever they are."""
+
+    metadata_offsets: set[int] = field(default_factory=set)
+    """Of the records in `metadata`."""
+
+    account: ReadAccount = field(default_factory=ReadAccount)
+
+    limit_reached: bool = False
+    """Something was left out that could be read with higher limits."""
+
+    def miss(self, sentence: str) -> None:
+        """Say that something cannot be read."""
+        note_missing(self.missing, sentence)
+
+    def miss_beyond(self, what: str, limit: BeyondLimit) -> None:
+        """Say that something is not read, because it is more than the limits allow."""
+        self.limit_reached = True
+        self.miss(f"{what}: {limit}")
+
+    def unaccounted(self) -> str:
+        """What to say where all was read and is not what the summary counts; else ""."""
+        found = self.account.messages_in(place.offset for place in self.places)
+        if self.scanned or self.limit_reached or not self.places:
+            return ""  # it was told why not all is read
+        if found is None or found == self.message_count:
+            return ""
+        return f"its summary counts {self.message_count} messages, and {found} are there"
+
+    def has_metadata(self, *names: str) -> bool:
+        """Whether there is a metadata record of one of these names."""
+        return any(record.name in names for record in self.metadata)
+
+    @property
+    def message_count(self) -> int:
+        """Messages that can be read, over all channels."""
+        return sum(self.counts.values())
+
+
+class ZeroedHeader(Damaged):
+    """The file begins with zeros, as a power cut leaves them."""
+
+    def __init__(self) -> None:
+        super().__init__("it is no MCAP file: it begins with zeros")
+
+
+LOST_HEADER = Header(profile="", library=""), len(MAGIC)
+"""What stands for a header that was zeroed, and where the data begins then."""
+
+
+def read_record_head(file: InputFile, offset: int) -> tuple[int, int]:
+    """Opcode and length of the record at `offset`. Raises Damaged."""
+    opcode, length = RECORD_HEAD.unpack(file.read(offset, RECORD_HEAD.size))
+    return opcode, length
+
+
+def read_content(file: InputFile, offset: int, length: int) -> bytes:
+    """The content of the record at `offset`. Raises Damaged, also where it is absurdly long."""
+    if length > MAX_RECORD_BYTES:
+        raise Damaged(f"a record at byte {offset} claims {length} bytes")
+    return file.read(offset + RECORD_HEAD.size, length)
+
+
+def read_attachment(file: InputFile, offset: int) -> Attachment:
+    """The attachment whose record is at `offset`. Raises Damaged.
+
+    What a later version of the format may have added behind its checksum is passed over.
+    """
+    opcode, length = read_record_head(file, offset)
+    if opcode != Opcode.ATTACHMENT:
+        raise Damaged("there is no attachment")
+    if length > file.limits.attachment_bytes:
+        raise BeyondLimit(f"it has {length} bytes, more than {file.limits.attachment_bytes}")
+    content = file.read(offset + RECORD_HEAD.size, length)
+    attachment: Attachment = parse(Attachment, content)
+    covered = _attachment_bytes(attachment)
+    (crc,) = _CRC.unpack_from(content, covered)
+    if crc and crc != crc32(memoryview(content)[:covered]):
+        raise Damaged("its checksum is wrong")
+    return attachment
+
+
+def _attachment_bytes(attachment: Attachment) -> int:
+    """How many bytes of its record the checksum of an attachment covers."""
+    texts = len(attachment.name.encode()) + len(attachment.media_type.encode())
+    return _ATTACHMENT_FIXED_BYTES + texts + len(attachment.data)
+
+
+def read_header(file: InputFile) -> tuple[Header, int]:
+    """The header, and the offset behind it.
+
+    Raises Damaged if this is no MCAP file, ZeroedHeader if it may be one.
+    """
+    if file.size == 0:
+        raise Damaged("it is empty")
+    if not any(file.read(0, min(file.size, len(MAGIC) + RECORD_HEAD.size))):
+        raise ZeroedHeader
+    if file.size < len(MAGIC) or file.read(0, len(MAGIC)) != MAGIC:
+        raise Damaged("it is no MCAP file")
+    opcode, length = read_record_head(file, len(MAGIC))
+    if opcode != Opcode.HEADER:
+        raise Damaged("it does not begin with a header")
+    header = parse(Header, read_content(file, len(MAGIC), length))
+    return header, len(MAGIC) + RECORD_HEAD.size + length

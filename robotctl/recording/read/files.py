@@ -1,0 +1,99 @@
+"""Which files a recording consists of."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from shlex import quote
+from stat import S_ISDIR, S_ISREG
+
+from robotctl.errors import IN_PARENTHESES, UnreadableFile
+from robotctl.recording.format.records import MAGIC
+from robotctl.recording.format.rosbag2 import METADATA_FILE, files_in
+from robotctl.recording.read.zstd_file import SUFFIX
+from robotctl.regular_file import open_regular
+
+SQLITE_SUFFIX = ".db3"
+"""What the other storage of rosbag2 appends to its files."""
+
+_FILES_OF_RECORDINGS = (
+    *("*.mcap", f"*.mcap{SUFFIX}", f"*{SQLITE_SUFFIX}*", METADATA_FILE),
+    "*/*.mcap",
+)
+"""What a folder holds that is a recording, or holds recordings."""
+
+
+def recording_files(path: Path) -> list[Path]:
+    """The MCAP files of a recording in their order. Raises UnreadableFile if there are none."""
+    try:
+        mode = path.stat().st_mode
+        found = files_of_bag(path) if S_ISDIR(mode) else [path]
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else None
+        raise UnreadableFile(f"{path} cannot be read: {reason or error}") from error
+    if not (S_ISDIR(mode) or S_ISREG(mode)):
+        raise UnreadableFile(f"{path} is no file", "give an MCAP file or a recording's folder")
+    if path.suffix == SQLITE_SUFFIX or (not found and any(path.glob(f"*{SQLITE_SUFFIX}*"))):
+        raise UnreadableFile(
+            f"{path} is a bag in sqlite3 format", _conversion(path), sentence=IN_PARENTHESES
+        )
+    if not found:
+        raise UnreadableFile(f"{path} holds no .mcap file")
+    return found
+
+
+def is_recording(path: Path) -> bool:
+    """Whether a path is a recording, or a folder of some, by names and first bytes alone.
+
+    A damaged one is, and so is a path that cannot be looked at: its reader says what is wrong.
+    """
+    try:
+        mode = path.stat().st_mode
+        if S_ISDIR(mode):
+            return any(next(path.glob(pattern), None) for pattern in _FILES_OF_RECORDINGS)
+        if path.suffix in (".mcap", SQLITE_SUFFIX) or path.name.endswith(f".mcap{SUFFIX}"):
+            return True
+        if not S_ISREG(mode):
+            return False
+        with open_regular(path) as file:
+            return file.read(len(MAGIC)) == MAGIC
+    except (OSError, ValueError):
+        return True
+
+
+def files_of_bag(folder: Path) -> list[Path]:
+    """The MCAP files in a folder, also those that are compressed as a whole. Raises OSError."""
+    files = list(folder.glob("*.mcap"))
+    names = {path.name for path in files}
+    packed = [path for path in folder.glob(f"*.mcap{SUFFIX}") if path.stem not in names]
+    return sorted([*files, *packed], key=natural_order)
+
+
+def _conversion(path: Path) -> str:
+    """The command line that makes an MCAP bag of an sqlite3 bag."""
+    target = quote(f"{path.stem}_mcap")
+    options = f"output_bags: [{{uri: {target}, storage_id: mcap, all: true}}]"
+    return (
+        f"convert it: echo {quote(options)} > convert.yaml && "
+        f"ros2 bag convert -i {quote(str(path))} -o convert.yaml"
+    )
+
+
+def absent_files(text: str, present: list[Path]) -> list[str]:
+    """A sentence for each file that the text of `metadata.yaml` names beside those present.
+
+    A file is there also if it lies there unpacked, or packed, under the name that goes with that.
+    It is read before the folder is listed: a daemon adds the file first, then its name.
+    """
+    names = {path.name.removesuffix(SUFFIX) for path in present}
+    return [
+        f"{name}: metadata.yaml names it, but it is not there"
+        for name in files_in(text)
+        if name.removesuffix(SUFFIX) not in names
+    ]
+
+
+def natural_order(path: Path) -> list[tuple[int, int, str]]:
+    """Sorts `run_10` behind `run_9`."""
+    parts = re.split(r"(\d+)", path.name)
+    return [(1, int(part), "") if part.isdecimal() else (0, 0, part) for part in parts]

@@ -1,0 +1,128 @@
+"""The journal in a recording, as its kernel wrote it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from itertools import dropwhile
+from typing import NamedTuple
+
+from robotctl.errors import IN_PARENTHESES, UnreadableFile
+from robotctl.paths import DEFAULT_ROBOT, namespace_of
+from robotctl.recording.format.identity import INFO_RECORD
+from robotctl.recording.format.journal import TOPIC, TYPE_NAME, JournalEntry, Kind, decode
+from robotctl.recording.read.read_limits import CURE
+from robotctl.recording.read.reader import Message, Recording, RecordingInfo
+
+_FIRST_STEP_NS = 15 * 10**9
+"""How far back a snapshot is looked for at first; daemons write one every 10 s."""
+
+
+class Journaled(NamedTuple):
+    """An entry and when it was recorded, in nanoseconds since the epoch."""
+
+    log_ns: int
+    entry: JournalEntry
+
+
+class EntryDecoder:
+    """Decodes the entries of a recording, one after the other, within its `journal_` limits."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._limits = recording.limits
+        self._entries = 0
+        self._snapshots = 0
+        self._text_bytes = 0
+
+    def decode(self, serialized: bytes) -> JournalEntry:
+        """The entry in a message. Raises UnreadableFile, also beyond the limits."""
+        limits = self._limits
+        self._entries += 1
+        self._text_bytes += len(serialized)
+        if self._entries > limits.journal_entries:
+            raise _beyond(f"{limits.journal_entries} entries")
+        if self._text_bytes > limits.journal_text_bytes:
+            raise _beyond(f"{limits.journal_text_bytes >> 20} MiB of text")
+        entry = decode(serialized)
+        self._snapshots += entry.kind is Kind.SNAPSHOT
+        if self._snapshots > limits.snapshots:
+            raise _beyond(f"{limits.snapshots} snapshots")
+        return entry
+
+
+def _beyond(limit: str) -> UnreadableFile:
+    return UnreadableFile(
+        f"its journal is not read behind {limit}, more than a file of its size may hold",
+        CURE,
+        sentence=IN_PARENTHESES,
+    )
+
+
+def journal_topic(info: RecordingInfo) -> str | None:
+    """The topic with the journal of the robot that recorded, None where there is none.
+
+    In the same ROS domain another robot's journal may have been recorded as well.
+    """
+    robot = info.metadata.get(INFO_RECORD, {}).get("robot", DEFAULT_ROBOT)
+    own = f"{namespace_of(robot)}/{TOPIC}"
+    found = {topic.name for topic in info.topics if topic.type_name == TYPE_NAME}
+    if own in found:
+        return own
+    return found.pop() if len(found) == 1 else None
+
+
+def read_journal(
+    recording: Recording,
+    on_missing: Callable[[str], None],
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Iterator[Journaled]:
+    """The entries in the order in which they were written, which is that of their `seq`.
+
+    Log times may step back where the clock was set. What cannot be read is told to `on_missing`,
+    bytes done and in total to `on_progress`. Raises UnreadableFile where there is no journal, or
+    an entry is none.
+    """
+    topic = journal_topic(recording.info())
+    if topic is None:
+        raise UnreadableFile(f"{recording.path} holds no journal of robotctl")
+    decoder = EntryDecoder(recording)
+    for message in recording.in_order_written({topic}, on_missing, on_progress):
+        yield Journaled(message.log_ns, decoder.decode(message.data))
+
+
+def since_snapshot(
+    recording: Recording, moment_ns: int, on_missing: Callable[[str], None]
+) -> list[Message]:
+    """The journal from the last snapshot before a moment up to it: what leads to the state then.
+
+    Nothing where there is no snapshot before. What of it cannot be read is told to `on_missing`.
+    """
+    info = recording.info()
+    topic = journal_topic(info)
+    if topic is None or moment_ns <= info.start_ns:
+        return []
+    begin_ns = _last_snapshot_ns(recording, topic, info.start_ns, moment_ns)
+    messages = recording.messages({topic}, on_missing, (begin_ns, moment_ns - 1))
+    return list(dropwhile(lambda each: not _is_snapshot(each), messages))
+
+
+def _last_snapshot_ns(recording: Recording, topic: str, start_ns: int, moment_ns: int) -> int:
+    """The log time of the last snapshot before a moment, or the recording's beginning."""
+    step_ns = _FIRST_STEP_NS
+    while True:
+        begin_ns = max(moment_ns - step_ns, start_ns)
+        window = (begin_ns, moment_ns - 1)
+        found = [
+            message.log_ns
+            for message in recording.messages({topic}, lambda sentence: None, window)
+            if _is_snapshot(message)
+        ]
+        if found or begin_ns == start_ns:
+            return max(found, default=start_ns)
+        step_ns *= 2
+
+
+def _is_snapshot(message: Message) -> bool:
+    try:
+        return decode(message.data).kind is Kind.SNAPSHOT
+    except UnreadableFile:
+        return False

@@ -1,0 +1,173 @@
+"""Reading parts of an MCAP file that may be damaged or hostile.
+
+Whatever is wrong ends as `Damaged`; every length is checked before anything is allocated.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+import struct
+import sys
+from collections.abc import Callable, Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import Final, Protocol, Self, TypeVar
+
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile, McapError
+from mcap.opcode import Opcode
+from mcap.records import McapRecord
+
+from robotctl.recording.disk.storage import is_locked
+from robotctl.recording.read.damage import BeyondLimit, Damaged, Unreadable
+from robotctl.recording.read.read_limits import BYTES_PER_RECORD, RECORDS, ReadLimits
+from robotctl.recording.read.zstd_file import is_zstd_file, unpack_zstd_file
+
+RECORD_HEAD: Final = struct.Struct("<BQ")
+"""opcode, length of what follows [bytes]."""
+
+MESSAGE_FIELDS: Final = struct.Struct("<HIQQ")
+"""What precedes a message's data: channel id, sequence, log time [ns], publish time [ns]."""
+
+MAX_RECORD_BYTES: Final = 64 << 20
+"""A schema, channel, metadata or index record above this is taken for damage."""
+
+TOO_MANY_RECORDS: Final = (
+    f"it holds more than {RECORDS} messages, and more than one for every {BYTES_PER_RECORD} bytes"
+)
+
+_Record = TypeVar("_Record", bound=McapRecord, covariant=True)
+
+
+class _RecordClass(Protocol[_Record]):
+    @staticmethod
+    def read(stream: ReadDataStream) -> _Record: ...
+
+
+class _ExactStream(ReadDataStream):
+    """Refuses to return less than was asked for, as the package's own stream does."""
+
+    def read(self, length: int) -> bytes:
+        data: bytes = super().read(length)
+        if len(data) != length:
+            raise EndOfFile
+        return data
+
+
+def parse(kind: _RecordClass[_Record], data: bytes) -> _Record:
+    """The record whose content, without opcode and length, is `data`.
+
+    Raises Damaged, and MemoryError where there is no memory: that says nothing about the file.
+    """
+    try:
+        return kind.read(_ExactStream(BytesIO(data)))
+    except (McapError, ValueError, struct.error, OverflowError) as error:
+        raise Damaged(f"a {kind.__name__.lower()} record is malformed") from error  # type: ignore[attr-defined]
+
+
+class InputFile:
+    """A file that is read at positions; it may grow meanwhile. A `.mcap.zstd` is unpacked first."""
+
+    def __init__(
+        self, path: Path, on_progress: Callable[[int, int], None] = lambda done, total: None
+    ) -> None:
+        """Open `path`, a regular file. Raises OSError, and Damaged if it cannot be unpacked.
+
+        `on_progress` gets bytes done and in total where it is unpacked.
+        """
+        self.path = path
+        self.failure: Unreadable | None = None
+        """The first read that failed for the disk or the memory, not for what the file holds."""
+
+        self._fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
+        try:
+            status = os.fstat(self._fd)
+            if not stat.S_ISREG(status.st_mode):
+                raise OSError(errno.EINVAL, "it is no regular file", str(path))
+            self.stored_bytes = status.st_size
+            """Bytes on the disk, which the limits go by."""
+
+            self._unpacked = is_zstd_file(path)
+            if self._unpacked:
+                packed = self._fd
+                self._fd = unpack_zstd_file(packed, on_progress)
+                os.close(packed)
+            self.size = os.fstat(self._fd).st_size
+            self.limits = ReadLimits.of(self.stored_bytes)
+        except BaseException:
+            self.close()
+            raise
+
+    def refresh(self) -> None:
+        """See how large the file is by now."""
+        self.size = os.fstat(self._fd).st_size
+        if not self._unpacked:
+            self.stored_bytes = self.size
+            self.limits = ReadLimits.of(self.size)
+
+    def is_changing(self) -> bool:
+        """Whether the file has another size by now, or somebody has it open for recording."""
+        return os.fstat(self._fd).st_size != self.size or is_locked(self._fd)
+
+    def read(self, offset: int, length: int) -> bytes:
+        """Exactly `length` bytes at `offset`. Raises Damaged beyond the end of the file."""
+        if offset < 0 or length < 0 or offset + length > self.size:
+            raise Damaged(f"it ends at byte {self.size}, in the middle of a record")
+        try:
+            data = os.pread(self._fd, length, offset)
+            while len(data) < length:
+                more = os.pread(self._fd, length - len(data), offset + len(data))
+                if not more:
+                    raise Damaged(f"it was cut off at byte {offset + len(data)} meanwhile")
+                data += more
+        except OSError as error:
+            reason = f"the disk cannot read it at byte {offset}: {error.strerror}"
+            raise self.failed(reason) from error
+        return data
+
+    def failed(self, reason: str) -> Unreadable:
+        """What to raise where disk or memory failed; `failure` keeps the first."""
+        failure = Unreadable(reason)
+        self.failure = self.failure or failure
+        return failure
+
+    def close(self) -> None:
+        """Close it; closing twice is harmless."""
+        if self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1
+
+    def __enter__(self) -> Self:
+        """The file itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close it."""
+        self.close()
+
+
+def walk_records(data: bytes, most: int = sys.maxsize) -> Iterator[tuple[int, int, int]]:
+    """Opcode, start and end of the content of each record in a chunk.
+
+    Raises Damaged at a tear, BeyondLimit behind `most` records.
+    """
+    position, size = 0, len(data)
+    unpack = RECORD_HEAD.unpack_from
+    for _ in range(most):
+        if position >= size:
+            return
+        if position + RECORD_HEAD.size > size:
+            raise Damaged("a chunk ends in the middle of a record")
+        opcode, length = unpack(data, position)
+        position += RECORD_HEAD.size
+        end = position + length
+        if end > size or (opcode == Opcode.MESSAGE and length < MESSAGE_FIELDS.size):
+            raise Damaged("a chunk ends in the middle of a record")
+        if opcode == 0:
+            raise Damaged("a chunk holds zeros in the place of a record")
+        yield opcode, position, end
+        position = end
+    if position < size:
+        raise BeyondLimit(TOO_MANY_RECORDS)

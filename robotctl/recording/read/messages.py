@@ -1,0 +1,224 @@
+"""The places of files in which messages lie, and the messages in one of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, NamedTuple, TypeVar
+
+from mcap.opcode import Opcode
+
+from robotctl.recording.format.records import PlainMessage
+from robotctl.recording.format.type_names import type_name_of
+from robotctl.recording.read.damage import BeyondLimit, Damaged
+from robotctl.recording.read.file_index import FileIndex, Place, PlaceKind
+from robotctl.recording.read.mcap_input import (
+    MESSAGE_FIELDS,
+    TOO_MANY_RECORDS,
+    InputFile,
+    walk_records,
+)
+from robotctl.recording.read.message_compression import MessageDecompressor
+
+Window = tuple[int, int]
+"""The first and the last log time that are wanted [ns]."""
+
+ALWAYS: Final[Window] = (0, (1 << 64) - 1)
+
+
+_Made = TypeVar("_Made")
+
+_Fields = tuple[int, int, int, int]
+"""Of a message: channel, sequence, log and publish time."""
+
+
+class Message(NamedTuple):
+    """One recorded message; times in nanoseconds since the epoch, `data` as it was received."""
+
+    topic: str
+    type_name: str
+    data: bytes
+    log_ns: int
+    publish_ns: int
+    sequence: int
+
+
+@dataclass(frozen=True, slots=True)
+class OpenFile:
+    """A file of a recording."""
+
+    path: Path
+    file: InputFile
+    index: FileIndex
+
+
+class Source:
+    """A place in a file and, once it is loaded, its messages that are still to come.
+
+    Only those in the log times of `window` (ns, both included), and of the channels in `names`,
+    which gives topic and type of each.
+    """
+
+    __slots__ = (
+        "_data",
+        "_decompressor",
+        "_names",
+        "entries",
+        "file",
+        "loaded",
+        "next",
+        "place",
+        "size",
+        "window",
+    )
+
+    def __init__(
+        self, file: OpenFile, place: Place, names: dict[int, tuple[str, str]], window: Window
+    ) -> None:
+        self.file = file
+        self.window = window
+        self.place = place
+        self.entries: list[tuple[int, int, int]] = []  # log time, start and end of the content
+        self.next = 0
+        self.loaded = False
+        self.size = 0
+        self._names = names
+        self._data = b""
+        self._decompressor: MessageDecompressor | None = None
+        if file.index.message_compression:
+            self._decompressor = MessageDecompressor(
+                place.offset, file.file.limits, file.index.account
+            )
+
+    def may_hold(self, topics: Collection[str]) -> bool:
+        """Whether a message of one of the topics may be among the wanted ones."""
+        channels = self.place.channels
+        return channels is None or any(
+            topic in topics for channel, (topic, _) in self._names.items() if channel in channels
+        )
+
+    def load(self) -> None:
+        """Read the place. Raises Damaged; `entries` then holds what came before the damage."""
+        self.loaded = True
+        data = self._data = self._read()
+        self.size = len(data)
+        first_ns, last_ns = self.window
+        try:
+            for start, end, (_, _, log_ns, _) in self._wanted(data):
+                if first_ns <= log_ns <= last_ns:
+                    self.entries.append((log_ns, start, end))
+        finally:
+            self.entries.sort()
+
+    def take(self) -> Message:
+        """The next message. Raises Damaged if it cannot be decompressed; go on with the next."""
+        _, start, end = self.entries[self.next]
+        self.next += 1
+        return self._message(self._data, start, end, MESSAGE_FIELDS.unpack_from(self._data, start))
+
+    def as_written(self) -> Iterator[Message]:
+        """All messages in the order of the file, without `load`. Raises Damaged behind the last."""
+        return self._each(self._message)
+
+    def plain_messages(self) -> Iterator[PlainMessage]:
+        """As `as_written`, with the channel's number."""
+        return self._each(self._plain_message)
+
+    def _each(self, make: Callable[[bytes, int, int, _Fields], _Made]) -> Iterator[_Made]:
+        data = self._read()
+        failure: Damaged | None = None
+        for start, end, fields in self._wanted(data):
+            try:
+                made = make(data, start, end, fields)
+            except Damaged as damage:
+                failure = damage
+                continue
+            yield made
+        if failure is not None:
+            raise failure
+
+    def _read(self) -> bytes:
+        """The records at the place. Raises Damaged."""
+        if self._records_left() <= 0:
+            raise BeyondLimit(TOO_MANY_RECORDS)
+        return self.place.read(self.file.file)
+
+    def _records_left(self) -> int:
+        limit = self.file.file.limits.records
+        return self.file.index.account.records_left(self.place.offset, limit)
+
+    def _wanted(self, data: bytes) -> Iterator[tuple[int, int, _Fields]]:
+        """Start, end and fields of the messages of wanted channels. Raises Damaged at last."""
+        unknown = messages = others = 0
+        names, unpack = self._names, MESSAGE_FIELDS.unpack_from
+        offset, account = self.place.offset, self.file.index.account
+        try:
+            for opcode, start, end in walk_records(data, self._records_left()):
+                if opcode == Opcode.MESSAGE:
+                    messages += 1
+                    fields = unpack(data, start)
+                    if fields[0] in names:
+                        yield start, end, fields
+                    elif fields[0] not in self.file.index.channels:
+                        unknown += 1
+                else:
+                    others += 1
+            account.note_messages(offset, messages)
+        except Damaged as damage:
+            # Where a chunk is torn was told before.
+            if self.place.kind is not PlaceKind.TORN_CHUNK or isinstance(damage, BeyondLimit):
+                raise
+        finally:
+            account.note_records(offset, messages + others)
+        if unknown and not self.file.index.scanned:  # else it was told before
+            raise Damaged(f"{unknown} messages belong to no channel")
+
+    def _message(self, data: bytes, start: int, end: int, fields: _Fields) -> Message:
+        channel, sequence, log_ns, publish_ns = fields
+        topic, type_name = self._names[channel]
+        content = data[start + MESSAGE_FIELDS.size : end]
+        if self._decompressor is not None:
+            content = self._decompressor.decompress(content)
+        return Message(topic, type_name, content, log_ns, publish_ns, sequence)
+
+    def _plain_message(self, data: bytes, start: int, end: int, fields: _Fields) -> PlainMessage:
+        channel, sequence, log_ns, publish_ns = fields
+        content = data[start + MESSAGE_FIELDS.size : end]
+        if self._decompressor is not None:
+            content = self._decompressor.decompress(content)
+        return channel, content, log_ns, publish_ns, sequence
+
+    def loss(self, damage: Damaged) -> str:
+        """What to say where the place cannot be read."""
+        begin = self.place.offset
+        return (
+            f"{self.file.path.name}: messages between bytes {begin} and "
+            f"{begin + self.place.length} are lost: {damage}"
+        )
+
+    def unload(self) -> None:
+        """Give the memory back."""
+        self._data = b""
+        self.entries = []
+
+
+def sources(
+    files: Iterable[OpenFile], topics: Collection[str] | None, window: Window
+) -> Iterator[Source]:
+    """The places that may hold messages of `topics` (None: all) in the window."""
+    for file in files:
+        names = names_of(file.index, topics)
+        for place in file.index.places:
+            in_time = place.start_ns <= window[1] and place.end_ns >= window[0]
+            if in_time and (place.channels is None or not place.channels.isdisjoint(names)):
+                yield Source(file, place, names, window)
+
+
+def names_of(index: FileIndex, topics: Collection[str] | None = None) -> dict[int, tuple[str, str]]:
+    """Topic and type of each channel in a file whose topic is one of `topics` (None: all)."""
+    return {
+        channel.id: (channel.topic, type_name_of(channel, index.schemas.get(channel.schema_id)))
+        for channel in index.channels.values()
+        if topics is None or channel.topic in topics
+    }

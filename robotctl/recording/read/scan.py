@@ -1,0 +1,252 @@
+"""The index of a file without a valid summary: read from the start as far as it makes sense."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+
+from mcap.opcode import Opcode
+from mcap.records import Channel, Metadata, Schema, Statistics
+
+from robotctl.recording.format.identity import OWN_LIBRARY
+from robotctl.recording.format.records import MAGIC
+from robotctl.recording.read.damage import BeyondLimit, Damaged
+from robotctl.recording.read.file_index import (
+    LOST_HEADER,
+    FileIndex,
+    Place,
+    PlaceKind,
+    ZeroedHeader,
+    read_content,
+    read_header,
+    read_record_head,
+)
+from robotctl.recording.read.mcap_input import (
+    MESSAGE_FIELDS,
+    RECORD_HEAD,
+    TOO_MANY_RECORDS,
+    InputFile,
+    parse,
+    walk_records,
+)
+from robotctl.recording.read.resync import find_chunk
+from robotctl.recording.read.stored_chunk import UnpackBudget, read_chunk_ref
+
+_LOOSE_RUN_BYTES = 1 << 20
+"""Messages outside chunks are gathered into places of about this size."""
+
+_FIRST_PRIVATE_OPCODE = 0x80
+_OPCODES = frozenset(Opcode) | frozenset(range(_FIRST_PRIVATE_OPCODE, 256))
+
+
+def index_by_scanning(
+    file: InputFile, on_progress: Callable[[int], None] = lambda offset: None
+) -> FileIndex:
+    """Index what can be read. `on_progress` is told the offset [bytes] that was reached.
+
+    Raises Damaged if not even the header can be read.
+    """
+    try:
+        header, offset = read_header(file)
+    except ZeroedHeader:
+        header, offset = LOST_HEADER
+    index = FileIndex(profile=header.profile, library=header.library, scanned=True)
+    scan = _Scan(file, index)
+    while True:
+        try:
+            while scan.step(offset):
+                offset = scan.next_offset
+                on_progress(offset)
+            break
+        except BeyondLimit as limit:
+            index.miss_beyond(f"what follows byte {offset} is not read", limit)
+            break
+        except Damaged as damage:
+            if scan.data_ended:
+                index.miss("its end is damaged: what was written last may be lost")
+                break
+            try:
+                found = find_chunk(file, offset + 1, scan.budget)
+            except BeyondLimit as limit:
+                index.miss_beyond(f"what follows byte {offset} is not read", limit)
+                break
+            end = file.size if found is None else found
+            index.miss(f"bytes {offset} to {end} are lost: {damage}")
+            if found is None:
+                break
+            offset = found
+    scan.finish()
+    if header is LOST_HEADER[0] and not index.places:
+        raise ZeroedHeader
+    return index
+
+
+def read_gaps(file: InputFile, index: FileIndex) -> None:
+    """Take in what stands in the gaps of a summary: records without an index, loose messages."""
+    counts, start_ns, end_ns = dict(index.counts), index.start_ns, index.end_ns
+    scan = _Scan(file, index)
+    for start, end in index.gaps:
+        offset = start
+        try:
+            while offset < end and scan.step(offset):
+                offset = scan.next_offset
+        except BeyondLimit as limit:
+            index.miss_beyond(f"bytes {offset} to {end} are not read", limit)
+        except Damaged as damage:
+            index.miss(f"bytes {offset} to {end} are lost: {damage}")
+    scan.finish()
+    index.places.sort(key=lambda place: place.offset)
+    index.attachments.sort()
+    index.counts, index.start_ns, index.end_ns = counts, start_ns, end_ns  # those of the summary
+
+
+class _Scan:
+    def __init__(self, file: InputFile, index: FileIndex) -> None:
+        self._file = file
+        self._index = index
+        self.budget = UnpackBudget(file.limits)
+        self._records = 0
+        self._definitions: dict[tuple[int, int], bytes] = {}
+        self._loose_start = 0
+        self._loose_end = 0
+        self._empty = True
+        self._counted = 0
+        self._attachments = frozenset(index.attachments)
+        self.next_offset = 0
+        self.data_ended = False
+        self.own = index.library.startswith(OWN_LIBRARY)
+
+    def step(self, offset: int) -> bool:
+        """Take in the record at `offset`; False at the end. Raises Damaged."""
+        file, index = self._file, self._index
+        if offset == file.size and not self.data_ended:
+            index.miss("it was never finished: what its writer still held is lost")
+            return False
+        opcode, length = read_record_head(file, offset)
+        if opcode not in _OPCODES:
+            raise Damaged("they make no sense" if opcode else "they are zeros")
+        self._records += 1
+        if self._records > file.limits.records:
+            raise BeyondLimit(TOO_MANY_RECORDS)
+        self.next_offset = end = offset + RECORD_HEAD.size + length
+        if opcode == Opcode.CHUNK:
+            self.data_ended = False
+            self._chunk(offset, end)
+        elif end > file.size:
+            raise Damaged("the file ends in the middle of a record")
+        elif opcode == Opcode.FOOTER:
+            if not self.data_ended or end + len(MAGIC) < file.size:
+                raise Damaged("they make no sense")
+            return False
+        elif opcode == Opcode.MESSAGE:
+            if self.own or length < MESSAGE_FIELDS.size:  # we write chunks only
+                raise Damaged("they make no sense")
+            self._loose(offset, end)
+        elif opcode == Opcode.METADATA:
+            if offset not in index.metadata_offsets:
+                index.metadata.append(parse(Metadata, read_content(file, offset, length)))
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            self._define(opcode, read_content(file, offset, length))
+        elif opcode == Opcode.ATTACHMENT:
+            if offset not in self._attachments:
+                index.attachments.append(offset)
+        elif opcode == Opcode.DATA_END:
+            self.data_ended = True
+        elif opcode == Opcode.STATISTICS:
+            statistics = parse(Statistics, read_content(file, offset, length))
+            self._counted = statistics.message_count
+        return True
+
+    def finish(self) -> None:
+        """Take in what is left; see that every message has a channel, and that all are there."""
+        self._end_loose_run()
+        for channel in self._index.counts.keys() - self._index.channels.keys():
+            count = self._index.counts.pop(channel)
+            self._index.miss(f"{count} messages are lost: their channel is described nowhere")
+        if not self._index.missing and self._counted > self._index.message_count:
+            self._index.miss(f"its summary counts {self._counted} messages")
+
+    def _chunk(self, offset: int, end: int) -> None:
+        if end <= self._file.size:
+            try:
+                self._add(PlaceKind.CHUNK, offset, end)
+            except BeyondLimit:
+                raise
+            except Damaged as damage:
+                self._index.miss(f"bytes {offset} to {end} are lost: {damage}")
+            return
+        # A writer that only appends leaves the beginning of its chunk. Ours overwrites its own
+        # trailer: what follows the tear may be a piece of that.
+        if not self.own:
+            self._add(PlaceKind.TORN_CHUNK, offset, end)
+        raise Damaged("the file ends in the middle of a chunk")
+
+    def _loose(self, offset: int, end: int) -> None:
+        if offset != self._loose_end or end - self._loose_start > _LOOSE_RUN_BYTES:
+            self._end_loose_run()
+            self._loose_start = offset
+        self._loose_end = end
+
+    def _end_loose_run(self) -> None:
+        if self._loose_end > self._loose_start:
+            self._add(PlaceKind.LOOSE, self._loose_start, self._loose_end)
+        self._loose_start = self._loose_end = 0
+
+    def _add(self, kind: PlaceKind, offset: int, end: int) -> None:
+        """Count the messages at a place. Raises Damaged if it cannot be read."""
+        place = Place(kind, offset, end - offset, 0, 0, None)
+        if kind is not PlaceKind.LOOSE:
+            ref = read_chunk_ref(self._file, offset, end - offset)
+            self.budget.spend(ref.uncompressed_size)
+        data = place.read(self._file)
+        counts: dict[int, int] = {}
+        definitions: list[tuple[int, bytes]] = []
+        times: list[int] = []
+        records, most = 0, sys.maxsize
+        if kind is not PlaceKind.LOOSE:  # those of a loose run were counted one by one
+            most = self._file.limits.records - self._records
+        try:
+            for opcode, start, stop in walk_records(data, most):
+                records += 1
+                if opcode == Opcode.MESSAGE:
+                    channel, _, log_ns, _ = MESSAGE_FIELDS.unpack_from(data, start)
+                    counts[channel] = counts.get(channel, 0) + 1
+                    times.append(log_ns)
+                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                    definitions.append((opcode, data[start:stop]))
+        except BeyondLimit:
+            raise
+        except Damaged:
+            if kind is not PlaceKind.TORN_CHUNK:
+                raise
+        finally:
+            if kind is not PlaceKind.LOOSE:
+                self._records += records
+        for opcode, content in definitions:
+            self._define(opcode, content)
+        if counts:
+            self._take_in(place, counts, min(times), max(times))
+
+    def _take_in(self, place: Place, counts: dict[int, int], start_ns: int, end_ns: int) -> None:
+        index = self._index
+        index.start_ns = start_ns if self._empty else min(index.start_ns, start_ns)
+        index.end_ns = max(index.end_ns, end_ns)
+        self._empty = False
+        for channel, count in counts.items():
+            index.counts[channel] = index.counts.get(channel, 0) + count
+        index.places.append(
+            replace(place, start_ns=start_ns, end_ns=end_ns, channels=frozenset(counts))
+        )
+
+    def _define(self, opcode: int, content: bytes) -> None:
+        known = opcode, int.from_bytes(content[:2], "little")
+        if self._definitions.get(known) == content:
+            return  # repeated in each chunk
+        self._definitions[known] = content
+        if opcode == Opcode.SCHEMA:
+            schema = parse(Schema, content)
+            self._index.schemas[schema.id] = schema
+        else:
+            channel = parse(Channel, content)
+            self._index.channels[channel.id] = channel

@@ -1,0 +1,153 @@
+"""The messages of a chunk as the file stores them: checked against what is said of them.
+
+Every size is checked against the file's limits before anything is unpacked.
+"""
+
+from __future__ import annotations
+
+import struct
+from contextlib import suppress
+from dataclasses import dataclass
+from io import BytesIO
+from typing import Final
+
+from isal.isal_zlib import crc32
+from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
+from mcap.opcode import Opcode
+from zstandard import ZstdDecompressor, ZstdError, frame_content_size
+
+from robotctl.recording.read.damage import BeyondLimit, Damaged
+from robotctl.recording.read.mcap_input import RECORD_HEAD, InputFile
+from robotctl.recording.read.read_limits import ReadLimits, unpacking_cost
+
+_CHUNK_FIELDS: Final = struct.Struct("<QQQI")
+"""What begins a chunk: start and end time [ns], uncompressed size [bytes], uncompressed CRC."""
+
+_MAX_NAME_BYTES = 32
+_PIECE_BYTES = 8 << 20
+_PREFIX_BYTES = RECORD_HEAD.size + _CHUNK_FIELDS.size + 4 + _MAX_NAME_BYTES + 8
+
+
+@dataclass(frozen=True, slots=True)
+class ChunkRef:
+    """Where a chunk's data lies, and what its record says about it (times in ns)."""
+
+    data_offset: int
+    data_size: int
+    compression: str
+    uncompressed_size: int
+    crc: int
+    start_ns: int
+    end_ns: int
+
+
+class UnpackBudget:
+    """What unpacking chunks may still cost while a file is searched for them."""
+
+    def __init__(self, limits: ReadLimits) -> None:
+        self._limit = limits.unpacked_cost
+        self._left = limits.unpacked_cost
+
+    def spend(self, unpacked_bytes: int) -> None:
+        """Count a chunk of this size. Raises BeyondLimit."""
+        self._left -= unpacking_cost(unpacked_bytes)
+        if self._left < 0:
+            raise BeyondLimit(f"unpacked it would take more than {self._limit >> 20} MiB")
+
+
+def read_chunk_ref(file: InputFile, offset: int, length: int) -> ChunkRef:
+    """Parse the head of the chunk record at `offset`, `length` bytes in all.
+
+    Raises Damaged if there is no chunk of that length.
+    """
+    prefix = file.read(offset, min(_PREFIX_BYTES, length))
+    try:
+        opcode, content_size = RECORD_HEAD.unpack_from(prefix)
+        if (opcode, content_size) != (Opcode.CHUNK, length - RECORD_HEAD.size):
+            raise Damaged(_instead_of_a_chunk(prefix))
+        start_ns, end_ns, uncompressed_size, crc = _CHUNK_FIELDS.unpack_from(
+            prefix, RECORD_HEAD.size
+        )
+        name_start = RECORD_HEAD.size + _CHUNK_FIELDS.size + 4
+        (name_size,) = struct.unpack_from("<I", prefix, name_start - 4)
+        if name_size > _MAX_NAME_BYTES:
+            raise Damaged("a chunk's compression has no name")
+        name_end = name_start + name_size
+        compression = prefix[name_start:name_end].decode()
+        (data_size,) = struct.unpack_from("<Q", prefix, name_end)
+    except (struct.error, ValueError) as error:
+        raise Damaged("the head of a chunk is malformed") from error
+    data_offset = offset + name_end + 8
+    if data_offset + data_size != offset + length:
+        raise Damaged("a chunk's data is not as long as its record")
+    return ChunkRef(data_offset, data_size, compression, uncompressed_size, crc, start_ns, end_ns)
+
+
+def stored_size_of(length: int, compression: str) -> int:
+    """Bytes of data in a chunk record of `length` bytes in all."""
+    return length - RECORD_HEAD.size - _CHUNK_FIELDS.size - 4 - len(compression.encode()) - 8
+
+
+def read_chunk(file: InputFile, ref: ChunkRef) -> bytes:
+    """The chunk's records, unpacked and checked. Raises Damaged."""
+    _check_size(file, ref)
+    try:
+        data = _unpack(file.read(ref.data_offset, ref.data_size), ref)
+    except MemoryError as error:
+        raise file.failed(f"no memory for a chunk of {ref.uncompressed_size} bytes") from error
+    if len(data) != ref.uncompressed_size:
+        raise Damaged(f"a chunk has {len(data)} bytes instead of {ref.uncompressed_size}")
+    if ref.crc and crc32(data) != ref.crc:
+        raise Damaged("a chunk's checksum is wrong")
+    return data
+
+
+def read_torn_chunk(file: InputFile, ref: ChunkRef) -> bytes:
+    """What can be unpacked of a chunk that the end of the file cuts off; unchecked."""
+    _check_size(file, ref)
+    stored = file.read(ref.data_offset, max(min(ref.data_size, file.size - ref.data_offset), 0))
+    if ref.compression == "":
+        return stored
+    pieces: list[bytes] = []
+    left = ref.uncompressed_size
+    with suppress(ZstdError, RuntimeError, ValueError, MemoryError):
+        if ref.compression == "zstd":
+            with ZstdDecompressor().stream_reader(BytesIO(stored)) as reader:
+                while piece := reader.read(min(_PIECE_BYTES, left)):
+                    pieces.append(piece)
+                    left -= len(piece)
+        elif ref.compression == "lz4":
+            pieces.append(LZ4FrameDecompressor().decompress(stored, left))
+    return b"".join(pieces)
+
+
+def _instead_of_a_chunk(found: bytes) -> str:
+    if not any(found):
+        return "a chunk was here, and is zeros now, as a power cut leaves them"
+    return "there is no chunk of this length"
+
+
+def _check_size(file: InputFile, ref: ChunkRef) -> None:
+    limits = file.limits
+    if ref.uncompressed_size > max(limits.chunk_bytes, limits.chunk_ratio * ref.data_size):
+        raise BeyondLimit(
+            f"a chunk claims to unpack to {ref.uncompressed_size} bytes, "
+            f"more than {limits.chunk_bytes}"
+        )
+
+
+def _unpack(stored: bytes, ref: ChunkRef) -> bytes:
+    size = ref.uncompressed_size
+    try:
+        if ref.compression == "":
+            return stored
+        if ref.compression == "zstd":
+            if frame_content_size(stored) not in (-1, size):
+                raise Damaged("a chunk's zstd frame has another size than its record")
+            return ZstdDecompressor().decompress(stored, max_output_size=size)
+        if ref.compression == "lz4":
+            data: bytes = LZ4FrameDecompressor().decompress(stored, size)
+            return data
+    except (ZstdError, RuntimeError, ValueError) as error:
+        raise Damaged(f"a chunk's {ref.compression} data is corrupt") from error
+    raise Damaged(f"a chunk is compressed by {ref.compression!r}, which is not supported")

@@ -1,0 +1,201 @@
+"""The index of a file from its own summary: milliseconds, whatever its size."""
+
+from __future__ import annotations
+
+from isal.isal_zlib import crc32
+from mcap.opcode import Opcode
+from mcap.records import (
+    AttachmentIndex,
+    Channel,
+    DataEnd,
+    Footer,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+)
+
+from robotctl.recording.format.records import MAGIC
+from robotctl.recording.format.trailer import WrittenFile
+from robotctl.recording.read.chunk_index import ChunkEntry, read_chunk_index
+from robotctl.recording.read.damage import BeyondLimit, Damaged
+from robotctl.recording.read.file_index import (
+    LOST_HEADER,
+    FileIndex,
+    Place,
+    ZeroedHeader,
+    read_content,
+    read_header,
+    read_record_head,
+)
+from robotctl.recording.read.mcap_input import RECORD_HEAD, InputFile, parse, walk_records
+from robotctl.recording.read.stored_chunk import UnpackBudget
+
+MAX_SUMMARY_BYTES = 256 << 20
+"""Some 600,000 chunks; what claims more is taken for damage, and scanned."""
+
+_OPCODES = frozenset(Opcode)
+_FOOTER_BYTES = RECORD_HEAD.size + 20
+_CRC_BYTES = 4
+_DATA_END_BYTES = RECORD_HEAD.size + 4
+
+
+def index_from_summary(file: InputFile, *, places: bool = True) -> FileIndex:
+    """The index that the file's summary gives. Raises Damaged if it is missing or not valid.
+
+    Without `places` it takes a fraction of the time, and its messages cannot be read.
+    """
+    try:
+        header, data_start = read_header(file)
+    except ZeroedHeader:
+        header, data_start = LOST_HEADER
+    data, data_end = _read_summary(file)
+    index = FileIndex(profile=header.profile, library=header.library)
+    statistics: Statistics | None = None
+    metadata: list[MetadataIndex] = []
+    chunks: list[ChunkEntry] = []
+    chunk_count = 0
+    for opcode, start, end in walk_records(data):
+        if opcode == Opcode.CHUNK_INDEX:
+            chunk_count += 1
+            if places:
+                chunks.append(read_chunk_index(data, start, end))
+        elif opcode == Opcode.SCHEMA:
+            schema = parse(Schema, data[start:end])
+            index.schemas[schema.id] = schema
+        elif opcode == Opcode.CHANNEL:
+            channel = parse(Channel, data[start:end])
+            index.channels[channel.id] = channel
+        elif opcode == Opcode.METADATA_INDEX:
+            metadata.append(parse(MetadataIndex, data[start:end]))
+        elif opcode == Opcode.ATTACHMENT_INDEX:
+            index.attachments.append(parse(AttachmentIndex, data[start:end]).offset)
+        elif opcode == Opcode.STATISTICS:
+            statistics = parse(Statistics, data[start:end])
+    if statistics is None or statistics.chunk_count != chunk_count:
+        raise Damaged("its summary is incomplete")
+    if statistics.message_count != sum(statistics.channel_message_counts.values()):
+        raise Damaged("its summary does not count its messages")
+    if statistics.message_count and not chunk_count:
+        raise Damaged("its summary does not say where its messages are")
+    if not index.channels.keys() >= statistics.channel_message_counts.keys():
+        raise Damaged("its summary does not name all its channels")
+    index.counts = dict(statistics.channel_message_counts)
+    index.start_ns = statistics.message_start_time
+    index.end_ns = statistics.message_end_time
+    index.told_metadata = statistics.metadata_count
+    index.told_attachments = statistics.attachment_count
+    index.attachments = sorted(set(index.attachments))
+    if places:
+        chunks.sort(key=lambda chunk: chunk.place.offset)
+        index.gaps = _gaps(chunks, data_start, data_end)
+        index.places = _affordable([chunk.place for chunk in chunks], file, index)
+    _read_metadata(file, index, metadata)
+    return index
+
+
+def read_written_file(file: InputFile) -> WrittenFile:
+    """What it takes to go on writing the file. Raises Damaged if its summary is not valid."""
+    data, start = _read_summary(file)
+    groups: dict[Opcode, bytes] = {}
+    statistics = None
+    for code, begin, end in walk_records(data):
+        if code not in _OPCODES:  # a private record, which readers pass over
+            continue
+        opcode = Opcode(code)
+        record = data[begin - RECORD_HEAD.size : end]
+        groups[opcode] = groups.get(opcode, b"") + record
+        if opcode is Opcode.STATISTICS:
+            statistics = parse(Statistics, data[begin:end])
+    data_end = start - _DATA_END_BYTES
+    opcode_before, _ = read_record_head(file, data_end)
+    if statistics is None or statistics.attachment_count or opcode_before != Opcode.DATA_END:
+        raise Damaged("its end is not as ours are")
+    crc = parse(DataEnd, read_content(file, data_end, _DATA_END_BYTES - RECORD_HEAD.size))
+    return WrittenFile(data_end, crc.data_section_crc, groups, statistics)
+
+
+def _read_summary(file: InputFile) -> tuple[bytes, int]:
+    """The checked summary records, and the offset where they begin."""
+    file.refresh()  # at the last moment: the file may be growing
+    tail = _FOOTER_BYTES + len(MAGIC)
+    footer_offset = file.size - tail
+    data = file.read(footer_offset, tail)
+    opcode, _ = RECORD_HEAD.unpack_from(data)
+    if opcode != Opcode.FOOTER or not data.endswith(MAGIC):
+        raise Damaged("it has no footer")
+    footer = parse(Footer, data[RECORD_HEAD.size : _FOOTER_BYTES])
+    start = footer.summary_start
+    if start == 0:
+        raise Damaged("it has no summary")
+    if start > footer_offset or footer_offset - start > MAX_SUMMARY_BYTES:
+        raise Damaged("its footer is corrupt")
+    summary = file.read(start, footer_offset - start)
+    covered = data[: _FOOTER_BYTES - _CRC_BYTES]
+    if footer.summary_crc and footer.summary_crc != crc32(covered, crc32(summary)):
+        raise Damaged("its summary is corrupt")
+    if not footer.summary_crc:
+        summary = _before_own_footer(summary)
+    return summary, start
+
+
+def _before_own_footer(data: bytes) -> bytes:
+    """The summary at the beginning of `data`; what a commit of ours leaves half done follows it.
+
+    The summary then has a footer of its own. Raises Damaged if that does not belong to it.
+    """
+    for opcode, start, end in walk_records(data):
+        if opcode == Opcode.FOOTER:
+            footer = parse(Footer, data[start:end])
+            if footer.summary_crc != crc32(data[: end - _CRC_BYTES]):
+                raise Damaged("its summary is corrupt")
+            return data[: start - RECORD_HEAD.size]
+    return data
+
+
+def _gaps(chunks: list[ChunkEntry], data_start: int, data_end: int) -> list[tuple[int, int]]:
+    """The parts of the data without a chunk or a message index. Raises Damaged at an overlap."""
+    gaps = []
+    position = data_start
+    for chunk in chunks:
+        if chunk.place.offset < position:
+            raise Damaged("its summary tells of a chunk within another")
+        if chunk.place.offset > position:
+            gaps.append((position, chunk.place.offset))
+        position = chunk.end
+    if position > data_end:
+        raise Damaged("its summary points beyond its data")
+    if position < data_end:
+        gaps.append((position, data_end))
+    return gaps
+
+
+def _affordable(places: list[Place], file: InputFile, index: FileIndex) -> list[Place]:
+    """The places that may be unpacked, as far as the file's limits go."""
+    budget = UnpackBudget(file.limits)
+    for number, place in enumerate(places):
+        try:
+            budget.spend(place.unpacked_bytes or 0)
+        except BeyondLimit as limit:
+            index.miss_beyond(f"only {number} of {len(places)} chunks are read", limit)
+            return places[:number]
+    return places
+
+
+def _read_metadata(file: InputFile, index: FileIndex, entries: list[MetadataIndex]) -> None:
+    """Take in the metadata records, each once. Together they are no larger than the file."""
+    room = file.size
+    for entry in {entry.offset: entry for entry in entries}.values():
+        try:
+            opcode, length = read_record_head(file, entry.offset)
+            if opcode != Opcode.METADATA:
+                raise Damaged("there is no metadata record")
+            room -= length
+            if room < 0:
+                raise Damaged("the records overlap")
+            record = parse(Metadata, read_content(file, entry.offset, length))
+        except Damaged as damage:
+            index.miss(f"metadata {entry.name[:80]!r} cannot be read: {damage}")
+        else:
+            index.metadata.append(record)
+            index.metadata_offsets.add(entry.offset)

@@ -1,0 +1,1 @@
+"""Writes a recording that is complete and valid after each write."""

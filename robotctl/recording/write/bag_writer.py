@@ -1,0 +1,233 @@
+"""The files of one recording folder, in rosbag2's layout. Synchronous: the writer thread's part."""
+
+from __future__ import annotations
+
+import errno
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from shutil import rmtree
+
+from robotctl.errors import Refused
+from robotctl.recording.disk.access import make_folder
+from robotctl.recording.disk.disk_errors import cure_of, reason_of
+from robotctl.recording.format.events import RecordedEvent
+from robotctl.recording.format.rosbag2 import BagFile, write_metadata
+from robotctl.recording.format.topics import TopicAccount
+from robotctl.recording.write.buffer import Taken, pack
+from robotctl.recording.write.chunk_encoder import OutOfMemory
+from robotctl.recording.write.latched_repeats import repeats
+from robotctl.recording.write.recorder_options import RecorderOptions
+from robotctl.recording.write.recording_file import RecordingFile
+
+METADATA_PERIOD_S = 10.0
+"""How old the counts in `metadata.yaml` may be; those in the file itself are always its own."""
+
+MAX_EVENTS = 1000
+"""In one file: each takes room in the summary, which is rewritten four times a second."""
+
+MAX_INDEX_BYTES = 8 << 20
+"""Of chunks, in one file: each adds 10 bytes for each topic in it to what is rewritten."""
+
+
+class BagWriter:
+    """Writes chunks of messages into the folder's current file, and begins the next one in time.
+
+    Not thread-safe. `accounts` may grow; a topic's position in it is its channel id. Every
+    method may raise OSError; after that only `abandon` may be called.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        options: RecorderOptions,
+        metadata: Callable[[], Mapping[str, str]],
+        accounts: Sequence[TopicAccount],
+        on_split: Callable[[Path], None] = lambda path: None,
+        on_full: Callable[[Path], None] | None = None,
+    ) -> None:
+        """Create the first file in `folder`, which exists; `on_split` gets each later one.
+
+        `metadata` is asked when a file begins, for what is kept in it. A full file is followed by
+        the next one, or, where there is `on_full`, that is called with it, once.
+        """
+        self._folder = folder
+        self._options = options
+        self._metadata = metadata
+        self._accounts = accounts
+        self._on_split = on_split
+        self._on_full = on_full
+        self._told_full = False
+        self._finished: list[BagFile] = []
+        self._finished_bytes = 0
+        self._newest_ns = 0
+        """Highest log time in the last chunk; not in all: the clock may have been set back."""
+
+        self.warning = ""
+        """What the operator should know before it becomes an error."""
+
+        self.check_space()
+        self._listed_topics = 0
+        self._metadata_due = 0.0
+        self._files_begun = 0
+        self._begun = time.monotonic()
+        self._file = self._new_file()
+        self._write_metadata()
+
+    @property
+    def path(self) -> Path:
+        """The current file."""
+        return self._file.path
+
+    @property
+    def size(self) -> int:
+        """Bytes on disk, of all files."""
+        return self._finished_bytes + self._file.size
+
+    def write(self, taken: Taken) -> None:
+        """Write `taken` as a chunk, and count its messages as written.
+
+        Raises OutOfMemory; the next chunk may be written all the same.
+        """
+        self._replace_full()
+        self._file.write(taken)
+        self._newest_ns = taken.end_ns
+        for channel, index in taken.indexes.items():
+            self._accounts[channel].written += len(index) // 2
+
+    def write_topics(self) -> None:
+        """Write the topics that were added, also if they have no message yet."""
+        self._file.write_topics()
+
+    def write_event(self, event: RecordedEvent) -> None:
+        """Name `event` in the current file."""
+        self._replace_full()
+        self._file.write_event(event)
+
+    def sync(self) -> None:
+        """Force what was written to the disk."""
+        self._file.sync()
+
+    def split(self) -> None:
+        """Finish the current file and go on in the next one, which repeats latched messages."""
+        successor = self._new_file()
+        try:
+            self._file.finish()
+        except BaseException:
+            with suppress(OSError):
+                successor.abandon()
+            with suppress(OSError):
+                successor.path.unlink()
+            raise
+        self._finished.append(self._file.describe())
+        self._finished_bytes += self._file.size
+        self._file = successor
+        self._begun = time.monotonic()
+        self._told_full = False
+        messages = repeats(self._accounts, self._newest_ns, self._options.split_bytes)
+        try:
+            if messages:
+                self._file.write(pack(messages))
+        except OutOfMemory:
+            for channel, *_ in messages:
+                self._accounts[channel].not_repeated += 1
+        self._write_metadata()
+        with suppress(Exception):  # a listener that is gone must not stop the recording
+            self._on_split(successor.path)
+
+    def check_space(self) -> None:
+        """Warn when the disk gets full; raises OSError before it is."""
+        free = self._options.free_space(self._folder)
+        stop, warn = self._options.stop_free_bytes, self._options.warn_free_bytes
+        if free < stop:
+            raise OSError(errno.ENOSPC, f"only {_mb(free)} left on the disk, {_mb(stop)} stay free")
+        self.warning = ""
+        if free < warn:
+            self.warning = f"{_mb(free)} left on the disk; recording stops at {_mb(stop)}"
+
+    def list_new_topics(self) -> None:
+        """Have `metadata.yaml` name the topics that are new; a player reads no others."""
+        if len(self._accounts) > self._listed_topics:
+            self._write_metadata()
+
+    def refresh_metadata(self) -> None:
+        """Have `metadata.yaml` tell what is there by now; counts and times from time to time.
+
+        A player that opens a folder believes it. Retention removes the oldest file first.
+        """
+        removed = bool(self._finished) and not self._is_there(self._finished[0])
+        if removed or time.monotonic() >= self._metadata_due:
+            self._write_metadata()
+
+    def close(self) -> None:
+        """Finish the file and the folder."""
+        self._file.finish()
+        self._write_metadata()
+
+    def abandon(self) -> None:
+        """After an OSError: leave the file as the last good write had left it."""
+        self._file.abandon()
+        with suppress(OSError):  # on a full disk: the one written before stays
+            self._write_metadata()
+
+    def _replace_full(self) -> None:
+        if self._told_full or not self._is_full():
+            return
+        if self._on_full is None:
+            self.split()
+        else:
+            self._told_full = True
+            self._on_full(self._file.path)
+
+    def _is_full(self) -> bool:
+        if self._file.event_count >= MAX_EVENTS or self._file.index_bytes >= MAX_INDEX_BYTES:
+            return True
+        if not self._file.holds_messages:
+            return False
+        age_s = time.monotonic() - self._begun
+        return self._file.size >= self._options.split_bytes or age_s >= self._options.split_s
+
+    def _new_file(self) -> RecordingFile:
+        while True:
+            path = self._folder / f"{self._folder.name}_{self._files_begun}.mcap"
+            self._files_begun += 1
+            with suppress(FileExistsError):  # somebody's: nothing is overwritten
+                return RecordingFile(path, self._options, self._metadata(), self._accounts)
+
+    def _write_metadata(self) -> None:
+        topics = [account.topic for account in list(self._accounts)]
+        self._finished = [file for file in self._finished if self._is_there(file)]
+        write_metadata(self._folder, topics, [*self._finished, self._file.describe()])
+        self._listed_topics = len(topics)
+        self._metadata_due = time.monotonic() + METADATA_PERIOD_S
+
+    def _is_there(self, file: BagFile) -> bool:
+        return (self._folder / file.name).exists()
+
+
+def begin_bag(
+    folder: Path,
+    options: RecorderOptions,
+    metadata: Callable[[], Mapping[str, str]],
+    accounts: Sequence[TopicAccount],
+    on_split: Callable[[Path], None],
+    on_full: Callable[[Path], None] | None,
+) -> BagWriter:
+    """Create `folder` and its writer. Raises Refused where that cannot be, and leaves nothing."""
+    created = False
+    try:
+        make_folder(folder, shared=options.group_readable)
+        created = True
+        return BagWriter(folder, options, metadata, accounts, on_split, on_full)
+    except OSError as error:
+        if created:
+            rmtree(folder, ignore_errors=True)
+        raise Refused(
+            f"cannot record into {folder}: {reason_of(error)}",
+            f"{cure_of(error)}, or choose another folder (--recordings)",
+        ) from error
+
+
+def _mb(size: int) -> str:
+    return f"{size / 1e6:.0f} MB"

@@ -1,0 +1,65 @@
+"""Turning packed messages into what a chunk record holds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from isal.isal_zlib import crc32
+from zstandard import ZstdCompressionParameters, ZstdCompressor, ZstdError
+
+from robotctl.recording.disk.storage import Buffer
+from robotctl.recording.format.records import Chunk
+from robotctl.recording.write.buffer import Taken
+from robotctl.recording.write.recorder_options import Compression
+
+_CACHED = {"window_log": 18, "hash_log": 13}
+"""Tables that fit into the nearest caches: on odometry a third faster, and no larger."""
+
+JOINED_BYTES = 8 << 20
+"""Two parts of so many bytes are copied into one piece: zstd takes a tenth longer for a stream."""
+
+
+class OutOfMemory(MemoryError):
+    """There was no memory to encode a chunk. Nothing was written, and the next one may succeed."""
+
+
+class ChunkEncoder:
+    """Compresses and sums up. Not thread-safe; the work itself releases the interpreter lock."""
+
+    def __init__(self, compression: Compression, level: int) -> None:
+        """`level` is zstd's own; it means nothing without compression."""
+        self._compression = compression
+        parameters = ZstdCompressionParameters.from_level(level, **_CACHED if level == 1 else {})
+        self._compressor = ZstdCompressor(compression_params=parameters)
+
+    def encode(self, taken: Taken) -> Chunk:
+        """The chunk of these messages, of which there is at least one. Raises OutOfMemory."""
+        try:
+            return self._encode(taken)
+        except (MemoryError, ZstdError) as error:  # zstd gives no other while it compresses
+            raise OutOfMemory("no memory to compress messages") from error
+
+    def _encode(self, taken: Taken) -> Chunk:
+        crc = 0
+        for part in taken.parts:
+            crc = crc32(part, crc)
+        size = sum(map(len, taken.parts))
+        return Chunk(
+            parts=self._stored(taken.parts, size),
+            compression=self._compression.value,
+            uncompressed_size=size,
+            uncompressed_crc=crc,
+            start_ns=taken.start_ns,
+            end_ns=taken.end_ns,
+            indexes=taken.indexes,
+        )
+
+    def _stored(self, parts: Sequence[Buffer], size: int) -> Sequence[Buffer]:
+        if self._compression is Compression.NONE:
+            return parts
+        if len(parts) == 1:
+            return [self._compressor.compress(parts[0])]
+        if len(parts) > 2 or size <= JOINED_BYTES:
+            return [self._compressor.compress(b"".join(parts))]
+        stream = self._compressor.compressobj(size=size)
+        return [*(stream.compress(part) for part in parts), stream.flush()]

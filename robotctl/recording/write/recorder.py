@@ -1,0 +1,274 @@
+"""The flight recorder: messages in from the event loop, an always-valid MCAP file out.
+
+`Recorder.write` packs into memory and never waits; one thread compresses and writes. What does
+not fit into the bounded queue is dropped and counted: for each topic
+received = written + queued + dropped, always, and queued is 0 after `close`.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Final
+
+from mcap.opcode import Opcode
+
+from robotctl.errors import Refused
+from robotctl.recording.disk.storage import Buffer
+from robotctl.recording.format.events import RecordedEvent
+from robotctl.recording.format.records import MESSAGE_FIELDS_BYTES, MESSAGE_HEAD
+from robotctl.recording.format.topics import (
+    MAX_PACKERS,
+    MAX_SEQUENCE,
+    MAX_TIME_NS,
+    Packer,
+    Topic,
+    TopicAccount,
+    TopicStats,
+)
+from robotctl.recording.write.bag_writer import begin_bag
+from robotctl.recording.write.buffer import LargeMessage, PackBuffer
+from robotctl.recording.write.recorder_options import Compression, RecorderOptions
+from robotctl.recording.write.recorder_stats import RecorderState, RecorderStats
+from robotctl.recording.write.writer_thread import Drain, Request
+
+__all__ = [
+    "Compression",
+    "Recorder",
+    "RecorderOptions",
+    "RecorderState",
+    "RecorderStats",
+    "Topic",
+    "TopicStats",
+]
+
+MAX_TOPICS: Final = 1 << 16
+"""A channel id of MCAP has 16 bits."""
+
+_PREFIX = struct.Struct("<BQH")
+"""What is the same in all messages of a channel and a size: opcode, record length, channel id."""
+
+
+class Recorder:
+    """Records into one folder, in rosbag2's layout.
+
+    `add_topic`, `write` and `split` belong to one thread, the event loop's; the others may be
+    called from any.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        options: RecorderOptions | None = None,
+        *,
+        metadata: Callable[[], Mapping[str, str]] = dict,
+        on_failure: Callable[[str], None],
+        on_split: Callable[[Path], None] = lambda path: None,
+        on_full: Callable[[Path], None] | None = None,
+    ) -> None:
+        """Create `folder` with its first file in it, and start the writer thread.
+
+        `metadata` is asked when a file begins, for what is kept in it; `on_failure` is called
+        at most once, with a sentence for the operator; `on_split` with each later file once it
+        is begun. A full file is followed by the next one by itself, or `on_full` is called with
+        it, once, and is to see that `split` is called. All are called from the writer thread,
+        `metadata` for the first file from here. Raises Refused where nothing can be written.
+        """
+        options = options or RecorderOptions()
+        self._accounts: list[TopicAccount] = []
+        self._channels: dict[Topic, int] = {}
+        self._closed = False
+        self._chunk_bytes = options.chunk_bytes
+        self._queue_bytes = options.queue_bytes
+        self._latched_bytes_limit = options.latched_bytes
+        self._latched_bytes = 0
+        self._no_memory = 0
+        self._buffer = PackBuffer(options.chunk_bytes)
+        self._acquired = self._buffer.size
+        self._writer = begin_bag(folder, options, metadata, self._accounts, on_split, on_full)
+        self._drain = Drain(self._writer, options, self._accounts, lambda: self._buffer, on_failure)
+
+    def add_topic(self, topic: Topic) -> int:
+        """Return the topic's channel, a new one if it is new. Raises Refused at MAX_TOPICS."""
+        known = self._channels.get(topic)
+        if known is not None:
+            return known
+        channel = len(self._accounts)
+        if channel >= MAX_TOPICS:
+            raise Refused(f"a recording holds at most {MAX_TOPICS} topics: exclude some")
+        self._buffer.make_indexes(channel + 1)
+        self._accounts.append(TopicAccount(topic))
+        self._channels[topic] = channel
+        return channel
+
+    def write(
+        self, channel: int, data: Buffer, log_ns: int, publish_ns: int, sequence: int, gid: bytes
+    ) -> None:
+        """Keep a message, or count it as dropped. Never waits. The data is copied or immutable.
+
+        Times in nanoseconds since the epoch; `sequence` counts the messages of the publisher
+        `gid`, 0 where it does not count.
+        """
+        account = self._accounts[channel]
+        account.received += 1
+        try:
+            size = len(data)
+            account.size += size
+            expected = account.expected
+            if expected.get(gid) == sequence:
+                expected[gid] = sequence + 1
+            else:
+                account.ledger.note(gid, sequence)
+            if account.latched is not None:
+                room = self._latched_bytes_limit - self._latched_bytes
+                self._latched_bytes += account.keep_latched(
+                    gid, data, log_ns, publish_ns, sequence, room
+                )
+            buffer = self._buffer
+            if log_ns < account.newest_ns:
+                buffer.unordered.add(channel)
+            account.newest_ns = log_ns
+            start = buffer.end
+            try:
+                pack, prefix, length = account.packers[size]
+                end = start + length
+                if end <= buffer.limit:
+                    pack(buffer.data, start, prefix, sequence, log_ns, publish_ns, data)
+                    index = buffer.indexes[channel]
+                    index.append(log_ns)
+                    index.append(start)
+                    buffer.end = end
+                    return
+            except (KeyError, struct.error):
+                pass  # a size met for the first time, or a number outside its field
+            self._write_carefully(channel, data, log_ns, publish_ns, sequence)
+        except MemoryError:
+            self._drop_for_memory(account, channel)
+
+    def split(self) -> None:
+        """Go on in a new file, without a gap: what is written from now on is in that.
+
+        Returns at once; `on_split` is told when it is begun. Does nothing once it is closed.
+        """
+        if self._closed:
+            return
+        if self._buffer.end and self._has_memory(self._chunk_bytes):
+            self._change_buffer()
+        self._drain.queue.put(Request.SPLIT)
+
+    def note(self, event: RecordedEvent) -> None:
+        """Name `event` in the metadata of the current file. Never waits."""
+        self._drain.queue.put(event)
+
+    def stats(self) -> RecorderStats:
+        """The counts at this instant."""
+        topics = tuple(account.stats() for account in list(self._accounts))
+        return RecorderStats(
+            state=self._state(),
+            file=self._writer.path,
+            bytes=self._writer.size,
+            received=sum(topic.received for topic in topics),
+            written=sum(topic.written for topic in topics),
+            queued=sum(topic.queued for topic in topics),
+            dropped=sum(topic.dropped for topic in topics),
+            lost=sum(topic.lost for topic in topics),
+            unseen=sum(topic.unseen for topic in topics),
+            not_repeated=sum(topic.not_repeated for topic in topics),
+            no_memory=self._no_memory + self._drain.no_memory,
+            failure=self._drain.failure,
+            warning=self._writer.warning,
+            topics=topics,
+        )
+
+    def close(self) -> RecorderStats:
+        """Write what is queued, finish file and folder. Blocks; a second call changes nothing.
+
+        What `write` is given from now on counts as dropped.
+        """
+        self._closed = True
+        self._drain.stop()
+        return self.stats()
+
+    def _state(self) -> RecorderState:
+        if self._drain.failure:
+            return RecorderState.FAILED
+        return RecorderState.CLOSED if self._closed else RecorderState.RECORDING
+
+    def _write_carefully(
+        self, channel: int, data: Buffer, log_ns: int, publish_ns: int, sequence: int
+    ) -> None:
+        """Pack what `write` could not: change buffers, clamp numbers, or count a drop."""
+        account = self._accounts[channel]
+        if self._closed or self._drain.failure:
+            account.refused += 1
+            return
+        sequence &= MAX_SEQUENCE
+        log_ns = min(max(log_ns, 0), MAX_TIME_NS)
+        publish_ns = min(max(publish_ns, 0), MAX_TIME_NS)
+        length = MESSAGE_HEAD.size + len(data)
+        if length > self._chunk_bytes // 2:
+            if not self._has_memory(len(data) + self._chunk_bytes):
+                account.refused += 1
+                return
+            message = LargeMessage((channel, bytes(data), log_ns, publish_ns, sequence))
+            self._queue_large(message)
+            return
+        buffer = self._buffer_with_room(length)
+        if buffer is None:
+            account.refused += 1
+            return
+        start = buffer.end
+        data = bytes(data)  # a view cannot be packed
+        pack, prefix, _ = account.packers.get(len(data)) or _new_packer(account, channel, len(data))
+        pack(buffer.data, start, prefix, sequence, log_ns, publish_ns, data)
+        index = buffer.indexes[channel]
+        index.append(log_ns)
+        index.append(start)
+        buffer.end = start + length
+
+    def _drop_for_memory(self, account: TopicAccount, channel: int) -> None:
+        """Count a message as dropped that could not be packed, or only half of its index entry."""
+        index = self._buffer.indexes[channel]
+        if len(index) % 2:
+            index.pop()
+        account.refused += 1
+        self._no_memory += 1
+
+    def _buffer_with_room(self, length: int) -> PackBuffer | None:
+        """The active buffer, or a new active one, with room for `length` bytes."""
+        buffer = self._buffer
+        if buffer.end + length <= buffer.limit:
+            return buffer
+        if self._has_memory(self._chunk_bytes):
+            self._change_buffer()
+            return self._buffer
+        return buffer if buffer.end + length <= buffer.size else None
+
+    def _queue_large(self, message: LargeMessage) -> None:
+        if self._buffer.end:
+            self._change_buffer()  # what came before it stays before it
+        self._acquired += message.size
+        self._drain.queue.put(message)
+
+    def _has_memory(self, size: int) -> bool:
+        return self._acquired - self._drain.released + size <= self._queue_bytes
+
+    def _change_buffer(self) -> None:
+        """Hand the active buffer to the writer thread and go on in an empty one."""
+        spare = self._drain.spare
+        buffer = spare.popleft() if spare else PackBuffer(self._chunk_bytes)
+        buffer.make_indexes(len(self._accounts))
+        self._acquired += buffer.size + self._buffer.weigh()
+        self._drain.queue.put(self._buffer)
+        self._buffer = buffer
+
+
+def _new_packer(account: TopicAccount, channel: int, size: int) -> Packer:
+    """What packs messages of `size` bytes of this channel: record head and data in one call."""
+    prefix = _PREFIX.pack(Opcode.MESSAGE, MESSAGE_FIELDS_BYTES + size, channel)
+    layout = struct.Struct(f"<{_PREFIX.size}sIQQ{size}s")
+    packer = layout.pack_into, prefix, layout.size
+    if len(account.packers) < MAX_PACKERS:
+        account.packers[size] = packer
+    return packer

@@ -1,0 +1,174 @@
+"""One file of a recording: messages, their topics, and what explains them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from mcap.records import Channel, Schema
+
+from robotctl.recording.disk.access import share_with_group
+from robotctl.recording.format.events import RecordedEvent
+from robotctl.recording.format.identity import (
+    EVENT_RECORD,
+    INFO_RECORD,
+    LEDGER_RECORD,
+    LIBRARY,
+    PROFILE,
+)
+from robotctl.recording.format.ledger_record import ledger_values
+from robotctl.recording.format.rosbag2 import METADATA_RECORD, BagFile, serialized_metadata
+from robotctl.recording.format.topics import TopicAccount
+from robotctl.recording.write.buffer import Taken
+from robotctl.recording.write.chunk_encoder import ChunkEncoder
+from robotctl.recording.write.mcap_writer import McapFile
+from robotctl.recording.write.recorder_options import RecorderOptions
+
+
+class RecordingFile:
+    """Not thread-safe. `accounts` may grow; a topic's position in it is its channel id.
+
+    Every method may raise OSError; after that only `abandon` may be called.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        options: RecorderOptions,
+        metadata: Mapping[str, str],
+        accounts: Sequence[TopicAccount],
+    ) -> None:
+        """Create the file; it is valid and on the disk when this returns, or it is not there."""
+        self.path = path
+        self._accounts = accounts
+        self._encoder = ChunkEncoder(options.compression, options.compression_level)
+        self._announced = 0
+        self._schemas: dict[tuple[str, str], int] = {}
+        self._synced = False
+        self._finished = False
+        self.event_count = 0
+        self._mcap = McapFile(options.open_file(path), profile=PROFILE, library=LIBRARY)
+        try:
+            if options.group_readable:
+                share_with_group(path)
+            self._mcap.add_metadata(INFO_RECORD, metadata)
+            self._add_bag_metadata()
+            self._mcap.commit()
+            self._mcap.sync()
+        except BaseException:
+            with suppress(OSError):
+                self._mcap.close()
+            with suppress(OSError):
+                path.unlink()
+            raise
+
+    @property
+    def size(self) -> int:
+        """Bytes on disk."""
+        return self._mcap.size
+
+    @property
+    def holds_messages(self) -> bool:
+        """Whether there is any message in it."""
+        return bool(self._mcap.summary.counts)
+
+    @property
+    def index_bytes(self) -> int:
+        """Bytes of the summary that grow with the chunks."""
+        return self._mcap.summary.index_bytes
+
+    @property
+    def trailer_bytes(self) -> int:
+        """Bytes of summaries and footers written so far."""
+        return self._mcap.trailer_bytes
+
+    def write(self, taken: Taken) -> None:
+        """Write `taken` as a chunk. Raises OutOfMemory, and then is as it was before."""
+        chunk = self._encoder.encode(taken)
+        self._announce_topics()
+        self._mcap.commit(chunk)
+        self._synced = False
+
+    def write_topics(self) -> None:
+        """Write the topics that were added, also if they have no message yet."""
+        if self._announce_topics():
+            self._mcap.commit()
+            self._synced = False
+
+    def write_event(self, event: RecordedEvent) -> None:
+        """Write something to look for into the metadata."""
+        self._mcap.add_metadata(EVENT_RECORD, event.values())
+        self._mcap.commit()
+        self._synced = False
+        self.event_count += 1
+
+    def sync(self) -> None:
+        """Force what was written to the disk."""
+        if not self._synced:
+            self._mcap.sync()
+            self._synced = True
+
+    def finish(self) -> None:
+        """Write the final metadata, and close the file."""
+        self._announce_topics()
+        self._add_bag_metadata()
+        topics = [account.stats() for account in self._accounts[: self._announced]]
+        self._mcap.add_metadata(LEDGER_RECORD, ledger_values(topics))
+        self._mcap.commit()
+        self._mcap.sync()
+        self._finished = True
+        self._mcap.close()
+
+    def abandon(self) -> None:
+        """After an OSError: leave the file as the last good write had left it."""
+        if self._finished:
+            return
+        self._finished = True
+        try:
+            self._mcap.cut_back()
+        finally:
+            self._mcap.close()
+
+    def describe(self) -> BagFile:
+        """What `metadata.yaml` says about the file."""
+        summary = self._mcap.summary
+        return BagFile(self.path.name, summary.start_ns, summary.end_ns, dict(summary.counts))
+
+    def _announce_topics(self) -> bool:
+        """Add schema and channel of each topic that is new to the file; False if none is."""
+        known = len(self._accounts)
+        if self._announced == known:
+            return False
+        for channel in range(self._announced, known):
+            topic = self._accounts[channel].topic
+            key = topic.type_name, topic.definition
+            if key not in self._schemas:
+                self._schemas[key] = len(self._schemas) + 1
+                self._mcap.add_schema(
+                    Schema(
+                        id=self._schemas[key],
+                        name=topic.type_name,
+                        encoding="ros2msg" if topic.definition else "",
+                        data=topic.definition.encode(),
+                    )
+                )
+            self._mcap.add_channel(
+                Channel(
+                    id=channel,
+                    topic=topic.name,
+                    message_encoding=topic.encoding,
+                    schema_id=self._schemas[key],
+                    metadata={
+                        "topic_type_hash": topic.type_hash,
+                        "offered_qos_profiles": topic.offered_qos,
+                    },
+                )
+            )
+        self._announced = known
+        return True
+
+    def _add_bag_metadata(self) -> None:
+        topics = [account.topic for account in self._accounts[: self._announced]]
+        text = serialized_metadata(topics, [self.describe()])
+        self._mcap.add_metadata(METADATA_RECORD, {"serialized_metadata": text})

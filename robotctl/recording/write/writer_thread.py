@@ -1,0 +1,211 @@
+"""The writer thread: takes packed messages from the queue and has them written."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from enum import Enum
+from queue import Empty, SimpleQueue
+
+from robotctl.recording.disk.disk_errors import cure_of, reason_of
+from robotctl.recording.disk.thread_priority import rank_below
+from robotctl.recording.format.events import RecordedEvent
+from robotctl.recording.format.topics import TopicAccount
+from robotctl.recording.write.bag_writer import BagWriter
+from robotctl.recording.write.buffer import LargeMessage, PackBuffer, Taken
+from robotctl.recording.write.chunk_encoder import OutOfMemory
+from robotctl.recording.write.recorder_options import RecorderOptions
+
+SPARE_BUFFERS = 2
+"""Empty buffers kept for the loop: one to change to, one for a burst; the rest is given back."""
+
+NICE = 5
+"""How far the thread ranks below the loop: where all cores are busy, the loop's share is three
+times that of the compression."""
+
+_BREATH_S = 0.001
+"""Before something is tried again that failed or was not ready."""
+
+_SETTLE_S = 1.0
+"""How long `stop` waits for a message that is being packed; packing takes a microsecond."""
+
+
+class Request(Enum):
+    """What the loop may ask for through the queue, besides writing."""
+
+    SPLIT = "go on in a new file"
+    STOP = "finish"
+
+
+class Drain:
+    """Owns the thread and, through it, the files.
+
+    The loop puts full buffers into `queue`; after `flush_s` the thread takes what lies in the
+    active one by itself. The first error ends the file and is kept; from then on what is queued
+    is counted as discarded.
+    """
+
+    def __init__(
+        self,
+        writer: BagWriter,
+        options: RecorderOptions,
+        accounts: Sequence[TopicAccount],
+        active: Callable[[], PackBuffer],
+        on_failure: Callable[[str], None],
+    ) -> None:
+        """Start the thread; `active` gives the buffer that the loop is packing."""
+        self.queue: SimpleQueue[PackBuffer | LargeMessage | RecordedEvent | Request] = SimpleQueue()
+        self.spare: deque[PackBuffer] = deque()
+        self.released = 0
+        """Bytes of buffers and messages that were queued and are free again."""
+
+        self.failure = ""
+        self.no_memory = 0
+        """Messages that were dropped because there was no memory to write them."""
+
+        self._writer = writer
+        self._options = options
+        self._accounts = accounts
+        self._active = active
+        self._on_failure = on_failure
+        self._stopping = False
+        self._next_flush = time.monotonic() + options.flush_s
+        self._next_sync = time.monotonic() + options.sync_s
+        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Write everything queued, finish the file, end the thread."""
+        self.queue.put(Request.STOP)
+        self._thread.join()
+
+    def _run(self) -> None:
+        rank_below(NICE)
+        while not self._stopping:
+            self._survive(self._turn)
+        deadline = time.monotonic() + _SETTLE_S
+        while True:
+            self._survive(self._empty_queue)
+            if self._is_settled() or time.monotonic() > deadline:
+                break
+            time.sleep(_BREATH_S)
+        self._survive(lambda: self._attempt(self._writer.close))
+
+    def _survive(self, work: Callable[[], object]) -> None:
+        """Do `work`; what it raises ends the file, and not the thread: that would tell nobody."""
+        try:
+            work()
+        except Exception as error:  # noqa: BLE001
+            try:
+                self._fail(error)
+            except Exception:  # noqa: BLE001  # not even memory to say so: the next turn tries again
+                time.sleep(_BREATH_S)
+
+    def _turn(self) -> None:
+        """Take what is queued, and do in time what is due."""
+        wait = max(min(self._next_flush, self._next_sync) - time.monotonic(), 0.0)
+        with suppress(Empty):
+            self._handle(self.queue.get(timeout=wait))
+        now = time.monotonic()
+        if now >= self._next_flush:
+            self._next_flush = now + self._options.flush_s
+            self._flush_active()
+            self._attempt(self._writer.list_new_topics)
+        if now >= self._next_sync:
+            self._attempt(self._writer.sync)
+            self._attempt(self._writer.check_space)
+            self._attempt(self._writer.refresh_metadata)
+            self._next_sync = time.monotonic() + self._options.sync_s
+
+    def _is_settled(self) -> bool:
+        return self.queue.empty() and all(account.settled for account in self._accounts)
+
+    def _empty_queue(self) -> None:
+        while not self.queue.empty():
+            self._handle(self.queue.get())
+        self._flush_active()
+
+    def _flush_active(self) -> None:
+        buffer = self._active()
+        if not self.queue.empty():
+            return  # what was packed before goes first
+        buffer.limit = 0
+        try:
+            taken = buffer.take()
+        except MemoryError:
+            if self._stopping:  # there is no later
+                self._drop(buffer.drop())
+            return
+        if taken is None:
+            self._attempt(self._writer.write_topics)
+        else:
+            self._write(taken)
+
+    def _handle(self, item: PackBuffer | LargeMessage | RecordedEvent | Request) -> None:
+        if isinstance(item, Request):
+            if item is Request.SPLIT:
+                self._attempt(self._writer.split)
+            else:
+                self._stopping = True
+            return
+        if isinstance(item, RecordedEvent):
+            event = item
+            self._attempt(lambda: self._writer.write_event(event))
+            return
+        try:
+            taken = item.take()
+        except MemoryError:
+            self._drop(item.drop())
+            self.released += item.size
+            return
+        if taken is not None:
+            self._write(taken)
+            del taken
+        self.released += item.size
+        if isinstance(item, PackBuffer) and len(self.spare) < SPARE_BUFFERS:
+            item.recycle()
+            self.spare.append(item)
+
+    def _write(self, taken: Taken) -> None:
+        if not self._attempt(lambda: self._writer.write(taken)):
+            self._drop({channel: len(index) // 2 for channel, index in taken.indexes.items()})
+
+    def _drop(self, counts: Mapping[int, int]) -> None:
+        """Count messages as dropped, by channel: for want of memory, unless the file has failed."""
+        for channel, count in counts.items():
+            self._accounts[channel].discarded += count
+            if not self.failure:
+                self.no_memory += count
+
+    def _attempt(self, work: Callable[[], None]) -> bool:
+        """Do `work` unless the file has failed; the first error is latched and told.
+
+        A lack of memory that leaves the file as it was is no failure.
+        """
+        if self.failure:
+            return False
+        try:
+            work()
+        except OutOfMemory:
+            return False
+        except Exception as error:  # noqa: BLE001  # the robot must learn of it, whatever it is
+            self._fail(error)
+            return False
+        return True
+
+    def _fail(self, error: Exception) -> None:
+        if self.failure:
+            return
+        text = f"recording stopped: {reason_of(error)} ({self._writer.path})"
+        try:
+            self._writer.abandon()
+        except Exception as second:  # noqa: BLE001  # the disk may be gone altogether
+            text += f"; the end of the file could not be repaired: {reason_of(second)}"
+        text += f"; {cure_of(error)}"
+        self.failure = text
+        self._active().limit = 0
+        with suppress(Exception):  # a listener that is gone must not stop the counting
+            self._on_failure(text)

@@ -1,0 +1,131 @@
+"""What keeps a replay from being mistaken for the robot, and a robot from obeying it."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import replace
+from typing import Final, Protocol
+
+from robotctl.errors import Refused
+from robotctl.ipc.client import command_for
+from robotctl.replay.other_daemons import Daemon, daemons_in
+from robotctl.replay.plan import Route, absolute, is_named
+
+REPLAY_PREFIX: Final = "/replay"
+"""Where a replay goes that must not be mistaken for the robot."""
+
+COMMAND_TYPES: Final = frozenset({"geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"})
+COMMAND_NAME: Final = "cmd_vel"
+"""What moves robots: a Twist under any name, and whatever is published as `.../cmd_vel`."""
+
+
+class Graph(Protocol):
+    """Who is in the ROS domain."""
+
+    def robots_with_daemon(self) -> list[str]:
+        """The names of the robots whose daemons are in the domain, whoever runs them."""
+
+
+class Safety:
+    """The rules for one replay in one domain; `named` are the topics that the user asked for."""
+
+    def __init__(
+        self, graph: Graph, domain_id: int, named: Collection[str], *, original_names: bool
+    ) -> None:
+        self.prefix = ""
+        self._graph = graph
+        self._domain_id = domain_id
+        self._named = named
+        self._original_names = original_names
+
+    def choose_prefix(self) -> str:
+        """Choose the prefix of all names; returns a sentence about it, "" where all is as usual.
+
+        Raises:
+            Refused: The original names, while a daemon moves its robot, or may do so.
+        """
+        daemons = self._daemons()
+        if not daemons:
+            return ""
+        who = f"a daemon ({_names_of(daemons)}) runs in ROS domain {self._domain_id}"
+        if self._original_names:
+            check_still(daemons)
+            return f"{who}: --original-names publishes beside it"
+        self.prefix = REPLAY_PREFIX
+        return (
+            f"{who}: everything is published below {REPLAY_PREFIX} "
+            "(the original names: --original-names; another domain: --domain-id)"
+        )
+
+    def prefixed(self, routes: Iterable[Route]) -> list[Route]:
+        """The routes with the prefix that was chosen."""
+        return [replace(route, name=absolute(route.name, self.prefix)) for route in routes]
+
+    def withheld(self, routes: Iterable[Route]) -> list[Route]:
+        """What a robot would obey and the user has not named; below the prefix no robot listens.
+
+        Whether somebody listens now does not matter: a robot may come at any moment.
+        """
+        if self.prefix:
+            return []
+        return [route for route in routes if is_command(route) and not self.names(route)]
+
+    def names(self, route: Route) -> bool:
+        """Whether the user has named the topic, or its service."""
+        return is_named(route.topic, self._named)
+
+    def check(self) -> None:
+        """Raise Refused where a daemon has come, or begun to move; call it again and again."""
+        if self.prefix:
+            return
+        daemons = self._daemons()
+        if self._original_names:
+            check_still(daemons)
+        elif daemons:
+            raise Refused(
+                f"a daemon ({_names_of(daemons)}) has come into ROS domain {self._domain_id}: the "
+                "replay under the original names has ended "
+                f"(start it again to play below {REPLAY_PREFIX})"
+            )
+
+    def _daemons(self) -> list[Daemon]:
+        """Our own, who can be asked, and those that only the ROS graph shows."""
+        daemons = daemons_in(self._domain_id)
+        known = {daemon.robot for daemon in daemons}
+        others = [
+            Daemon(robot, self._domain_id, None) for robot in self._graph.robots_with_daemon()
+        ]
+        return daemons + [daemon for daemon in others if daemon.robot not in known]
+
+
+def check_still(daemons: Iterable[Daemon]) -> None:
+    """Raise Refused if one of the daemons moves its robot, or may do so."""
+    for daemon in daemons:
+        if daemon.may_be_moving:
+            state = daemon.mode or "in a mode that it does not tell"
+            cure = command_for(daemon.robot, "set-mode idle")
+            raise Refused(
+                f"--original-names is refused while robot {daemon.robot!r} is {state}: the replay "
+                f"would mislead it (first: {cure})"
+            )
+
+
+def is_command(route: Route) -> bool:
+    """Whether a robot may move by it, as it was recorded or as it is called now."""
+    names = (route.topic.name, route.name)
+    return (
+        route.requests
+        or route.topic.type_name in COMMAND_TYPES
+        or any(name.rpartition("/")[2] == COMMAND_NAME for name in names)
+    )
+
+
+def withheld_note(route: Route) -> str:
+    """A sentence about a route that is withheld."""
+    name = route.topic.name
+    what = "requests" if route.requests else "commands"
+    return f"{name} is withheld: a robot would obey these {what} (send them: --topics {name})"
+
+
+def _names_of(daemons: Sequence[Daemon]) -> str:
+    return ", ".join(repr(daemon.robot) for daemon in daemons)

@@ -1,0 +1,73 @@
+"""What is told of a replay while it runs, and what came of it at its end."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from robotctl.replay.lateness import Lateness
+from robotctl.replay.notes import Record
+from robotctl.replay.plan import Route
+from robotctl.replay.player import Player
+from robotctl.replay.read_ahead import ReadAhead
+
+BEHIND_S = 0.05
+"""Below this nobody can see that a message is late, and the next may still be on time."""
+
+
+def progress(player: Player, ahead: ReadAhead, now_ns: int) -> dict[str, Any]:
+    """Where a replay is; `behind` counts messages that should have been sent by now."""
+    schedule, position_ns = player.steering.schedule, player.position_ns
+    behind = 0
+    if schedule.rate is not None:
+        overdue_ns = round(BEHIND_S * 1e9 * schedule.rate)
+        due_ns = schedule.position_ns(now_ns)
+        if due_ns - position_ns > overdue_ns:
+            behind = ahead.count(position_ns, due_ns - overdue_ns)
+        position_ns = max(position_ns, due_ns) if not behind else position_ns
+    return {
+        "position_s": position_ns / 1e9,
+        "sent": player.sent,
+        "behind": behind,
+        "rate": schedule.rate,
+        "paused": schedule.paused,
+    }
+
+
+def summary(
+    record: Record, player: Player, routes: Iterable[Route], *, interrupted: bool
+) -> dict[str, Any]:
+    """What came of it, for people and for machines."""
+    topics = player.topics
+    return {
+        "sent": player.sent,
+        "failed": sum(topic.failed for topic in topics.values()),
+        "topics": [
+            {
+                "name": route.topic.name,
+                "published": route.name,
+                "type": route.topic.type_name,
+                "requests": route.requests,
+                "sent": topics[route.topic.name].sent,
+                "failed": topics[route.topic.name].failed,
+            }
+            for route in routes
+        ],
+        "withheld": record.withheld,
+        "skipped": record.skipped,
+        "timing_error_us": _timing(player.lateness),
+        "played_s": player.position_ns / 1e9,
+        "interrupted": interrupted,
+        "missing": record.missing,
+        "notes": record.notes,
+    }
+
+
+def _timing(lateness: Lateness) -> dict[str, float] | None:
+    if not lateness.count:
+        return None
+    return {
+        "p50": lateness.quantile_us(0.5),
+        "p99": lateness.quantile_us(0.99),
+        "max": lateness.max_ns / 1e3,
+    }

@@ -1,0 +1,114 @@
+"""What a robot did, seen from its recording: pose, velocity, mode and path at any moment."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import asdict
+from math import hypot, isfinite
+from typing import Any, Final
+
+from robotctl.errors import UsageError
+from robotctl.kernel.geometry import Pose, yaw_of
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.types import Twist
+from robotctl.recording.format.cdr_reader import CdrReader
+from robotctl.recording.read.reader import Recording, TopicInfo
+from robotctl.replay.timeline import Entry, Span, recorded
+
+ODOMETRY: Final = "nav_msgs/msg/Odometry"
+STATUS: Final = "robot_controller/msg/RobotStatus"
+
+STEP_M: Final = 0.005
+"""Points of the path that lie closer together are not kept."""
+
+MAX_POINTS: Final = 4000
+"""Beyond that every other point of the path is forgotten."""
+
+_COVARIANCES: Final = 36
+
+
+class Sight:
+    """The state of the recorded robot, None for what is not known; `path` is in metres.
+
+    It goes one way, `advance`; where a replay begins again, so does the path.
+    """
+
+    def __init__(self, recording: Recording, span: Span, *, loop: bool) -> None:
+        """Look at a part of a recording. Raises UsageError where there is nothing to be seen."""
+        topics = recording.info().topics
+        self.pose: Pose | None = None
+        self.velocity: Twist | None = None
+        self.mode: str | None = None
+        self.path: list[tuple[float, float]] = []
+        self._takes: dict[str, Callable[[CdrReader], None]] = {}
+        for type_name, take in ((ODOMETRY, self._odometry), (STATUS, self._status)):
+            topic = _busiest(topics, type_name)
+            if topic is not None:
+                self._takes[topic.name] = take
+        if not self._takes:
+            raise UsageError(f"nothing to view: the recording has neither {ODOMETRY} nor {STATUS}")
+        latched = dict.fromkeys(self._takes, 1)
+        self._entries = recorded(
+            recording, span, self._takes.keys(), latched, lambda lost: None, loop=loop
+        )
+        self._next: Entry | None = next(self._entries, None)
+        self._pass_ns = span.pass_ns
+        self._pass = 0
+
+    @property
+    def next_ns(self) -> int | None:
+        """When something is seen next, None at the end."""
+        return None if self._next is None else self._next[0]
+
+    def status(self) -> dict[str, Any]:
+        """What is seen, as in the object of `robotctl status --json`."""
+        return {
+            "mode": self.mode,
+            "pose": None if self.pose is None else asdict(self.pose),
+            "velocity": None if self.velocity is None else asdict(self.velocity),
+        }
+
+    def advance(self, position_ns: int) -> None:
+        """Take in everything up to a moment of the replay."""
+        while self._next is not None and self._next[0] <= position_ns:
+            at_ns, topic, data = self._next
+            number = max(at_ns - 1, 0) // self._pass_ns
+            if number != self._pass:
+                self._pass, self.path = number, []
+            with suppress(struct.error):  # cut short: a replay passes it on as it is
+                self._takes[topic](CdrReader(data))
+            self._next = next(self._entries, None)
+
+    def _odometry(self, message: CdrReader) -> None:
+        message.take("i")
+        message.take("I")
+        message.text()
+        message.text()
+        x, y, _, qx, qy, qz, qw = message.take("d", 7)
+        message.take("d", _COVARIANCES)
+        linear, _, _, _, _, angular = message.take("d", 6)
+        self.pose = Pose(x, y, yaw_of(qx, qy, qz, qw))
+        self.velocity = Twist(linear, angular)
+        self._trace(x, y)
+
+    def _trace(self, x: float, y: float) -> None:
+        path = self.path
+        if not (isfinite(x) and isfinite(y)):
+            return
+        if not path or hypot(x - path[-1][0], y - path[-1][1]) >= STEP_M:
+            path.append((x, y))
+        if len(path) > MAX_POINTS:
+            del path[1:-1:2]
+
+    def _status(self, message: CdrReader) -> None:
+        message.text()
+        (mode,) = message.take("B")
+        self.mode = Mode(mode).name if mode in list(Mode) else f"mode {mode}"
+
+
+def _busiest(topics: Sequence[TopicInfo], type_name: str) -> TopicInfo | None:
+    """The topic of a type with the most messages."""
+    found = [topic for topic in topics if topic.type_name == type_name and topic.message_count]
+    return max(found, key=lambda topic: topic.message_count, default=None)

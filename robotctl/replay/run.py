@@ -1,0 +1,209 @@
+"""One replay from its job to its summary: puts file, safety rules, ROS and player together."""
+
+from __future__ import annotations
+
+import gc
+import threading
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import Final
+
+from robotctl.errors import UnreadableFile
+from robotctl.recording.read.reader import Recording
+from robotctl.replay import plan
+from robotctl.replay.clock import SteadyClock
+from robotctl.replay.controls import Command, carry_out
+from robotctl.replay.guard import Safety, check_still, is_command
+from robotctl.replay.job import Job
+from robotctl.replay.notes import Record, Tell
+from robotctl.replay.opening import open_clock, open_routes, playable
+from robotctl.replay.other_daemons import daemons_in
+from robotctl.replay.outcome import progress, summary
+from robotctl.replay.plan import Route
+from robotctl.replay.player import Player, Send, Ticks
+from robotctl.replay.read_ahead import AHEAD_ENTRIES, ReadAhead
+from robotctl.replay.timeline import Span, recorded, span_of
+from robotctl.ros.executor.realtime import FifoScheduling
+from robotctl.ros.playback.playback import GLANCE_S, QUIET_S, ReplaySession
+from robotctl.ros.playback.recorded_qos import latched_depth
+
+PROGRESS_S: Final = 0.1
+"""How often it is told how far the replay is."""
+
+GUARD_S: Final = 0.5
+"""How often it is made sure that no daemon has come, or begun to move its robot."""
+
+JOIN_S: Final = 10.0
+
+PRIORITY: Final = 1
+"""The lowest of SCHED_FIFO, where that is permitted: enough to wake up in time."""
+
+OVERLOADED_S: Final = 1.0
+"""What is behind schedule for so long does not wait any more, and shares its core from then on."""
+
+
+class Replay:
+    """Plays a job. `stop` and `control` may be called from any thread, at any time."""
+
+    def __init__(self, job: Job, ros: ReplaySession, tell: Tell) -> None:
+        self._job = job
+        self._ros = ros
+        self._tell = tell
+        self._stopped = ros.stopped
+        self._record = Record(tell)
+        self._controlling = threading.Lock()
+        self._player: Player | None = None
+        self._early: list[Command] = []
+        """What was asked for before there was a player."""
+
+    def stop(self) -> None:
+        """End early; the summary then says so."""
+        self._stopped.set()
+
+    def control(self, command: Command) -> None:
+        """Carry out what is asked for, at the latest when the player begins."""
+        with self._controlling:
+            if self._player is None:
+                self._early.append(command)
+            else:
+                carry_out(command, self._player.steering)
+
+    def run(self) -> None:
+        """Play to the end, then tell the summary.
+
+        Raises:
+            UnreadableFile: Nothing can be read; or not everything, after the rest was played.
+            UsageError: The job asks for what the recording does not have.
+            Refused: It would not be safe, or no longer is, or a type is another one here.
+        """
+        job, ros = self._job, self._ros
+        with Recording(job.file) as recording:
+            info = recording.info()
+            self._record.miss(info.missing)
+            chosen = plan.selected(info.topics, job)
+            routes = plan.routes(info.topics, chosen, job)
+            span = span_of(info, job)
+            if job.original_names:
+                check_still(daemons_in(ros.domain_id))  # before discovery takes its time
+            routes = playable(routes, ros, job, self._record)
+            safety = Safety(ros, ros.domain_id, job.topics, original_names=job.original_names)
+            # A daemon stops its robot for a second publisher of its commands.
+            commands = any(is_command(route) and safety.names(route) for route in routes)
+            ros.settle(QUIET_S if commands else GLANCE_S)
+            if self._stopped.is_set():
+                routes = []  # perhaps not everybody is known: no robot may see a publisher of ours
+            self._record.note(safety.choose_prefix())
+            routes = safety.prefixed(routes)
+            ticks = open_clock(safety.prefix, ros, job, span)
+            for route in safety.withheld(routes):
+                routes.remove(route)
+                self._record.withhold(route)
+            routes, sends = open_routes(routes, ros, job, self._record)
+            self._wait()
+            player = self._play(recording, safety, routes, sends, ticks, span)
+        said = summary(self._record, player, routes, interrupted=self._stopped.is_set())
+        where = {"file": str(job.file), "domain_id": ros.domain_id, "prefix": safety.prefix}
+        self._tell({"summary": where | said})
+        missing = self._record.missing
+        if missing and not self._stopped.is_set():
+            raise UnreadableFile(f"{job.file} is incomplete: {'; '.join(missing)}")
+
+    def _wait(self) -> None:
+        """Return when those are there that are expected, and can be reached."""
+        ros, expected = self._ros, self._job.wait_for
+        if expected:
+            ros.wait_for_subscribers(
+                expected, lambda there: self._tell({"waiting": {"for": expected, "there": there}})
+            )
+        ros.wait_for_matches()
+        ros.settle()
+
+    def _play(
+        self,
+        recording: Recording,
+        safety: Safety,
+        routes: Sequence[Route],
+        sends: dict[str, Send],
+        ticks: Ticks | None,
+        span: Span,
+    ) -> Player:
+        job = self._job
+        latched = {
+            route.topic.name: depth
+            for route in routes
+            if not route.requests and (depth := latched_depth(route.topic.offered_qos))
+        }
+
+        timeline = recorded(
+            recording,
+            span,
+            sends.keys(),
+            latched,
+            lambda sentence: self._record.miss([sentence]),
+            loop=job.loop,
+        )
+        with ReadAhead(timeline, job.read_ahead or AHEAD_ENTRIES) as ahead:
+            player = Player(
+                ahead,
+                sends,
+                rate=job.rate,
+                clock=SteadyClock(),
+                paused=job.paused,
+                delay_ns=round(job.delay_s * 1e9),
+                ticks=ticks,
+            )
+            with self._controlling:
+                self._player = player
+                for command in self._early:
+                    carry_out(command, player.steering)
+            self._tell({"start": {"length_s": span.length_ns / 1e9, "topics": len(routes)}})
+            safety.check()  # waiting may have taken its time
+            self._run_player(player, ahead, safety)
+        self._ros.wait_until_received()
+        return player
+
+    def _run_player(
+        self,
+        player: Player,
+        ahead: ReadAhead,
+        safety: Safety,
+    ) -> None:
+        """Let the player run in a thread, tell how far it is, and watch over safety."""
+        failures: list[BaseException] = []
+        scheduling: list[FifoScheduling] = []
+        behind = 0
+
+        def run() -> None:
+            try:
+                if self._job.rate is not None:  # what never waits would leave a core to nobody else
+                    scheduling.append(FifoScheduling(PRIORITY))
+                player.run()
+            except BaseException as failure:  # noqa: BLE001 - raised again in the main thread
+                failures.append(failure)
+
+        gc.freeze()  # a full collection would hold up a message
+        if self._stopped.is_set():  # while it was waited for somebody: nothing is sent any more
+            player.stop()
+        thread = threading.Thread(target=run, name="player", daemon=True)
+        thread.start()
+        guard_at = time.monotonic() + GUARD_S
+        try:
+            while thread.is_alive() and not self._stopped.wait(PROGRESS_S):
+                said = progress(player, ahead, time.monotonic_ns())
+                self._tell({"progress": said})
+                behind = behind + 1 if said["behind"] else 0
+                if behind * PROGRESS_S >= OVERLOADED_S and scheduling:
+                    with suppress(ProcessLookupError):  # the thread has just ended
+                        scheduling[0].restore()
+                if time.monotonic() >= guard_at:
+                    safety.check()
+                    guard_at = time.monotonic() + GUARD_S
+        finally:
+            if thread.is_alive():
+                player.stop()
+                ahead.close()
+                self._stopped.set()
+                thread.join(JOIN_S)
+        if failures:
+            raise failures[0]

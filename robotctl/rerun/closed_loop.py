@@ -1,0 +1,67 @@
+"""A kernel and the simulated robot around it, on virtual time: no clock, no ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from robotctl.kernel.battery import full_level
+from robotctl.kernel.kernel import Kernel
+from robotctl.kernel.types import (
+    NS_PER_S,
+    BatteryReceived,
+    Effect,
+    Event,
+    Odometry,
+    OdomReceived,
+    PublishTwist,
+    Tick,
+)
+from robotctl.rerun.journal_values import decide
+from robotctl.sim.robot import Robot, SimParams
+
+TICK_AFTER_ODOMETRY_NS = 1_000_000
+"""Both have the same rate mostly; the newer odometry is, the better for tracking."""
+
+
+def closed_loop(
+    kernel: Kernel, sim: SimParams, requests: Iterable[Event], begin_ns: int
+) -> Iterator[tuple[Event, tuple[Effect, ...]]]:
+    """Every event with its effects, without end, from `begin_ns` (steady) on.
+
+    `requests`, in the order of their time, come when their `t_ns` has come. The robot stands where
+    the kernel's last odometry was. Raises UnreadableFile where the kernel cannot go on.
+    """
+    robot = Robot(sim)
+    health = kernel.state.health
+    if health.odometry is not None:
+        robot.truth = robot.odometry = health.odometry.pose
+    stamp_ns = health.odometry_stamp_ns - begin_ns
+    source = health.odometry_sources.followed
+    full = 100.0 if health.battery_in_percent else full_level(kernel.params.battery.scale)
+    odometry_ns = round(NS_PER_S / sim.odometry_rate_hz)
+    tick_ns = round(NS_PER_S / kernel.params.rate_hz)
+    next_odometry_ns = next_battery_ns = begin_ns
+    next_tick_ns = begin_ns + TICK_AFTER_ODOMETRY_NS
+    asked = iter(requests)
+    request = next(asked, None)
+    event: Event
+    while True:
+        t_ns = min(next_odometry_ns, next_tick_ns, next_battery_ns)
+        if request is not None and request.t_ns < t_ns:
+            event, request = request, next(asked, None)
+        elif t_ns == next_odometry_ns:
+            next_odometry_ns += odometry_ns
+            robot.advance(1.0 / sim.odometry_rate_hz)
+            measured = Odometry(robot.odometry, robot.measured, stamp_ns + t_ns)
+            event = OdomReceived(t_ns, measured, source)
+        elif t_ns == next_battery_ns:
+            next_battery_ns += NS_PER_S
+            event = BatteryReceived(t_ns, full * robot.battery)
+        else:
+            next_tick_ns += tick_ns
+            event = Tick(t_ns)
+        effects = decide(kernel, event)
+        for effect in effects:
+            if isinstance(effect, PublishTwist):
+                robot.command(effect.twist)
+        yield event, effects

@@ -1,0 +1,105 @@
+"""How a decision is compared with the recorded one, depending on who made the recording."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+
+from robotctl import __version__
+from robotctl.kernel.codec import to_json
+from robotctl.recording.format.identity import MADE_BY
+
+TOLERANCE = 1e-9
+"""Of floats that another libc or Python has computed, absolute and relative."""
+
+WORDING = frozenset({"reason", "message", "stop_reason"})
+"""Sentences for people: another version may word them otherwise, and decides the same."""
+
+_quick_json = msgspec.json.Encoder().encode
+"""As `to_json` for all but floats with an exponent, nan, inf, and text that is not ASCII."""
+
+DECISIONS = frozenset(
+    {"PublishTwist", "ModeChanged", "LatchEmergencyStop", "ReleaseEmergencyStop", "Reply"}
+)
+"""The effects that are compared with those of another version."""
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """What counts as the same; `version` "" is not known."""
+
+    version: str = __version__
+    made_by: str = MADE_BY
+
+    @property
+    def same_version(self) -> bool:
+        """Whether this very version made the recording."""
+        return self.version == __version__
+
+    @property
+    def same_platform(self) -> bool:
+        """Whether floats are computed by the same libc and Python."""
+        return self.made_by == MADE_BY
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether everything is compared bit for bit."""
+        return self.same_version and self.same_platform
+
+    def notes(self) -> Iterator[str]:
+        """What is not compared exactly, and why, a sentence each."""
+        if not self.same_version:
+            yield (
+                f"made by robotctl {self.version or '(unknown version)'}, this is {__version__}: "
+                f"compared are commands, modes, the latch and answers, without their wording"
+            )
+        if not self.same_platform:
+            yield (
+                f"made with {self.made_by or 'an unknown Python'}, this is {MADE_BY}: "
+                f"floats are compared to {TOLERANCE:g}"
+            )
+
+    def same(self, recorded: str, value: object) -> bool:
+        """Whether the journal's text says what `value` is."""
+        if recorded.encode() == _quick_json(value):
+            return True
+        mine = to_json(value)
+        if recorded == mine:
+            return True
+        return not self.is_exact and not self.differences(recorded, mine)
+
+    def differences(self, recorded: str, decided: str) -> list[str]:
+        """Where two JSON texts differ, as `path: recorded ..., decided ...`."""
+        try:
+            theirs = json.loads(recorded)
+        except (ValueError, RecursionError):
+            return ["the recorded text is not JSON"]
+        return [
+            f"{path}: recorded {json.dumps(theirs)}, decided {json.dumps(mine)}"
+            for path, theirs, mine in self._differing("", theirs, json.loads(decided))
+        ]
+
+    def _differing(self, path: str, theirs: Any, mine: Any) -> Iterator[tuple[str, Any, Any]]:
+        if isinstance(theirs, dict) and isinstance(mine, dict):
+            for name in self._comparable(theirs, mine):
+                where = f"{path}.{name}" if path else name
+                yield from self._differing(where, theirs.get(name), mine.get(name))
+        elif isinstance(theirs, list) and isinstance(mine, list) and len(theirs) == len(mine):
+            for position, (each, own) in enumerate(zip(theirs, mine, strict=True)):
+                yield from self._differing(f"{path}[{position}]", each, own)
+        elif not self._same_leaf(theirs, mine):
+            yield path, theirs, mine
+
+    def _comparable(self, theirs: dict[str, Any], mine: dict[str, Any]) -> list[str]:
+        if self.same_version:
+            return [*mine, *(name for name in theirs if name not in mine)]
+        return [name for name in mine if name in theirs and name not in WORDING]
+
+    def _same_leaf(self, theirs: Any, mine: Any) -> bool:
+        if isinstance(theirs, float) and isinstance(mine, float) and not self.same_platform:
+            return abs(theirs - mine) <= TOLERANCE * max(1.0, abs(theirs), abs(mine))
+        return repr(theirs) == repr(mine)

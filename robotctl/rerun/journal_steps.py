@@ -1,0 +1,99 @@
+"""The journal as the kernel saw it: snapshots, and events with the effects that they had."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from heapq import heappop, heappush
+
+from robotctl.recording.format.journal import JournalEntry, Kind
+
+MAX_DISORDER = 4096
+"""Entries are put in the order of their `seq` where others stand between them; so many at most.
+
+Ours stand in order; files that other programs have sorted by time do not where clocks were set.
+"""
+
+
+@dataclass(slots=True)
+class Step:
+    """One event, and the effects that were recorded after it."""
+
+    event: JournalEntry
+    effects: list[JournalEntry] = field(default_factory=list)
+    cut: bool = False
+    """Nothing stands behind it: effects may be missing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """A place where the journal does not go on as it should; `text` says how."""
+
+    text: str
+
+
+def steps(entries: Iterable[JournalEntry]) -> Iterator[Step | JournalEntry | Gap]:
+    """The journal's steps, snapshots (as their entries) and gaps.
+
+    Effects whose event is missing are passed over, for nobody can say what they belong to.
+    """
+    step: Step | None = None
+    for entry in in_sequence(entries):
+        if isinstance(entry, Gap):
+            if step is not None:
+                step.cut = True
+                yield step
+                step = None
+            yield entry
+        elif entry.kind is Kind.EFFECT:
+            if step is not None:
+                step.effects.append(entry)
+        else:
+            if step is not None:
+                yield step
+                step = None
+            if entry.kind is Kind.EVENT:
+                step = Step(entry)
+            else:
+                yield entry
+    if step is not None:
+        step.cut = True
+        yield step
+
+
+def in_sequence(entries: Iterable[JournalEntry]) -> Iterator[JournalEntry | Gap]:
+    """The entries by their `seq`, the first one of each, and what is missing between them."""
+    held: list[tuple[int, int, JournalEntry]] = []
+    first: int | None = None
+    following = 0
+
+    def take_held(at_most: int) -> Iterator[JournalEntry | Gap]:
+        nonlocal following
+        while held and (held[0][0] <= following or len(held) > at_most):
+            seq, _, entry = heappop(held)
+            if seq < following:
+                continue
+            if seq > following:
+                yield _missing(following, seq - 1)
+            yield entry
+            following = seq + 1
+
+    for position, entry in enumerate(entries):
+        if entry.seq == following and not held and first is not None:
+            yield entry
+            following += 1
+            continue
+        if first is None:
+            first = following = entry.seq
+        elif entry.seq < first:
+            yield Gap(f"the journal is not in order: entry {entry.seq} stands behind {first}")
+            first = entry.seq
+        heappush(held, (entry.seq, position, entry))
+        yield from take_held(MAX_DISORDER)
+    yield from take_held(0)
+
+
+def _missing(first: int, last: int) -> Gap:
+    if first == last:
+        return Gap(f"the journal lacks entry {first}")
+    return Gap(f"the journal lacks the entries {first} to {last}")

@@ -1,0 +1,70 @@
+"""The configuration under which a recording was made, and what it is changed to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import fields
+
+from robotctl.config import Config, check_together, with_text
+from robotctl.errors import ConfigError, UsageError
+from robotctl.recording.format.identity import INFO_RECORD
+from robotctl.recording.read.reader import RecordingInfo
+
+PREFIX = "parameter."
+"""Of the keys of a configuration in a recording's metadata."""
+
+_SECTIONS = frozenset(item.name for item in fields(Config))
+
+Settings = Mapping[str, str]
+"""Keys of the configuration and their values, as they were typed."""
+
+
+def parse_settings(texts: Iterable[str]) -> Settings:
+    """The settings of `key=value` texts, each allowed by itself. Raises UsageError."""
+    settings: dict[str, str] = {}
+    for text in texts:
+        key, equals, value = text.partition("=")
+        if not equals:
+            raise UsageError(f"--what-if {text}", "give key=value, such as tracking.k_y=8")
+        if key in settings:
+            raise UsageError(f"--what-if {key}: stands twice: keep one of them")
+        settings[key] = value
+        try:
+            with_text(Config(), key, value)
+        except ConfigError as error:
+            raise UsageError(f"--what-if {error}") from None
+    return settings
+
+
+def check_scope(settings: Settings, *, closed_loop: bool) -> None:
+    """Raise UsageError for a key that changes nothing."""
+    for key in settings:
+        section = key.partition(".")[0]
+        if section == "kernel" or section not in _SECTIONS or (closed_loop and section == "sim"):
+            continue
+        hint = "; with --resim it changes the simulated robot" if section == "sim" else ""
+        raise UsageError(f"--what-if {key}: no decision depends on it{hint}")
+
+
+def changed(config: Config, settings: Settings) -> Config:
+    """The configuration with the settings in it. Raises ConfigError."""
+    for key, value in settings.items():
+        config = with_text(config, key, value)
+    check_together(config.kernel)
+    return config
+
+
+def simulated(config: Config, info: RecordingInfo) -> tuple[Config, list[str]]:
+    """The configuration with the recorded parameters of the simulated robot.
+
+    Also the keys of those that are not known or not allowed here.
+    """
+    unknown = []
+    for name, value in info.metadata.get(INFO_RECORD, {}).items():
+        key = name.removeprefix(PREFIX)
+        if key != name and key.startswith("sim."):
+            try:
+                config = with_text(config, key, value)
+            except ConfigError:
+                unknown.append(key)
+    return config, unknown

@@ -1,0 +1,118 @@
+"""The recorded velocity commands held against the journal: was every motion decided?"""
+
+from __future__ import annotations
+
+import struct
+from collections import deque
+
+from robotctl.errors import UnreadableFile
+from robotctl.kernel.types import Effect, PublishTwist, Twist
+from robotctl.recording.format.identity import INFO_RECORD
+from robotctl.recording.format.journal import TOPIC
+from robotctl.recording.read.reader import RecordingInfo
+
+TYPES = frozenset({"geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"})
+"""Both end with the six numbers."""
+
+MAX_WAITING = 512
+"""Commands that were decided and not seen yet, or seen and not decided yet."""
+
+STILL_STEPS = 500
+"""After so many steps with effects but without motion no command is on its way any more."""
+
+_NUMBERS = struct.Struct("<6d")
+_BIG_ENDIAN_NUMBERS = struct.Struct(">6d")
+"""Linear and angular velocity at the end of the serialized message (CDR, OMG DDSI-RTPS 10.2)."""
+
+_STILL = bytes(_NUMBERS.size)
+
+_COMMAND_TOPIC = "parameter.command.topic"
+
+
+def command_topic(info: RecordingInfo, journal_topic: str) -> str | None:
+    """The topic of the velocity commands that the journal decides on, None where there is none."""
+    name = info.metadata.get(INFO_RECORD, {}).get(_COMMAND_TOPIC, "cmd_vel")
+    if not name.startswith("/"):
+        name = f"{journal_topic.removesuffix(f'/{TOPIC}')}/{name}"
+    recorded = {topic.name for topic in info.topics if topic.type_name in TYPES}
+    return name if name in recorded else None
+
+
+def is_still(data: bytes) -> bool:
+    """Whether a message of the command topic commands no motion."""
+    return not any(_NUMBERS.unpack(_numbers(data)))
+
+
+class CommandTraffic:
+    """Pairs what was published with what was decided, by value and in any order, each once.
+
+    Of commands other than zero only: zero is always right.
+    """
+
+    def __init__(self) -> None:
+        self.seen = 0
+        self.undecided = 0
+        """Commands other than zero that nobody decided on."""
+
+        self.example = ""
+        """The first of them, in words."""
+
+        self._decided: deque[bytes] = deque(maxlen=MAX_WAITING)
+        self._published: deque[bytes] = deque()
+        self._still_steps = 0
+
+    def message(self, data: bytes) -> None:
+        """A message of the command topic."""
+        self.seen += 1
+        numbers = _numbers(data)
+        if numbers == _STILL:
+            return
+        try:
+            self._decided.remove(numbers)
+        except ValueError:
+            if not any(_NUMBERS.unpack(numbers)):  # a negative zero
+                return
+            self._published.append(numbers)
+            if len(self._published) > MAX_WAITING:
+                self._give_up()
+
+    def step(self, effects: tuple[Effect, ...]) -> None:
+        """What was decided."""
+        self._still_steps += 1
+        for effect in effects:
+            if isinstance(effect, PublishTwist) and (effect.twist.linear or effect.twist.angular):
+                self._still_steps = 0
+                numbers = _serialized(effect.twist)
+                try:
+                    self._published.remove(numbers)
+                except ValueError:
+                    self._decided.append(numbers)
+        if self._still_steps == STILL_STEPS:
+            self._decided.clear()
+            self.end()
+
+    def end(self) -> None:
+        """Nothing more was decided."""
+        while self._published:
+            self._give_up()
+
+    def _give_up(self) -> None:
+        numbers = self._published.popleft()
+        self.undecided += 1
+        if not self.example:
+            linear, _, _, _, _, angular = _NUMBERS.unpack(numbers)
+            self.example = f"{linear:.6g} m/s, {angular:.6g} rad/s"
+
+
+def _numbers(data: bytes) -> bytes:
+    """The six numbers of a Twist, little endian. Raises UnreadableFile."""
+    numbers = data[-_NUMBERS.size :]
+    if len(numbers) < _NUMBERS.size:
+        raise UnreadableFile("a velocity command is cut short")
+    if data[1:2] == b"\x00":
+        return _NUMBERS.pack(*_BIG_ENDIAN_NUMBERS.unpack(numbers))
+    return numbers
+
+
+def _serialized(twist: Twist) -> bytes:
+    return _NUMBERS.pack(twist.linear, 0.0, 0.0, 0.0, 0.0, twist.angular)

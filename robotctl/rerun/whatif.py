@@ -1,0 +1,202 @@
+"""What a kernel with other parameters would have decided on the same inputs.
+
+An open loop: the recorded robot does not react to the other commands. What is compared is the
+decision at each moment, given all that was really measured until then.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from math import sqrt
+from pathlib import Path
+from typing import Any
+
+from robotctl.config import Config, flat
+from robotctl.errors import UnreadableFile
+from robotctl.kernel.kernel import Kernel
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.snapshot import Snapshot
+from robotctl.kernel.types import NS_PER_S, Effect, Event, Reply, Tick
+from robotctl.recording.read.file_index import note_missing
+from robotctl.recording.read.journal_reader import read_journal
+from robotctl.recording.read.reader import Recording
+from robotctl.rerun.journal_steps import Gap, Step, steps
+from robotctl.rerun.journal_values import decide, read_event, read_snapshot, text_of
+from robotctl.rerun.recorded_settings import Settings, changed
+
+MAX_ANSWERS = 20
+"""Requests that were answered otherwise: so many are told, all are counted."""
+
+
+def what_if(
+    path: Path, settings: Settings, on_progress: Callable[[int, int], None]
+) -> dict[str, Any]:
+    """Compare, and return the object of `--json`; `on_progress` gets bytes done and in total.
+
+    Raises UnreadableFile where there is nothing to compare, ConfigError where the settings do not
+    go with the recorded parameters.
+    """
+    missing: list[str] = []
+
+    def miss(sentence: str) -> None:
+        note_missing(missing, sentence)
+
+    comparison = Comparison(settings)
+    with Recording(path) as recording:
+        for sentence in recording.missing:
+            miss(sentence)
+        for item in steps(each.entry for each in read_journal(recording, miss, on_progress)):
+            try:
+                if isinstance(item, Gap):
+                    raise UnreadableFile(item.text)
+                if isinstance(item, Step):
+                    comparison.step(read_event(item.event))
+                else:
+                    comparison.begin(item.t_ns, read_snapshot(item))
+            except UnreadableFile as error:
+                miss(str(error))
+                comparison.stop()
+    return {"path": str(path), **comparison.as_object(), "missing": missing}
+
+
+@dataclass(slots=True)
+class _Difference:
+    """How far two series are apart."""
+
+    count: int = 0
+    squares: float = 0.0
+    largest: float = 0.0
+    largest_ns: int = 0
+
+    def add(self, difference: float, t_ns: int) -> None:
+        self.count += 1
+        self.squares += difference * difference
+        if abs(difference) > self.largest:
+            self.largest, self.largest_ns = abs(difference), t_ns
+
+    def as_object(self, begin_ns: int) -> dict[str, Any]:
+        return {
+            "rms": sqrt(self.squares / self.count) if self.count else 0.0,
+            "max": self.largest,
+            "max_after_s": (self.largest_ns - begin_ns) / NS_PER_S if self.largest else None,
+        }
+
+
+@dataclass(slots=True)
+class _Side:
+    """A kernel, how long it was in each mode, and answers that the other one has not given."""
+
+    kernel: Kernel | None = None
+    in_mode_ns: dict[Mode, int] = field(default_factory=lambda: dict.fromkeys(Mode, 0))
+    answers: dict[int, Reply] = field(default_factory=dict)
+
+    def step(self, kernel: Kernel, event: Event, elapsed_ns: int) -> tuple[Effect, ...]:
+        self.in_mode_ns[kernel.state.mode] += elapsed_ns
+        effects = decide(kernel, event)
+        for effect in effects:
+            if isinstance(effect, Reply):
+                self.answers[effect.request_id] = effect
+        return effects
+
+
+class Comparison:
+    """Two kernels that get the same events: with the recorded parameters, and with others."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._before: dict[str, object] = {}
+        self._recorded, self._other = _Side(), _Side()
+        self._begin_ns: int | None = None
+        self._t_ns = 0
+        self._apart_ns = 0
+        self._linear, self._angular = _Difference(), _Difference()
+        self._first: dict[str, Any] | None = None
+        self._answers: list[dict[str, Any]] = []
+        self._answer_count = 0
+
+    def begin(self, t_ns: int, snapshot: Snapshot) -> None:
+        """Take a snapshot to begin from; those in between tell both nothing new."""
+        if self._recorded.kernel is not None:
+            return
+        config = Config(kernel=snapshot.params)
+        if self._begin_ns is None:
+            self._begin_ns = t_ns
+            self._before = {key: flat(config)[key] for key in self._settings}
+        self._t_ns = t_ns
+        self._recorded.kernel = snapshot.kernel()
+        self._other.kernel = Kernel(changed(config, self._settings).kernel, snapshot.state)
+
+    def stop(self) -> None:
+        """Events are missing from here on, until the next snapshot."""
+        self._recorded.kernel = self._other.kernel = None
+
+    def step(self, event: Event) -> None:
+        """Let both decide."""
+        kernel, other = self._recorded.kernel, self._other.kernel
+        if kernel is None or other is None:
+            return
+        elapsed_ns, self._t_ns = event.t_ns - self._t_ns, event.t_ns
+        if kernel.state.mode is not other.state.mode:
+            self._apart_ns += elapsed_ns
+        effects = self._recorded.step(kernel, event, elapsed_ns)
+        others = self._other.step(other, event, elapsed_ns)
+        if self._first is None and effects != others:
+            self._first = {
+                **self._moment(event),
+                "event": text_of(event),
+                "recorded": [text_of(effect) for effect in effects],
+                "what_if": [text_of(effect) for effect in others],
+            }
+        if isinstance(event, Tick):
+            command, another = kernel.state.command, other.state.command
+            self._linear.add(another.linear - command.linear, event.t_ns)
+            self._angular.add(another.angular - command.angular, event.t_ns)
+        if self._recorded.answers and self._other.answers:
+            self._compare_answers(event)
+
+    def as_object(self) -> dict[str, Any]:
+        """What was found; raises UnreadableFile where there was nothing to begin from."""
+        if self._begin_ns is None:
+            raise UnreadableFile("the journal holds no snapshot of the kernel to begin from")
+        return {
+            "duration_s": (self._t_ns - self._begin_ns) / NS_PER_S,
+            "settings": {
+                key: {"recorded": self._before[key], "what_if": value}
+                for key, value in self._settings.items()
+            },
+            "ticks": self._linear.count,
+            "linear_mps": self._linear.as_object(self._begin_ns),
+            "angular_rps": self._angular.as_object(self._begin_ns),
+            "modes_s": {
+                mode.name: {
+                    "recorded": self._recorded.in_mode_ns[mode] / NS_PER_S,
+                    "what_if": self._other.in_mode_ns[mode] / NS_PER_S,
+                }
+                for mode in Mode
+            },
+            "mode_differs_s": self._apart_ns / NS_PER_S,
+            "first_difference": self._first,
+            "answers": self._answers,
+            "answer_count": self._answer_count,
+        }
+
+    def _compare_answers(self, event: Event) -> None:
+        recorded, other = self._recorded.answers, self._other.answers
+        for request_id in sorted(recorded.keys() & other.keys()):
+            reply, another = recorded.pop(request_id), other.pop(request_id)
+            if reply != another:
+                self._answer_count += 1
+                if len(self._answers) < MAX_ANSWERS:
+                    self._answers.append(
+                        {
+                            **self._moment(event),
+                            "request_id": request_id,
+                            "recorded": reply.message,
+                            "what_if": another.message,
+                        }
+                    )
+
+    def _moment(self, event: Event) -> dict[str, float]:
+        assert self._begin_ns is not None
+        return {"after_s": (event.t_ns - self._begin_ns) / NS_PER_S}

@@ -1,0 +1,87 @@
+"""Services and their clients."""
+
+from __future__ import annotations
+
+from collections.abc import Coroutine
+from types import CoroutineType
+from typing import Any
+
+from rclpy.client import Client
+from rclpy.executors import ShutdownException
+from rclpy.service import Service
+
+from robotctl.ros.executor.futures import CallbacksNow, callbacks_at_once, fail_pending
+from robotctl.ros.executor.rcl import Signal
+from robotctl.ros.executor.runtime import Runtime
+from robotctl.ros.executor.sources.source import EventFdSource, TakeFailed
+
+
+class ServiceSource(EventFdSource):
+    """A service, with a synchronous or an async handler."""
+
+    signals = (Signal.REQUEST,)
+
+    def __init__(self, runtime: Runtime, service: Service, where: str) -> None:
+        super().__init__(runtime, service, service.handle, where)
+
+    def take(self) -> Any:
+        while True:
+            self.announced -= 1
+            try:
+                request, header = self.handle.service_take_request(self.entity.srv_type.Request)
+            except Exception as error:
+                raise TakeFailed(error) from error
+            if header is not None:
+                return request, header
+            # rmw drops a request that it cannot read as if there were none; one may stand behind.
+            if self.announced <= 0:
+                return None
+
+    def deliver(self, item: Any) -> Coroutine[Any, Any, Any] | None:
+        request, header = item
+        service = self.entity
+        response = service.callback(request, service.srv_type.Response())
+        if isinstance(response, CoroutineType):
+            return self._answer(response, header)
+        service.send_response(response, header)
+        return None
+
+    async def _answer(self, response: Coroutine[Any, Any, Any], header: Any) -> None:
+        self.entity.send_response(await response, header)
+
+
+class ClientSource(EventFdSource):
+    """A client: resolves the future of each request that was answered.
+
+    Whatever its callback group does: a response runs no callback of the group, and an async
+    callback that awaits one from a client of its own group would otherwise wait for ever.
+    """
+
+    signals = (Signal.RESPONSE,)
+
+    def __init__(self, runtime: Runtime, client: Client, where: str, executor: Any) -> None:
+        super().__init__(runtime, client, client.handle, where)
+        self._free, self._strict = True, False
+        self._executor = executor
+        self._now = CallbacksNow(runtime.report)
+
+    def take(self) -> Any:
+        try:
+            header, response = self.handle.take_response(self.entity.srv_type.Response)
+        except Exception as error:
+            raise TakeFailed(error) from error
+        return None if header is None else (header, response)
+
+    def deliver(self, item: Any) -> None:
+        header, response = item
+        try:
+            future = self.entity.get_pending_request(header.request_id.sequence_number)
+        except KeyError:
+            return  # Cancelled, or its deadline has passed.
+        with callbacks_at_once(future, self._now, self._executor):
+            future.set_result(response)
+
+    def fail_pending(self, reason: str) -> None:
+        """Nobody will answer any more: end every call that waits."""
+        error = ShutdownException(f"{self.where}: {reason}")
+        fail_pending(self.entity._pending_requests, error, self._now)

@@ -1,0 +1,118 @@
+"""rclpy's timers in the loop: a timerfd keeps the deadline, rcl decides what is due."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+from rclpy.clock import JumpHandle, JumpThreshold, ROSClock
+from rclpy.duration import Duration
+from rclpy.timer import Timer
+
+from robotctl.ros.executor import rcl
+from robotctl.ros.executor.rcl import Signal
+from robotctl.ros.executor.runtime import Runtime
+from robotctl.ros.executor.sources.source import Source
+from robotctl.ros.executor.timerfd import TimerFd
+
+# Every step of a clock counts: rcl's on-reset callback is silent when /clock moves.
+_ANY_JUMP = JumpThreshold(
+    min_forward=Duration(nanoseconds=1),
+    min_backward=Duration(nanoseconds=-1),
+    on_clock_change=True,
+)
+
+
+class TimerSource(Source):
+    """A timer on the steady, system or ROS clock, with its cancel and reset.
+
+    While /clock drives a ROS clock no kernel timer can know the deadline: each step of the clock
+    is looked at instead.
+    """
+
+    path = "timerfd"
+
+    def __init__(self, runtime: Runtime, timer: Timer, where: str) -> None:
+        super().__init__(runtime, timer, timer.handle, where)
+        self._jumps: JumpHandle | None = None
+
+    def attach(self) -> None:
+        self.handle.__enter__()
+        self._timer_fd: TimerFd | None = None
+        self._reset_fd = -1
+        try:
+            self._timer_fd = TimerFd()
+            self._reset_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+            rcl.watch(Signal.TIMER_RESET, self.handle.pointer, self._reset_fd)
+            self.runtime.loop.add_reader(self._reset_fd, self._on_reset)
+            self.runtime.loop.add_reader(self._timer_fd.fd, self._on_expiry)
+            if isinstance(self.entity.clock, ROSClock):
+                self._jumps = self.entity.clock.create_jump_callback(
+                    _ANY_JUMP, post_callback=self._on_jump
+                )
+        except BaseException:
+            self.detach()
+            raise
+        self.resume()
+
+    def detach(self) -> None:
+        if self.closed:
+            return
+        self.closed = True
+        if self._jumps is not None:
+            self._jumps.unregister()
+        loop = self.runtime.loop
+        if self._reset_fd >= 0:
+            rcl.unwatch(Signal.TIMER_RESET, self.handle.pointer)
+            if not loop.is_closed():
+                loop.remove_reader(self._reset_fd)
+            os.close(self._reset_fd)
+        if self._timer_fd is not None:
+            if not loop.is_closed():
+                loop.remove_reader(self._timer_fd.fd)
+            self._timer_fd.close()
+        self.handle.__exit__(None, None, None)
+
+    def resume(self) -> None:
+        if self.closed:
+            return
+        assert self._timer_fd is not None
+        if self.handle.is_timer_canceled():
+            self._timer_fd.disarm()
+            return
+        remaining_ns = self.handle.time_until_next_call()
+        clock = self.entity.clock
+        if remaining_ns is None or (
+            remaining_ns > 0 and isinstance(clock, ROSClock) and clock.ros_time_is_active
+        ):
+            self._timer_fd.disarm()
+        else:
+            self._timer_fd.arm_after(remaining_ns)
+
+    def _on_reset(self) -> None:
+        os.eventfd_read(self._reset_fd)
+        self.resume()
+
+    def _on_jump(self, _: object) -> None:
+        # In whichever thread sets the clock, and inside the setting: look at it afterwards.
+        self.runtime.loop.call_soon_threadsafe(self.resume)
+
+    def _on_expiry(self) -> None:
+        assert self._timer_fd is not None
+        self._timer_fd.read()
+        if self.runtime.stale:
+            self.runtime.sync()
+            if self.closed:
+                return
+        if self.blocked():
+            return
+        # Only rcl knows: cancelled or reset meanwhile, or its clock runs slower than ours.
+        if self.handle.is_timer_canceled() or not self.handle.is_timer_ready():
+            self.resume()
+            return
+        if self.call_back(self._fire):
+            self.resume()
+
+    def _fire(self) -> Any:
+        self.handle.call_timer()
+        return self.entity.callback()

@@ -1,0 +1,139 @@
+"""An absolute-time ticker: `async for tick in Ticker(hz)`."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+import weakref
+from dataclasses import dataclass
+from typing import Self
+
+from robotctl.ros.executor.timerfd import TimerFd
+
+_NS_PER_S = 1_000_000_000
+MAX_HZ = 10_000.0
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """One tick of a `Ticker`; times are steady nanoseconds (`time.monotonic_ns`).
+
+    t_ns is when it was delivered, due_ns when it should have been, and missed is the number of
+    ticks between the one before and this one that passed while the loop was busy: they are
+    skipped, never delivered in a burst.
+    """
+
+    t_ns: int
+    due_ns: int
+    missed: int
+
+
+class Ticker:
+    """Ticks on an absolute schedule of the steady clock, for one task at a time.
+
+    The first tick comes one period after the first wait, and every further one at a multiple of
+    the period, however late the last was taken. A kernel timer drives it, because asyncio's own
+    timers round up to 1 ms.
+
+        async for tick in Ticker(50.0):
+            step(tick.t_ns)
+
+    Leaving the loop lets the ticker go; `close`, or `async with`, does so at a known point.
+    """
+
+    def __init__(self, hz: float) -> None:
+        """Tick `hz` times a second.
+
+        Raises:
+            ValueError: hz is not a finite number in (0, 10000].
+        """
+        if not (math.isfinite(hz) and 0.0 < hz <= MAX_HZ):
+            raise ValueError(f"a ticker's rate must be above 0 and at most {MAX_HZ:g} Hz, not {hz}")
+        self.period_ns = round(_NS_PER_S / hz)
+        self._timer: TimerFd | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._waiter: asyncio.Future[None] | None = None
+        self._due_ns = 0
+        self._expired = 0
+        self._closed = False
+
+    def __aiter__(self) -> Self:
+        return self
+
+    async def __anext__(self) -> Tick:
+        """Wait for the next tick.
+
+        Raises:
+            StopAsyncIteration: the ticker was closed.
+            RuntimeError: another task waits already, or the ticker runs in another loop.
+        """
+        if self._waiter is not None:
+            raise RuntimeError("another task waits for this ticker; give each task its own")
+        self._start()
+        while self._expired == 0:
+            if self._closed:
+                raise StopAsyncIteration
+            assert self._loop is not None
+            self._waiter = self._loop.create_future()
+            try:
+                await self._waiter
+            finally:
+                self._waiter = None
+        expired, self._expired = self._expired, 0
+        self._due_ns += expired * self.period_ns
+        return Tick(t_ns=time.monotonic_ns(), due_ns=self._due_ns, missed=expired - 1)
+
+    async def __aenter__(self) -> Self:
+        self._start()
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop ticking and end a waiting `async for`; a second time does nothing."""
+        self._closed = True
+        timer, self._timer = self._timer, None
+        if timer is not None:
+            assert self._loop is not None
+            if not self._loop.is_closed():
+                self._loop.remove_reader(timer.fd)
+            timer.close()
+        self._expired = 0
+        self._release()
+
+    def __del__(self) -> None:
+        if getattr(self, "_timer", None) is not None:
+            self.close()
+
+    def _start(self) -> None:
+        loop = asyncio.get_running_loop()
+        if self._closed:
+            return
+        if self._timer is None:
+            self._loop = loop
+            self._timer = TimerFd()
+            self._due_ns = time.monotonic_ns()
+            self._timer.arm_periodic(self._due_ns + self.period_ns, self.period_ns)
+            # The loop must not keep a ticker alive that nobody iterates any more.
+            loop.add_reader(self._timer.fd, _wake, weakref.ref(self))
+        elif loop is not self._loop:
+            raise RuntimeError("this ticker runs in another event loop; give each loop its own")
+
+    def _on_expiry(self) -> None:
+        # Read even when nobody waits: a readable descriptor would keep the loop turning.
+        # And only here, in a turn of the loop: a task that is always late cannot starve it.
+        if self._timer is not None:
+            self._expired += self._timer.read()
+        self._release()
+
+    def _release(self) -> None:
+        if self._waiter is not None and not self._waiter.done():
+            self._waiter.set_result(None)
+
+
+def _wake(reference: weakref.ref[Ticker]) -> None:
+    ticker = reference()
+    if ticker is not None:
+        ticker._on_expiry()

@@ -1,0 +1,101 @@
+# mypy: disallow-untyped-calls=False
+"""Who publishes what in the domain, whatever bytes others have put into their names."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from rclpy.exceptions import InvalidTopicNameException
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.validate_full_topic_name import validate_full_topic_name
+
+from robotctl.ros.graph import rcl_graph
+from robotctl.ros.graph.rcl_graph import Role
+
+
+class Endpoint(NamedTuple):
+    """A publisher or subscription of any process. Bytes that are no UTF-8 are escaped (`\\xff`)."""
+
+    node_name: str
+    node_namespace: str
+    topic_type: str
+    gid: bytes
+    qos_profile: QoSProfile
+
+
+def topics(node: Node, *, dds_names: bool = False) -> dict[str, list[str]]:
+    """Return the types of each topic by its full name, in ROS or, with `dds_names`, in DDS.
+
+    In names, bytes that are no UTF-8 are surrogates, as in the names of files; in types they are
+    escaped.
+    """
+    try:
+        return dict(node.get_topic_names_and_types(dds_names))
+    except UnicodeDecodeError:
+        with node.handle:
+            found = rcl_graph.topic_names_and_types(node.handle.pointer, dds_names=dds_names)
+    return {
+        name.decode(errors="surrogateescape"): [_escaped(each) for each in types]
+        for name, types in found
+    }
+
+
+def publishers(node: Node, topic: str, *, dds_names: bool = False) -> list[Endpoint]:
+    """Return the publishers of a topic, given by a name of which `topics` tells."""
+    return _endpoints(node, Role.PUBLISHER, topic, dds_names)
+
+
+def subscriptions(node: Node, topic: str, *, dds_names: bool = False) -> list[Endpoint]:
+    """Return the subscriptions to a topic, given by a name of which `topics` tells."""
+    return _endpoints(node, Role.SUBSCRIPTION, topic, dds_names)
+
+
+def is_topic_name(name: str) -> bool:
+    """Whether ROS lets anybody publish or subscribe under this full name."""
+    try:
+        return name.isascii() and bool(validate_full_topic_name(name))
+    except InvalidTopicNameException:
+        return False
+
+
+_OF_RCLPY = {
+    Role.PUBLISHER: _rclpy.rclpy_get_publishers_info_by_topic,
+    Role.SUBSCRIPTION: _rclpy.rclpy_get_subscriptions_info_by_topic,
+}
+
+
+def _endpoints(node: Node, role: Role, topic: str, dds_names: bool) -> list[Endpoint]:
+    # Not the methods of the node: they refuse names that ROS does not allow.
+    with node.handle:
+        if topic.isascii():
+            try:
+                return [
+                    Endpoint(
+                        each["node_name"],
+                        each["node_namespace"],
+                        each["topic_type"],
+                        bytes(each["endpoint_gid"]),
+                        QoSProfile(**each["qos_profile"]),
+                    )
+                    for each in _OF_RCLPY[role](node.handle, topic, dds_names)
+                ]
+            except UnicodeDecodeError:
+                pass
+        name = topic.encode(errors="surrogateescape")
+        found = rcl_graph.endpoints(node.handle.pointer, role, name, dds_names=dds_names)
+    return [
+        Endpoint(
+            _escaped(each.node_name),
+            _escaped(each.node_namespace),
+            _escaped(each.topic_type),
+            each.gid,
+            each.qos_profile,
+        )
+        for each in found
+    ]
+
+
+def _escaped(text: bytes) -> str:
+    return text.decode(errors="backslashreplace")

@@ -1,0 +1,182 @@
+# mypy: disallow-untyped-calls=False
+"""What rcl knows of the graph, byte by byte: rclpy's own calls fail on names that are no UTF-8."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Iterator
+from enum import Enum
+from functools import cache
+from typing import Any, NamedTuple
+
+from rclpy.duration import Duration
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    LivelinessPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+)
+
+from robotctl.ros.executor.rcl import Allocator, RclCallFailed, rcutils, take_error_text
+
+
+class Role(Enum):
+    """What an endpoint does with its topic; the value is the function of rcl that lists them."""
+
+    PUBLISHER = "rcl_get_publishers_info_by_topic"
+    SUBSCRIPTION = "rcl_get_subscriptions_info_by_topic"
+
+
+class RawEndpoint(NamedTuple):
+    """A publisher or a subscription: the bytes that its process announces, and its QoS."""
+
+    node_name: bytes
+    node_namespace: bytes
+    topic_type: bytes
+    gid: bytes
+    qos_profile: QoSProfile
+
+
+class _StringArray(ctypes.Structure):
+    """rcutils_string_array_t"""
+
+    _fields_ = (
+        ("size", ctypes.c_size_t),
+        ("data", ctypes.POINTER(ctypes.c_char_p)),
+        ("allocator", Allocator),
+    )
+
+
+class _NamesAndTypes(ctypes.Structure):
+    """rmw_names_and_types_t"""
+
+    _fields_ = (("names", _StringArray), ("types", ctypes.POINTER(_StringArray)))
+
+
+class _Time(ctypes.Structure):
+    """rmw_time_t"""
+
+    _fields_ = (("sec", ctypes.c_uint64), ("nsec", ctypes.c_uint64))
+
+
+class _Qos(ctypes.Structure):
+    """rmw_qos_profile_t"""
+
+    _fields_ = (
+        ("history", ctypes.c_int),
+        ("depth", ctypes.c_size_t),
+        ("reliability", ctypes.c_int),
+        ("durability", ctypes.c_int),
+        ("deadline", _Time),
+        ("lifespan", _Time),
+        ("liveliness", ctypes.c_int),
+        ("liveliness_lease_duration", _Time),
+        ("avoid_ros_namespace_conventions", ctypes.c_bool),
+    )
+
+
+class _Endpoint(ctypes.Structure):
+    """rmw_topic_endpoint_info_t"""
+
+    _fields_ = (
+        ("node_name", ctypes.c_char_p),
+        ("node_namespace", ctypes.c_char_p),
+        ("topic_type", ctypes.c_char_p),
+        ("type_hash", ctypes.c_uint8 * 33),
+        ("endpoint_type", ctypes.c_int),
+        ("gid", ctypes.c_uint8 * 16),
+        ("qos", _Qos),
+    )
+
+
+class _Endpoints(ctypes.Structure):
+    """rmw_topic_endpoint_info_array_t"""
+
+    _fields_ = (("size", ctypes.c_size_t), ("array", ctypes.POINTER(_Endpoint)))
+
+
+@cache
+def _library(name: str) -> Any:
+    return ctypes.PyDLL(name)  # keeps the GIL, as rclpy's own calls do
+
+
+def topic_names_and_types(node: int, *, dds_names: bool) -> list[tuple[bytes, list[bytes]]]:
+    """Return the topics that the rcl_node_t at `node` knows, by the names of ROS or of DDS.
+
+    Raises RclCallFailed.
+    """
+    found = _NamesAndTypes()
+    allocator = rcutils().rcutils_get_default_allocator()
+    _check(
+        "rcl_get_topic_names_and_types",
+        _library("librcl.so").rcl_get_topic_names_and_types(
+            ctypes.c_void_p(node),
+            ctypes.byref(allocator),
+            ctypes.c_bool(dds_names),
+            ctypes.byref(found),
+        ),
+    )
+    try:
+        return [
+            (name, list(_strings(found.types[index])))
+            for index, name in enumerate(_strings(found.names))
+        ]
+    finally:
+        _library("librmw.so").rmw_names_and_types_fini(ctypes.byref(found))
+
+
+def endpoints(node: int, role: Role, topic: bytes, *, dds_names: bool) -> list[RawEndpoint]:
+    """Return who publishes or subscribes to a topic, by any name. Raises RclCallFailed."""
+    found = _Endpoints()
+    allocator = rcutils().rcutils_get_default_allocator()
+    _check(
+        role.value,
+        getattr(_library("librcl.so"), role.value)(
+            ctypes.c_void_p(node),
+            ctypes.byref(allocator),
+            ctypes.c_char_p(topic),
+            ctypes.c_bool(dds_names),
+            ctypes.byref(found),
+        ),
+    )
+    try:
+        return [_endpoint(found.array[index]) for index in range(found.size)]
+    finally:
+        _library("librmw.so").rmw_topic_endpoint_info_array_fini(
+            ctypes.byref(found), ctypes.byref(allocator)
+        )
+
+
+def _strings(array: _StringArray) -> Iterator[bytes]:
+    return (array.data[index] for index in range(array.size))
+
+
+def _endpoint(info: _Endpoint) -> RawEndpoint:
+    qos = info.qos
+    return RawEndpoint(
+        info.node_name,
+        info.node_namespace,
+        info.topic_type,
+        bytes(info.gid),
+        QoSProfile(
+            history=HistoryPolicy(qos.history),
+            depth=qos.depth,
+            reliability=ReliabilityPolicy(qos.reliability),
+            durability=DurabilityPolicy(qos.durability),
+            deadline=_duration(qos.deadline),
+            lifespan=_duration(qos.lifespan),
+            liveliness=LivelinessPolicy(qos.liveliness),
+            liveliness_lease_duration=_duration(qos.liveliness_lease_duration),
+        ),
+    )
+
+
+def _duration(time: _Time) -> Duration:
+    nanoseconds = time.sec * 10**9 + time.nsec
+    return Duration(nanoseconds=min(nanoseconds, 2**63 - 1))
+
+
+def _check(function: str, code: int) -> None:
+    if code:
+        raise RclCallFailed(f"{function} failed with {code}: {take_error_text()}")

@@ -1,0 +1,1 @@
+"""ROS messages and their types: to and from bytes, values and texts."""

@@ -1,0 +1,91 @@
+"""The text and the hash of a ROS type, as a recording needs them to stand alone."""
+
+from __future__ import annotations
+
+import json
+import re
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
+
+from robotctl.ros.messages.classes import UnusableType, parse_type_name
+from robotctl.ros.messages.type_description import texts_of
+
+_SEPARATOR = "=" * 80
+_FIELD = re.compile(r"^\s*([A-Za-z][\w/]*)(?:<=\d+)?(?:\[[^\]]*\])?\s+\w+")
+_BYTES = re.compile(r"^\s*(?:u?int8|byte|char)\[\]\s", re.MULTILINE)
+_BUILT_IN = frozenset(
+    {"bool", "byte", "char", "float32", "float64", "string", "wstring"}
+    | {f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)}
+)
+_UNKNOWN = (OSError, PackageNotFoundError, UnusableType, ValueError, KeyError)
+"""What a type that is not installed, or not as ROS 2 Jazzy installs types, ends in."""
+
+
+@lru_cache(maxsize=1024)
+def definition_of(type_name: str) -> str:
+    """Return the ros2msg text of a type with all that it needs, "" where it is not installed.
+
+    In rosbag2's form: the type's own text, then its dependencies depth first, each once, after a
+    line of 80 "=" and `MSG: pkg/T`. The text of `pkg/msg/T` is that of its .msg file; what
+    services and actions imply has no such file, and its text is made from its fields.
+    """
+    try:
+        name = parse_type_name(type_name)
+        if name.kind == "msg":
+            texts = _texts_of_message(f"{name.package}/{name.short}")
+        else:
+            texts = texts_of(type_name, _described(type_name)["type_description_msg"])
+    except _UNKNOWN:
+        return ""
+    (_, own), *others = texts.items()
+    parts = [own, *(f"{_SEPARATOR}\nMSG: {name}\n{text}" for name, text in others)]
+    return "\n".join(part.rstrip("\n") for part in parts) + "\n"
+
+
+@lru_cache(maxsize=1024)
+def holds_bytes(type_name: str) -> bool:
+    """Whether messages of a type may hold any number of bytes, as images and point clouds do."""
+    return _BYTES.search(definition_of(type_name)) is not None
+
+
+@lru_cache(maxsize=1024)
+def type_hash_of(type_name: str) -> str:
+    """Return the RIHS01 hash of a type, "" where it is not installed."""
+    try:
+        for entry in _described(type_name)["type_hashes"]:
+            if entry["type_name"] == type_name:
+                return str(entry["hash_string"])
+    except _UNKNOWN:
+        pass
+    return ""
+
+
+def _texts_of_message(root: str) -> dict[str, str]:
+    found: dict[str, str] = {}
+
+    def collect(name: str) -> None:
+        package, _, short = name.partition("/")
+        text = _interface_file(package, "msg", f"{short}.msg")
+        found[name] = text
+        for line in text.splitlines():
+            match = _FIELD.match(line.partition("#")[0])
+            if match is None or match[1] in _BUILT_IN:
+                continue
+            dependency = match[1] if "/" in match[1] else f"{package}/{match[1]}"
+            if dependency not in found:
+                collect(dependency)
+
+    collect(root)
+    return found
+
+
+def _described(type_name: str) -> Any:
+    name = parse_type_name(type_name)
+    return json.loads(_interface_file(name.package, name.kind, f"{name.interface}.json"))
+
+
+def _interface_file(package: str, kind: str, name: str) -> str:
+    return (Path(get_package_share_directory(package)) / kind / name).read_text(encoding="utf-8")

@@ -1,0 +1,31 @@
+"""The battery: how full it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import nan
+
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import BatteryState
+
+from robotctl.ros.messages import qos
+from robotctl.ros.messages.convert import to_battery_level
+from robotctl.ros.session import Session
+
+
+class BatterySubscriber:
+    """Node `battery_subscriber`; takes battery states of any quality of service."""
+
+    def __init__(self, session: Session, topic: str, on_level: Callable[[float], None]) -> None:
+        self._on_level = on_level
+        node = session.node("battery_subscriber")
+        self._subscription = node.create_subscription(
+            BatteryState, topic, self._receive, qos.SENSOR, raw=True
+        )
+
+    def _receive(self, data: bytes) -> None:
+        try:
+            level = to_battery_level(deserialize_message(data, BatteryState))
+        except Exception:  # noqa: BLE001 - bytes of any origin must not fail the daemon
+            level = nan
+        self._on_level(level)

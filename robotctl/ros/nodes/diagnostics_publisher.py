@@ -1,0 +1,63 @@
+"""How well we are, for whoever watches diagnostics on ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+from robotctl.printable import printable
+from robotctl.ros.messages import qos
+from robotctl.ros.session import Session
+
+TOPIC = "/diagnostics"
+"""Of all robots, whatever their namespace, as aggregators expect."""
+
+TYPE_NAME = "diagnostic_msgs/msg/DiagnosticArray"
+
+
+class Level(Enum):
+    """How grave it is."""
+
+    OK = DiagnosticStatus.OK
+    WARN = DiagnosticStatus.WARN
+    ERROR = DiagnosticStatus.ERROR
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """The state of one part in a sentence, with numbers."""
+
+    part: str
+    level: Level
+    message: str
+    values: Mapping[str, str]
+
+
+class DiagnosticsPublisher:
+    """Node `diagnostics`."""
+
+    def __init__(self, session: Session, robot: str) -> None:
+        self._robot = robot
+        self._node = session.node("diagnostics")
+        self._publisher = self._node.create_publisher(DiagnosticArray, TOPIC, qos.DIAGNOSTICS)
+
+    def publish(self, diagnosis: Diagnosis) -> None:
+        """Publish the state of a part as it is now; what is not printable in it is escaped."""
+        message = DiagnosticArray()
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        message.status = [
+            DiagnosticStatus(
+                level=diagnosis.level.value,
+                name=f"{self._robot}: {diagnosis.part}",
+                message=printable(diagnosis.message),
+                hardware_id=self._robot,
+                values=[
+                    KeyValue(key=key, value=printable(text))
+                    for key, text in diagnosis.values.items()
+                ],
+            )
+        ]
+        self._publisher.publish(message)

@@ -1,0 +1,50 @@
+"""The journal on ROS, for whoever wants to watch decisions live."""
+
+from __future__ import annotations
+
+import logging
+
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from robot_controller.msg import JournalEntry
+
+from robotctl.ros.messages import qos
+from robotctl.ros.messages.topic_description import TopicDescription
+from robotctl.ros.messages.type_definition import definition_of, type_hash_of
+from robotctl.ros.session import Session
+
+TYPE_NAME = "robot_controller/msg/JournalEntry"
+
+_log = logging.getLogger(__name__)
+
+
+class JournalPublisher:
+    """Publishes entries that are serialized already; a node of its own."""
+
+    def __init__(self, session: Session) -> None:
+        node = session.node("journal")
+        self._publisher = node.create_publisher(JournalEntry, "robotctl/journal", qos.JOURNAL)
+        self._failing = False
+        self.topic = str(self._publisher.topic_name)
+
+    @property
+    def description(self) -> TopicDescription:
+        """What a recording must know of the topic."""
+        return TopicDescription(
+            self.topic,
+            TYPE_NAME,
+            definition_of(TYPE_NAME),
+            type_hash_of(TYPE_NAME),
+            qos.to_yaml([qos.JOURNAL]),
+        )
+
+    def publish(self, serialized: bytes) -> None:
+        """Publish one entry, if anybody listens; a failure is logged: no decision depends on it."""
+        try:
+            if not self._publisher.get_subscription_count():
+                return  # the topic is volatile: nobody will ever see it
+            self._publisher.publish(serialized)
+            self._failing = False
+        except _rclpy.RCLError as error:
+            if not self._failing:
+                _log.warning("the journal cannot be published: %s", error)
+            self._failing = True

@@ -1,0 +1,47 @@
+# mypy: disallow-untyped-calls=False
+"""Markers on ROS: what somebody wants to find again in the recording, as text."""
+
+from __future__ import annotations
+
+import logging
+
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from rclpy.serialization import serialize_message
+from std_msgs.msg import String
+
+from robotctl.ros.messages import qos
+from robotctl.ros.messages.topic_description import TopicDescription
+from robotctl.ros.messages.type_definition import definition_of, type_hash_of
+from robotctl.ros.session import Session
+
+TYPE_NAME = "std_msgs/msg/String"
+
+_log = logging.getLogger(__name__)
+
+
+class MarkPublisher:
+    """Publishes marks on `robotctl/marks`; a node of its own."""
+
+    def __init__(self, session: Session) -> None:
+        node = session.node("marks")
+        self._publisher = node.create_publisher(String, "robotctl/marks", qos.MARK)
+
+    @property
+    def description(self) -> TopicDescription:
+        """What a recording must know of the topic."""
+        return TopicDescription(
+            str(self._publisher.topic_name),
+            TYPE_NAME,
+            definition_of(TYPE_NAME),
+            type_hash_of(TYPE_NAME),
+            qos.to_yaml([qos.MARK]),
+        )
+
+    def publish(self, text: str) -> bytes:
+        """Publish a mark and return it serialized; a failure is logged: it is recorded anyway."""
+        serialized = bytes(serialize_message(String(data=text)))
+        try:
+            self._publisher.publish(serialized)
+        except _rclpy.RCLError as error:
+            _log.warning("the mark cannot be published: %s", error)
+        return serialized

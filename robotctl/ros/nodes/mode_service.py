@@ -1,0 +1,143 @@
+"""The ROS face of the mode: the services that ask for one, the topic that shows it."""
+
+from __future__ import annotations
+
+from asyncio import Future
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import nan
+from pathlib import Path
+from typing import Any
+
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.service_introspection import ServiceIntrospectionState
+from robot_controller.msg import RobotStatus
+from robot_controller.srv import SetMode
+from std_srvs.srv import Trigger
+
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.types import Reply
+from robotctl.ros.messages import qos
+from robotctl.ros.session import Session
+
+_TEMPERATURE = Path("/sys/class/thermal/thermal_zone0/temp")
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """What RobotStatus tells: mode, battery 0..1 or NaN, whether odometry is fresh."""
+
+    mode: Mode
+    battery_level: float
+    is_connected: bool
+
+
+EVENTS_OF_SERVICES = {
+    "set_mode": "robot_controller/srv/SetMode_Event",
+    "estop": "std_srvs/srv/Trigger_Event",
+}
+"""Service -> type of the topic `<service>/_service_event` that tells its calls."""
+
+MAX_IN_WORK = 256
+"""Requests that wait for their answer at once; one more is refused as busy, a stop never is. The
+kernel lets 64 wait for the end of a ramp; the others wait for the disk that keeps an e-stop."""
+
+
+class ModeService:
+    """Node `mode_service`: `set_mode` (SetMode), `estop` (Trigger), `robot_status` (RobotStatus).
+
+    No request waits for another one: each reaches the kernel when it is taken, and is answered
+    when it is done. `estop` has a queue of its own, which the loop looks at in each turn that
+    looks at the queue of `set_mode`. Calls and answers are published on `set_mode/_service_event`
+    and `estop/_service_event`.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        robot: str,
+        request: Callable[[int, str], Future[Reply]],
+        say: Callable[[str], str] = str,
+    ) -> None:
+        """`request(mode number, source)` is called for each request, and returns at once.
+
+        `say` makes of the kernel's text what the caller reads.
+        """
+        self._request = request
+        self._say = say
+        self._in_work = 0
+        self._node = session.node("mode_service")
+        self._publisher = self._node.create_publisher(RobotStatus, "robot_status", qos.LATCHED)
+        self._serve(Trigger, "estop", self._stop)
+        self._serve(SetMode, "set_mode", self._set_mode)
+        self._message = RobotStatus(robot_name=robot)
+        self.published = 0
+
+    @property
+    def status_topic(self) -> str:
+        """The full name of the status topic."""
+        return str(self._publisher.topic_name)
+
+    def publish(self, shown: Shown) -> None:
+        """Publish the status."""
+        message = self._message
+        message.mode = shown.mode.value
+        message.battery_level = shown.battery_level
+        message.cpu_temperature = _cpu_temperature()
+        message.is_connected = shown.is_connected
+        self._publisher.publish(message)
+        self.published += 1
+
+    def _serve(self, kind: Any, name: str, handler: Callable[[Any, Any], Any]) -> None:
+        service = self._node.create_service(
+            kind,
+            name,
+            handler,
+            qos_profile=qos.REQUESTS,
+            callback_group=ReentrantCallbackGroup(),
+        )
+        service.configure_introspection(
+            self._node.get_clock(), qos.SERVICE_EVENTS, ServiceIntrospectionState.CONTENTS
+        )
+
+    def _stop(self, _: Any, response: Any) -> Any:
+        return self._answer_stop(self._ask(Mode.EMERGENCY_STOP.value, "estop"), response)
+
+    async def _answer_stop(self, reply: Future[Reply], response: Any) -> Any:
+        done = await reply
+        response.success, response.message = done.ok, self._say(done.message)
+        return response
+
+    def _set_mode(self, request: Any, response: Any) -> Any:
+        mode = request.requested_mode
+        if self._in_work >= MAX_IN_WORK and mode != Mode.EMERGENCY_STOP.value:
+            response.success = False
+            response.message = f"busy: {self._in_work} requests wait for their answer; ask again"
+            response.current_mode = self._message.mode
+            return response
+        return self._answer_mode(self._ask(mode, "set_mode"), response)
+
+    async def _answer_mode(self, reply: Future[Reply], response: Any) -> Any:
+        done = await reply
+        response.success, response.message = done.ok, self._say(done.message)
+        response.current_mode = done.mode.value
+        return response
+
+    def _ask(self, mode: int, service: str) -> Future[Reply]:
+        """Ask now, not in the task that waits for the answer: the task runs a turn later."""
+        namespace = self._node.get_namespace().rstrip("/")
+        reply = self._request(mode, f"the ROS service {namespace}/{service}")
+        self._in_work += 1
+        reply.add_done_callback(self._done)
+        return reply
+
+    def _done(self, _: Future[Reply]) -> None:
+        self._in_work -= 1
+
+
+def _cpu_temperature() -> float:
+    """Return degrees Celsius, NaN where the machine does not say."""
+    try:
+        return int(_TEMPERATURE.read_text()) / 1000.0
+    except (OSError, ValueError):
+        return nan

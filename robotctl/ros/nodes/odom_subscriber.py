@@ -1,0 +1,110 @@
+"""Odometry: where the robot says it is, and who says it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import nan
+from typing import Any
+
+from nav_msgs.msg import Odometry as OdometryMessage
+
+from robotctl.kernel.geometry import Pose
+from robotctl.kernel.types import Odometry, Twist
+from robotctl.ros.executor.raw import RawTap
+from robotctl.ros.graph.publishers import publisher_names
+from robotctl.ros.messages import qos
+from robotctl.ros.messages.cdr import decode_odometry
+from robotctl.ros.session import Session
+
+MAX_SOURCES = 256
+"""Publishers that are remembered; of more, the one that was silent longest is forgotten."""
+
+LOOKS_FOR_NAME = 20
+"""How often `find_names` looks for the node of a publisher, which may be gone already."""
+
+UNREADABLE = Odometry(Pose(nan, nan, nan), Twist(nan, nan), 0)
+"""Stands for a message that is no odometry: the kernel drops it as not finite."""
+
+
+class OdomSubscriber:
+    """Node `odom_subscriber`; takes odometry of any quality of service."""
+
+    def __init__(
+        self,
+        session: Session,
+        topic: str,
+        on_odometry: Callable[[Odometry, int, int], None],
+        on_source: Callable[[int, str, str], None],
+    ) -> None:
+        """Call `on_odometry(odometry, source, sequence)` for each message.
+
+        Before the first of a publisher `on_source(source, gid, name)` is called: its number, its
+        DDS identity in hexadecimal digits, and its node, "" where that is not known yet. It is
+        called again once `find_names` has found the node.
+        """
+        self._node = session.node("odom_subscriber")
+        self._on_odometry = on_odometry
+        self._on_source = on_source
+        self._sources: dict[bytes, int] = {}
+        """Number of each publisher, the one that was heard last at the end."""
+
+        self._last_source = 0
+        self._last_gid: bytes | None = None
+        self._nameless: dict[bytes, int] = {}
+        """Publishers without a name, and how often to look for it still."""
+
+        # Raw for the sake of speed, but never late: the kernel decides on what it hears.
+        tap: Any = RawTap(self._receive, latency_s=0.0)
+        self._subscription = self._node.create_subscription(
+            OdometryMessage, topic, tap, qos.SENSOR, raw=True
+        )
+
+    @property
+    def topic(self) -> str:
+        """The full name of the odometry topic."""
+        return str(self._subscription.topic_name)
+
+    def count_publishers(self) -> int:
+        """Return how many nodes publish odometry now."""
+        return int(self._node.count_publishers(self.topic))
+
+    def _receive(
+        self, data: bytes, received_ns: int, source_ns: int, sequence: int, gid: bytes
+    ) -> None:
+        if gid != self._last_gid:
+            self._last_gid = gid
+            self._sources[gid] = self._sources.pop(gid, 0) or self._number(gid)
+        source = self._sources[gid]
+        try:
+            odometry = decode_odometry(data)
+        except Exception:  # noqa: BLE001 - bytes of any origin must not fail the daemon
+            odometry = UNREADABLE
+        self._on_odometry(odometry, source, sequence)
+
+    def _number(self, gid: bytes) -> int:
+        """Return the number of a publisher that was not heard before, and tell of it."""
+        if len(self._sources) >= MAX_SOURCES:
+            forgotten = next(iter(self._sources))
+            del self._sources[forgotten]
+            self._nameless.pop(forgotten, None)
+        self._last_source += 1
+        source = self._last_source
+        name = publisher_names(self._node, self.topic).get(gid, "")
+        if not name:
+            self._nameless[gid] = LOOKS_FOR_NAME
+        self._on_source(source, gid.hex(), name)
+        return source
+
+    def find_names(self) -> None:
+        """Look for the nodes of publishers that were heard before their node was discovered."""
+        if not self._nameless:
+            return
+        names = publisher_names(self._node, self.topic)
+        for gid, looks in list(self._nameless.items()):
+            name = names.get(gid, "")
+            if name:
+                self._on_source(self._sources[gid], gid.hex(), name)
+            if name or looks <= 1:
+                del self._nameless[gid]
+            else:
+                self._nameless[gid] = looks - 1

@@ -1,0 +1,78 @@
+"""The simulated robot's ROS face: commands in, odometry and battery out, best effort."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from geometry_msgs.msg import Twist as TwistMessage
+from nav_msgs.msg import Odometry as OdometryMessage
+from sensor_msgs.msg import BatteryState
+
+from robotctl.kernel.types import ZERO
+from robotctl.ros.executor.raw import RawTap
+from robotctl.ros.executor.ticker import Ticker
+from robotctl.ros.messages import qos
+from robotctl.ros.messages.cdr import OdometryEncoder, decode_twist
+from robotctl.ros.messages.convert import battery_message
+from robotctl.ros.session import Session
+from robotctl.sim.robot import Robot, SimParams
+
+MAX_STEP_S = 0.1
+"""After a longer pause of the process the robot has stood still, rather than leapt."""
+
+
+class SimulatedRobot:
+    """Node `simulated_robot`; moves while `run` runs."""
+
+    def __init__(
+        self,
+        session: Session,
+        params: SimParams,
+        *,
+        command_topic: str,
+        odometry_topic: str,
+        battery_topic: str,
+        full_level: float,
+    ) -> None:
+        """`full_level` is what the gauge reports of a full battery."""
+        self._params = params
+        self._robot = Robot(params)
+        self._full_level = full_level
+        node = session.node("simulated_robot")
+        tap: Any = RawTap(self._command, latency_s=0.0)
+        self._subscription = node.create_subscription(
+            TwistMessage, command_topic, tap, qos.COMMAND, raw=True
+        )
+        self._odometry = node.create_publisher(OdometryMessage, odometry_topic, qos.SENSOR)
+        self._battery = (
+            node.create_publisher(BatteryState, battery_topic, qos.SENSOR)
+            if battery_topic
+            else None
+        )
+
+    async def run(self) -> None:
+        """Move, and publish odometry at its rate and the battery each second."""
+        encoder = OdometryEncoder("odom", "base_link")
+        robot = self._robot
+        last_ns = time.monotonic_ns()
+        next_battery_ns = last_ns
+        # Once, so that a clock that is set meanwhile does not take odometry back in time.
+        wall_ns = time.time_ns() - last_ns
+        async for tick in Ticker(self._params.odometry_rate_hz):
+            robot.advance(min((tick.t_ns - last_ns) / 1e9, MAX_STEP_S))
+            last_ns = tick.t_ns
+            stamp_ns = wall_ns + tick.t_ns
+            self._odometry.publish(encoder.encode(robot.odometry, robot.measured, stamp_ns))
+            if self._battery is not None and tick.t_ns >= next_battery_ns:
+                next_battery_ns += 1_000_000_000
+                self._battery.publish(battery_message(self._full_level * robot.battery, stamp_ns))
+
+    def _command(
+        self, data: bytes, received_ns: int, source_ns: int, sequence: int, gid: bytes
+    ) -> None:
+        try:
+            twist = decode_twist(data)
+        except Exception:  # noqa: BLE001 - bytes of any origin must not fail the daemon
+            twist = ZERO
+        self._robot.command(twist)

@@ -1,0 +1,144 @@
+"""The velocity command: the only publisher of it that robotctl has."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from threading import Lock
+from typing import Any
+
+from geometry_msgs.msg import Twist as TwistMessage
+
+from robotctl.kernel.types import ZERO, Twist
+from robotctl.printable import short_name
+from robotctl.ros.executor.raw import RawTap
+from robotctl.ros.graph import endpoints
+from robotctl.ros.graph.publishers import full_name, gid_of, publisher_names
+from robotctl.ros.messages import qos
+from robotctl.ros.messages.cdr import encode_twist
+from robotctl.ros.session import RECORDER_NODE, Session
+
+TYPE_NAME = "geometry_msgs/msg/Twist"
+
+NODE_NAME = "velocity_publisher"
+
+MAX_NAMED = 8
+"""Other publishers, and types of other subscriptions, that are named; a graph may hold any
+number."""
+
+LOCK_TIMEOUT_S = 0.02
+"""Longer than any publication: whoever holds the lock for longer hangs in the middleware."""
+
+
+class VelocityPublisher:
+    """Node `velocity_publisher`; `published` counts the commands that were sent.
+
+    `close_gate` and `publish_zero` may be called from any thread. After the first zero of
+    `publish_zero` no command but zero leaves until the gate is opened.
+    """
+
+    def __init__(self, session: Session, topic: str) -> None:
+        self._node = session.node(NODE_NAME)
+        self._publisher = self._node.create_publisher(TwistMessage, topic, qos.COMMAND)
+        self._zero = encode_twist(ZERO)
+        self._lock = Lock()
+        self._gated = False
+        self._zeros = 0
+        self._withheld = 0
+        self.published = 0
+
+    @property
+    def topic(self) -> str:
+        """The full name of the command topic."""
+        return str(self._publisher.topic_name)
+
+    @property
+    def gid(self) -> bytes:
+        """The identity that our commands carry."""
+        return gid_of(self._publisher)
+
+    def monitor(self, heard: Callable[[bytes], None], latency_s: float) -> Callable[[], None]:
+        """Call `heard(gid)` for each command that reaches the topic, whoever publishes it.
+
+        Commands collect for `latency_s`, or until the function is called that this returns. The
+        subscription is best effort, which receives from publishers of any quality of service.
+        """
+        tap = RawTap(lambda data, received, source, sequence, gid: heard(gid), latency_s=latency_s)
+        # rclpy's own types know a callback of one argument only.
+        callback: Any = tap
+        self._node.create_subscription(TwistMessage, self.topic, callback, qos.MONITOR, raw=True)
+        return lambda: tap.look()
+
+    def name_of(self, gid: bytes) -> str:
+        """Return the node that publishes commands with this identity, "" where unknown."""
+        return publisher_names(self._node, self.topic).get(gid, "")
+
+    def publish(self, twist: Twist) -> None:
+        """Send the command; zero while the gate is closed."""
+        with self._lock:
+            if self._gated:
+                self._withheld += twist != ZERO
+                self._publisher.publish(self._zero)
+            else:
+                self._publisher.publish(encode_twist(twist))
+            self.published += 1
+
+    def publish_zero(self) -> None:
+        """Send a zero past the loop while the gate is closed.
+
+        Raises TimeoutError where a publication of the loop hangs.
+        """
+        if not self._lock.acquire(timeout=LOCK_TIMEOUT_S):
+            raise TimeoutError("a publication of the loop hangs in the middleware")
+        try:
+            if self._gated:
+                self._publisher.publish(self._zero)
+                self._zeros += 1
+                self.published += 1
+        finally:
+            self._lock.release()
+
+    def close_gate(self) -> None:
+        """Let only zeros through."""
+        self._gated = True
+
+    def open_gate(self) -> tuple[int, int]:
+        """Let every command through again.
+
+        Returns the zeros that `publish_zero` sent meanwhile, and the commands that were withheld.
+        """
+        with self._lock:
+            self._gated = False
+            counts = self._zeros, self._withheld
+            self._zeros = self._withheld = 0
+        return counts
+
+    def other_publishers(self) -> tuple[str, ...]:
+        """Return the full names of the other nodes that publish the command topic now."""
+        own = self.gid
+        publishers = endpoints.publishers(self._node, self.topic)
+        others = sorted(short_name(full_name(each)) for each in publishers if each.gid != own)
+        named = [name or "a node whose name is not known yet" for name in others[:MAX_NAMED]]
+        if len(others) > MAX_NAMED:
+            named.append(f"{len(others) - MAX_NAMED} more")
+        return tuple(named)
+
+    def listeners(self) -> tuple[int, tuple[str, ...]]:
+        """Return how many nodes take our commands, and the other types that others subscribe to.
+
+        The recorders and monitors of daemons are not counted: they drive nothing.
+        """
+        types = [
+            short_name(each.topic_type)
+            for each in endpoints.subscriptions(self._node, self.topic)
+            if each.node_name not in (RECORDER_NODE, NODE_NAME)
+        ]
+        others = sorted(set(types) - {TYPE_NAME})
+        return types.count(TYPE_NAME), tuple(others[:MAX_NAMED])
+
+    def count_listeners(self) -> int:
+        """Return how many subscriptions the command topic has, recorders included."""
+        return int(self._node.count_subscribers(self.topic))
+
+    def count_publishers(self) -> int:
+        """Return how many publishers the command topic has, ours included."""
+        return int(self._node.count_publishers(self.topic))

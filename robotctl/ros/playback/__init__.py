@@ -1,0 +1,1 @@
+"""Recorded messages published on ROS again."""

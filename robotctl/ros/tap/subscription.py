@@ -1,0 +1,104 @@
+"""The subscription of one recorded topic."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from robotctl.ros.executor.raw import RawTap, ViewSink
+from robotctl.ros.messages import qos
+from robotctl.ros.messages.classes import message_class
+from robotctl.ros.messages.type_definition import holds_bytes
+from robotctl.ros.tap.latched import LatchedMerge
+
+LATENCY_S = 0.05
+"""How long messages may wait to be taken together: waking costs more than taking. Their times
+are the middleware's, so nothing shows in the recording."""
+
+Requests = tuple[QoSProfile, QoSProfile | None]
+"""What is asked for all messages and, besides, for the latched ones."""
+
+
+class TappedSubscription:
+    """Hands the messages of a topic to its sink until it is closed."""
+
+    def __init__(
+        self,
+        node: Node,
+        topic: str,
+        type_name: str,
+        sink: ViewSink,
+        offered: Sequence[QoSProfile],
+    ) -> None:
+        """Subscribe to publishers that offer this."""
+        self.topic = topic
+        self.type_name = type_name
+        self.publishers = 0
+        """How many there were when somebody last looked."""
+
+        self.abandoned_since: float | None = None
+        """Since when on the steady clock [s] nobody publishes it, None while somebody does."""
+
+        self._node = node
+        self._sink = sink
+        self._merge = LatchedMerge(sink)
+        self._subscriptions: list[Any] = []
+        self._requests = self._requests_for(offered)
+        self._subscribe(self._requests)
+
+    def adapt(self, offered: Sequence[QoSProfile]) -> None:
+        """Ask for what the publishers can give; what is sent meanwhile is lost and counted so.
+
+        Raises what rclpy raises; then nothing is subscribed, and the next call tries it again.
+        """
+        requests = self._requests_for(offered)
+        if requests != self._requests or not self._subscriptions:
+            self.close()
+            self._subscribe(requests)
+            self._requests = requests
+
+    def close(self) -> None:
+        """Subscribe no more."""
+        while self._subscriptions:
+            self._node.destroy_subscription(self._subscriptions.pop())
+
+    def _subscribe(self, requests: Requests) -> None:
+        self._merge.subscribe_anew()
+        try:
+            for sink, requested in self._sinks(requests):
+                self._subscriptions.append(self._create(sink, requested))
+        except BaseException:
+            self.close()  # half of it would be recorded as if it were all
+            raise
+
+    def _sinks(self, requests: Requests) -> Iterator[tuple[ViewSink, QoSProfile]]:
+        requested, latched = requests
+        if latched is not None:
+            yield self._merge.live, requested
+            yield self._merge.latched, latched
+        elif requested.durability is DurabilityPolicy.TRANSIENT_LOCAL:
+            yield self._merge.latched, requested
+        else:
+            yield self._sink, requested
+
+    def _requests_for(self, offered: Sequence[QoSProfile]) -> Requests:
+        bulky = holds_bytes(self.type_name)
+        return qos.recording(offered, bulky=bulky), qos.recording_latched(offered, bulky=bulky)
+
+    def _create(self, sink: ViewSink, requested: QoSProfile) -> Any:
+        tap = RawTap(sink, latency_s=LATENCY_S, views=True)
+        # rclpy's own types know a callback of one argument only.
+        callback: Any = tap
+        return self._node.create_subscription(
+            message_class(self.type_name),
+            self.topic,
+            callback,
+            requested,
+            # No events: each would take a file of its own, and what they tell is seen in the graph.
+            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
+            raw=True,
+        )

@@ -1,0 +1,236 @@
+"""Every topic of the graph as raw bytes, handed to a sink that neither knows nor needs ROS."""
+
+from __future__ import annotations
+
+import asyncio
+import resource
+import time
+from collections.abc import Callable
+from itertools import count
+
+from rclpy.qos import QoSProfile
+
+from robotctl.printable import printable, short_name
+from robotctl.ros.executor import self_test
+from robotctl.ros.executor.raw import ViewSink
+from robotctl.ros.graph import endpoints
+from robotctl.ros.messages import qos
+from robotctl.ros.messages.topic_description import TopicDescription
+from robotctl.ros.messages.type_definition import definition_of, type_hash_of
+from robotctl.ros.session import RECORDER_NODE, Session
+from robotctl.ros.tap.subscription import TappedSubscription
+from robotctl.ros.tap.type_loader import SLOW_LOAD_S, TypeLoader
+from robotctl.ros.tap.unrecorded import Unrecorded
+
+POLL_S = 0.05
+"""A foreign topic is found within twice this."""
+
+LOOKS_PER_COUNT = 4
+"""Every so many looks the publishers of a topic that is tapped are counted..."""
+
+LOOKS_PER_INSPECTION = 20
+"""...and inspected, also where their number is the same: one may have replaced another."""
+
+TOPICS_PER_TURN = 50
+"""Looked at in one turn of the loop, which has more urgent things to do."""
+
+ABANDONED_S = 60.0
+"""A topic that nobody publishes for so long is given back; a node that restarts is awaited."""
+
+RESERVED_FILES = 256
+"""Open files that the rest of the process may need; each subscription takes one."""
+
+MAX_TYPES_NAMED = 5
+"""Other types of a topic that its sentence names."""
+
+
+class TooManyTopics(Exception):
+    """Another subscription would take what the rest of the process needs."""
+
+
+class Tap:
+    """Node `recorder`; subscribes to every topic that appears, once, whatever its publishers offer.
+
+    `open_sink` is called in the loop for each new topic and returns what takes its messages.
+    `wanted(topic, type)` says which to take.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        open_sink: Callable[[TopicDescription], ViewSink],
+        wanted: Callable[[str, str], bool] = lambda topic, type_name: True,
+    ) -> None:
+        self._node = session.node(RECORDER_NODE)
+        self._open_sink = open_sink
+        self._wanted = wanted
+        self._reserved: set[str] = set()
+        self._own: set[str] = set()
+        self._tapped: dict[str, TappedSubscription] = {}
+        self._left_out: dict[str, list[str]] = {}
+        """Topic -> its types when it was found that none of them is to be taken."""
+
+        self._failed: set[str] = set()
+        """Topics that are left out for a failure that may pass; they are tried again."""
+
+        self._awaited: dict[str, str] = {}
+        """Topics whose type is being loaded, with that type."""
+
+        self._types = TypeLoader()
+        self._looks = count()
+        self.unrecorded = Unrecorded()
+
+    async def run(self) -> None:
+        """Watch the graph until cancelled."""
+        while True:
+            await self._look()
+            await self._types.pause(POLL_S)
+
+    def subscribe_own(self, name: str, type_name: str, offered: QoSProfile) -> None:
+        """Tap a topic of ours, before its publisher exists."""
+        topic = self._node.resolve_topic_name(name)
+        if self._wanted(topic, type_name):
+            self._own.add(topic)
+            self._subscribe(topic, type_name, [offered])
+
+    def reserve(self, topic: TopicDescription) -> ViewSink:
+        """Return the sink of a topic whose messages come to it from elsewhere, not from here."""
+        self._reserved.add(topic.name)
+        return self._open_sink(topic)
+
+    async def _look(self) -> None:
+        look = next(self._looks)
+        present = endpoints.topics(self._node)
+        for number, (topic, type_names) in enumerate(present.items()):
+            if number % TOPICS_PER_TURN == TOPICS_PER_TURN - 1:
+                await asyncio.sleep(0)
+            try:
+                self._look_at(topic, type_names, (look + number) % LOOKS_PER_INSPECTION)
+            except Exception as error:  # noqa: BLE001 - somebody else's topic must not stop us
+                self._give_up(topic, type_names, error)
+        for topic in self._awaited.keys() - present.keys():
+            self.unrecorded.miss(topic, self._awaited.pop(topic))
+        gone = (self._left_out.keys() | self.unrecorded.problems.keys()) - present.keys()
+        for topic in gone:
+            self._left_out.pop(topic, None)
+            self._failed.discard(topic)
+        self.unrecorded.clear(gone)
+
+    def _look_at(self, topic: str, type_names: list[str], turn: int) -> None:
+        tapped = self._tapped.get(topic)
+        if tapped is not None:
+            mixed = len(type_names) > 1 or topic in self.unrecorded.problems
+            if mixed or turn % LOOKS_PER_COUNT == 0:
+                self._follow(tapped, inspect=mixed or turn == 0)
+        elif topic not in self._reserved:
+            again = turn == 0 and topic in self._failed
+            if again or self._left_out.get(topic) != type_names:
+                self._tap(topic, type_names)
+
+    def _tap(self, topic: str, type_names: list[str]) -> None:
+        """Subscribe to what is published there, if it can be had and is wanted.
+
+        Raises whatever rclpy and the sink raise.
+        """
+        if topic.startswith(self_test.TOPIC_PREFIX):
+            return
+        if not endpoints.is_topic_name(topic):
+            if endpoints.publishers(self._node, topic):
+                self._leave_out(topic, type_names, "ROS does not allow its name")
+            return
+        if not self._node.count_publishers(topic):
+            return
+        offered = self._offered(topic)
+        problem = ""
+        for type_name in offered:
+            if not self._wanted(topic, type_name):
+                continue
+            unusable = self._types.problem(type_name)
+            if unusable is None:
+                self._await(topic, type_name)
+                return
+            self._awaited.pop(topic, None)
+            if not unusable:
+                self._subscribe(topic, type_name, offered[type_name])
+                self._failed.discard(topic)
+                self._tell_types(topic, type_name, list(offered))
+                return
+            problem = f"it has type {short_name(type_name)}, which {unusable}"
+        self._leave_out(topic, type_names, problem)
+
+    def _await(self, topic: str, type_name: str) -> None:
+        """Look again when the type is loaded; say it where that takes long."""
+        self._awaited[topic] = type_name
+        if self._types.is_slow(type_name):
+            problem = f"its type {type_name} is not loaded after {SLOW_LOAD_S:g} s"
+            self.unrecorded.note(topic, f"{topic} is not recorded yet: {problem}")
+
+    def _leave_out(self, topic: str, type_names: list[str], problem: str) -> None:
+        self._left_out[topic] = type_names
+        if problem:
+            self.unrecorded.note(topic, f"{short_name(topic)} is not recorded: {problem}")
+
+    def _give_up(self, topic: str, type_names: list[str], error: Exception) -> None:
+        """Go on without a topic that cannot be subscribed to, for now."""
+        if isinstance(error, TooManyTopics):
+            problem = f"there are {error}"
+        else:
+            reason = printable(f"{type(error).__name__}: {error}")
+            problem = f"it cannot be subscribed to ({reason})"
+            self._failed.add(topic)
+        if topic in self._tapped:
+            self.unrecorded.note(topic, f"{topic} is not recorded: {problem}")
+        else:
+            self._leave_out(topic, type_names, problem)
+
+    def _follow(self, tapped: TappedSubscription, *, inspect: bool) -> None:
+        """Go along with publishers that come and go, and with what they offer."""
+        topic = tapped.topic
+        publishers = self._node.count_publishers(topic)
+        if publishers == tapped.publishers and not inspect:
+            return
+        tapped.publishers = publishers
+        offered = self._offered(topic)
+        if tapped.type_name in offered:
+            tapped.abandoned_since = None
+            tapped.adapt(offered[tapped.type_name])
+        elif topic not in self._own and (offered or _is_abandoned(tapped)):
+            self._tapped.pop(topic).close()  # what came back as something else is tapped anew
+            return
+        self._tell_types(topic, tapped.type_name, list(offered))
+
+    def _tell_types(self, topic: str, recorded: str, published: list[str]) -> None:
+        """Name the types of a topic that are published and not recorded."""
+        names = [short_name(name) for name in published if name != recorded]
+        others = ", ".join(names[:MAX_TYPES_NAMED])
+        if len(names) > MAX_TYPES_NAMED:
+            others += f" and {len(names) - MAX_TYPES_NAMED} more"
+        if others:
+            self.unrecorded.note(topic, f"{topic} is recorded as {recorded}, not as {others}")
+        else:
+            self.unrecorded.clear([topic])
+
+    def _subscribe(self, topic: str, type_name: str, offered: list[QoSProfile]) -> None:
+        """Raises whatever rclpy raises, and TooManyTopics."""
+        limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+        if len(self._tapped) >= max(limit - RESERVED_FILES, limit // 2):
+            raise TooManyTopics(f"more topics than {limit} open files allow (see ulimit -n)")
+        definition, type_hash = definition_of(type_name), type_hash_of(type_name)
+        described = TopicDescription(topic, type_name, definition, type_hash, qos.to_yaml(offered))
+        sink = self._open_sink(described)
+        self._tapped[topic] = TappedSubscription(self._node, topic, type_name, sink, offered)
+
+    def _offered(self, topic: str) -> dict[str, list[QoSProfile]]:
+        """What the publishers of a topic offer, by its types; the one with most comes first."""
+        found: dict[str, list[QoSProfile]] = {}
+        for info in endpoints.publishers(self._node, topic):
+            found.setdefault(info.topic_type, []).append(info.qos_profile)
+        return dict(sorted(found.items(), key=lambda entry: (-len(entry[1]), entry[0])))
+
+
+def _is_abandoned(tapped: TappedSubscription) -> bool:
+    """Whether nobody has published the topic for long; to be asked while nobody does."""
+    now = time.monotonic()
+    if tapped.abandoned_since is None:
+        tapped.abandoned_since = now
+    return now >= tapped.abandoned_since + ABANDONED_S

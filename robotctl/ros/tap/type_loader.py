@@ -1,0 +1,115 @@
+# mypy: disallow-untyped-calls=False
+"""Loads the types of foreign topics beside the loop: each takes tens of milliseconds."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from contextlib import suppress
+
+from rclpy.type_support import check_for_type_support
+
+from robotctl.ros.messages.classes import UnusableType, message_class, parse_type_name
+from robotctl.ros.messages.type_definition import definition_of, type_hash_of
+
+SLOW_LOAD_S = 2.0
+"""A load that takes longer does not keep the next one waiting; usual ones take 0.1 s."""
+
+MAX_LOADS = 4
+"""Loads at once. More than one only where the others are slow: each competes with the loop."""
+
+MAX_REMEMBERED = 4096
+"""Types of which it is remembered what came of them; more may be announced than are installed."""
+
+
+class TypeLoader:
+    """Belongs to the loop's thread. What loading a type raises, or how long it takes, harms nobody.
+
+    The threads are daemons: one that never comes back does not keep the process.
+    """
+
+    def __init__(self) -> None:
+        self._problems: dict[str, str] = {}
+        """Type -> "" once it is loaded, or why it cannot be."""
+
+        self._waiting: dict[str, None] = {}
+        self._loading: dict[str, float] = {}
+        """Type -> since when on the steady clock [s]."""
+
+        self._all_loaded = asyncio.Event()
+
+    def problem(self, type_name: str) -> str | None:
+        """Return "" where a type is loaded, why it cannot be, or None while it is being loaded.
+
+        The reason goes on after "the type, which". The first question begins to load the type.
+        """
+        known = self._problems.get(type_name)
+        if known is not None:
+            return known
+        if type_name not in self._waiting and type_name not in self._loading:
+            try:
+                parse_type_name(type_name)
+            except UnusableType as error:
+                return str(error)
+            self._waiting[type_name] = None
+        self._load_next()
+        return self._problems.get(type_name)
+
+    def is_slow(self, type_name: str) -> bool:
+        """Whether a type has been loading for suspiciously long."""
+        since_s = self._loading.get(type_name)
+        return since_s is not None and time.monotonic() - since_s > SLOW_LOAD_S
+
+    async def pause(self, at_most_s: float) -> None:
+        """Sleep until what is waited for is loaded, or for so long."""
+        self._all_loaded.clear()
+        with suppress(TimeoutError):
+            async with asyncio.timeout(at_most_s):
+                await self._all_loaded.wait()
+
+    def _load_next(self) -> None:
+        loop = asyncio.get_running_loop()
+        while self._waiting and self._is_free():
+            type_name = next(iter(self._waiting))
+            del self._waiting[type_name]
+            thread = threading.Thread(target=self._load, args=(loop, type_name), daemon=True)
+            try:
+                thread.start()
+            except RuntimeError as error:  # the limit on threads is reached
+                self._remember(type_name, f"cannot be loaded ({error})")
+            else:
+                self._loading[type_name] = time.monotonic()
+
+    def _is_free(self) -> bool:
+        return len(self._loading) < MAX_LOADS and all(map(self.is_slow, self._loading))
+
+    def _load(self, loop: asyncio.AbstractEventLoop, type_name: str) -> None:
+        problem = load_type(type_name)
+        with suppress(RuntimeError):  # the loop is closed: nobody waits any more
+            loop.call_soon_threadsafe(self._loaded, type_name, problem)
+
+    def _loaded(self, type_name: str, problem: str) -> None:
+        del self._loading[type_name]
+        self._remember(type_name, problem)
+        self._load_next()
+        if not self._waiting:
+            self._all_loaded.set()
+
+    def _remember(self, type_name: str, problem: str) -> None:
+        if len(self._problems) >= MAX_REMEMBERED:
+            del self._problems[next(iter(self._problems))]
+        self._problems[type_name] = problem
+
+
+def load_type(type_name: str) -> str:
+    """Load all that a subscription needs of a type; return "" or why it cannot be had."""
+    try:
+        check_for_type_support(message_class(type_name))
+        definition_of(type_name)
+        type_hash_of(type_name)
+    except UnusableType as error:
+        return str(error)
+    except BaseException as error:  # noqa: BLE001 - also SystemExit: it is somebody else's module
+        return f"cannot be loaded ({type(error).__name__}: {error})"
+    return ""

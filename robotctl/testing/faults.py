@@ -1,0 +1,172 @@
+"""Files that fail like disks do, and MCAP files that are damaged like real ones."""
+
+from __future__ import annotations
+
+import errno
+import os
+import random
+import struct
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from mcap.opcode import Opcode
+
+from robotctl.recording.disk.storage import Buffer, DiskFile
+
+PAGE = 4096
+"""What a disk writes as a whole, at best."""
+
+_RECORD_HEAD = struct.Struct("<BQ")
+_MAGIC_BYTES = 8
+
+
+class FailingFile(DiskFile):
+    """A disk whose write number `fail_at` (from 1) and all later ones that take room fail.
+
+    A write that fails has put `torn_bytes` of its data into the file, as a full disk does. What
+    was written once can be overwritten, as on a full disk; holes that were left cannot be filled.
+    """
+
+    def __init__(
+        self, path: Path, fail_at: int, *, code: int = errno.ENOSPC, torn_bytes: int = 100
+    ) -> None:
+        """Create `path`."""
+        super().__init__(path)
+        self._writes_left = fail_at - 1
+        self._code = code
+        self._torn_bytes = torn_bytes
+        self._held = bytearray()
+        """A 1 for each byte that was written."""
+
+    def fail_now(self) -> None:
+        """Fail from the next write on."""
+        self._writes_left = 0
+
+    def write_at(self, parts: Sequence[Buffer], offset: int) -> None:
+        """Write, or write some and raise OSError."""
+        data = b"".join(bytes(part) for part in parts)
+        end = offset + len(data)
+        takes_room = end > len(self._held) or 0 in self._held[offset:end]
+        fails = self._writes_left <= 0 and takes_room
+        if fails:
+            data = data[: self._torn_bytes]
+        self._writes_left -= 1
+        super().write_at([data], offset)
+        end = offset + len(data)
+        self._held.extend(bytes(max(end - len(self._held), 0)))
+        self._held[offset:end] = b"\1" * len(data)
+        if fails:
+            raise OSError(self._code, os.strerror(self._code))
+
+
+class GatedFile(DiskFile):
+    """A disk that waits before each write until `wait` returns."""
+
+    def __init__(self, path: Path, wait: Callable[[], object]) -> None:
+        """Create `path`."""
+        super().__init__(path)
+        self._wait = wait
+
+    def write_at(self, parts: Sequence[Buffer], offset: int) -> None:
+        """Wait, then write."""
+        self._wait()
+        super().write_at(parts, offset)
+
+
+class VolatileFile(DiskFile):
+    """A disk with a cache that a power cut empties: what was not synced may be there or not."""
+
+    def __init__(self, path: Path) -> None:
+        """Create `path`."""
+        super().__init__(path)
+        self.synced = b""
+        """What the disk surely holds."""
+
+        self._cached = bytearray()
+        self._dirty: set[int] = set()
+
+    def write_at(self, parts: Sequence[Buffer], offset: int) -> None:
+        """Write into the cache, and into the real file."""
+        data = b"".join(bytes(part) for part in parts)
+        super().write_at([data], offset)
+        end = offset + len(data)
+        self._cached.extend(bytes(max(end - len(self._cached), 0)))
+        self._cached[offset:end] = data
+        self._dirty.update(range(offset // PAGE, -(-end // PAGE)))
+
+    def sync(self) -> None:
+        """What is cached now survives."""
+        self.synced = bytes(self._cached)
+        self._dirty.clear()
+
+    def after_power_cut(self, dice: random.Random) -> bytes:
+        """One possible content after the power was cut now.
+
+        The file ends where it did at the last sync, where it does now, or between; each page
+        written since is the old one, the new one, or torn between the two at a sector.
+        """
+        size = dice.choice(
+            [len(self.synced), len(self._cached), dice.randint(len(self.synced), len(self._cached))]
+        )
+        content = bytearray(self.synced[:size].ljust(size, b"\0"))
+        for page in self._dirty:
+            start, end = page * PAGE, min((page + 1) * PAGE, size)
+            kept = dice.choice([0, PAGE, dice.randrange(0, PAGE, 512)])
+            stop = min(start + kept, end)
+            if stop > start:
+                content[start:stop] = self._cached[start:stop]
+        return bytes(content)
+
+
+def record_boundaries(data: bytes) -> Iterator[int]:
+    """The offset of each record of a valid MCAP file, and of its closing magic."""
+    offset = _MAGIC_BYTES
+    while offset <= len(data) - _MAGIC_BYTES:
+        yield offset
+        if offset == len(data) - _MAGIC_BYTES:
+            return
+        _, length = _RECORD_HEAD.unpack_from(data, offset)
+        offset += _RECORD_HEAD.size + length
+
+
+def mutated(data: bytes, dice: random.Random) -> bytes:
+    """`data` with one to three random damages: bits, lengths, cuts, holes, repetitions."""
+    damaged = bytearray(data)
+    for _ in range(dice.randint(1, 3)):
+        at = dice.randrange(len(damaged)) if damaged else 0
+        size = dice.choice([1, 8, 64, 4096])
+        kind = dice.randrange(6)
+        if kind == 0 and damaged:
+            damaged[at] ^= 1 << dice.randrange(8)
+        elif kind == 1:
+            damaged[at : at + 8] = dice.choice([2**63, 2**64 - 1, 2**31, 0, 7]).to_bytes(
+                8, "little"
+            )
+        elif kind == 2:
+            del damaged[at:]
+        elif kind == 3:
+            del damaged[at : at + size]
+        elif kind == 4:
+            damaged[at : at + size] = dice.randbytes(size)
+        else:
+            damaged[at:at] = damaged[at : at + size]
+    return bytes(damaged)
+
+
+def chunks_of(data: bytes) -> list[tuple[int, int]]:
+    """Where each chunk's record begins and ends in a valid MCAP file."""
+    found = []
+    for offset in record_boundaries(data):
+        opcode, length = _RECORD_HEAD.unpack_from(data, offset)
+        if opcode == Opcode.CHUNK:
+            found.append((offset, offset + _RECORD_HEAD.size + length))
+        elif opcode == Opcode.FOOTER:
+            break
+    return found
+
+
+def zero(path: Path, start: int, end: int) -> None:
+    """Have these bytes of a file be zeros, as a power cut leaves what was never written."""
+    with path.open("r+b") as stream:
+        stream.seek(start)
+        stream.write(bytes(end - start))

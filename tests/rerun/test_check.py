@@ -1,0 +1,384 @@
+"""Recordings are checked: the same decisions, every promise kept, and nothing passed over."""
+
+from __future__ import annotations
+
+import tracemalloc
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from robotctl import __version__
+from robotctl.errors import UnreadableFile
+from robotctl.kernel import kernel as kernel_module
+from robotctl.kernel.types import CommandPublishersSeen, ModeRequested, Twist
+from robotctl.recording.format.identity import MADE_BY
+from robotctl.recording.format.journal import JournalEntry, Kind, encode
+from robotctl.recording.read.reader import Recording
+from robotctl.recording.write.recorder import Recorder, RecorderOptions
+from robotctl.rerun.check import check
+from robotctl.rerun.check_report import Report, Verdict
+from robotctl.rerun.incident import find_incident
+from robotctl.rerun.resim import resim
+from robotctl.rerun.whatif import what_if
+from robotctl.rerun.why import explain
+from robotctl.testing.drives import (
+    BEGIN_NS,
+    JOURNAL,
+    Written,
+    drive,
+    drive_requested,
+    record,
+    serialized,
+)
+from tests.support.recordings import GID, START_NS, TWIST
+from tests.support.waiting import until
+
+
+@pytest.fixture(scope="module")
+def drive_of_3_s() -> list[Written]:
+    return drive(3.0, snapshots_s=(0.0, 1.5))
+
+
+def checked(folder: Path, written: list[Written], **facts: str) -> Report:
+    return check(record(folder / "run", written, **facts))
+
+
+def altered(written: list[Written], name: str, old: str, new: str) -> tuple[list[Written], int]:
+    """The last entry of that name changed, and its number."""
+    changed = list(written)
+    for position in range(len(changed) - 1, -1, -1):
+        each = changed[position]
+        if isinstance(each, JournalEntry) and each.name == name and old in each.data:
+            changed[position] = each._replace(data=each.data.replace(old, new, 1))
+            return changed, each.seq
+    raise AssertionError(f"no {name} holds {old}")
+
+
+def test_the_same_kernel_decides_the_same(tmp_path: Path, drive_of_3_s: list[Written]) -> None:
+    report = checked(tmp_path, drive_of_3_s)
+    assert (report.verdict, report.missing, report.notes) == (Verdict.SAME, [], [])
+    assert report.bitwise
+    journal = [each for each in drive_of_3_s if isinstance(each, JournalEntry)]
+    assert report.events == sum(entry.kind is Kind.EVENT for entry in journal)
+    assert report.effects == sum(entry.kind is Kind.EFFECT for entry in journal)
+    assert report.commands == len(drive_of_3_s) - len(journal)
+    assert report.duration_s == pytest.approx(3.0, abs=0.1)
+
+
+def test_a_kernel_with_another_gain_diverges(
+    tmp_path: Path, drive_of_3_s: list[Written], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    track = kernel_module.track
+
+    def stronger(reference, pose, gains, limits):  # type: ignore[no-untyped-def]
+        return track(reference, pose, replace(gains, k_x=gains.k_x * 1.001), limits)
+
+    monkeypatch.setattr(kernel_module, "track", stronger)
+    report = checked(tmp_path, drive_of_3_s)
+    assert report.verdict is Verdict.DIVERGED
+    assert report.divergence is not None
+    assert report.divergence.event.startswith("Tick ")
+    assert report.divergence.recorded.startswith("PublishTwist ")
+    assert "twist.linear: recorded " in report.divergence.differences[0]
+
+
+def test_a_command_that_was_published_and_not_decided_is_found(
+    tmp_path: Path, drive_of_3_s: list[Written]
+) -> None:
+    report = checked(tmp_path, [*drive_of_3_s, Twist(0.3, 0.0)])
+    assert report.verdict is Verdict.BROKEN
+    assert "1 commands that nobody decided on, such as 0.3 m/s" in report.violations[0].text
+
+
+def test_a_command_that_goes_on_being_published_is_found(
+    tmp_path: Path, drive_of_3_s: list[Written]
+) -> None:
+    moving = [each for each in drive_of_3_s if isinstance(each, Twist) and each.linear][-1]
+    report = checked(tmp_path, [*drive_of_3_s, moving, moving])
+    assert report.violation_count == 1
+    assert "2 commands that nobody decided on" in report.violations[0].text
+
+
+def test_a_recording_of_another_version_says_so_and_compares_decisions(
+    tmp_path: Path, drive_of_3_s: list[Written]
+) -> None:
+    changed, _ = altered(drive_of_3_s, "Reply", "Mode changed to MOVING", "OK, moving")
+    report = checked(tmp_path, changed, version="0.0.9")
+    assert report.verdict is Verdict.SAME
+    assert not report.bitwise
+    assert report.notes[0].startswith("made by robotctl 0.0.9, this is ")
+    assert checked(tmp_path / "ours", changed).verdict is Verdict.DIVERGED
+
+
+OTHER_RULES = f"decided by the rules of another version (0.0.9, this is {__version__}): "
+
+
+def test_what_another_version_decides_otherwise_is_incomplete_and_not_a_fault(
+    tmp_path: Path, drive_of_3_s: list[Written]
+) -> None:
+    changed, seq = altered(drive_of_3_s, "PublishTwist", '"linear":0.32', '"linear":0.3200001')
+    report = checked(tmp_path, changed, version="0.0.9")
+    assert report.violations == []
+    assert (report.verdict, report.verdict.exit_code) == (Verdict.INCOMPLETE, 6)
+    assert len(report.missing) == 1
+    assert report.missing[0].startswith(f"{OTHER_RULES}entry {seq}, after Tick: twist.linear: ")
+    assert report.divergence is not None
+    ours = checked(tmp_path / "ours", changed)
+    assert (ours.verdict, ours.verdict.exit_code) == (Verdict.DIVERGED, 7)
+
+
+def test_a_broken_promise_of_another_version_stays_a_fault(
+    tmp_path: Path, drive_of_3_s: list[Written]
+) -> None:
+    changed, _ = altered(drive_of_3_s, "PublishTwist", '"linear":0.3', '"linear":99.3')
+    assert checked(tmp_path, changed, version="0.0.9").verdict is Verdict.BROKEN
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "unknown"),
+    [
+        ("Tick", '"missed":', '"late_s":0.5,"missed":', "'Tick.late_s' is not known"),
+        ("OdomReceived", '"x":', '"z":0.5,"x":', "'OdomReceived.odometry.pose.z' is not known"),
+        ("PublishTwist", '"twist":', '"gid":[],"twist":', "'PublishTwist.gid' is not known"),
+        ("Snapshot", '"mode":', '"mood":1,"mode":', "'Snapshot.state.mood' is not known"),
+    ],
+)
+def test_a_field_of_another_version_that_is_not_known_is_named(
+    tmp_path: Path, drive_of_3_s: list[Written], name: str, old: str, new: str, unknown: str
+) -> None:
+    changed, seq = altered(drive_of_3_s, name, old, new)
+    report = checked(tmp_path, changed, version="0.0.9")
+    assert report.verdict is Verdict.INCOMPLETE
+    assert report.missing == [f"{OTHER_RULES}entry {seq}: {unknown}"]
+    assert report.divergence is None
+
+
+@pytest.mark.parametrize("name", ["Tick", "PublishTwist", "Snapshot"])
+def test_a_name_of_another_version_that_is_not_known_is_named(
+    tmp_path: Path, drive_of_3_s: list[Written], name: str
+) -> None:
+    changed, seq = altered(drive_of_3_s, name, "{", "{")
+    changed = [
+        each._replace(name="Unheard")
+        if isinstance(each, JournalEntry) and each.seq == seq
+        else each
+        for each in changed
+    ]
+    report = checked(tmp_path, changed, version="0.0.9")
+    assert report.verdict is Verdict.INCOMPLETE
+    assert report.missing[0].startswith(f"{OTHER_RULES}journal entry {seq} is not ours: ")
+    assert "'Unheard'" in report.missing[0]
+
+
+def test_a_field_that_another_version_did_not_have_takes_its_default(
+    tmp_path: Path, drive_of_3_s: list[Written]
+) -> None:
+    changed, _ = altered(drive_of_3_s, "Tick", ',"missed":0', "")
+    report = checked(tmp_path, changed, version="0.0.9")
+    assert (report.verdict, report.missing) == (Verdict.SAME, [])
+    assert checked(tmp_path / "ours", changed).verdict is Verdict.DIVERGED
+
+
+@pytest.mark.parametrize("version", [__version__, "0.0.9"])
+def test_an_entry_that_is_nested_too_deeply_is_named(
+    tmp_path: Path, drive_of_3_s: list[Written], version: str
+) -> None:
+    nested = '"x":' + "[" * 50_000 + "]" * 50_000 + ',"missed":'
+    changed, seq = altered(drive_of_3_s, "Tick", '"missed":', nested)
+    report = checked(tmp_path, changed, version=version)
+    assert report.verdict is Verdict.INCOMPLETE
+    assert f"journal entry {seq} is n" in report.missing[0]
+
+
+def test_a_recording_without_a_journal_is_not_called_the_same(tmp_path: Path) -> None:
+    report = checked(tmp_path, [Twist(), Twist()])
+    assert report.verdict is Verdict.INCOMPLETE
+    assert "holds no snapshot" in report.missing[0]
+
+
+def test_what_a_gap_leaves_is_checked_and_the_gap_is_named(
+    tmp_path: Path, drive_of_3_s: list[Written]
+) -> None:
+    position = 40
+    report = checked(tmp_path, drive_of_3_s[:position] + drive_of_3_s[position + 3 :])
+    assert report.verdict is Verdict.INCOMPLETE
+    assert report.missing[0].startswith("the journal lacks")
+
+
+@pytest.mark.parametrize(("digits", "same"), [("e-13", True), ("e-7", False)])
+def test_floats_of_another_platform_may_differ_by_a_billionth(
+    tmp_path: Path, drive_of_3_s: list[Written], digits: str, same: bool
+) -> None:
+    changed: list[Written] = []
+    for each in drive_of_3_s:
+        if isinstance(each, JournalEntry) and each.kind is Kind.SNAPSHOT:
+            changed.append(each._replace(data=each.data.replace(MADE_BY, "another")))
+        elif isinstance(each, JournalEntry) and '"linear":0.0,' in each.data and each.seq < 20:
+            data = each.data.replace('"linear":0.0,', f'"linear":1{digits},')
+            changed.append(each._replace(data=data) if each.name == "PublishTwist" else each)
+        else:
+            changed.append(each)
+    report = checked(tmp_path, changed)
+    assert (report.divergence is None) is same
+    assert not report.bitwise
+    assert report.notes[0].startswith("made with another, this is Python ")
+
+
+def test_a_kernel_that_fails_in_itself_diverges(
+    tmp_path: Path, drive_of_3_s: list[Written], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kernel_module, "within", lambda command, limits: command.linear < 0.1)
+    report = checked(tmp_path, drive_of_3_s)
+    assert report.divergence is not None
+    assert report.divergence.decided.startswith("AssertionError")
+
+
+def test_every_file_of_a_recording_can_be_checked_alone(tmp_path: Path) -> None:
+    written = drive(4.0, snapshots_s=(0.0, 2.0))
+    folder = tmp_path / "run"
+    recorder = Recorder(folder, metadata=lambda: {"robotctl": __version__}, on_failure=pytest.fail)
+    journal, commands = recorder.add_topic(JOURNAL), recorder.add_topic(TWIST)
+    for number, each in enumerate(written):
+        log_ns = START_NS + number * 1_000_000
+        if isinstance(each, JournalEntry):
+            if each.kind is Kind.SNAPSHOT and each.seq:
+                recorder.split()
+                until(lambda: len(list(folder.glob("*.mcap"))) == 2)
+            recorder.write(journal, encode(each), log_ns, log_ns, each.seq + 1, GID)
+        elif isinstance(each, Twist):
+            recorder.write(commands, serialized(each), log_ns + 9, log_ns + 1, number, GID)
+    recorder.close()
+    reports = [check(path) for path in (folder, *sorted(folder.glob("*.mcap")))]
+    assert [report.verdict for report in reports] == [Verdict.SAME] * 3
+    assert reports[0].events == reports[1].events + reports[2].events
+
+
+def test_a_recording_that_goes_on_is_checked_as_far_as_it_is(
+    tmp_path: Path, drive_of_3_s: list[Written]
+) -> None:
+    options = RecorderOptions(flush_s=0.01)
+    metadata = {"robotctl": __version__}
+    recorder = Recorder(
+        tmp_path / "run", options, metadata=lambda: metadata, on_failure=pytest.fail
+    )
+    journal = recorder.add_topic(JOURNAL)
+    entries = [each for each in drive_of_3_s if isinstance(each, JournalEntry)]
+    while entries.pop().kind is not Kind.EFFECT:
+        pass  # the effect of the last tick is still to come
+    for each in entries:
+        recorder.write(journal, encode(each), START_NS, START_NS, each.seq + 1, GID)
+    until(lambda: recorder.stats().queued == 0)
+    report = check(tmp_path / "run")
+    recorder.close()
+    assert report.verdict is Verdict.SAME
+    assert report.events == sum(entry.kind is Kind.EVENT for entry in entries)
+    assert "its loss ledger is not there" in report.notes[0]
+
+
+@pytest.mark.parametrize("damage", ["cut", "hole"])
+def test_a_damaged_file_is_never_called_the_same(
+    tmp_path: Path, drive_of_3_s: list[Written], damage: str
+) -> None:
+    (file,) = record(tmp_path / "run", drive_of_3_s).glob("*.mcap")
+    data = bytearray(file.read_bytes())
+    if damage == "cut":
+        del data[len(data) // 2 :]
+    else:
+        with Recording(file) as recording:
+            chunk = recording._files[0].index.places[3]
+        data[chunk.offset + chunk.length // 2] ^= 0xFF
+    file.write_bytes(data)
+    report = check(file)
+    assert report.verdict is Verdict.INCOMPLETE
+    assert report.events > 10
+    assert report.missing
+
+
+def test_a_clock_that_is_set_meanwhile_changes_nothing(
+    tmp_path: Path, drive_of_3_s: list[Written]
+) -> None:
+    moment_ns = START_NS + BEGIN_NS + 1_000_000_000
+    back = record(
+        tmp_path / "back",
+        drive_of_3_s,
+        clock=lambda now_ns: now_ns - 3_600_000_000_000 * (now_ns > moment_ns),
+    )
+    ahead = record(
+        tmp_path / "ahead",
+        drive_of_3_s,
+        clock=lambda now_ns: now_ns + 3_600_000_000_000 * (now_ns > moment_ns),
+    )
+    for report in (check(back), check(ahead)):
+        assert (report.verdict, report.notes) == (Verdict.SAME, [])
+        assert report.commands > 100
+
+
+def test_the_commands_of_another_node_are_told_and_not_held_against_us(tmp_path: Path) -> None:
+    seen = CommandPublishersSeen(BEGIN_NS + 10_000_000, ("/teleop",))
+    written = drive(1.0, requests=[seen])
+    report = checked(tmp_path, [*written, Twist(0.7, 0.1)])
+    assert report.verdict is Verdict.SAME
+    assert report.notes == [
+        "1 commands that nobody decided on, such as 0.7 m/s, 0.1 rad/s: /teleop published as well"
+    ]
+
+
+def test_memory_does_not_grow_with_the_recording(tmp_path: Path) -> None:
+    def peak_of(seconds: float) -> int:
+        folder = record(tmp_path / f"{seconds}", drive(seconds))
+        tracemalloc.start()
+        try:
+            assert check(folder).verdict is Verdict.SAME
+            return tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+
+    short, long = peak_of(2.0), peak_of(20.0)
+    assert long < short + 1_000_000
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('"rate_hz":50.0', '"rate_hz":0.0'),
+        ('"rate_hz":50.0', '"rate_hz":-1'),
+        ('"linear_mps":0.6', '"linear_mps":"nan"'),
+        ('"size_m":1.0', '"size_m":"inf"'),
+        ('"segment":0', '"segment":99'),
+        ('"kind":"square"', '"kind":"spiral"'),
+        ('"command":{"linear":', '"command":{"linear":9'),
+        ('"tick_t_ns":', '"tick_t_ns":-'),
+    ],
+)
+def test_a_snapshot_that_cannot_be_is_told_by_whatever_begins_from_it(
+    tmp_path: Path, old: str, new: str
+) -> None:
+    stop = ModeRequested(BEGIN_NS + 1_500_000_000, 2, 3, "somebody")
+    written = drive(2.0, requests=[drive_requested(), stop], snapshots_s=(1.0,))
+    begin = next(i for i, each in enumerate(written) if "Snapshot" in str(each))
+    snapshot = written[begin]
+    assert isinstance(snapshot, JournalEntry)
+    assert old in snapshot.data
+    changed = snapshot._replace(data=snapshot.data.replace(old, new))
+    folder = record(tmp_path / "run", [changed, *written[begin + 1 :]])
+    assert check(folder).verdict is not Verdict.SAME
+    for look in (
+        lambda: what_if(folder, {"tracking.k_y": "8"}, silent),
+        lambda: resim(folder, {}, silent),
+        lambda: told_why(folder),
+    ):
+        with suppress(UnreadableFile):
+            look()
+
+
+def told_why(folder: Path) -> None:
+    """Explain the last incident, if there is one."""
+    incident = find_incident(folder, None, silent).incident
+    if incident is not None:
+        explain(incident)
+
+
+def silent(done: int, total: int) -> None:
+    """Progress that nobody looks at."""

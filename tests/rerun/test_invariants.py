@@ -1,0 +1,241 @@
+"""Every promise of the architecture, broken once, is found in the recording."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import inf, nan
+
+import pytest
+
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.params import KernelParams
+from robotctl.kernel.snapshot import Snapshot
+from robotctl.kernel.state import State
+from robotctl.kernel.types import (
+    ZERO,
+    BatteryReceived,
+    Cause,
+    Effect,
+    Event,
+    ForeignCommandHeard,
+    LatchEmergencyStop,
+    ModeChanged,
+    ModeRequested,
+    PublishTwist,
+    ReleaseEmergencyStop,
+    Reply,
+    ResetRequested,
+    Tick,
+    Twist,
+)
+from robotctl.rerun.invariants import MAX_VIOLATIONS, Invariants, unbalanced
+from robotctl.rerun.traffic import MAX_WAITING, STILL_STEPS, CommandTraffic
+from robotctl.testing.drives import serialized
+from robotctl.testing.kernels import ready
+
+MOVING, IDLE, STOP = Mode.MOVING, Mode.IDLE, Mode.EMERGENCY_STOP
+TICK_NS = 20_000_000
+
+
+def broken(mode: Mode, steps: Sequence[tuple[Event, Sequence[Effect]]]) -> list[str]:
+    """What is found where a kernel in `mode` takes these steps."""
+    found = Invariants()
+    found.snapshot(Snapshot("test", KernelParams(), State(mode=mode, tick_t_ns=0)))
+    for seq, (event, effects) in enumerate(steps):
+        found.step(seq, event, tuple(effects))
+    found.end(())
+    assert found.count == len(found.violations)
+    return [violation.text for violation in found.violations]
+
+
+def tick(number: int, *effects: Effect) -> tuple[Event, Sequence[Effect]]:
+    return Tick(number * TICK_NS), effects
+
+
+def command(linear: float, angular: float = 0.0) -> PublishTwist:
+    return PublishTwist(Twist(linear, angular))
+
+
+def test_what_keeps_every_promise_is_clean() -> None:
+    steps = [
+        (ModeRequested(1, 1, 1, "x"), [ModeChanged(IDLE, MOVING, ""), Reply(1, True, "", MOVING)]),
+        tick(1, command(0.02, 0.08)),
+        tick(2, command(0.04)),
+        (
+            ModeRequested(TICK_NS * 2 + 1, 2, 3, "x"),
+            [
+                command(0.0),
+                LatchEmergencyStop(""),
+                ModeChanged(MOVING, STOP, ""),
+                Reply(2, True, "", STOP),
+            ],
+        ),
+        tick(3, command(-0.0)),
+        (
+            ResetRequested(TICK_NS * 4, 3, "x"),
+            [
+                command(0.0),
+                ReleaseEmergencyStop(),
+                ModeChanged(STOP, IDLE, ""),
+                Reply(3, True, "", IDLE),
+            ],
+        ),
+    ]
+    assert broken(IDLE, steps) == []
+
+
+@pytest.mark.parametrize("mode", [IDLE, Mode.ERROR, STOP])
+def test_a_motion_in_any_other_mode_than_moving_is_found(mode: Mode) -> None:
+    assert broken(mode, [tick(1, command(0.001))]) == [
+        f"a command of 0.001 m/s, 0 rad/s in {mode.name}"
+    ]
+
+
+@pytest.mark.parametrize(
+    "twist", [Twist(0.61, 0.0), Twist(0.0, -1.6), Twist(nan, 0.0), Twist(0.0, inf)]
+)
+def test_a_command_beyond_its_limits_is_found(twist: Twist) -> None:
+    (found,) = broken(MOVING, [tick(1, PublishTwist(twist))])
+    assert found.endswith("beyond 0.6 m/s, 1.5 rad/s")
+
+
+@pytest.mark.parametrize("second", [command(0.0601), command(0.02, 0.2), command(-0.01)])
+def test_a_command_that_changes_too_fast_is_found(second: PublishTwist) -> None:
+    (found,) = broken(MOVING, [tick(1, command(0.02)), tick(2, second)])
+    assert "within 0.020 s, beyond 1 m/s^2, 4 rad/s^2" in found
+
+
+def test_a_step_to_zero_may_be_as_fast_as_it_can() -> None:
+    steps = [tick(number, command(0.02 * number)) for number in range(1, 20)]
+    assert broken(MOVING, [*steps, tick(20, command(0.0))]) == []
+
+
+@pytest.mark.parametrize(
+    ("effects", "message"),
+    [
+        ([], "request 7 has no reply"),
+        ([Reply(7, True, "", IDLE)] * 2, "a reply to request 7, which does not wait"),
+        ([Reply(7, False, "", IDLE), Reply(8, True, "", IDLE)], "a reply to request 8"),
+        ([Reply(7, True, "", MOVING)], "request 7 was told MOVING in IDLE"),
+        (
+            [Reply(7, True, "", MOVING), ModeChanged(IDLE, MOVING, "")],
+            "request 7 was told MOVING in IDLE",
+        ),
+    ],
+)
+def test_a_request_without_its_one_true_reply_is_found(effects: list[Effect], message: str) -> None:
+    found = broken(IDLE, [(ModeRequested(1, 7, 1, "x"), effects)])
+    assert any(text.startswith(message) for text in found)
+
+
+def test_an_emergency_stop_that_is_left_otherwise_is_found() -> None:
+    released = [command(0.0), ReleaseEmergencyStop()]
+    battery = BatteryReceived(1, 1.0)
+    assert broken(STOP, [(battery, [*released, ModeChanged(STOP, IDLE, "")])]) == [
+        "EMERGENCY_STOP was left by a BatteryReceived, not by a reset"
+    ]
+    reset = ResetRequested(1, 1, "x")
+    left = [*released, ModeChanged(STOP, MOVING, ""), Reply(1, True, "", MOVING)]
+    assert broken(STOP, [(reset, left)]) == ["EMERGENCY_STOP was left to MOVING, not to IDLE"]
+
+
+def test_an_emergency_stop_that_is_not_latched_is_found() -> None:
+    (found,) = broken(MOVING, [(BatteryReceived(1, 0.1), [ModeChanged(MOVING, STOP, "")])])
+    assert found == "the mode is EMERGENCY_STOP, and the emergency stop is not latched"
+
+
+def test_a_change_from_another_mode_than_the_present_is_found() -> None:
+    (found,) = broken(IDLE, [tick(1, ModeChanged(MOVING, Mode.ERROR, ""))])
+    assert found == "a change from MOVING, while the mode was IDLE"
+
+
+def test_violations_are_counted_beyond_those_that_are_told() -> None:
+    found = Invariants()
+    found.snapshot(Snapshot("test", KernelParams(), State()))
+    for number in range(100):
+        found.step(number, Tick(number), (command(0.001),))
+    assert (found.count, len(found.violations)) == (100, MAX_VIOLATIONS)
+
+
+def test_nothing_is_checked_where_events_are_missing() -> None:
+    found = Invariants()
+    found.step(0, Tick(0), (command(9.0),))
+    found.snapshot(Snapshot("test", KernelParams(), State(mode=Mode.ERROR, cause=Cause.TASK_DIED)))
+    found.stop()
+    found.step(1, Tick(0), (command(9.0),))
+    assert found.violations == []
+
+
+# The traffic
+
+
+def test_each_decision_explains_one_command_whichever_is_seen_first() -> None:
+    traffic = CommandTraffic()
+    traffic.step((command(0.1),))
+    traffic.message(serialized(Twist(0.1)))
+    traffic.message(serialized(Twist(0.2)))
+    traffic.step((command(0.2),))
+    traffic.message(serialized(ZERO))
+    traffic.message(serialized(Twist(-0.0, -0.0)))
+    traffic.end()
+    assert (traffic.seen, traffic.undecided) == (4, 0)
+
+
+def test_a_command_that_is_seen_twice_was_decided_once() -> None:
+    traffic = CommandTraffic()
+    traffic.step((command(0.1, 0.2),))
+    for _ in range(3):
+        traffic.message(serialized(Twist(0.1, 0.2)))
+    traffic.end()
+    assert (traffic.undecided, traffic.example) == (2, "0.1 m/s, 0.2 rad/s")
+
+
+def test_a_sideways_motion_was_never_decided() -> None:
+    traffic = CommandTraffic()
+    traffic.step((command(0.1),))
+    data = bytearray(serialized(Twist(0.1)))
+    data[12:20] = data[4:12]
+    traffic.message(bytes(data))
+    traffic.end()
+    assert traffic.undecided == 1
+
+
+def test_a_lost_message_excuses_no_later_one_for_ever() -> None:
+    traffic = CommandTraffic()
+    traffic.step((command(0.1),))
+    for _ in range(STILL_STEPS):
+        traffic.step((command(0.0),))
+    traffic.message(serialized(Twist(0.1)))
+    for _ in range(MAX_WAITING + 1):
+        traffic.message(serialized(Twist(0.3)))
+    assert traffic.undecided >= 2
+
+
+def test_a_big_endian_command_is_understood() -> None:
+    little = serialized(Twist(0.1, 0.2))
+    values = b"".join(little[i : i + 8][::-1] for i in range(4, 52, 8))
+    traffic = CommandTraffic()
+    traffic.step((command(0.1, 0.2),))
+    traffic.message(b"\x00\x00\x00\x00" + values)
+    traffic.end()
+    assert traffic.undecided == 0
+
+
+# The ledger
+
+
+def test_a_ledger_that_does_not_add_up_is_found() -> None:
+    counts = {"received": 10, "written": 8, "dropped": 1}
+    assert list(unbalanced({"/odom": counts}, finished=False)) == []
+    (sentence,) = unbalanced({"/odom": counts}, finished=True)
+    assert sentence == "/odom: 10 messages received, but 8 written and 1 dropped"
+    assert list(unbalanced({"/odom": {**counts, "dropped": 3}}, finished=False))
+    assert not list(unbalanced({"/odom": {**counts, "dropped": 2}}, finished=True))
+
+
+def test_a_foreign_command_from_before_a_file_is_known_from_its_snapshot() -> None:
+    bench = ready()
+    bench.give(ForeignCommandHeard(bench.t_ns, "/teleop"))
+    invariants = Invariants()
+    invariants.snapshot(Snapshot("test", bench.kernel.params, bench.state))
+    assert invariants.foreign == {"/teleop"}

@@ -1,0 +1,158 @@
+"""Other parameters on the same inputs, and in a closed loop with a simulated robot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robotctl.config import Config, with_setting
+from robotctl.errors import ConfigError, UnreadableFile, UsageError
+from robotctl.kernel.types import CommandListenersSeen, CommandPublishersSeen, ModeRequested
+from robotctl.recording.format.journal import JournalEntry
+from robotctl.rerun.recorded_settings import check_scope, parse_settings
+from robotctl.rerun.resim import resim
+from robotctl.rerun.whatif import what_if
+from robotctl.testing.drives import BEGIN_NS, drive, drive_requested, record
+
+
+def silent(done: int, total: int) -> None:
+    """Progress that nobody looks at."""
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One lap of a square of 1 m, from its beginning to its end."""
+    written = drive(23.0, requests=[drive_requested(laps=1)], snapshots_s=(0.0, 10.0))
+    return record(tmp_path_factory.mktemp("recorded") / "run", written)
+
+
+def if_set(path: Path, *settings: str) -> dict[str, Any]:
+    return what_if(path, parse_settings(settings), silent)
+
+
+def test_the_recorded_parameters_make_no_difference(recorded: Path) -> None:
+    found = if_set(recorded, "tracking.k_y=20")
+    assert found["first_difference"] is None
+    assert found["angular_rps"] == {"rms": 0.0, "max": 0.0, "max_after_s": None}
+    assert found["settings"] == {"tracking.k_y": {"recorded": 20.0, "what_if": "20"}}
+    assert found["modes_s"]["MOVING"]["recorded"] > 15.0
+
+
+def test_another_gain_changes_commands_from_some_moment_on(recorded: Path) -> None:
+    found = if_set(recorded, "tracking.k_y=8", "tracking.k_x=2")
+    first = found["first_difference"]
+    assert first["event"].startswith("Tick ")
+    assert first["recorded"] != first["what_if"]
+    assert 0.0 < found["angular_rps"]["rms"] <= found["angular_rps"]["max"]
+    assert first["after_s"] <= found["angular_rps"]["max_after_s"] <= found["duration_s"]
+    assert found["mode_differs_s"] == 0.0
+
+
+def test_a_request_that_would_have_been_refused_is_told(recorded: Path) -> None:
+    found = if_set(recorded, "battery.stop_level=1", "battery.clear_level=1")
+    assert found["modes_s"]["MOVING"]["what_if"] == 0.0
+    assert found["mode_differs_s"] == pytest.approx(found["modes_s"]["MOVING"]["recorded"])
+    (answer,) = found["answers"]
+    assert answer["recorded"] == "Mode changed to MOVING"
+    assert answer["what_if"].startswith("the battery is at 100%")
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        (["tracking.k_y"], "give key=value"),
+        (["trackin.k_y=8"], "did you mean tracking.k_y"),
+        (["tracking.k_y=nan"], "nan is not allowed"),
+        (["tracking.k_y=8", "tracking.k_y=9"], "stands twice"),
+        (["tracking.k_y="], "use a number"),
+    ],
+)
+def test_a_setting_is_checked_as_in_a_configuration(settings: list[str], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        parse_settings(settings)
+
+
+def test_settings_that_do_not_go_together_are_refused(recorded: Path) -> None:
+    with pytest.raises(ConfigError, match=r"battery\.clear_level"):
+        if_set(recorded, "battery.stop_level=0.5")
+
+
+def test_a_key_that_changes_nothing_is_refused() -> None:
+    with pytest.raises(UsageError, match="no decision depends on it; with --resim"):
+        check_scope({"sim.lag_s": "0.2"}, closed_loop=False)
+    with pytest.raises(UsageError, match=r"no decision depends on it$"):
+        check_scope({"recording.compression": "none"}, closed_loop=True)
+    check_scope({"sim.lag_s": "0.2", "rate_hz": "100"}, closed_loop=True)
+
+
+def test_a_simulation_drives_as_the_simulated_robot_did(recorded: Path) -> None:
+    (one,) = resim(recorded, {}, silent)["drives"]
+    assert one["recorded"]["completed"]
+    assert one["simulated"] == one["recorded"]
+    assert one["what_if"] is None
+
+
+def test_a_robot_that_lags_more_is_further_off_the_track(recorded: Path) -> None:
+    (one,) = resim(recorded, {"sim.lag_s": "0.3"}, silent)["drives"]
+    assert one["what_if"]["completed"]
+    assert one["what_if"]["cross_track_rms_m"] > 2 * one["simulated"]["cross_track_rms_m"]
+
+
+def test_a_drive_that_becomes_longer_than_the_recording_is_driven_to_its_end(
+    recorded: Path,
+) -> None:
+    (one,) = resim(recorded, {"pattern.speed_mps": "0.1", "limits.linear_mps": "0.1"}, silent)[
+        "drives"
+    ]
+    assert one["what_if"]["completed"]
+    assert one["what_if"]["duration_s"] > 40.0
+
+
+def test_a_simulation_goes_on_where_a_file_begins(tmp_path: Path) -> None:
+    stop = ModeRequested(BEGIN_NS + 6_000_000_000, 2, 0, "somebody")
+    written = drive(8.0, requests=[drive_requested(), stop], snapshots_s=(4.0,))
+    at = next(
+        position
+        for position, each in enumerate(written)
+        if isinstance(each, JournalEntry) and each.name == "Snapshot"
+    )
+    found = resim(record(tmp_path / "run", written[at:]), {}, silent)
+    (one,) = found["drives"]
+    assert one["recorded"]["reason"] == one["simulated"]["reason"] == "requested by somebody"
+    assert one["simulated"]["distance_m"] == pytest.approx(one["recorded"]["distance_m"], rel=0.05)
+
+
+def test_a_simulated_robot_is_alone_whatever_was_there_when_the_file_began(tmp_path: Path) -> None:
+    at = BEGIN_NS + 500_000_000
+    others = [
+        CommandListenersSeen(BEGIN_NS + 1, 0, ()),
+        CommandPublishersSeen(BEGIN_NS + 2, ("/teleop",)),
+        CommandPublishersSeen(at, ()),
+        CommandListenersSeen(at + 1, 1, ()),
+    ]
+    written = drive(4.0, requests=[*others, drive_requested(1.0)], snapshots_s=(0.25,))
+    begins = next(
+        position
+        for position, each in enumerate(written)
+        if isinstance(each, JournalEntry) and each.name == "Snapshot"
+    )
+    (one,) = resim(record(tmp_path / "run", written[begins:]), {}, silent)["drives"]
+    assert one["simulated"]["reason"] == "under way at the end"
+
+
+def test_the_recorded_configuration_is_the_one_that_is_simulated(tmp_path: Path) -> None:
+    config = with_setting(with_setting(Config(), "sim.lag_s", 0.3), "rate_hz", 20.0)
+    written = drive(4.0, config=config)
+    found = resim(record(tmp_path / "run", written, config=config), {}, silent)
+    (one,) = found["drives"]
+    assert one["simulated"]["reason"] == "under way at the end"
+    assert found["missing"] == []
+
+
+def test_nothing_to_begin_from_is_said(tmp_path: Path) -> None:
+    folder = record(tmp_path / "run", [])
+    for compare in (what_if, resim):
+        with pytest.raises(UnreadableFile, match="holds no snapshot"):
+            compare(folder, {}, silent)

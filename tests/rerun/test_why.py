@@ -1,0 +1,211 @@
+"""Why the robot was stopped, or a request refused, as the journal tells it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from robotctl.errors import UnreadableFile
+from robotctl.kernel.types import (
+    BatteryReceived,
+    Cause,
+    CommandPublishersSeen,
+    Event,
+    FaultReported,
+    ModeRequested,
+    ResetRequested,
+    Tick,
+    Twist,
+)
+from robotctl.recording.format.journal import JournalEntry
+from robotctl.recording.write.recording_file import RecordingFile
+from robotctl.rerun.check import check
+from robotctl.rerun.check_report import Verdict
+from robotctl.rerun.incident import Incident, IncidentKind, find_incident
+from robotctl.rerun.why import explain
+from robotctl.testing.drives import BEGIN_NS, drive, drive_requested, record
+from tests.support.recordings import START_NS
+
+
+def at(seconds: float) -> int:
+    return BEGIN_NS + round(seconds * 1e9)
+
+
+def incident(folder: Path, at_ns: int | None = None) -> Incident:
+    found = find_incident(folder, at_ns, lambda done, total: None).incident
+    assert found is not None
+    return found
+
+
+ESTOP = ModeRequested(at(2.0), 2, 3, "robotctl estop (pid 99)")
+
+
+@dataclass(frozen=True)
+class Case:
+    """Events that end a drive, and what is said of it."""
+
+    said: tuple[str, ...]
+    requests: tuple[Event, ...] = ()
+    then: tuple[Event, ...] = ()
+    kind: IncidentKind = IncidentKind.FAULT
+
+
+CASES = {
+    "somebody": Case(
+        (
+            "MOVING -> EMERGENCY_STOP: requested by robotctl estop (pid 99)",
+            "a request for EMERGENCY_STOP by robotctl estop (pid 99)",
+            "a request for EMERGENCY_STOP is always granted",
+            "a square: somebody, 1.9 s before",
+            "the emergency stop is latched, also over a restart",
+        ),
+        requests=(ESTOP,),
+        kind=IncidentKind.STOP,
+    ),
+    "battery": Case(
+        (
+            "a battery level of 14.0%",
+            "battery low: in MOVING it leads to EMERGENCY_STOP (battery.stop_level is 0.15",
+        ),
+        requests=(BatteryReceived(at(2.1), 0.14),),
+    ),
+    "odometry": Case(
+        (
+            "a control tick",
+            "odometry 520 ms old",
+            "odometry lost: in MOVING it leads to ERROR (odometry.timeout_s is 0.5)",
+        ),
+        then=tuple(Tick(at(2.2) + tick * 20_000_000) for tick in range(1, 60)),
+    ),
+    "gap": Case(("tick overrun: in MOVING", "max_tick_gap_s is 0.3"), then=(Tick(at(3.1)),)),
+    "somebody else": Case(
+        ("/teleop publishes velocity commands, too", "foreign publisher: in MOVING it leads to"),
+        requests=(CommandPublishersSeen(at(2.0), ("/teleop",)),),
+    ),
+    "daemon": Case(
+        ("a report of the daemon, task died: KeyError", "task died: in IDLE and MOVING"),
+        requests=(FaultReported(at(2.0), Cause.TASK_DIED, "KeyError"),),
+    ),
+    "idle": Case(
+        (
+            "a request for IDLE by somebody, 501 ms before the robot stood",
+            "request idle in MOVING: IDLE, after ramping down",
+            "ramped down in 501 ms, then zero velocity",
+        ),
+        requests=(ModeRequested(at(2.0), 2, 0, "somebody"),),
+        kind=IncidentKind.STOP,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_chain_of_a_stop_is_told(tmp_path: Path, name: str) -> None:
+    case = CASES[name]
+    written = drive(
+        2.2 if case.then else 3.0, requests=[drive_requested(), *case.requests], then=case.then
+    )
+    folder = record(tmp_path / "run", written)
+    assert check(folder).verdict is Verdict.SAME
+    found = incident(folder)
+    assert found.kind is case.kind
+    told = str(explain(found))
+    for sentence in case.said:
+        assert sentence in told
+    assert found.zero_ns is not None
+    assert 0 <= found.zero_ns - found.log_ns < 1_000_000
+
+
+def test_a_refusal_names_the_condition_and_its_rule(tmp_path: Path) -> None:
+    refused = ModeRequested(at(-0.1), 1, 1, "somebody")
+    found = incident(record(tmp_path / "run", drive(0.5, requests=[refused])))
+    assert found.kind is IncidentKind.REFUSAL
+    told = explain(found)
+    assert told.what.startswith("refused: no odometry was received on odom yet")
+    assert told.rule == "odometry lost forbids to start (odometry.timeout_s is 0.5)"
+    assert told.went_out == ()
+
+
+def test_a_refusal_by_the_table_of_modes_is_told(tmp_path: Path) -> None:
+    asked = [drive_requested(), ESTOP, ModeRequested(at(2.5), 3, 1, "somebody")]
+    found = incident(record(tmp_path / "run", drive(3.0, requests=asked)))
+    told = explain(found)
+    assert told.rule == "the table of modes: request moving is refused in EMERGENCY_STOP"
+
+
+def test_what_is_nearest_to_a_time_is_told_with_what_came_of_it(tmp_path: Path) -> None:
+    asked = [
+        drive_requested(),
+        ESTOP,
+        ResetRequested(at(2.5), 3, "robotctl reset"),
+        ModeRequested(at(5.0), 4, 7, "somebody"),
+    ]
+    folder = record(tmp_path / "run", drive(6.0, requests=asked))
+    assert incident(folder).kind is IncidentKind.REFUSAL
+    found = incident(folder, START_NS + at(2.3))
+    assert found.kind is IncidentKind.STOP
+    assert explain(found).since == ("500 ms later EMERGENCY_STOP -> IDLE: reset by robotctl reset")
+
+
+def test_a_stop_after_a_later_snapshot_is_explained_from_there(tmp_path: Path) -> None:
+    written = drive(3.0, requests=[drive_requested(), ESTOP], snapshots_s=(0.0, 1.0))
+    begin = next(
+        position
+        for position, each in enumerate(written)
+        if isinstance(each, JournalEntry) and each.name == "Snapshot" and each.seq
+    )
+    found = incident(record(tmp_path / "run", written[begin:]))
+    assert found.before is not None
+    assert found.before.drive is not None
+    assert explain(found).asked == "a square: somebody"
+
+
+def test_without_a_snapshot_before_it_says_what_it_cannot_tell(tmp_path: Path) -> None:
+    written = drive(3.0, requests=[drive_requested(), ESTOP])
+    told = explain(incident(record(tmp_path / "run", written[200:])))
+    assert told.what == "MOVING -> EMERGENCY_STOP: requested by robotctl estop (pid 99)"
+    assert told.known.startswith("cannot be told")
+
+
+def test_where_nothing_happened_it_says_so(tmp_path: Path) -> None:
+    found = find_incident(record(tmp_path / "run", drive(1.0)), None, lambda done, total: None)
+    assert (found.incident, found.missing) == (None, [])
+
+
+def test_a_recording_without_a_journal_cannot_say_why(tmp_path: Path) -> None:
+    (tmp_path / "empty.mcap").touch()
+    with pytest.raises(UnreadableFile):
+        incident(tmp_path / "empty.mcap")
+    folder = record(tmp_path / "run", [Twist()])
+    assert find_incident(folder, None, lambda done, total: None).incident is None
+
+
+@pytest.fixture
+def unclosed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave recordings as a killed process does."""
+    monkeypatch.setattr(RecordingFile, "finish", RecordingFile.abandon)
+
+
+@pytest.mark.usefixtures("unclosed")
+def test_a_recording_that_ends_by_a_kill_in_moving_says_so(tmp_path: Path) -> None:
+    refused = ModeRequested(at(1.0), 2, 7, "somebody")
+    found = incident(record(tmp_path / "run", drive(2.0, requests=[drive_requested(), refused])))
+    assert found.kind is IncidentKind.KILL
+    told = explain(found)
+    assert told.what.startswith("killed while MOVING")
+    assert told.asked == "a square: somebody, 1.9 s before"
+    assert "from where it should be" in told.known
+    assert told.went_out == ("no zero velocity: the robot stops by its own command timeout",)
+    assert (told.rule, told.since) == ("", "")
+
+
+@pytest.mark.usefixtures("unclosed")
+def test_a_kill_of_a_robot_that_stands_stopped_nothing(tmp_path: Path) -> None:
+    found = incident(record(tmp_path / "run", drive(3.0, requests=[drive_requested(), ESTOP])))
+    assert found.kind is IncidentKind.STOP
+
+
+def test_a_recording_that_was_closed_does_not_tell_of_a_kill(tmp_path: Path) -> None:
+    folder = record(tmp_path / "run", drive(1.0))
+    assert find_incident(folder, None, lambda done, total: None).incident is None

@@ -1,0 +1,73 @@
+"""A process that does what it is told, a JSON object a line: both of its ends."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from tests.support.waiting import DEADLINE_S
+
+ROOT = Path(__file__).parents[2]
+
+
+def peer(module: str) -> list[str]:
+    """The command that runs a module of `tests.support` from any folder."""
+    run = f"import runpy; runpy.run_module('tests.support.{module}', run_name='__main__')"
+    return [sys.executable, "-c", f"import sys; sys.path.insert(0, {str(ROOT)!r}); {run}"]
+
+
+class Told:
+    """Another process, as whoever tells it what to do sees it."""
+
+    def __init__(self, command: Sequence[str], environment: Mapping[str, str]) -> None:
+        """Start it and wait until it is ready."""
+        self._process = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            env=environment,
+        )
+        if self._read() != "ready\n":
+            self.close()
+            raise AssertionError("the process did not start; its words are above")
+
+    def __call__(self, do: str, **parameters: Any) -> Any:
+        """Have one thing done and return what came of it."""
+        assert self._process.stdin is not None
+        self._process.stdin.write(json.dumps({"do": do, **parameters}) + "\n")
+        self._process.stdin.flush()
+        line = self._read()
+        assert line, f"the process died of {do} {parameters}"
+        answer = json.loads(line)
+        assert "error" not in answer, answer["error"]
+        return answer["result"]
+
+    def close(self) -> None:
+        """End it by its own shutdown, which leaves no shared memory behind."""
+        with self._process:
+            try:
+                self._process.communicate(timeout=DEADLINE_S)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                raise
+
+    def _read(self) -> str:
+        assert self._process.stdout is not None
+        return self._process.stdout.readline()
+
+
+def obey(target: object) -> None:
+    """Be that process: each line's "do" names a method of `target`, the rest its arguments."""
+    print("ready", flush=True)
+    for line in sys.stdin:
+        request = json.loads(line)
+        try:
+            answer = {"result": getattr(target, request.pop("do"))(**request)}
+        except Exception as error:  # noqa: BLE001 - told to the test
+            answer = {"error": repr(error)}
+        print(json.dumps(answer), flush=True)

@@ -1,0 +1,147 @@
+"""Making recordings in tests, and reading them with somebody else's reader."""
+
+from __future__ import annotations
+
+import random
+import resource
+import struct
+import time
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import NamedTuple
+
+from mcap.reader import SeekingReader
+from mcap.records import Channel, Message
+from mcap.stream_reader import StreamReader
+
+from robotctl.recording.format.topics import Topic
+from robotctl.recording.write.recorder import Compression, Recorder, RecorderOptions
+
+START_NS = 1_700_000_000_000_000_000
+GID = b"publisher-number"
+QOS = """\
+- history: keep_last
+  depth: 10
+  reliability: reliable
+  durability: volatile
+  deadline:
+    sec: 9223372036
+    nsec: 854775807
+  lifespan:
+    sec: 9223372036
+    nsec: 854775807
+  liveliness: automatic
+  liveliness_lease_duration:
+    sec: 9223372036
+    nsec: 854775807
+  avoid_ros_namespace_conventions: false
+"""
+TWIST = Topic("/cmd_vel", "geometry_msgs/msg/Twist", "Vector3 linear\n", "RIHS01_ab", QOS)
+ODOMETRY = Topic("/odom", "nav_msgs/msg/Odometry", "Header header\n", "RIHS01_cd", QOS)
+
+
+class Stored(NamedTuple):
+    """A message as a file holds it."""
+
+    topic: str
+    data: bytes
+    log_ns: int
+    publish_ns: int
+    sequence: int
+
+
+def numbered(number: int, size: int = 52) -> bytes:
+    """Message data that names its number and cannot be mistaken for another's."""
+    return struct.pack("<Q", number) * (size // 8) + bytes(size % 8)
+
+
+def number_of(data: bytes) -> int:
+    """The number in data made by `numbered`."""
+    number: int = struct.unpack_from("<Q", data)[0]
+    return number
+
+
+def write_numbered(recorder: Recorder, channel: int, numbers: range, size: int = 52) -> None:
+    """Write messages 1 ms apart, numbered and sequenced by `numbers`."""
+    for number in numbers:
+        stamp = START_NS + number * 1_000_000
+        recorder.write(channel, numbered(number, size), stamp, stamp - 500, number, GID)
+
+
+def read_strictly(path: Path) -> list[Stored]:
+    """The messages of a whole and valid file, in file order, by the reader of the mcap package.
+
+    Every checksum is verified, and the summary must agree with the data. Raises whatever the
+    package raises for a file with any fault.
+    """
+    channels: dict[int, Channel] = {}
+    messages: list[Stored] = []
+    with path.open("rb") as stream:
+        for record in StreamReader(stream, validate_crcs=True).records:
+            if isinstance(record, Channel):
+                channels[record.id] = record
+            elif isinstance(record, Message):
+                messages.append(_stored(channels[record.channel_id], record))
+    with path.open("rb") as stream:
+        reader = SeekingReader(stream, validate_crcs=True)
+        summary = reader.get_summary()
+        if summary is None or summary.statistics is None:
+            raise ValueError("no summary")
+        indexed = [_stored(channel, message) for _, channel, message in reader.iter_messages()]
+        if sorted(indexed) != sorted(messages):
+            raise ValueError("the index leads to other messages than the data section holds")
+        if summary.statistics.message_count != len(messages):
+            raise ValueError("the statistics count other messages than there are")
+    return messages
+
+
+def _stored(channel: Channel, message: Message) -> Stored:
+    return Stored(
+        channel.topic, message.data, message.log_time, message.publish_time, message.sequence
+    )
+
+
+def record_in_real_time(folder: Path, compression: str, period_s: float, ready: Connection) -> None:
+    """Record numbered messages of 52 bytes, stamped with the wall clock, until killed."""
+    options = RecorderOptions(compression=Compression(compression))
+    recorder = Recorder(folder, options, on_failure=ready.send)
+    channel = recorder.add_topic(TWIST)
+    ready.send(recorder.stats().file)
+    number = 0
+    while True:
+        number += 1
+        now = time.time_ns()
+        recorder.write(channel, numbered(number), now, now, number, GID)
+        time.sleep(period_s)
+
+
+def record_up_to_file_size(folder: Path, limit: int, result: Connection) -> None:
+    """Record while no file may grow beyond `limit` bytes; send failures and final counts."""
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+    failures: list[str] = []
+    options = RecorderOptions(compression=Compression.NONE, chunk_bytes=16384, flush_s=0.01)
+    recorder = Recorder(folder, options, on_failure=failures.append)
+    channel = recorder.add_topic(TWIST)
+    number = 0
+    while not failures:
+        write_numbered(recorder, channel, range(number + 1, number + 101))
+        number += 100
+        time.sleep(0.001)
+    result.send((failures, number, recorder.close()))
+
+
+def record_without_memory(folder: Path, result: Connection) -> None:
+    """Record large messages in little address space; send failures, number and final counts."""
+    failures: list[str] = []
+    recorder = Recorder(folder, on_failure=failures.append)
+    channel = recorder.add_topic(TWIST)
+    now = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    most = resource.getrlimit(resource.RLIMIT_AS)[1]
+    resource.setrlimit(resource.RLIMIT_AS, (now + (12 << 20), most))
+    number = 0
+    data = random.Random(1).randbytes(4 << 20)
+    for number in range(1, 101):
+        recorder.write(channel, data, number, number, number, GID)
+        recorder.write(channel, data[: number * 1000], number, number, number, GID)
+    resource.setrlimit(resource.RLIMIT_AS, (most, most))
+    result.send((failures, 2 * number, recorder.close()))

@@ -1,0 +1,278 @@
+# mypy: disallow-untyped-calls=False
+"""Somebody else on the graph: plain rclpy in a process of its own, told what to do line by line."""
+
+from __future__ import annotations
+
+import threading
+import time
+from array import array
+from contextlib import suppress
+from typing import Any
+
+import rclpy
+from geometry_msgs.msg import Twist, TwistStamped
+from nav_msgs.msg import Odometry
+from rclpy.duration import Duration
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from robot_controller.msg import RobotStatus
+from robot_controller.srv import SetMode
+from sensor_msgs.msg import BatteryState
+from std_msgs.msg import String, UInt8MultiArray
+from std_srvs.srv import Trigger
+
+from tests.support.lines import obey
+from tests.support.waiting import DEADLINE_S, until
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+REQUESTS = QoSProfile(depth=1_500)
+DEEP = QoSProfile(depth=10_000)
+BEST_EFFORT = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+class Peer:
+    def __init__(self) -> None:
+        self.node = Node("somebody_else")
+        self.commands: list[tuple[int, int, float, float]] = []
+        self.statuses: list[tuple[int, int, str]] = []
+        self.marks: list[str] = []
+        self.speed = 0.0
+        self.stop = threading.Event()
+        self.robot: threading.Thread | None = None
+        self._clients: dict[str, Any] = {}
+        self._asked: list[Any] = []
+
+    def listen(self, namespace: str = "") -> None:
+        """Keep what the daemon publishes: sequence number and content."""
+
+        def command(message: Any, info: Any) -> None:
+            number = info["publication_sequence_number"]
+            seen_ns = time.monotonic_ns()
+            self.commands.append((number, seen_ns, message.linear.x, message.angular.z))
+
+        def status(message: Any, info: Any) -> None:
+            number = info["publication_sequence_number"]
+            self.statuses.append((number, message.mode, message.robot_name))
+
+        def odometry(message: Any) -> None:
+            self.speed = message.twist.twist.linear.x
+
+        self._subscribe(Twist, f"{namespace}/cmd_vel", command, DEEP)
+        self._subscribe(RobotStatus, f"{namespace}/robot_status", status, DEEP)
+        self._subscribe(Odometry, f"{namespace}/odom", odometry, BEST_EFFORT)
+        marks = f"{namespace}/robotctl/marks"
+        self._subscribe(String, marks, lambda message: self.marks.append(message.data), DEEP)
+
+    def heard(self) -> dict[str, Any]:
+        """All that was kept so far."""
+        return {
+            "commands": self.commands,
+            "statuses": self.statuses,
+            "marks": self.marks,
+            "speed": self.speed,
+        }
+
+    def set_mode(self, mode: int, namespace: str = "") -> dict[str, Any]:
+        """Call the service."""
+        client = self.node.create_client(SetMode, f"{namespace}/set_mode")
+        assert client.wait_for_service(DEADLINE_S), "no such service"
+        future = client.call_async(SetMode.Request(requested_mode=mode))
+        until(future.done)
+        answer = future.result()
+        self.node.destroy_client(client)
+        return {
+            "success": answer.success,
+            "message": answer.message,
+            "current_mode": answer.current_mode,
+        }
+
+    def ask(self, service: str, mode: int = 0, namespace: str = "") -> int:
+        """Begin a call of `set_mode` or `estop`; returns its number, for `answer`."""
+        client = self._clients.get(service)
+        if client is None:
+            kind = {"set_mode": SetMode, "estop": Trigger}[service]
+            client = self.node.create_client(kind, f"{namespace}/{service}", qos_profile=REQUESTS)
+            assert client.wait_for_service(DEADLINE_S), "no such service"
+            self._clients[service] = client
+        request = SetMode.Request(requested_mode=mode) if service == "set_mode" else None
+        self._asked.append(client.call_async(request or Trigger.Request()))
+        return len(self._asked) - 1
+
+    def answer(self, number: int) -> dict[str, Any]:
+        """Wait for the answer to a call."""
+        until(self._asked[number].done)
+        answer = self._asked[number].result()
+        return {name: getattr(answer, name) for name in answer.get_fields_and_field_types()}
+
+    def flood(self, count: int, in_flight: int) -> dict[str, int]:
+        """Make so many calls of every kind, so many at a time; returns what came of them."""
+        kinds = [("set_mode", mode) for mode in (0, 1, 2, 3, 7)] + [("estop", 0)]
+        stops: list[Any] = []
+        others: list[Any] = []
+        for number in range(count):
+            kind = kinds[number % len(kinds)]
+            future = self._asked[self.ask(*kind)]
+            (stops if kind in (("set_mode", 3), ("estop", 0)) else others).append(future)
+            if number % in_flight == in_flight - 1:
+                with suppress(AssertionError):
+                    until(lambda: all(each.done() for each in stops + others))
+        with suppress(AssertionError):
+            until(lambda: all(each.done() for each in stops + others))
+        return {
+            "sent": len(stops) + len(others),
+            "answered": sum(each.done() for each in stops + others),
+            "stops": len(stops),
+            "obeyed": sum(each.done() and each.result().success for each in stops),
+        }
+
+    def late_status(self, namespace: str = "") -> list[Any]:
+        """Subscribe now, and return the first status that comes with the number it was sent as."""
+        got: list[Any] = []
+
+        def status(message: Any, info: Any) -> None:
+            got.append([message.mode, info["publication_sequence_number"]])
+
+        topic = f"{namespace}/robot_status"
+        subscription = self._subscribe(RobotStatus, topic, status, LATCHED)
+        until(lambda: got)
+        self.node.destroy_subscription(subscription)
+        return list(got[0])
+
+    def be_a_robot(self) -> None:
+        """Publish odometry and a full battery until the end."""
+        odometry = self.node.create_publisher(Odometry, "/odom", 10)
+        battery = self.node.create_publisher(BatteryState, "/battery_state", 10)
+
+        def run() -> None:
+            message = Odometry()
+            while not self.stop.wait(0.02):
+                message.header.stamp = self.node.get_clock().now().to_msg()
+                odometry.publish(message)
+                battery.publish(BatteryState(percentage=1.0))
+
+        self.robot = threading.Thread(target=run)
+        self.robot.start()
+
+    def command(self, linear: float) -> None:
+        """Publish a velocity command, as nobody but the daemon should."""
+        publisher = self.node.create_publisher(Twist, "/cmd_vel", 10)
+        message = Twist()
+        message.linear.x = linear
+        publisher.publish(message)
+
+    def command_and_go(self, linear: float, namespace: str = "") -> int:
+        """Publish one command as soon as somebody takes it, and publish no more.
+
+        Returns the steady time [ns] just before the command was sent.
+        """
+        publisher = self.node.create_publisher(Twist, f"{namespace}/cmd_vel", DEEP)
+        until(lambda: publisher.get_subscription_count() >= 2)  # robot and recorder
+        message = Twist()
+        message.linear.x = linear
+        sent_ns = time.monotonic_ns()
+        publisher.publish(message)
+        assert publisher.wait_for_all_acked(Duration(seconds=DEADLINE_S))
+        self.node.destroy_publisher(publisher)
+        return sent_ns
+
+    def command_best_effort(self, linear: float) -> None:
+        """Publish commands of best effort for 0.1 s, and publish no more."""
+        publisher = self.node.create_publisher(Twist, "/cmd_vel", BEST_EFFORT)
+        until(publisher.get_subscription_count)
+        message = Twist()
+        message.linear.x = linear
+        for _ in range(5):
+            publisher.publish(message)
+            time.sleep(0.02)
+        self.node.destroy_publisher(publisher)
+
+    def measure(self, x: float) -> None:
+        """Publish odometry at 100 Hz that says the robot is at `x`, until the end."""
+        odometry = self.node.create_publisher(Odometry, "/odom", 10)
+        message = Odometry()
+        message.pose.pose.position.x, message.pose.pose.orientation.w = x, 1.0
+
+        def run() -> None:
+            while not self.stop.wait(0.01):
+                message.header.stamp = self.node.get_clock().now().to_msg()
+                odometry.publish(message)
+
+        self.robot = threading.Thread(target=run)
+        self.robot.start()
+
+    def take_commands(self, kind: str) -> None:
+        """Subscribe to the command topic with this type."""
+        message_type = {"Twist": Twist, "TwistStamped": TwistStamped}[kind]
+        self._subscribe(message_type, "/cmd_vel", lambda message: None, DEEP)
+
+    def publish(self, kind: str, topic: str) -> None:
+        """Offer a topic as a type of which we know the name."""
+        self.node.create_publisher({"Twist": Twist, "Odometry": Odometry}[kind], topic, 10)
+
+    def send(self, kind: str, topic: str, count: int) -> None:
+        """Publish messages once somebody listens, and see that they arrived there."""
+        message_type = {"Twist": Twist, "Odometry": Odometry}[kind]
+        publisher = self.node.create_publisher(message_type, topic, DEEP)
+        until(publisher.get_subscription_count)
+        for _ in range(count):
+            publisher.publish(message_type())
+        assert publisher.wait_for_all_acked(Duration(seconds=DEADLINE_S))
+        self.node.destroy_publisher(publisher)
+
+    def send_large(self, topic: str, size: int) -> None:
+        """Publish one message of so many bytes once somebody listens."""
+        publisher = self.node.create_publisher(UInt8MultiArray, topic, 1)
+        until(publisher.get_subscription_count)
+        publisher.publish(UInt8MultiArray(data=array("B", bytes(size))))
+        assert publisher.wait_for_all_acked(Duration(seconds=DEADLINE_S))
+        self.node.destroy_publisher(publisher)
+
+    def end(self) -> None:
+        """Publish no more."""
+        self.stop.set()
+        if self.robot is not None:
+            self.robot.join()
+
+    def nodes(self) -> list[str]:
+        """The full names of all other nodes."""
+        found = self.node.get_node_names_and_namespaces()
+        names = {f"{namespace.rstrip('/')}/{name}" for name, namespace in found}
+        return sorted(names - {"/somebody_else"})
+
+    def publishers(self) -> dict[str, list[str]]:
+        """The nodes, other than this, that publish, by topic."""
+        found = {}
+        for topic, _ in self.node.get_topic_names_and_types():
+            infos = self.node.get_publishers_info_by_topic(topic)
+            names = {f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in infos}
+            found[topic] = sorted(names - {"/somebody_else"})
+        return {topic: names for topic, names in found.items() if names}
+
+    def services(self) -> list[str]:
+        """The services of all other nodes."""
+        found = [name for name, _ in self.node.get_service_names_and_types()]
+        return sorted(name for name in found if not name.startswith("/somebody_else/"))
+
+    def _subscribe(self, kind: Any, topic: str, callback: Any, qos: QoSProfile) -> Any:
+        # rclpy's own types know callbacks of one argument only.
+        return self.node.create_subscription(kind, topic, callback, qos)
+
+
+def main() -> None:
+    rclpy.init(args=[])
+    peer = Peer()
+    executor = SingleThreadedExecutor()
+    executor.add_node(peer.node)
+    spinner = threading.Thread(target=executor.spin)
+    spinner.start()
+    obey(peer)
+    peer.end()
+    executor.shutdown()
+    spinner.join()
+    peer.node.destroy_node()
+    rclpy.shutdown()
+
+
+if __name__ == "__main__":
+    main()

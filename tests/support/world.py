@@ -1,0 +1,273 @@
+"""A world of its own for the real daemon: what it needs, what runs in it, what it left.
+
+A world has a folder, a ROS domain, and an environment that all of its processes inherit: that is
+how they are found at its end, whatever a failed test has left of them.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from shutil import rmtree
+from typing import Any
+
+from robotctl.domains import reserved_domain
+from robotctl.recording.format.journal import JournalEntry, decode
+from robotctl.recording.keep.catalog import CLIPS_FOLDER
+from robotctl.rerun.check import check
+from robotctl.rerun.check_report import Verdict
+from tests.support.lines import Told, peer
+from tests.support.waiting import DEADLINE_S, until
+
+ROBOTCTL = str(Path(sys.executable).with_name("robotctl"))
+SHARED_MEMORY = Path("/dev/shm")
+
+STATUS_KEYS = {
+    "robot",
+    "version",
+    "pid",
+    "mode",
+    "phase",
+    "mode_reason",
+    "pose",
+    "velocity",
+    "battery",
+    "sim",
+    "stalls",
+    "odometry_dropped",
+    "topics",
+    "recorder",
+    "warnings",
+    "domain_id",
+    "discovery_range",
+    "scheduling",
+    "socket",
+    "uptime_s",
+}
+"""What `status --json` always has."""
+
+
+PATIENT = """\
+max_tick_gap_s: 5.0
+odometry.timeout_s: 10.0
+battery.timeout_s: 60.0
+"""
+"""Limits that a machine does not cross that lets a process wait for a while."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ran:
+    """What a command line did."""
+
+    exit_code: int
+    out: str
+    err: str
+
+
+class Peer(Told):
+    """A second process with plain rclpy (tests.support.ros_peer)."""
+
+    def __init__(self, world: World) -> None:
+        super().__init__(peer("ros_peer"), world.environment)
+
+
+class World:
+    """A folder, a domain, and what runs there."""
+
+    def __init__(self, folder: Path, domain_id: int) -> None:
+        self.folder = folder
+        self.domain_id = domain_id
+        self.recordings = folder / "recordings"
+        self.patient = folder / "patient.yaml"
+        """A configuration for whatever is no test of the limits themselves."""
+
+        self.patient.write_text(PATIENT)
+        self.environment = {
+            **os.environ,
+            "XDG_RUNTIME_DIR": str(folder / "run"),
+            "XDG_STATE_HOME": str(folder / "state"),
+            "ROS_DOMAIN_ID": str(domain_id),
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "COLUMNS": "80",
+            "PYTHONUNBUFFERED": "1",
+        }
+        self._mark = f"XDG_RUNTIME_DIR={folder / 'run'}\0".encode()
+        self._killed = False
+        self._memory_before = set(self.shared_memory())  # of others in the domain, who were killed
+        self._spawned: list[subprocess.Popen[str]] = []
+        (folder / "run").mkdir(mode=0o700)
+
+    def source_another_ros(self) -> None:
+        """Let later command lines come from a shell that has sourced a ROS that does not work."""
+        ros = self.folder / "humble"
+        packages = ros / "lib" / "python3.10" / "site-packages"
+        (packages / "rclpy").mkdir(parents=True)
+        (packages / "rclpy" / "__init__.py").write_text("raise ImportError('the foreign one')\n")
+        (ros / "lib" / "librcl.so").write_bytes(b"no library")
+        (ros / "share" / "rclpy").mkdir(parents=True)
+        paths = {
+            "PYTHONPATH": packages,
+            "LD_LIBRARY_PATH": ros / "lib",
+            "AMENT_PREFIX_PATH": ros,
+        }
+        for variable, path in paths.items():
+            known = self.environment.get(variable)
+            self.environment[variable] = f"{path}:{known}" if known else str(path)
+        self.environment["ROS_DISTRO"] = "humble"
+
+    def spawn(self, *arguments: str, **options: Any) -> subprocess.Popen[str]:
+        """Begin a command line; a start without a configuration gets the patient one."""
+        if arguments[0] == "start" and "--config" not in arguments:
+            arguments = (*arguments, "--config", str(self.patient))
+        process = subprocess.Popen(
+            [ROBOTCTL, *arguments],
+            text=True,
+            stdin=subprocess.DEVNULL,
+            **{
+                "stdout": subprocess.PIPE,
+                "stderr": subprocess.PIPE,
+                "cwd": self.folder,
+                "env": self.environment,
+                **options,
+            },
+        )
+        self._spawned.append(process)
+        return process
+
+    def robotctl(self, *arguments: str) -> Ran:
+        """Carry a command line out."""
+        process = self.spawn(*arguments)
+        out, err = process.communicate(timeout=2 * DEADLINE_S)
+        assert "Traceback" not in err
+        return Ran(process.returncode, out, err)
+
+    def ok(self, *arguments: str) -> str:
+        """Carry out a command line that must succeed; returns its output."""
+        ran = self.robotctl(*arguments)
+        assert ran.exit_code == 0, (arguments, ran, self.log())
+        return ran.out
+
+    def answer(self, *arguments: str) -> Any:
+        """Carry out a command line that must succeed; returns what it says with --json."""
+        return json.loads(self.ok(*arguments, "--json"))
+
+    def status(self, robot: str = "robot") -> Any:
+        """The daemon's status."""
+        return self.answer("status", "--robot", robot)
+
+    def log(self, robot: str = "robot") -> str:
+        """The daemon's log."""
+        path = self.folder / "state" / "robotctl" / robot / "daemon.log"
+        return path.read_text() if path.exists() else ""
+
+    def sockets(self) -> list[Path]:
+        """The control sockets that are there."""
+        return list((self.folder / "run").glob("robotctl/*.sock"))
+
+    def processes(self) -> dict[int, str]:
+        """What runs in this world: pid and command line."""
+        found = {}
+        for entry in Path("/proc").iterdir():
+            with suppress(OSError):
+                if entry.name.isdecimal() and self._mark in (entry / "environ").read_bytes():
+                    found[int(entry.name)] = (entry / "cmdline").read_text().replace("\0", " ")
+        return found
+
+    def kill(self, pid: int, number: int = signal.SIGKILL) -> None:
+        """End a process of this world, and remove the memory that a killed one leaves behind."""
+        self._killed = True
+        maps = Path(f"/proc/{pid}/maps").read_text()
+        with suppress(ProcessLookupError):
+            os.kill(pid, number)
+        until(lambda: pid not in self.processes())
+        for name in set(re.findall(rf"{SHARED_MEMORY}/(fastrtps_[0-9a-f]+)\b", maps)):
+            for path in SHARED_MEMORY.glob(f"{name}*"):
+                path.unlink(missing_ok=True)
+
+    def shared_memory(self) -> list[Path]:
+        """The ports of our domain that are left in /dev/shm (DDSI-RTPS 9.6.2.3)."""
+        first = 7400 + 250 * self.domain_id
+        ports = range(first, first + 250)
+        found = []
+        for path in SHARED_MEMORY.glob("*fastrtps_port*"):
+            digits = re.search(r"port(\d+)", path.name)
+            if digits and int(digits[1]) in ports:
+                found.append(path)
+        return found
+
+    def end(self) -> list[str]:
+        """End and remove what is left; returns what should not have been."""
+        left = [f"process {pid}: {command}" for pid, command in self.processes().items()]
+        for pid in self.processes():
+            with suppress(OSError):
+                self.kill(pid)
+        for process in self._spawned:
+            with process:  # reaps it, and closes its pipes
+                pass
+        left += [f"socket {path}" for path in self.sockets()]
+        if not self._killed:  # whoever is killed leaves its ports, and those of its neighbours
+            ours = [path for path in self.shared_memory() if path not in self._memory_before]
+            left += [f"memory {path}" for path in ours]
+        for path in self.shared_memory():
+            path.unlink(missing_ok=True)
+        left += self._contradictions()
+        rmtree(self.folder)
+        return left
+
+    def _contradictions(self) -> list[str]:
+        """What a fresh kernel would have decided otherwise in recordings of this world."""
+        recordings = {
+            path if path.parent.name == CLIPS_FOLDER else path.parent
+            for path in self.folder.rglob("*.mcap")
+        }
+        reports = [check(recording) for recording in sorted(recordings)]
+        return [
+            f"recording: {report.as_object()}"
+            for report in reports
+            if report.verdict in (Verdict.DIVERGED, Verdict.BROKEN)
+        ]
+
+
+@contextmanager
+def new_world() -> Iterator[World]:
+    """A world that ends with the block; what is left of it fails the test."""
+    with reserved_domain() as domain_id:
+        made = World(Path(tempfile.mkdtemp(prefix="rd-", dir="/tmp")), domain_id)
+        left = ["the test did not end"]
+        try:
+            yield made
+        finally:
+            left = made.end()
+        if left:
+            raise AssertionError(f"left behind: {', '.join(left)}")
+
+
+def read_back(folder: Path) -> dict[str, list[Any]]:
+    """Every message of a recording by its topic, read by the `mcap` package."""
+    from mcap.reader import make_reader
+
+    topics: dict[str, list[Any]] = {}
+    for path in sorted(folder.glob("*.mcap")):
+        with path.open("rb") as stream:
+            reader = make_reader(stream)
+            summary = reader.get_summary()
+            assert summary is not None
+            for channel in summary.channels.values():
+                topics.setdefault(channel.topic, [])
+            for _, channel, message in reader.iter_messages():
+                topics[channel.topic].append(message)
+    return topics
+
+
+def journal_of(messages: list[Any]) -> list[JournalEntry]:
+    """The journal of a recording by its own count: clocks that are set mix up the log times."""
+    return sorted((decode(message.data) for message in messages), key=lambda entry: entry.seq)
