@@ -6,6 +6,7 @@ import asyncio
 import logging
 import time
 from collections.abc import Callable, Coroutine
+from mmap import MAP_ANONYMOUS, MAP_PRIVATE, mmap
 from typing import Any
 
 from robotctl.errors import RobotctlError
@@ -40,7 +41,7 @@ class Supervisor:
     def __init__(self, end: Callable[[], None]) -> None:
         self._end = end
         self._dispatch: Callable[[Event], None] | None = None
-        self._reserve: bytearray | None = bytearray(RESERVE_BYTES)
+        self._reserve: mmap | None = mmap(-1, RESERVE_BYTES, MAP_PRIVATE | MAP_ANONYMOUS)
 
     def check(self) -> None:
         """Raise RobotctlError if the daemon has run out of memory."""
@@ -96,6 +97,7 @@ class Supervisor:
         """End the daemon, once: what fails meanwhile for want of memory changes nothing more."""
         if self._reserve is None:
             return
+        self._reserve.close()
         self._reserve = None
         self._end()
         _log.error("%s: out of memory", what)
