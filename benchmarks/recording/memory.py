@@ -65,13 +65,13 @@ def stuck(scratch: Path) -> float:
         channel = recorder.add_topic(Topic("/topic", "a/msg/B", "float64 x\n"))
         before = resident_mb()
         data = bytes(52)
-        for number in range(1, FLOOD * options.queue_bytes // len(data)):
+        for number in range(1, FLOOD * options.memory_bytes // len(data)):
             recorder.write(channel, data, number, number, number, b"publisher-number")
         grown = resident_mb() - before
         assert recorder.stats().dropped, "the queue took everything: the disk was not stuck"
         StuckFile.free.set()
         recorder.close()
-    return grown * 1e6 / options.queue_bytes
+    return grown * 1e6 / options.memory_bytes
 
 
 def soak_figures() -> Iterator[Figure]:

@@ -379,7 +379,7 @@ def test_messages_larger_than_a_chunk_keep_their_place(open_recorder: OpenRecord
 def test_a_message_larger_than_the_queue_is_dropped_and_counted(
     open_recorder: OpenRecorder,
 ) -> None:
-    recorder = open_recorder(queue_bytes=8 * MIB)
+    recorder = open_recorder(memory_bytes=8 * MIB)
     channel = recorder.add_topic(TWIST)
     write_numbered(recorder, channel, range(1, 2))
     write_numbered(recorder, channel, range(2, 3), size=200 * MIB)

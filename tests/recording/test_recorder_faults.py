@@ -332,7 +332,7 @@ def test_a_slow_disk_fills_the_queue_and_then_counts_drops(tmp_path: Path, size:
     gate.set()
     options = RecorderOptions(
         chunk_bytes=16 * KIB,
-        queue_bytes=256 * KIB,
+        memory_bytes=256 * KIB,
         open_file=lambda path: GatedFile(path, gate.wait),
     )
     recorder = Recorder(tmp_path / "run", options, on_failure=pytest.fail)
@@ -362,7 +362,7 @@ def test_the_memory_of_a_burst_is_given_back(tmp_path: Path) -> None:
     gate.set()
     options = RecorderOptions(
         chunk_bytes=16 * KIB,
-        queue_bytes=1024 * KIB,
+        memory_bytes=1024 * KIB,
         open_file=lambda path: GatedFile(path, gate.wait),
     )
     recorder = Recorder(tmp_path / "run", options, on_failure=pytest.fail)

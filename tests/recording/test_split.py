@@ -183,9 +183,9 @@ def test_what_is_latched_is_repeated_at_the_split_though_the_clock_was_set_back(
 
 
 def test_what_is_latched_and_was_dropped_is_repeated_at_its_own_time(tmp_path: Path) -> None:
-    options = RecorderOptions(chunk_bytes=1024, queue_bytes=2048)
+    options = RecorderOptions(chunk_bytes=1024, memory_bytes=4600)
     recorder = Recorder(tmp_path / "run", options, on_failure=pytest.fail)
-    recorder.write(recorder.add_topic(LATCHED), bytes(4096), START_NS, START_NS, 1, b"a")
+    recorder.write(recorder.add_topic(LATCHED), bytes(1500), START_NS, START_NS, 1, b"a")
     recorder.split()
     stats = recorder.close()
     assert (stats.dropped, stats.written) == (1, 0)
@@ -363,12 +363,13 @@ def test_only_the_current_file_is_marked_as_being_written(tmp_path: Path) -> Non
 def test_latched_messages_of_all_topics_share_one_budget_and_no_split_causes_another(
     tmp_path: Path,
 ) -> None:
-    options = RecorderOptions(latched_bytes=8 << 20, split_bytes=24 << 20)
+    options = RecorderOptions(memory_bytes=24 << 20, split_bytes=24 << 20)
     begun: list[Path] = []
     recorder = Recorder(tmp_path / "run", options, on_failure=pytest.fail, on_split=begun.append)
     channels = [recorder.add_topic(replace(LATCHED, name=f"/map_{i}")) for i in range(9)]
     for channel in channels:
         recorder.write(channel, os.urandom(3 << 20), START_NS, START_NS, 1, GID)
+        until(lambda: recorder.stats().queued == 0)
     until(lambda: bool(begun))
     assert recorder.stats().not_repeated == 7
     recorder.write(channels[0], b"small", START_NS, START_NS, 2, GID)  # makes room for another

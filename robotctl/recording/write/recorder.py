@@ -80,8 +80,7 @@ class Recorder:
         self._channels: dict[Topic, int] = {}
         self._closed = False
         self._chunk_bytes = options.chunk_bytes
-        self._queue_bytes = options.queue_bytes
-        self._latched_bytes_limit = options.latched_bytes
+        self._memory_bytes = options.memory_bytes
         self._latched_bytes = 0
         self._no_memory = 0
         self._buffer = PackBuffer(options.chunk_bytes)
@@ -121,7 +120,7 @@ class Recorder:
             else:
                 account.ledger.note(gid, sequence)
             if account.latched is not None:
-                room = self._latched_bytes_limit - self._latched_bytes
+                room = self._memory_bytes // 3 - self._latched_bytes
                 self._latched_bytes += account.keep_latched(
                     gid, data, log_ns, publish_ns, sequence, room
                 )
@@ -252,7 +251,8 @@ class Recorder:
         self._drain.queue.put(message)
 
     def _has_memory(self, size: int) -> bool:
-        return self._acquired - self._drain.released + size <= self._queue_bytes
+        waiting = self._acquired - self._drain.released + self._latched_bytes
+        return waiting + size <= self._memory_bytes
 
     def _change_buffer(self) -> None:
         """Hand the active buffer to the writer thread and go on in an empty one."""

@@ -29,10 +29,9 @@ class RecorderOptions:
     """Sizes and times of the recorder.
 
     A footer follows the data after `chunk_bytes` or `flush_s`, whichever comes first; after
-    `sync_s` data survives a power cut; at most `queue_bytes` wait for the disk, and at most
-    `latched_bytes` for the next file, which repeats the latched messages: together they are the
-    budget for all that waits in memory, and what does not fit is counted. A file is
-    followed by another at `split_bytes` or after `split_s`. The recorder warns when the disk
+    `sync_s` data survives a power cut. `memory_bytes` is the budget for all that waits in memory:
+    for the disk and, up to a third of it, latched messages for the next file, which repeats them.
+    What does not fit is counted. A file is followed by another at `split_bytes` or after `split_s`. The recorder warns when the disk
     has less than `warn_free_bytes` left, and stops at `stop_free_bytes`. If `group_readable`, the
     group may read what is recorded, else only its owner.
     """
@@ -42,8 +41,7 @@ class RecorderOptions:
     chunk_bytes: int = 1 << 20
     flush_s: float = 0.25
     sync_s: float = 1.0
-    queue_bytes: int = 64 << 20
-    latched_bytes: int = 32 << 20
+    memory_bytes: int = 96 << 20
     split_bytes: int = 256_000_000
     split_s: float = 600.0
     warn_free_bytes: int = 2_000_000_000
