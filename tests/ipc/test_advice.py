@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from robotctl.cli.registry import MODULES
+from robotctl.cli.registry import COMMANDS
 from robotctl.ipc.advice import advice
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
@@ -40,7 +40,7 @@ def test_the_cure_of_a_rule_is_told_once_at_the_end(rule: Rule) -> None:
 def test_every_command_names_the_robot(rule: Rule) -> None:
     said = refusal_in(rule, Finding(rule, "something is wrong").text)
     told = advice(said, "r2").sentence
-    commands = re.findall(rf"robotctl (?:{'|'.join(MODULES)})\b( --robot r2)?", told)
+    commands = re.findall(rf"robotctl (?:{'|'.join(COMMANDS)})\b( --robot r2)?", told)
     assert commands
     assert all(commands), told
 
