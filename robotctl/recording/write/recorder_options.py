@@ -31,9 +31,10 @@ class RecorderOptions:
     A footer follows the data after `chunk_bytes` or `flush_s`, whichever comes first; after
     `sync_s` data survives a power cut. `memory_bytes` is the budget for all that waits in memory:
     for the disk and, up to a third of it, latched messages for the next file, which repeats them.
-    What does not fit is counted. A file is followed by another at `split_bytes` or after `split_s`. The recorder warns when the disk
-    has less than `warn_free_bytes` left, and stops at `stop_free_bytes`. If `group_readable`, the
-    group may read what is recorded, else only its owner.
+    What does not fit is counted. A file is followed by another at `split_bytes` or after `split_s`.
+    The recorder warns when the disk has less than `warn_free_bytes` left, and stops at
+    `stop_free_bytes`. If `group_readable`, the group may read what is recorded, otherwise only the
+    owner may.
     """
 
     compression: Compression = Compression.ZSTD
