@@ -35,7 +35,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from robotctl.recording.read.reader import read_messages
 from robotctl.recording.write.recorder import Recorder, Topic
-from robotctl.ros.executor.raw import UNKNOWN_GID
+from robotctl.ros.executor import UNKNOWN_GID
 
 TARGET = 1 / 200
 IMAGES = Topic("/image", "sensor_msgs/msg/Image")

@@ -46,7 +46,7 @@ from robotctl.kernel.types import (
     Tick,
 )
 from robotctl.paths import latch_path
-from robotctl.ros.executor.ticker import Ticker
+from robotctl.ros.executor import Ticker
 from robotctl.ros.messages import qos
 from robotctl.ros.nodes.battery_subscriber import BatterySubscriber
 from robotctl.ros.nodes.journal_publisher import JournalPublisher

@@ -10,8 +10,7 @@ from rclpy.context import Context
 from rclpy.node import Node
 
 from robotctl.ros.context import close_context, open_context
-from robotctl.ros.executor.executor import AsyncioExecutor
-from robotctl.ros.executor.runtime import ExceptionHandler
+from robotctl.ros.executor import AsyncioExecutor, ExceptionHandler
 
 RECORDER_NODE = "recorder"
 """The node whose subscriptions only record."""

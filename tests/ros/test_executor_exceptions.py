@@ -14,7 +14,7 @@ from std_msgs.msg import UInt64
 from std_srvs.srv import SetBool
 
 from robotctl.ros import AsyncioExecutor, RawTap
-from robotctl.ros.executor import rcl
+from robotctl.ros.executor import RclCallFailed
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 Peer = Callable[..., Awaitable[Any]]
@@ -155,7 +155,7 @@ async def test_a_failing_take_is_reported_and_tried_again_later(
         takers = {each: sources[each]._taker for each in (typed, raw)}
 
         def fail(*_: Any) -> None:
-            raise rcl.RclCallFailed("cannot take")
+            raise RclCallFailed("cannot take")
 
         for each, taker in takers.items():
             sources[each]._taker = SimpleNamespace(take=fail, close=taker.close, info=taker.info)

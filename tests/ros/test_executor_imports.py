@@ -8,6 +8,7 @@ from subprocess import CompletedProcess
 import pytest
 
 import robotctl.ros
+from robotctl.ros import executor
 
 RunPython = Callable[..., CompletedProcess[str]]
 
@@ -41,3 +42,15 @@ def test_the_package_and_the_ticker_are_imported_without_rclpy(run_python: RunPy
 def test_an_unknown_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="has no attribute 'NoSuchExecutor'"):
         _ = robotctl.ros.NoSuchExecutor
+
+
+def test_every_name_of_the_face_is_there_and_in_the_other_face_the_same() -> None:
+    named = {name: getattr(executor, name) for name in executor.__all__}
+    assert len(named) == len(executor.__all__)
+    for name in robotctl.ros.__all__:
+        assert getattr(robotctl.ros, name) is named[name]
+
+
+def test_the_ticker_and_the_errors_need_no_rclpy(run_python: RunPython) -> None:
+    names = "Tick, Ticker, RclCallFailed, UnsupportedPlatform"
+    assert "rclpy" not in imported_by(run_python, f"from robotctl.ros.executor import {names}")

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from robotctl.ros import AsyncioExecutor
-from robotctl.ros.executor import rcl
+from robotctl.ros.executor import UnsupportedPlatform, rcl
 from tests.support.waiting import DEADLINE_S
 
 
@@ -40,7 +40,7 @@ async def test_a_platform_without_eventfd_is_refused(
     context: Any, unproven: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delattr(os, "eventfd")
-    with pytest.raises(rcl.UnsupportedPlatform, match="needs Linux with eventfd"):
+    with pytest.raises(UnsupportedPlatform, match="needs Linux with eventfd"):
         await open_and_close(context)
 
 
@@ -48,7 +48,7 @@ async def test_a_32_bit_platform_is_refused(
     context: Any, unproven: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(rcl.ctypes, "sizeof", lambda _: 4)
-    with pytest.raises(rcl.UnsupportedPlatform, match="needs a 64-bit Python"):
+    with pytest.raises(UnsupportedPlatform, match="needs a 64-bit Python"):
         await open_and_close(context)
 
 
@@ -57,7 +57,7 @@ async def test_a_middleware_without_callbacks_is_refused(
 ) -> None:
     unsupported = 3
     monkeypatch.setattr(rcl, "_setter", lambda _: lambda *_: unsupported)
-    with pytest.raises(rcl.UnsupportedPlatform, match="set RMW_IMPLEMENTATION=rmw_fastrtps_cpp"):
+    with pytest.raises(UnsupportedPlatform, match="set RMW_IMPLEMENTATION=rmw_fastrtps_cpp"):
         await open_and_close(context)
 
 
@@ -67,7 +67,7 @@ async def test_a_middleware_whose_callback_never_comes_is_refused(
     harmless = ctypes.cast(ctypes.CDLL(None).getpid, ctypes.c_void_p).value
     monkeypatch.setattr(rcl, "_eventfd_write", lambda: harmless)
     monkeypatch.setattr("robotctl.ros.executor.self_test.PROOF_TIMEOUT_S", 0.1)
-    with pytest.raises(rcl.UnsupportedPlatform, match="did not announce a message to itself"):
+    with pytest.raises(UnsupportedPlatform, match="did not announce a message to itself"):
         await open_and_close(context)
 
 
@@ -76,7 +76,7 @@ async def test_message_structures_of_another_ros_are_refused(
 ) -> None:
     # As if there were a field less at the front.
     monkeypatch.setattr(rcl, "_MESSAGE_INFO", struct.Struct("@8xqqQQQ8s"))
-    with pytest.raises(rcl.UnsupportedPlatform, match="not those of ROS 2 Jazzy"):
+    with pytest.raises(UnsupportedPlatform, match="not those of ROS 2 Jazzy"):
         await open_and_close(context)
 
 
@@ -84,7 +84,7 @@ def test_a_ros_without_the_function_is_named() -> None:
     class Newer(Enum):
         SIGNAL = ("librcl.so", "rcl_no_such_function")
 
-    with pytest.raises(rcl.UnsupportedPlatform, match="this ROS has no rcl_no_such_function"):
+    with pytest.raises(UnsupportedPlatform, match="this ROS has no rcl_no_such_function"):
         rcl.watch(Newer.SIGNAL, 0, 0)
 
 

@@ -8,8 +8,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.ros.executor import rcl
-from robotctl.ros.executor.raw import RawTap
+from robotctl.ros.executor import RawTap, rcl
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 LARGE = rcl.LARGE_BYTES + 1

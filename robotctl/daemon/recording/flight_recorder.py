@@ -22,7 +22,7 @@ from robotctl.daemon.supervisor import Work
 from robotctl.recording.format.events import EventKind, RecordedEvent
 from robotctl.recording.write.recorder import RecorderStats, Topic
 from robotctl.recording.write.topic_filter import TopicFilter
-from robotctl.ros.executor.raw import UNKNOWN_GID, ViewSink
+from robotctl.ros.executor import UNKNOWN_GID, ViewSink
 from robotctl.ros.messages import qos
 from robotctl.ros.messages.topic_description import TopicDescription
 from robotctl.ros.nodes.diagnostics_publisher import TOPIC, TYPE_NAME, DiagnosticsPublisher

@@ -1,6 +1,8 @@
 """AsyncioExecutor: rclpy callbacks in the asyncio loop, without a spinning thread.
 
-This package imports nothing of robotctl outside itself. Each name is imported when it is used.
+What `__all__` names is for users of the library; the modules below may change. The package imports
+nothing else of robotctl, and loads each name on first use: `Tick`, `Ticker` and the errors need no
+rclpy. It logs to the logger `robotctl.ros.executor`.
 """
 
 from __future__ import annotations
@@ -9,21 +11,42 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from robotctl.ros.executor.errors import RclCallFailed, UnsupportedPlatform
     from robotctl.ros.executor.executor import AsyncioExecutor
-    from robotctl.ros.executor.raw import RawTap
+    from robotctl.ros.executor.raw_tap import UNKNOWN_GID, RawTap, SerializedData, Sink, ViewSink
+    from robotctl.ros.executor.runtime import ExceptionHandler
     from robotctl.ros.executor.ticker import Tick, Ticker
 
-__all__ = ["AsyncioExecutor", "RawTap", "Tick", "Ticker"]
+__all__ = [
+    "UNKNOWN_GID",
+    "AsyncioExecutor",
+    "ExceptionHandler",
+    "RawTap",
+    "RclCallFailed",
+    "SerializedData",
+    "Sink",
+    "Tick",
+    "Ticker",
+    "UnsupportedPlatform",
+    "ViewSink",
+]
 
 _MODULES = {
-    "AsyncioExecutor": "robotctl.ros.executor.executor",
-    "RawTap": "robotctl.ros.executor.raw",
-    "Tick": "robotctl.ros.executor.ticker",
-    "Ticker": "robotctl.ros.executor.ticker",
+    "UNKNOWN_GID": "raw_tap",
+    "AsyncioExecutor": "executor",
+    "ExceptionHandler": "runtime",
+    "RawTap": "raw_tap",
+    "RclCallFailed": "errors",
+    "SerializedData": "raw_tap",
+    "Sink": "raw_tap",
+    "Tick": "ticker",
+    "Ticker": "ticker",
+    "UnsupportedPlatform": "errors",
+    "ViewSink": "raw_tap",
 }
 
 
 def __getattr__(name: str) -> object:
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_MODULES[name]), name)
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)

@@ -16,7 +16,7 @@ from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
 from robotctl.ros.executor.nodes import is_destroyed
-from robotctl.ros.executor.raw import RawTap
+from robotctl.ros.executor.raw_tap import RawTap
 from robotctl.ros.executor.runtime import Runtime, log, name_of
 from robotctl.ros.executor.sources.actions import ActionClientSource, ActionServerSource
 from robotctl.ros.executor.sources.qos_events import QosEventSource

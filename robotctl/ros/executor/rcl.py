@@ -16,17 +16,11 @@ from enum import Enum
 from functools import cache
 from typing import Any, NamedTuple
 
+from robotctl.ros.executor.errors import RclCallFailed, UnsupportedPlatform
+
 _RET_OK = 0
 _RET_UNSUPPORTED = 3
 _RET_SUBSCRIPTION_TAKE_FAILED = 401
-
-
-class UnsupportedPlatform(RuntimeError):
-    """This platform or middleware cannot tell an eventfd about new data; the text says why."""
-
-
-class RclCallFailed(RuntimeError):
-    """A call of rcl failed; the text holds rcl's own words."""
 
 
 class Signal(Enum):

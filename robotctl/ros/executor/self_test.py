@@ -14,6 +14,7 @@ from rclpy.qos import QoSProfile
 from rclpy.type_support import check_for_type_support
 
 from robotctl.ros.executor import rcl
+from robotctl.ros.executor.errors import UnsupportedPlatform
 from robotctl.ros.executor.rcl import Signal
 
 PROOF_TIMEOUT_S = 5.0
@@ -73,7 +74,7 @@ async def _until_announced(subscription: _rclpy.Subscription, publisher: _rclpy.
             publisher.publish(_SENT)
             await announced
     except TimeoutError:
-        raise rcl.UnsupportedPlatform(
+        raise UnsupportedPlatform(
             f"the middleware {_rclpy.rclpy_get_rmw_implementation_identifier()} did not announce "
             f"a message to itself within {PROOF_TIMEOUT_S:g} s; if ROS is otherwise healthy here, "
             "set RMW_IMPLEMENTATION=rmw_fastrtps_cpp or use an executor of rclpy"
@@ -91,7 +92,7 @@ def _check_take(subscription: _rclpy.Subscription) -> None:
     finally:
         taker.close()
     if taken is None:
-        raise rcl.UnsupportedPlatform("a message was announced and not there to be taken")
+        raise UnsupportedPlatform("a message was announced and not there to be taken")
     message = rcl.Serialized(bytes(taken[0]), *taken[1:])
     if (
         message.data != _CDR
@@ -99,6 +100,6 @@ def _check_take(subscription: _rclpy.Subscription) -> None:
         or not any(message.gid)
         or not 0 < message.source_ns <= message.received_ns
     ):
-        raise rcl.UnsupportedPlatform(
+        raise UnsupportedPlatform(
             f"the middleware's structures are not those of ROS 2 Jazzy (got {message})"
         )

@@ -18,7 +18,8 @@ from rclpy.qos import (
     ReliabilityPolicy,
 )
 
-from robotctl.ros.executor.rcl import Allocator, RclCallFailed, rcutils, take_error_text
+from robotctl.ros.executor import RclCallFailed
+from robotctl.ros.executor.rcl import Allocator, rcutils, take_error_text
 
 
 class Role(Enum):

@@ -10,7 +10,7 @@ from nav_msgs.msg import Odometry as OdometryMessage
 
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.types import Odometry, Twist
-from robotctl.ros.executor.raw import RawTap
+from robotctl.ros.executor import RawTap
 from robotctl.ros.graph.publishers import publisher_names
 from robotctl.ros.messages import qos
 from robotctl.ros.messages.cdr import decode_odometry

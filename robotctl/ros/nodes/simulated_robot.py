@@ -10,8 +10,7 @@ from nav_msgs.msg import Odometry as OdometryMessage
 from sensor_msgs.msg import BatteryState
 
 from robotctl.kernel.types import ZERO
-from robotctl.ros.executor.raw import RawTap
-from robotctl.ros.executor.ticker import Ticker
+from robotctl.ros.executor import RawTap, Ticker
 from robotctl.ros.messages import qos
 from robotctl.ros.messages.cdr import OdometryEncoder, decode_twist
 from robotctl.ros.messages.convert import battery_message

@@ -10,7 +10,7 @@ from geometry_msgs.msg import Twist as TwistMessage
 
 from robotctl.kernel.types import ZERO, Twist
 from robotctl.printable import short_name
-from robotctl.ros.executor.raw import RawTap
+from robotctl.ros.executor import RawTap
 from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.publishers import full_name, gid_of, publisher_names
 from robotctl.ros.messages import qos

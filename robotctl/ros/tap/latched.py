@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import TypeVar
 
-from robotctl.ros.executor.raw import Data, ViewSink
+from robotctl.ros.executor import SerializedData, ViewSink
 
 Span = tuple[int, int]
 """The first and the last sequence number that one subscription delivered of a publisher."""
@@ -34,7 +34,9 @@ class LatchedMerge:
         self._known: dict[bytes, int] = {}
         """The last number of each publisher that earlier subscriptions delivered."""
 
-    def live(self, data: Data, received_ns: int, source_ns: int, sequence: int, gid: bytes) -> None:
+    def live(
+        self, data: SerializedData, received_ns: int, source_ns: int, sequence: int, gid: bytes
+    ) -> None:
         """Take a message of the subscription that gets what every publisher sends from now on."""
         first, _ = self._live.get(gid, (sequence, sequence))
         _keep(self._live, gid, (first, sequence))
@@ -43,7 +45,7 @@ class LatchedMerge:
             self._sink(data, received_ns, source_ns, sequence, gid)
 
     def latched(
-        self, data: Data, received_ns: int, source_ns: int, sequence: int, gid: bytes
+        self, data: SerializedData, received_ns: int, source_ns: int, sequence: int, gid: bytes
     ) -> None:
         """Take a message of the subscription that gets what publishers have latched, and send."""
         _, last = self._latched.get(gid, NOTHING)

@@ -9,7 +9,7 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from robotctl.ros.executor.raw import RawTap, ViewSink
+from robotctl.ros.executor import RawTap, ViewSink
 from robotctl.ros.messages import qos
 from robotctl.ros.messages.classes import message_class
 from robotctl.ros.messages.type_definition import holds_bytes

@@ -11,8 +11,7 @@ from itertools import count
 from rclpy.qos import QoSProfile
 
 from robotctl.printable import printable, short_name
-from robotctl.ros.executor import self_test
-from robotctl.ros.executor.raw import ViewSink
+from robotctl.ros.executor import ViewSink, self_test
 from robotctl.ros.graph import endpoints
 from robotctl.ros.messages import qos
 from robotctl.ros.messages.topic_description import TopicDescription

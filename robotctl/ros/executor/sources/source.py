@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 
 from robotctl.ros.executor import rcl
+from robotctl.ros.executor.errors import RclCallFailed, UnsupportedPlatform
 from robotctl.ros.executor.pool import Pool
 from robotctl.ros.executor.rcl import Signal
 from robotctl.ros.executor.runtime import Runtime, log
@@ -144,7 +145,7 @@ class EventFdSource(Source):
         for signal in self.signals:
             try:
                 rcl.unwatch(signal, self.handle.pointer)
-            except (rcl.RclCallFailed, rcl.UnsupportedPlatform) as error:
+            except (RclCallFailed, UnsupportedPlatform) as error:
                 log.debug("%s: %s", self.where, error)
         self._stop_listening()
         os.close(self._fd)

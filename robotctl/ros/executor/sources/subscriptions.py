@@ -14,6 +14,7 @@ from rclpy.subscription import Subscription
 
 from robotctl.ros.executor import rcl
 from robotctl.ros.executor.decoder import decoder_of
+from robotctl.ros.executor.errors import RclCallFailed
 from robotctl.ros.executor.rcl import Signal
 from robotctl.ros.executor.runtime import Runtime
 from robotctl.ros.executor.sources.source import EventFdSource, TakeFailed, rest_of
@@ -50,7 +51,7 @@ class _TakenSource(EventFdSource):
     def take(self) -> Any:
         try:
             return self._taker.take()
-        except rcl.RclCallFailed as error:
+        except RclCallFailed as error:
             raise TakeFailed(error) from error
 
     def deliver(self, item: Any) -> Coroutine[Any, Any, Any] | None:
@@ -68,7 +69,7 @@ class _TakenSource(EventFdSource):
         while True:
             try:
                 item = take()
-            except rcl.RclCallFailed as error:
+            except RclCallFailed as error:
                 self.retry_later(error)
                 return False
             if item is None:
