@@ -1,1 +1,80 @@
-"""The flight recorder: an always-valid MCAP file, its reader, and its repair. Knows no ROS."""
+"""Recordings: write, read, recover and clip MCAP files that are valid at any moment. Knows no ROS.
+
+A library user may rely on the names in `__all__`; the modules below may change. Each name is
+imported when it is used.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from robotctl.recording.format.events import EventKind, RecordedEvent
+    from robotctl.recording.format.journal import EntryKind, JournalEntry
+    from robotctl.recording.format.topics import Topic, TopicStats
+    from robotctl.recording.keep.clip import Clip, Moment, cut_clip
+    from robotctl.recording.keep.listing import ListedRecording, list_recordings
+    from robotctl.recording.keep.recover import RecoveryReport, recover
+    from robotctl.recording.keep.recover_folder import recover_folder
+    from robotctl.recording.read.info import RecordingInfo, TopicInfo
+    from robotctl.recording.read.journal_reader import RecordedEntry, read_journal
+    from robotctl.recording.read.messages import Message
+    from robotctl.recording.read.reader import Recording, read_info, read_messages
+    from robotctl.recording.write.recorder import Recorder
+    from robotctl.recording.write.recorder_options import Compression, RecorderOptions
+    from robotctl.recording.write.recorder_stats import RecorderState, RecorderStats
+
+__all__ = [
+    "Clip",
+    "Compression",
+    "EntryKind",
+    "EventKind",
+    "JournalEntry",
+    "ListedRecording",
+    "Message",
+    "Moment",
+    "RecordedEntry",
+    "RecordedEvent",
+    "Recorder",
+    "RecorderOptions",
+    "RecorderState",
+    "RecorderStats",
+    "Recording",
+    "RecordingInfo",
+    "RecoveryReport",
+    "Topic",
+    "TopicInfo",
+    "TopicStats",
+    "cut_clip",
+    "list_recordings",
+    "read_info",
+    "read_journal",
+    "read_messages",
+    "recover",
+    "recover_folder",
+]
+
+_NAMES_OF_MODULE = {
+    "format.events": ("EventKind", "RecordedEvent"),
+    "format.journal": ("EntryKind", "JournalEntry"),
+    "format.topics": ("Topic", "TopicStats"),
+    "keep.clip": ("Clip", "Moment", "cut_clip"),
+    "keep.listing": ("ListedRecording", "list_recordings"),
+    "keep.recover": ("RecoveryReport", "recover"),
+    "keep.recover_folder": ("recover_folder",),
+    "read.info": ("RecordingInfo", "TopicInfo"),
+    "read.journal_reader": ("RecordedEntry", "read_journal"),
+    "read.messages": ("Message",),
+    "read.reader": ("Recording", "read_info", "read_messages"),
+    "write.recorder": ("Recorder",),
+    "write.recorder_options": ("Compression", "RecorderOptions"),
+    "write.recorder_stats": ("RecorderState", "RecorderStats"),
+}
+_MODULES = {name: module for module, names in _NAMES_OF_MODULE.items() for name in names}
+
+
+def __getattr__(name: str) -> object:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)

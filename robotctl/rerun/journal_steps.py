@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from heapq import heappop, heappush
 
-from robotctl.recording.format.journal import JournalEntry, Kind
+from robotctl.recording.format.journal import EntryKind, JournalEntry
 
 MAX_DISORDER = 4096
 """Entries are put in the order of their `seq` where others stand between them; so many at most.
@@ -45,14 +45,14 @@ def steps(entries: Iterable[JournalEntry]) -> Iterator[Step | JournalEntry | Gap
                 yield step
                 step = None
             yield entry
-        elif entry.kind is Kind.EFFECT:
+        elif entry.kind is EntryKind.EFFECT:
             if step is not None:
                 step.effects.append(entry)
         else:
             if step is not None:
                 yield step
                 step = None
-            if entry.kind is Kind.EVENT:
+            if entry.kind is EntryKind.EVENT:
                 step = Step(entry)
             else:
                 yield entry

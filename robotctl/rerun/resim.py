@@ -26,7 +26,7 @@ from robotctl.kernel.types import (
     ModeRequested,
     ResetRequested,
 )
-from robotctl.recording.format.journal import JournalEntry, Kind
+from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.journal_reader import read_journal
 from robotctl.recording.read.reader import Recording
@@ -84,7 +84,7 @@ def resim(
         info = recording.info()
         for _, entry in read_journal(recording, lambda text: note_missing(missing, text)):
             recorded.end_ns = entry.t_ns
-            if entry.kind is Kind.SNAPSHOT and snapshot is None:
+            if entry.kind is EntryKind.SNAPSHOT and snapshot is None:
                 snapshot, recorded.begin_ns = read_snapshot(entry), entry.t_ns
             elif snapshot is not None:
                 _take(recorded, entry)
@@ -124,12 +124,12 @@ def resim(
 
 
 def _take(run: Run, entry: JournalEntry) -> None:
-    if entry.kind is Kind.EVENT and entry.name in _REQUESTS:
+    if entry.kind is EntryKind.EVENT and entry.name in _REQUESTS:
         request = read_event(entry)
         assert isinstance(request, ModeRequested | ResetRequested | DriveRequested)
         if len(run.requests) <= MAX_REQUESTS:
             run.requests[request.request_id] = request
-    elif entry.kind is Kind.EFFECT and entry.name == DriveEnded.__name__:
+    elif entry.kind is EntryKind.EFFECT and entry.name == DriveEnded.__name__:
         ended = read_effect(entry)
         assert isinstance(ended, DriveEnded)
         run.end_drive(ended, entry.t_ns)

@@ -8,7 +8,7 @@ from typing import Any
 
 from robotctl.errors import UnreadableFile
 from robotctl.kernel.codec import to_json
-from robotctl.recording.format.journal import JournalEntry, Kind
+from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.rerun.journal_values import read_effect, read_event, read_snapshot
 
 MAX_FORMS = 4096
@@ -16,7 +16,11 @@ MAX_FORM_BYTES = 1000
 """A form is an entry's text without its digits. Forms are kept so that each is looked at once; a
 request holds any text, and a file must not fill the memory with it."""
 
-_READERS = {Kind.EVENT: read_event, Kind.EFFECT: read_effect, Kind.SNAPSHOT: read_snapshot}
+_READERS = {
+    EntryKind.EVENT: read_event,
+    EntryKind.EFFECT: read_effect,
+    EntryKind.SNAPSHOT: read_snapshot,
+}
 
 
 class Vocabulary:

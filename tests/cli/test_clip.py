@@ -27,7 +27,7 @@ def open_recording(folder: Path, *events: tuple[EventKind, int]) -> Recorder:
     recorder = Recorder(folder, on_failure=pytest.fail)
     write_numbered(recorder, recorder.add_topic(TWIST), range(1, COUNT + 1))
     for kind, at_ms in events:
-        recorder.note(RecordedEvent(kind, START_NS + at_ms * 1_000_000, f"\x1b at {at_ms}"))
+        recorder.add_event(RecordedEvent(kind, START_NS + at_ms * 1_000_000, f"\x1b at {at_ms}"))
     return recorder
 
 

@@ -23,7 +23,7 @@ OLDER, NEWER = "robot_20260101_120000", "robot_20260101_120000-2"
 def record(folder: Path, count: int = 100) -> Path:
     recorder = Recorder(folder, on_failure=pytest.fail)
     write_numbered(recorder, recorder.add_topic(TWIST), range(1, count + 1))
-    recorder.note(RecordedEvent(EventKind.EMERGENCY_STOP, START_NS, "requested by \x1b[2J"))
+    recorder.add_event(RecordedEvent(EventKind.EMERGENCY_STOP, START_NS, "requested by \x1b[2J"))
     return recorder.close().file
 
 

@@ -14,7 +14,7 @@ import pytest
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
-from robotctl.recording.format.journal import Kind
+from robotctl.recording.format.journal import EntryKind
 from robotctl.recording.read.reader import read_info, read_messages
 from robotctl.rerun.check import check
 from robotctl.rerun.check_report import Verdict
@@ -133,7 +133,7 @@ def test_a_split_loses_nothing(flight: Flight) -> None:
     assert commands == list(range(1, len(commands) + 1))
     journal = journal_of(read_back(flight.folder)["/robotctl/journal"])
     assert [entry.seq for entry in journal] == list(range(len(journal)))
-    assert sum(entry.kind is Kind.SNAPSHOT for entry in journal) >= 2
+    assert sum(entry.kind is EntryKind.SNAPSHOT for entry in journal) >= 2
 
 
 def test_each_file_tells_what_made_it(flight: Flight) -> None:

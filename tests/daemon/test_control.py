@@ -26,7 +26,7 @@ from robotctl.kernel.types import (
     ResetRequested,
     Tick,
 )
-from robotctl.recording.format.journal import JournalEntry, Kind, decode
+from robotctl.recording.format.journal import EntryKind, JournalEntry, decode
 from robotctl.rerun.rerun import rerun
 from robotctl.testing.kernels import moving
 from tests.support.waiting import loop_until
@@ -73,7 +73,7 @@ def test_a_snapshot_stands_in_the_journal_every_10_s() -> None:
     bench = Bench()
     for tick in range(1, 121):
         bench.control.dispatch(Tick(tick * 250_000_000))
-    at_s = [entry.t_ns / 1e9 for entry in bench.entries if entry.kind is Kind.SNAPSHOT]
+    at_s = [entry.t_ns / 1e9 for entry in bench.entries if entry.kind is EntryKind.SNAPSHOT]
     assert at_s == [0.0, 10.0, 20.0, 30.0]
     assert rerun(bench.entries) is None
 

@@ -11,7 +11,7 @@ import pytest
 
 from robotctl.daemon.recording import folder
 from robotctl.kernel.patterns import PatternKind
-from robotctl.recording.format.journal import Kind, decode
+from robotctl.recording.format.journal import EntryKind, decode
 from robotctl.recording.read.reader import read_info, read_messages
 from robotctl.recording.write.recorder import RecorderOptions
 from robotctl.rerun.check import check
@@ -45,7 +45,7 @@ async def test_each_file_begins_with_a_snapshot_and_can_be_decided_again(
     seqs = []
     for path in files_of(world):
         entries = [decode(m.data) for m in read_messages(path, {"/robotctl/journal"})]
-        assert entries[0].kind is Kind.SNAPSHOT
+        assert entries[0].kind is EntryKind.SNAPSHOT
         seqs += [entry.seq for entry in entries]
         report = check(path)
         assert report.verdict is Verdict.SAME

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.recording.format.journal import JournalEntry, Kind
+from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.rerun.rerun import rerun
 from tests.support.waiting import until
 from tests.support.world import STATUS_KEYS, Peer, World, journal_of, new_world, read_back
@@ -316,8 +316,8 @@ def test_the_counts_add_up(session: Session) -> None:
 
 def test_a_fresh_kernel_decides_the_same_bit_for_bit(session: Session) -> None:
     journal = session.journal
-    assert journal[0].kind is Kind.SNAPSHOT
-    assert sum(entry.kind is Kind.EFFECT for entry in journal) > 300
+    assert journal[0].kind is EntryKind.SNAPSHOT
+    assert sum(entry.kind is EntryKind.EFFECT for entry in journal) > 300
     assert rerun(journal) is None
 
 
@@ -325,7 +325,7 @@ def test_each_request_has_one_reply(session: Session) -> None:
     asked = [
         json.loads(entry.data)["request_id"]
         for entry in session.journal
-        if entry.kind is Kind.EVENT and entry.name.endswith("Requested")
+        if entry.kind is EntryKind.EVENT and entry.name.endswith("Requested")
     ]
     replies = [
         json.loads(entry.data)["request_id"] for entry in session.journal if entry.name == "Reply"

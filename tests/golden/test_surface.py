@@ -18,13 +18,17 @@ from robotctl.ipc.connection import Method
 from robotctl.ipc.params import HelloParams
 from robotctl.ipc.protocol import PROTOCOL_VERSION
 from robotctl.kernel.codec import to_json
-from robotctl.recording.format.journal import JournalEntry, Kind
+from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.rerun.check_report import Verdict
 from robotctl.rerun.journal_values import read_effect, read_event, read_snapshot
 from robotctl.rerun.vocabulary import Vocabulary
 
 GOLDEN = Path(__file__).parent
-READERS = {Kind.EVENT: read_event, Kind.EFFECT: read_effect, Kind.SNAPSHOT: read_snapshot}
+READERS = {
+    EntryKind.EVENT: read_event,
+    EntryKind.EFFECT: read_effect,
+    EntryKind.SNAPSHOT: read_snapshot,
+}
 
 EXIT_CODES = {
     "RobotctlError": 1,
@@ -58,7 +62,7 @@ def holds(ours: Any, golden: Any) -> bool:
     "line", lines("journal.jsonl"), ids=lambda line: f"{line['kind']}-{line['name']}"
 )
 def test_each_golden_journal_entry_is_read_with_all_its_fields(line: dict[str, Any]) -> None:
-    kind = Kind[line["kind"].upper()]
+    kind = EntryKind[line["kind"].upper()]
     entry = JournalEntry(0, 1, kind, line["name"], json.dumps(line["data"]))
     assert Vocabulary().unknown_field(entry) == ""
     assert holds(json.loads(to_json(READERS[kind](entry))), line["data"])

@@ -14,7 +14,13 @@ from mcap.records import Channel
 
 from robotctl.errors import UnreadableFile, UsageError
 from robotctl.recording.disk.storage import DiskFile
-from robotctl.recording.format.journal import MAX_TEXT_BYTES, JournalEntry, Kind, decode, encode
+from robotctl.recording.format.journal import (
+    MAX_TEXT_BYTES,
+    EntryKind,
+    JournalEntry,
+    decode,
+    encode,
+)
 from robotctl.recording.format.records import MESSAGE_HEAD
 from robotctl.recording.read.damage import BeyondLimit
 from robotctl.recording.read.read_limits import (
@@ -189,7 +195,7 @@ def test_of_large_messages_of_zeros_as_many_pass_as_the_manual_says(count: int, 
 
 
 def test_a_journal_entry_with_an_endless_text_is_told(tmp_path: Path) -> None:
-    entry = JournalEntry(1, 2, Kind.EVENT, "Tick", "x" * (MAX_TEXT_BYTES - 1))
+    entry = JournalEntry(1, 2, EntryKind.EVENT, "Tick", "x" * (MAX_TEXT_BYTES - 1))
     assert decode(encode(entry)) == entry
     with pytest.raises(UnreadableFile, match=f"more than {MAX_TEXT_BYTES}"):
         decode(encode(entry._replace(data="x" * MAX_TEXT_BYTES)))

@@ -13,8 +13,8 @@ from rosbags.highlevel import AnyReader
 from robotctl.errors import Refused
 from robotctl.recording.disk.storage import DiskFile
 from robotctl.recording.format.events import EventKind, RecordedEvent
-from robotctl.recording.format.journal import JournalEntry, Kind, decode, encode
-from robotctl.recording.keep.clip import Clip, Moment, cut
+from robotctl.recording.format.journal import EntryKind, JournalEntry, decode, encode
+from robotctl.recording.keep.clip import Clip, Moment, cut_clip
 from robotctl.recording.read.reader import Recording, read_info, read_messages
 from robotctl.recording.write.recorder import Recorder, RecorderOptions, Topic
 from robotctl.rerun.check import check
@@ -68,7 +68,7 @@ def record(folder: Path, driven: list[Written], *splits_s: float) -> Recorder:
             published += 1
             recorder.write(commands, serialized(each), log_ns, log_ns, published, GID)
     for seconds in range(10, 40, 10):
-        recorder.note(RecordedEvent(EventKind.ERROR, at_ns(seconds), f"at {seconds}"))
+        recorder.add_event(RecordedEvent(EventKind.ERROR, at_ns(seconds), f"at {seconds}"))
     return recorder
 
 
@@ -81,7 +81,7 @@ def recording(driven: list[Written], tmp_path_factory: pytest.TempPathFactory) -
 
 def clip(source: Path, target: Path, start_s: float, end_s: float) -> Clip:
     with Recording(source) as recording:
-        return cut(recording, Moment(at_ns(start_s)), (at_ns(start_s), at_ns(end_s)), target)
+        return cut_clip(recording, Moment(at_ns(start_s)), (at_ns(start_s), at_ns(end_s)), target)
 
 
 @pytest.mark.parametrize("window", [(5.0, 10.0), (20.0, 35.0), (31.0, 32.0), (12.0, 24.0)])
@@ -104,14 +104,14 @@ def test_a_clip_holds_its_window_and_what_is_latched(
     assert {text("other"), text("new" if window[0] > 25 else "old")} <= set(maps)
     assert maps[-1] == text("new" if window[0] > 25 else "other")
     first = next(m for m in stored if m.topic == "/robotctl/journal")
-    assert decode(first.data).kind is Kind.SNAPSHOT
+    assert decode(first.data).kind is EntryKind.SNAPSHOT
 
 
 def test_a_clip_says_of_what_it_is_one(recording: Path, tmp_path: Path) -> None:
     target = tmp_path / "clip.mcap"
     with Recording(recording) as source:
         moment = Moment.of(source.info().events[1])
-        cut(source, moment, (at_ns(15), at_ns(25)), target)
+        cut_clip(source, moment, (at_ns(15), at_ns(25)), target)
     info = read_info(target)
     assert info.metadata["robotctl.clip"] == {
         "of": "run_0.mcap, run_1.mcap, run_2.mcap",
@@ -168,7 +168,7 @@ def test_recordings_of_others_are_cut_without_a_journal(tmp_path: Path) -> None:
     with Recording(source) as recording:
         start_ns = recording.info().start_ns
         window = (start_ns + 1_000_000_000, start_ns + 2_000_000_000)
-        made = cut(recording, Moment(start_ns), window, tmp_path / "clip.mcap")
+        made = cut_clip(recording, Moment(start_ns), window, tmp_path / "clip.mcap")
     assert made.lost == ()
     assert [m.data for m in read_strictly(made.target)] == [
         text("map"),
@@ -181,7 +181,7 @@ def test_names_that_are_no_text_are_written_escaped(tmp_path: Path) -> None:
     source = write_bag(tmp_path / os.fsdecode(b"caf\xe9.mcap"), lines)
     target = tmp_path / os.fsdecode(b"clip-caf\xe9.mcap")
     with Recording(source) as recording:
-        made = cut(recording, Moment(recording.info().start_ns), (0, 1 << 63), target)
+        made = cut_clip(recording, Moment(recording.info().start_ns), (0, 1 << 63), target)
     assert len(read_strictly(made.target)) == 4
     assert read_info(target).metadata["robotctl.clip"]["of"] == r"caf\udce9.mcap"
 

@@ -27,7 +27,7 @@ def test_an_event_is_found_while_the_file_grows_and_after_it_was_closed(tmp_path
     recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
     write_numbered(recorder, recorder.add_topic(TWIST), range(1, 11))
     for event in EVENTS:
-        recorder.note(event)
+        recorder.add_event(event)
     until(lambda: read_info(tmp_path / "run").events == EVENTS)
     stats = recorder.close()
     assert read_info(tmp_path / "run").events == EVENTS
@@ -37,7 +37,7 @@ def test_an_event_is_found_while_the_file_grows_and_after_it_was_closed(tmp_path
 def test_an_event_survives_its_summary(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
     write_numbered(recorder, recorder.add_topic(TWIST), range(1, 11))
-    recorder.note(EVENTS[0])
+    recorder.add_event(EVENTS[0])
     path = recorder.close().file
     path.write_bytes(path.read_bytes()[:-30])
     info = read_info(path)
@@ -51,7 +51,7 @@ def test_events_without_end_go_on_in_another_file(
     recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
     events = [RecordedEvent(EventKind.MARK, START_NS + n, str(n)) for n in range(12)]
     for event in events:
-        recorder.note(event)
+        recorder.add_event(event)
     recorder.close()
     assert len(list((tmp_path / "run").glob("*.mcap"))) == 3
     assert list(read_info(tmp_path / "run").events) == events

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from robotctl.errors import UnreadableFile
-from robotctl.recording.format.journal import TYPE_NAME, JournalEntry, Kind, encode
+from robotctl.recording.format.journal import TYPE_NAME, EntryKind, JournalEntry, encode
 from robotctl.recording.read.journal_reader import journal_topic, read_journal
 from robotctl.recording.read.reader import Recording
 from robotctl.recording.write.recorder import Recorder, RecorderOptions, Topic
@@ -23,7 +23,7 @@ def record(folder: Path, robot: str, topics: dict[str, Iterable[int]]) -> Path:
     for name, times in topics.items():
         channel = recorder.add_topic(Topic(name, TYPE_NAME))
         for seq, time_ns in enumerate(times):
-            entry = encode(JournalEntry(seq, seq, Kind.EVENT, "Tick", name))
+            entry = encode(JournalEntry(seq, seq, EntryKind.EVENT, "Tick", name))
             recorder.write(channel, entry, START_NS + time_ns, START_NS, seq + 1, GID)
     recorder.close()
     return folder

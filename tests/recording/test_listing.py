@@ -19,7 +19,7 @@ def record(folder: Path, *events: RecordedEvent) -> Recorder:
     recorder = Recorder(folder, metadata=lambda: {"robot": "r2"}, on_failure=pytest.fail)
     write_numbered(recorder, recorder.add_topic(TWIST), range(1, 101))
     for event in events:
-        recorder.note(event)
+        recorder.add_event(event)
     return recorder
 
 

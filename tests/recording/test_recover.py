@@ -128,7 +128,7 @@ def test_metadata_of_one_name_is_all_kept(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
     write_numbered(recorder, recorder.add_topic(TWIST), range(1, 11))
     for number in range(3):
-        recorder.note(RecordedEvent(EventKind.MARK, START_NS + number, f"mark {number}"))
+        recorder.add_event(RecordedEvent(EventKind.MARK, START_NS + number, f"mark {number}"))
     recover(recorder.close().file, tmp_path / "out.mcap")
     assert [event.text for event in read_info(tmp_path / "out.mcap").events] == [
         "mark 0",

@@ -13,7 +13,7 @@ from mcap.writer import Writer
 from zstandard import ZstdCompressor, ZstdDecompressor
 
 from robotctl.errors import UnreadableFile
-from robotctl.recording.keep.clip import Moment, cut
+from robotctl.recording.keep.clip import Moment, cut_clip
 from robotctl.recording.keep.listing import list_recording
 from robotctl.recording.keep.recover import recover
 from robotctl.recording.keep.recover_folder import recover_folder
@@ -82,7 +82,7 @@ def test_messages_that_were_compressed_one_by_one_are_read(
             assert [m.data for m in recording.in_order_written(None, missing.append)] == SENT
             last = recording.last_before(START_NS + 10**12, {"/alpha": 3}, missing.append)
             assert [m.data for m in last] == SENT[-3:]
-            clip = cut(recording, Moment(START_NS), ALWAYS, tmp_path / f"{path.name}.clip")
+            clip = cut_clip(recording, Moment(START_NS), ALWAYS, tmp_path / f"{path.name}.clip")
         assert (missing, clip.lost) == ([], ())
         assert [m.data for m in read_strictly(clip.target)] == SENT
 

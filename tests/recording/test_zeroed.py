@@ -11,7 +11,7 @@ from mcap.opcode import Opcode
 from mcap.writer import CompressionType
 
 from robotctl.errors import UnreadableFile
-from robotctl.recording.keep.clip import Moment, cut
+from robotctl.recording.keep.clip import Moment, cut_clip
 from robotctl.recording.keep.recover import recover
 from robotctl.recording.keep.recover_folder import recover_folder
 from robotctl.recording.read.messages import ALWAYS
@@ -54,7 +54,7 @@ def assert_loss_is_named(path: Path, folder: Path) -> None:
     assert salvage.message_count == len(messages)
     assert len(read_strictly(salvage.target)) == len(messages)
     with Recording(path) as recording:
-        clip = cut(recording, Moment(recording.info().start_ns), ALWAYS, folder / "clip.mcap")
+        clip = cut_clip(recording, Moment(recording.info().start_ns), ALWAYS, folder / "clip.mcap")
         in_order: list[str] = []
         written = list(recording.in_order_written(None, in_order.append))
     assert clip.lost

@@ -14,7 +14,7 @@ from robotctl.errors import UnreadableFile
 from robotctl.kernel import kernel as kernel_module
 from robotctl.kernel.types import CommandPublishersSeen, ModeRequested, Twist
 from robotctl.recording.format.identity import MADE_BY
-from robotctl.recording.format.journal import JournalEntry, Kind, encode
+from robotctl.recording.format.journal import EntryKind, JournalEntry, encode
 from robotctl.recording.read.reader import Recording
 from robotctl.recording.write.recorder import Recorder, RecorderOptions
 from robotctl.rerun.check import check
@@ -61,8 +61,8 @@ def test_the_same_kernel_decides_the_same(tmp_path: Path, drive_of_3_s: list[Wri
     assert (report.verdict, report.missing, report.notes) == (Verdict.SAME, [], [])
     assert report.bitwise
     journal = [each for each in drive_of_3_s if isinstance(each, JournalEntry)]
-    assert report.events == sum(entry.kind is Kind.EVENT for entry in journal)
-    assert report.effects == sum(entry.kind is Kind.EFFECT for entry in journal)
+    assert report.events == sum(entry.kind is EntryKind.EVENT for entry in journal)
+    assert report.effects == sum(entry.kind is EntryKind.EFFECT for entry in journal)
     assert report.commands == len(drive_of_3_s) - len(journal)
     assert report.duration_s == pytest.approx(3.0, abs=0.1)
 
@@ -213,7 +213,7 @@ def test_floats_of_another_platform_may_differ_by_a_billionth(
 ) -> None:
     changed: list[Written] = []
     for each in drive_of_3_s:
-        if isinstance(each, JournalEntry) and each.kind is Kind.SNAPSHOT:
+        if isinstance(each, JournalEntry) and each.kind is EntryKind.SNAPSHOT:
             changed.append(each._replace(data=each.data.replace(MADE_BY, "another")))
         elif isinstance(each, JournalEntry) and '"linear":0.0,' in each.data and each.seq < 20:
             data = each.data.replace('"linear":0.0,', f'"linear":1{digits},')
@@ -243,7 +243,7 @@ def test_every_file_of_a_recording_can_be_checked_alone(tmp_path: Path) -> None:
     for number, each in enumerate(written):
         log_ns = START_NS + number * 1_000_000
         if isinstance(each, JournalEntry):
-            if each.kind is Kind.SNAPSHOT and each.seq:
+            if each.kind is EntryKind.SNAPSHOT and each.seq:
                 recorder.split()
                 until(lambda: len(list(folder.glob("*.mcap"))) == 2)
             recorder.write(journal, encode(each), log_ns, log_ns, each.seq + 1, GID)
@@ -265,7 +265,7 @@ def test_a_recording_that_goes_on_is_checked_as_far_as_it_is(
     )
     journal = recorder.add_topic(JOURNAL)
     entries = [each for each in drive_of_3_s if isinstance(each, JournalEntry)]
-    while entries.pop().kind is not Kind.EFFECT:
+    while entries.pop().kind is not EntryKind.EFFECT:
         pass  # the effect of the last tick is still to come
     for each in entries:
         recorder.write(journal, encode(each), START_NS, START_NS, each.seq + 1, GID)
@@ -273,7 +273,7 @@ def test_a_recording_that_goes_on_is_checked_as_far_as_it_is(
     report = check(tmp_path / "run")
     recorder.close()
     assert report.verdict is Verdict.SAME
-    assert report.events == sum(entry.kind is Kind.EVENT for entry in entries)
+    assert report.events == sum(entry.kind is EntryKind.EVENT for entry in entries)
     assert "its loss ledger is not there" in report.notes[0]
 
 

@@ -19,7 +19,7 @@ from robotctl.kernel.types import (
     Tick,
     Twist,
 )
-from robotctl.recording.format.journal import JournalEntry, Kind
+from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.rerun.rerun import rerun
 
 TICK_NS = 20_000_000
@@ -30,16 +30,16 @@ def a_journal() -> list[JournalEntry]:
     kernel = Kernel(KernelParams())
     entries: list[JournalEntry] = []
 
-    def note(t_ns: int, kind: Kind, value: object) -> None:
+    def note(t_ns: int, kind: EntryKind, value: object) -> None:
         name = type(value).__name__
         entries.append(JournalEntry(len(entries), t_ns, kind, name, to_json(value)))
 
     def step(event: Event) -> None:
-        note(event.t_ns, Kind.EVENT, event)
+        note(event.t_ns, EntryKind.EVENT, event)
         for effect in kernel.step(event):
-            note(event.t_ns, Kind.EFFECT, effect)
+            note(event.t_ns, EntryKind.EFFECT, effect)
 
-    note(0, Kind.SNAPSHOT, Snapshot("test", kernel.params, kernel.state))
+    note(0, EntryKind.SNAPSHOT, Snapshot("test", kernel.params, kernel.state))
     step(BatteryReceived(1, 0.9))
     for tick in range(1, 101):
         t_ns = tick * TICK_NS
@@ -47,7 +47,7 @@ def a_journal() -> list[JournalEntry]:
         if tick == 2:
             step(ModeRequested(t_ns, 1, 1, "test"))
         if tick == 50:
-            note(t_ns, Kind.SNAPSHOT, Snapshot("test", kernel.params, kernel.state))
+            note(t_ns, EntryKind.SNAPSHOT, Snapshot("test", kernel.params, kernel.state))
         step(Tick(t_ns))
     return entries
 
@@ -60,7 +60,7 @@ def test_the_same_events_give_the_same_effects() -> None:
 
 def test_it_can_begin_in_the_middle() -> None:
     journal = a_journal()
-    middle = [entry.kind for entry in journal].index(Kind.SNAPSHOT, 1)
+    middle = [entry.kind for entry in journal].index(EntryKind.SNAPSHOT, 1)
     assert rerun(journal[middle:]) is None
     assert rerun(journal[middle - 10 :]) is None
 
@@ -94,7 +94,7 @@ def test_an_effect_too_few_or_too_many_is_found(change: str) -> None:
 
 def test_a_snapshot_that_differs_is_found() -> None:
     journal = a_journal()
-    at = [entry.kind for entry in journal].index(Kind.SNAPSHOT, 1)
+    at = [entry.kind for entry in journal].index(EntryKind.SNAPSHOT, 1)
     journal[at] = journal[at]._replace(data=journal[at].data.replace('"speed":', '"speed":1', 1))
     found = rerun(journal)
     assert found is not None

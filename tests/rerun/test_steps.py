@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robotctl.recording.format.journal import JournalEntry, Kind
+from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.rerun import journal_steps as module
 from robotctl.rerun.journal_steps import Gap, Step, in_sequence, steps
 
 
-def entry(seq: int, kind: Kind = Kind.EVENT) -> JournalEntry:
+def entry(seq: int, kind: EntryKind = EntryKind.EVENT) -> JournalEntry:
     return JournalEntry(seq, seq, kind, "Tick", "{}")
 
 
@@ -63,7 +63,7 @@ def test_what_stands_behind_its_successors_is_told(monkeypatch: pytest.MonkeyPat
 
 
 def test_effects_belong_to_the_event_before_them() -> None:
-    event, effect, snapshot = Kind.EVENT, Kind.EFFECT, Kind.SNAPSHOT
+    event, effect, snapshot = EntryKind.EVENT, EntryKind.EFFECT, EntryKind.SNAPSHOT
     kinds = [effect, snapshot, event, effect, effect, event, snapshot, event, effect]
     found = list(steps(entry(seq, kind) for seq, kind in enumerate(kinds)))
     shapes = [
@@ -82,7 +82,7 @@ def test_effects_belong_to_the_event_before_them() -> None:
 
 
 def test_a_step_before_a_gap_is_cut_and_effects_behind_it_are_passed_over() -> None:
-    entries = [entry(0), entry(1, Kind.EFFECT), entry(4, Kind.EFFECT), entry(5)]
+    entries = [entry(0), entry(1, EntryKind.EFFECT), entry(4, EntryKind.EFFECT), entry(5)]
     found = list(steps(entries))
     assert [type(each) for each in found] == [Step, Gap, Step]
     first = found[0]

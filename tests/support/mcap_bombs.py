@@ -27,7 +27,7 @@ from mcap.records import (
 )
 
 from robotctl.recording.format.identity import LIBRARY
-from robotctl.recording.format.journal import TOPIC, TYPE_NAME, JournalEntry, Kind, encode
+from robotctl.recording.format.journal import TOPIC, TYPE_NAME, EntryKind, JournalEntry, encode
 from robotctl.recording.format.records import MAGIC, MESSAGE_HEAD, record_bytes
 from robotctl.testing.drives import BEGIN_NS, drive
 
@@ -202,7 +202,7 @@ def _journal(entries: Iterable[JournalEntry]) -> bytes:
     return begun(bytes(data), LIBRARY)
 
 
-def _numbered(kind: Kind, name: str, texts: Iterable[str]) -> Iterator[JournalEntry]:
+def _numbered(kind: EntryKind, name: str, texts: Iterable[str]) -> Iterator[JournalEntry]:
     first = next(each for each in drive(0.1) if isinstance(each, JournalEntry))
     yield first._replace(seq=0)
     for seq, text in enumerate(texts, 1):
@@ -212,12 +212,12 @@ def _numbered(kind: Kind, name: str, texts: Iterable[str]) -> Iterator[JournalEn
 def _ticks() -> Iterator[JournalEntry]:
     begin = BEGIN_NS
     texts = (f'{{"t_ns":{begin + seq}}}' for seq in count(1))
-    return _numbered(Kind.EVENT, "Tick", texts)
+    return _numbered(EntryKind.EVENT, "Tick", texts)
 
 
 def _snapshots() -> Iterator[JournalEntry]:
     first = next(each for each in drive(0.1) if isinstance(each, JournalEntry))
-    return _numbered(Kind.SNAPSHOT, first.name, repeat(first.data))
+    return _numbered(EntryKind.SNAPSHOT, first.name, repeat(first.data))
 
 
 def _long_texts() -> Iterator[JournalEntry]:
@@ -226,7 +226,7 @@ def _long_texts() -> Iterator[JournalEntry]:
         f'{{"t_ns":{BEGIN_NS + seq},"request":{seq},"requested":0,"source":"{long}"}}'
         for seq in count(1)
     )
-    return _numbered(Kind.EVENT, "ModeRequested", texts)
+    return _numbered(EntryKind.EVENT, "ModeRequested", texts)
 
 
 BOMBS: Final[dict[str, Callable[[], bytes]]] = {

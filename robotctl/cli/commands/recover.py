@@ -16,7 +16,7 @@ from robotctl.cli.terminal.text import short_path
 from robotctl.errors import RecoveredWithLoss
 
 if TYPE_CHECKING:
-    from robotctl.recording.keep.recover import Salvage
+    from robotctl.recording.keep.recover import RecoveryReport
 
 app = new_app()
 
@@ -69,7 +69,7 @@ def _beside(source: Path) -> Path:
     return folder / f"{plain.stem}_recovered{plain.suffix}"
 
 
-def _as_object(source: Path, salvage: Salvage) -> dict[str, Any]:
+def _as_object(source: Path, salvage: RecoveryReport) -> dict[str, Any]:
     return {
         "source": str(source),
         "target": str(salvage.target),
@@ -79,7 +79,7 @@ def _as_object(source: Path, salvage: Salvage) -> dict[str, Any]:
     }
 
 
-def _lines(salvage: Salvage) -> Iterator[str]:
+def _lines(salvage: RecoveryReport) -> Iterator[str]:
     what = f"{salvage.message_count} messages"
     if salvage.attachment_count:
         what += f" and {salvage.attachment_count} attachments"

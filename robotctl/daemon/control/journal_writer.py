@@ -10,7 +10,7 @@ from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.types import Effect, Event
 from robotctl.recording.format.identity import MADE_BY
-from robotctl.recording.format.journal import JournalEntry, Kind, encode
+from robotctl.recording.format.journal import EntryKind, JournalEntry, encode
 
 
 class Journal:
@@ -23,17 +23,17 @@ class Journal:
 
     def event(self, event: Event) -> None:
         """Note what comes in."""
-        self._add(event.t_ns, Kind.EVENT, event)
+        self._add(event.t_ns, EntryKind.EVENT, event)
 
     def effect(self, t_ns: int, effect: Effect) -> None:
         """Note what was done, at the time of the event that asked for it."""
-        self._add(t_ns, Kind.EFFECT, effect)
+        self._add(t_ns, EntryKind.EFFECT, effect)
 
     def snapshot(self, t_ns: int, kernel: Kernel) -> None:
         """Note all that is needed to go on from here."""
-        self._add(t_ns, Kind.SNAPSHOT, Snapshot(MADE_BY, kernel.params, kernel.state))
+        self._add(t_ns, EntryKind.SNAPSHOT, Snapshot(MADE_BY, kernel.params, kernel.state))
 
-    def _add(self, t_ns: int, kind: Kind, value: Any) -> None:
+    def _add(self, t_ns: int, kind: EntryKind, value: Any) -> None:
         entry = JournalEntry(self._seq, t_ns, kind, type(value).__name__, to_json(value))
         self._write(encode(entry), self._seq)
         self._seq += 1

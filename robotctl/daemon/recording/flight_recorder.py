@@ -114,7 +114,7 @@ class FlightRecorder:
 
     def note(self, event: RecordedEvent) -> None:
         """Name an event in the recording's metadata, and have a clip cut of it if it is bad."""
-        self._recorder.note(event)
+        self._recorder.add_event(event)
         self._black_box.note(event)
 
     def mark(self, text: str, source: str) -> RecordedEvent:

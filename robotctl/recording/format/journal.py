@@ -16,7 +16,7 @@ MAX_TEXT_BYTES = 256 << 10
 """The JSON of an entry. A request that reaches the kernel has at most 64 kB, a snapshot some."""
 
 
-class Kind(IntEnum):
+class EntryKind(IntEnum):
     """What an entry holds; the numbers are those of JournalEntry.msg."""
 
     EVENT = 0
@@ -29,12 +29,12 @@ class JournalEntry(NamedTuple):
 
     seq: int
     t_ns: int
-    kind: Kind
+    kind: EntryKind
     name: str
     data: str
 
 
-_KINDS = tuple(Kind)
+_KINDS = tuple(EntryKind)
 
 _HEAD = struct.Struct("<4sQqBxxxI")
 """Encapsulation (CDR, little endian), then seq, t_ns, kind, padding, length of name."""

@@ -73,7 +73,7 @@ class Clip:
     lost: tuple[str, ...]
 
 
-def cut(
+def cut_clip(
     recording: Recording,
     moment: Moment,
     window: Window,

@@ -13,7 +13,7 @@ from robotctl.errors import Refused
 from robotctl.recording.disk.access import is_shared, make_folder
 from robotctl.recording.format.events import EventKind
 from robotctl.recording.keep.catalog import CLIPS_FOLDER
-from robotctl.recording.keep.clip import Clip, Moment, Progress, cut
+from robotctl.recording.keep.clip import Clip, Moment, Progress, cut_clip
 from robotctl.recording.keep.listing import ListedRecording, list_recording
 from robotctl.recording.read.reader import Recording
 
@@ -77,12 +77,12 @@ def remaining_s(job: ClipJob, listed: ListedRecording) -> float:
 def make_clip(job: ClipJob, on_progress: Progress = lambda done, total: None) -> Clip:
     """Cut it, once the recording has come so far or has ended.
 
-    Raises as `cut` does, and UnreadableFile where the recording cannot be read.
+    Raises as `cut_clip` does, and UnreadableFile where the recording cannot be read.
     """
     _wait_for_end(job)
     target = job.target or _free_name(job)
     with Recording(job.source) as recording:
-        return cut(
+        return cut_clip(
             recording,
             job.moment,
             (max(job.moment.log_ns - round(job.before_s * 1e9), 0), job.end_ns),

@@ -39,7 +39,7 @@ Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Salvage:
+class RecoveryReport:
     """What came out of a recovery; `lost` says in sentences what did not.
 
     With higher limits there would be more if `limit_reached`. Where `failure` is not None, the disk
@@ -60,7 +60,7 @@ def recover(
     *,
     on_progress: Progress = lambda done, total: None,
     open_file: Callable[[Path], Storage] = DiskFile,
-) -> Salvage:
+) -> RecoveryReport:
     """Write all that can be read of the file `source` into the new file `target`.
 
     Raises UnreadableFile if nothing can be read, Refused if `target` exists or cannot be
@@ -86,7 +86,7 @@ def recover(
             if not copy.message_count and copy.lost:
                 raise UnreadableFile(f"{source} holds no readable message: {'; '.join(copy.lost)}")
     on_progress(total, total)
-    return Salvage(
+    return RecoveryReport(
         target,
         copy.message_count,
         copy.attachment_count,

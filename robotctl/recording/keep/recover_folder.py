@@ -12,14 +12,14 @@ from robotctl.errors import Refused, UnreadableFile
 from robotctl.recording.disk.access import is_shared, make_folder
 from robotctl.recording.format.rosbag2 import metadata_text, total_count_in
 from robotctl.recording.keep.bag_metadata import rewrite_metadata
-from robotctl.recording.keep.recover import Progress, Salvage, recover
+from robotctl.recording.keep.recover import Progress, RecoveryReport, recover
 from robotctl.recording.read.files import absent_files, recording_files
 from robotctl.recording.read.zstd_file import SUFFIX
 
 
 def recover_folder(
     source: Path, target: Path, *, on_progress: Progress = lambda done, total: None
-) -> Salvage:
+) -> RecoveryReport:
     """Write all that can be read of the recording `source` into the new folder `target`.
 
     Raises as `recover` does; after an error there is no `target` but one that was there before.
@@ -32,33 +32,33 @@ def recover_folder(
     except OSError as error:
         raise Refused(f"cannot write {target}: {error.strerror}") from error
     lost = absent_files(text, paths)
-    saved: list[Salvage] = []
+    saved: list[RecoveryReport] = []
     try:
         for path, before in zip(paths, accumulate(sizes[:-1], initial=0), strict=True):
             tell = partial(_tell, on_progress, before, sum(sizes))
             try:
-                salvage = recover(path, target / path.name.removesuffix(SUFFIX), on_progress=tell)
+                report = recover(path, target / path.name.removesuffix(SUFFIX), on_progress=tell)
             except UnreadableFile as error:
                 lost.append(str(error))
             else:
-                saved.append(salvage)
-                lost += (f"{path.name}: {sentence}" for sentence in salvage.lost)
-        told, count = total_count_in(text), sum(salvage.message_count for salvage in saved)
+                saved.append(report)
+                lost += (f"{path.name}: {sentence}" for sentence in report.lost)
+        told, count = total_count_in(text), sum(report.message_count for report in saved)
         if not lost and told > count:
             lost.append(f"metadata.yaml counts {told} messages, and {count} are there")
         if not saved:
             raise UnreadableFile("; ".join(lost))
-        rewrite_metadata(target, [salvage.target for salvage in saved])
+        rewrite_metadata(target, [report.target for report in saved])
     except BaseException as error:
         with suppress(OSError):
             rmtree(target)
         if isinstance(error, OSError):
             raise Refused(f"cannot write {target}: {error.strerror}") from error
         raise
-    return Salvage(
+    return RecoveryReport(
         target,
         count,
-        sum(salvage.attachment_count for salvage in saved),
+        sum(report.attachment_count for report in saved),
         tuple(lost),
     )
 

@@ -151,19 +151,19 @@ def _replace(path: Path) -> Tidied:
     """Put what can be read of the file in its place. Raises OSError, Unreadable."""
     repaired = path.with_name(path.name + _UNFINISHED)
     try:
-        salvage = recover(path, repaired)
+        report = recover(path, repaired)
     except RobotctlError as error:
         return Tidied(f"{path.name} was torn and cannot be repaired: {error}", problem=True)
-    if salvage.failure:
+    if report.failure:
         repaired.unlink()
-        raise salvage.failure
-    if salvage.limit_reached:
+        raise report.failure
+    if report.limit_reached:
         repaired.unlink()
-        text = f"{path.name} was torn and is left as it is: {'; '.join(salvage.lost)}"
+        text = f"{path.name} was torn and is left as it is: {'; '.join(report.lost)}"
         return Tidied(text, problem=True)
     repaired.replace(path)
-    lost = "; ".join(salvage.lost)
-    text = f"repaired: {path.name} was torn: {salvage.message_count} messages are whole ({lost})"
+    lost = "; ".join(report.lost)
+    text = f"repaired: {path.name} was torn: {report.message_count} messages are whole ({lost})"
     return Tidied(text, problem=True)
 
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from robotctl.errors import IN_PARENTHESES, UnreadableFile
 from robotctl.paths import DEFAULT_ROBOT, namespace_of
 from robotctl.recording.format.identity import INFO_RECORD
-from robotctl.recording.format.journal import TOPIC, TYPE_NAME, JournalEntry, Kind, decode
+from robotctl.recording.format.journal import TOPIC, TYPE_NAME, EntryKind, JournalEntry, decode
 from robotctl.recording.read.read_limits import CURE
 from robotctl.recording.read.reader import Message, Recording, RecordingInfo
 
@@ -17,7 +17,7 @@ _FIRST_STEP_NS = 15 * 10**9
 """How far back a snapshot is looked for at first; daemons write one every 10 s."""
 
 
-class Journaled(NamedTuple):
+class RecordedEntry(NamedTuple):
     """An entry and when it was recorded, in nanoseconds since the epoch."""
 
     log_ns: int
@@ -43,7 +43,7 @@ class EntryDecoder:
         if self._text_bytes > limits.journal_text_bytes:
             raise _beyond(f"{limits.journal_text_bytes >> 20} MiB of text")
         entry = decode(serialized)
-        self._snapshots += entry.kind is Kind.SNAPSHOT
+        self._snapshots += entry.kind is EntryKind.SNAPSHOT
         if self._snapshots > limits.snapshots:
             raise _beyond(f"{limits.snapshots} snapshots")
         return entry
@@ -74,7 +74,7 @@ def read_journal(
     recording: Recording,
     on_missing: Callable[[str], None],
     on_progress: Callable[[int, int], None] = lambda done, total: None,
-) -> Iterator[Journaled]:
+) -> Iterator[RecordedEntry]:
     """The entries in the order in which they were written, which is that of their `seq`.
 
     Log times may step back where the clock was set. What cannot be read is told to `on_missing`,
@@ -86,7 +86,7 @@ def read_journal(
         raise UnreadableFile(f"{recording.path} holds no journal of robotctl")
     decoder = EntryDecoder(recording)
     for message in recording.in_order_written({topic}, on_missing, on_progress):
-        yield Journaled(message.log_ns, decoder.decode(message.data))
+        yield RecordedEntry(message.log_ns, decoder.decode(message.data))
 
 
 def since_snapshot(
@@ -123,6 +123,6 @@ def _last_snapshot_ns(recording: Recording, topic: str, start_ns: int, moment_ns
 
 def _is_snapshot(message: Message) -> bool:
     try:
-        return decode(message.data).kind is Kind.SNAPSHOT
+        return decode(message.data).kind is EntryKind.SNAPSHOT
     except UnreadableFile:
         return False

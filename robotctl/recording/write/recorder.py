@@ -156,7 +156,7 @@ class Recorder:
             self._change_buffer()
         self._drain.queue.put(Request.SPLIT)
 
-    def note(self, event: RecordedEvent) -> None:
+    def add_event(self, event: RecordedEvent) -> None:
         """Name `event` in the metadata of the current file. Never waits."""
         self._drain.queue.put(event)
 
