@@ -27,8 +27,8 @@ from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.types import DriveRequested
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.write.recorder import Compression, RecorderOptions
-from robotctl.rerun.check import check
-from robotctl.rerun.check_many import check_many
+from robotctl.rerun.check import check_recording
+from robotctl.rerun.check_many import check_recordings
 from robotctl.rerun.check_report import Verdict
 from robotctl.rerun.closed_loop import closed_loop
 from robotctl.testing.drives import BEGIN_NS, Written, drive_requested, journaled, record
@@ -43,8 +43,8 @@ BYTES_PER_S = 138_000
 MEMORY = """
 import sys
 from pathlib import Path
-from robotctl.rerun.check import check
-report = check(Path(sys.argv[1]))
+from robotctl.rerun.check import check_recording
+report = check_recording(Path(sys.argv[1]))
 assert report.verdict == "same", report
 status = Path("/proc/self/status").read_text()
 print(int(status.split("VmHWM:")[1].split()[0]) / 1024)
@@ -79,7 +79,7 @@ def make(folder: Path, seconds: float, *, moving: bool, compression: Compression
 def times_real_time(path: Path) -> float:
     """Recorded seconds per second of CPU time."""
     began = time.process_time()
-    report = check(path)
+    report = check_recording(path)
     took_s = time.process_time() - began
     assert report.verdict is Verdict.SAME, report
     return report.duration_s / took_s
@@ -88,7 +88,7 @@ def times_real_time(path: Path) -> float:
 def many(paths: list[Path]) -> float:
     """Recorded seconds per second on the wall, over all recordings."""
     began = time.perf_counter()
-    reports = check_many(paths)
+    reports = check_recordings(paths)
     took_s = time.perf_counter() - began
     assert all(report["verdict"] == "same" for report in reports), reports
     return sum(report["duration_s"] for report in reports) / took_s

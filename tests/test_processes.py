@@ -20,7 +20,7 @@ from robotctl.daemon.recording.black_box import BlackBox
 from robotctl.processes import Child, Lines, program, readable_within, start
 from robotctl.recording.format.events import EventKind, RecordedEvent
 from robotctl.recording.read.reader import read_info
-from robotctl.rerun.check_many import check_many
+from robotctl.rerun.check_many import check_recordings
 from robotctl.testing.drives import drive, record
 from tests.support.bags import talk, write_bag
 from tests.support.waiting import DEADLINE_S
@@ -104,7 +104,7 @@ def test_a_check_whose_processes_print_is_heard(
     noisy: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     recording = record(noisy / "run", drive(1.0))
-    reports = check_many([recording, recording])
+    reports = check_recordings([recording, recording])
     assert [report["verdict"] for report in reports] == ["same", "same"]
     assert capfd.readouterr().out == ""
 

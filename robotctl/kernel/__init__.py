@@ -1,1 +1,138 @@
-"""The pure core: modes, safety, patterns, tracking, limits. No clock, no I/O, no ROS."""
+"""The pure core: modes, safety, patterns, tracking, limits. No clock, no I/O, no ROS.
+
+What `__all__` names is for users of the library; the modules below may change. A kernel takes one
+event after the other, and each step returns the effects that the caller must carry out, in order:
+
+    from robotctl.kernel import Kernel, KernelParams, Mode, ModeRequested
+
+    kernel = Kernel(KernelParams())
+    effects = kernel.step(ModeRequested(t_ns=0, request_id=1, requested=Mode.IDLE, source="me"))
+
+Times come with the events, in steady nanoseconds. A `Snapshot` and the events after it give the
+same effects again, bit for bit; `to_json` and `from_json` write and read all of these values. Each
+name is loaded on first use.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from robotctl.kernel.codec import from_json, to_json
+    from robotctl.kernel.geometry import Pose
+    from robotctl.kernel.kernel import Kernel
+    from robotctl.kernel.modes import Mode
+    from robotctl.kernel.params import (
+        BatteryParams,
+        BatteryScale,
+        CommandParams,
+        KernelParams,
+        OdometryParams,
+        TrackingParams,
+        VelocityLimits,
+    )
+    from robotctl.kernel.patterns import Pattern, PatternKind
+    from robotctl.kernel.snapshot import Snapshot
+    from robotctl.kernel.state import State, latched
+    from robotctl.kernel.types import (
+        BatteryReceived,
+        Cause,
+        CommandListenersSeen,
+        CommandPublishersSeen,
+        DriveEnded,
+        DriveReport,
+        DriveRequested,
+        Effect,
+        Event,
+        FaultCleared,
+        FaultReported,
+        ForeignCommandHeard,
+        LatchEmergencyStop,
+        LoopStalled,
+        ModeChanged,
+        ModeRequested,
+        Odometry,
+        OdometrySourceFound,
+        OdomReceived,
+        Phase,
+        PublishTwist,
+        ReleaseEmergencyStop,
+        Reply,
+        ResetRequested,
+        Tick,
+        Twist,
+    )
+
+__all__ = [
+    "BatteryParams",
+    "BatteryReceived",
+    "BatteryScale",
+    "Cause",
+    "CommandListenersSeen",
+    "CommandParams",
+    "CommandPublishersSeen",
+    "DriveEnded",
+    "DriveReport",
+    "DriveRequested",
+    "Effect",
+    "Event",
+    "FaultCleared",
+    "FaultReported",
+    "ForeignCommandHeard",
+    "Kernel",
+    "KernelParams",
+    "LatchEmergencyStop",
+    "LoopStalled",
+    "Mode",
+    "ModeChanged",
+    "ModeRequested",
+    "OdomReceived",
+    "Odometry",
+    "OdometryParams",
+    "OdometrySourceFound",
+    "Pattern",
+    "PatternKind",
+    "Phase",
+    "Pose",
+    "PublishTwist",
+    "ReleaseEmergencyStop",
+    "Reply",
+    "ResetRequested",
+    "Snapshot",
+    "State",
+    "Tick",
+    "TrackingParams",
+    "Twist",
+    "VelocityLimits",
+    "from_json",
+    "latched",
+    "to_json",
+]
+
+_MODULES = {
+    "BatteryParams": "params",
+    "BatteryScale": "params",
+    "CommandParams": "params",
+    "Kernel": "kernel",
+    "KernelParams": "params",
+    "Mode": "modes",
+    "OdometryParams": "params",
+    "Pattern": "patterns",
+    "PatternKind": "patterns",
+    "Pose": "geometry",
+    "Snapshot": "snapshot",
+    "State": "state",
+    "TrackingParams": "params",
+    "VelocityLimits": "params",
+    "from_json": "codec",
+    "latched": "state",
+    "to_json": "codec",
+}
+"""Where each name stands; those that are missing here are values, events and effects."""
+
+
+def __getattr__(name: str) -> object:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULES.get(name, 'types')}"), name)

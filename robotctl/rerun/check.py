@@ -25,7 +25,7 @@ Progress = Callable[[int, int], None]
 """(bytes done, bytes in total)"""
 
 
-def check(path: Path, on_progress: Progress = lambda done, total: None) -> Report:
+def check_recording(path: Path, on_progress: Progress = lambda done, total: None) -> Report:
     """Check one recording, a file or a folder; what is wrong with it stands in the report."""
     report = Report(path)
     began = time.perf_counter()

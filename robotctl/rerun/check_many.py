@@ -12,7 +12,7 @@ from threading import Lock
 from typing import Any
 
 from robotctl.processes import Child, program, start
-from robotctl.rerun.check import Progress, check
+from robotctl.rerun.check import Progress, check_recording
 from robotctl.rerun.check_report import Report
 
 WORKER = program("robotctl.rerun.check_process")
@@ -23,12 +23,12 @@ _WHOLE = 1000
 """In how many parts progress within a recording is told."""
 
 
-def check_many(
+def check_recordings(
     paths: Sequence[Path], on_progress: Progress = lambda done, total: None
 ) -> list[dict[str, Any]]:
     """The reports, as in `Report.as_object`, in the order of `paths`."""
     if len(paths) == 1:
-        return [check(paths[0], on_progress).as_object()]
+        return [check_recording(paths[0], on_progress).as_object()]
     count = min(len(os.sched_getaffinity(0)), len(paths))
     waiting = deque(range(len(paths)))
     shares = [0.0] * len(paths)

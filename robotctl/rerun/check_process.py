@@ -13,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from robotctl.processes import say, say_fd
-from robotctl.rerun.check import check
+from robotctl.rerun.check import check_recording
 
 PROGRESS_PERIOD_S = 0.1
 
@@ -30,7 +30,10 @@ def main() -> None:
                 told = time.monotonic()
                 say(descriptor, {"progress": done / total})
 
-        say(descriptor, {"report": check(Path(json.loads(line)), tell_progress).as_object()})
+        say(
+            descriptor,
+            {"report": check_recording(Path(json.loads(line)), tell_progress).as_object()},
+        )
 
 
 if __name__ == "__main__":

@@ -77,7 +77,9 @@ class Searched:
 
 
 def find_incident(
-    path: Path, at_ns: int | None, on_progress: Callable[[int, int], None]
+    path: Path,
+    at_ns: int | None = None,
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Searched:
     """Find the last incident of a recording, or the one nearest to `at_ns` since the epoch.
 

@@ -159,7 +159,7 @@ class Rerun:
         )
 
 
-def rerun(entries: Iterable[JournalEntry]) -> Divergence | None:
+def first_divergence(entries: Iterable[JournalEntry]) -> Divergence | None:
     """Return the first divergence of a fresh kernel from the journal, None where there is none.
 
     What stands before the first snapshot is passed over; the effects of the last event may be cut

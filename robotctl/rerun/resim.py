@@ -67,8 +67,10 @@ class Run:
         }
 
 
-def resim(
-    path: Path, settings: Settings, on_progress: Callable[[int, int], None]
+def resimulate(
+    path: Path,
+    settings: Settings,
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> dict[str, Any]:
     """Simulate, and return the object of `--json`; `on_progress` gets how much is done of what.
 

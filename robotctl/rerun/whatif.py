@@ -30,7 +30,9 @@ MAX_ANSWERS = 20
 
 
 def what_if(
-    path: Path, settings: Settings, on_progress: Callable[[int, int], None]
+    path: Path,
+    settings: Settings,
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> dict[str, Any]:
     """Compare, and return the object of `--json`; `on_progress` gets bytes done and in total.
 

@@ -16,7 +16,7 @@ from rosbags.highlevel import AnyReader
 
 from robotctl.recording.format.journal import EntryKind
 from robotctl.recording.read.reader import read_info, read_messages
-from robotctl.rerun.check import check
+from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
 from tests.support.bags import text
 from tests.support.recordings import read_strictly
@@ -120,10 +120,10 @@ def test_every_file_of_a_split_recording_stands_alone(flight: Flight) -> None:
         with AnyReader([path]) as bag:
             assert bag.message_count == len(stored)
         assert any(message.topic == "/robot_status" for message in stored)
-        report = check(path)
+        report = check_recording(path)
         assert (report.verdict, report.missing) == (Verdict.SAME, [])
         assert report.events > 10
-    assert check(flight.folder).verdict is Verdict.SAME
+    assert check_recording(flight.folder).verdict is Verdict.SAME
 
 
 def test_a_split_loses_nothing(flight: Flight) -> None:
@@ -209,7 +209,7 @@ def test_each_error_and_emergency_stop_has_a_clip(flight: Flight) -> None:
 def test_a_clip_is_whole_and_decided_again(flight: Flight) -> None:
     for path in flight.clips:
         assert {"/cmd_vel", "/odom", "/robot_status"} <= {m.topic for m in read_strictly(path)}
-        report = check(path)
+        report = check_recording(path)
         assert (report.verdict, report.missing, report.notes) == (Verdict.SAME, [], [])
 
 

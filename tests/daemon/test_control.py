@@ -27,7 +27,7 @@ from robotctl.kernel.types import (
     Tick,
 )
 from robotctl.recording.format.journal import EntryKind, JournalEntry, decode
-from robotctl.rerun.rerun import rerun
+from robotctl.rerun.rerun import first_divergence
 from robotctl.testing.kernels import moving
 from tests.support.waiting import loop_until
 
@@ -75,7 +75,7 @@ def test_a_snapshot_stands_in_the_journal_every_10_s() -> None:
         bench.control.dispatch(Tick(tick * 250_000_000))
     at_s = [entry.t_ns / 1e9 for entry in bench.entries if entry.kind is EntryKind.SNAPSHOT]
     assert at_s == [0.0, 10.0, 20.0, 30.0]
-    assert rerun(bench.entries) is None
+    assert first_divergence(bench.entries) is None
 
 
 def test_what_an_effect_dispatches_waits_its_turn() -> None:
@@ -88,7 +88,7 @@ def test_what_an_effect_dispatches_waits_its_turn() -> None:
     bench.do = carry_out
     bench.control.dispatch(ModeRequested(1, 1, 3, "test"))
     assert bench.names[-3:] == ["Reply", "Tick", "PublishTwist"]
-    assert rerun(bench.entries) is None
+    assert first_divergence(bench.entries) is None
 
 
 def test_the_effects_after_one_that_failed_are_carried_out_all_the_same() -> None:
@@ -110,7 +110,7 @@ def test_the_effects_after_one_that_failed_are_carried_out_all_the_same() -> Non
     assert isinstance(reply, Reply)
     assert (reply.ok, reply.mode) == (False, Mode.EMERGENCY_STOP)
     assert reply.message.endswith("but PublishTwist failed: no network")
-    assert rerun(bench.entries) is None
+    assert first_divergence(bench.entries) is None
 
 
 def test_a_failure_that_lasts_is_told_once_until_it_is_over() -> None:
@@ -150,7 +150,7 @@ async def test_no_motion_begins_while_the_daemon_ends() -> None:
     reply = await bench.control.request(ModeRequested(time.monotonic_ns(), 1, 1, "test"))
     assert not reply.ok
     assert "the daemon is stopping" in reply.message
-    assert rerun(bench.entries) is None
+    assert first_divergence(bench.entries) is None
 
 
 async def test_a_last_zero_that_fails_is_sent_again() -> None:
@@ -176,4 +176,4 @@ async def test_a_ramp_that_takes_too_long_is_cut(monkeypatch: pytest.MonkeyPatch
     await stand_still(bench.control, bench.published)  # nobody ticks
     assert bench.control.state.mode is Mode.ERROR
     assert bench.control.state.command == ZERO
-    assert rerun(bench.entries) is None
+    assert first_divergence(bench.entries) is None

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from robotctl.kernel.types import ModeChanged
-from robotctl.rerun.rerun import rerun
+from robotctl.rerun.rerun import first_divergence
 from tests.support.waiting import DEADLINE_S, until
 from tests.support.world import PATIENT, World, journal_of, read_back
 
@@ -134,7 +134,7 @@ def test_after_a_kill_the_next_start_cleans_up_and_repairs(world: World) -> None
     world.ok("stop")
     journal = journal_of(read_back(killed)["/robotctl/journal"])
     assert any(entry.name == ModeChanged.__name__ for entry in journal)
-    assert rerun(journal) is None
+    assert first_divergence(journal) is None
 
 
 @pytest.mark.slow
@@ -146,7 +146,7 @@ def test_fifty_kills_are_followed_by_fifty_starts(world: World) -> None:
     world.ok("stop")
     for folder in world.recordings.iterdir():
         # Killed within its first 0.3 s, a recording is valid and empty.
-        assert rerun(journal_of(read_back(folder).get("/robotctl/journal", []))) is None
+        assert first_divergence(journal_of(read_back(folder).get("/robotctl/journal", []))) is None
 
 
 # Ended by a signal

@@ -27,7 +27,7 @@ from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.patterns import PatternKind
 from robotctl.kernel.types import ModeRequested
 from robotctl.recording.read.reader import read_info
-from robotctl.rerun.rerun import rerun
+from robotctl.rerun.rerun import first_divergence
 from robotctl.ros.nodes.mode_service import ModeService
 from robotctl.ros.nodes.simulated_robot import SimulatedRobot
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
@@ -226,7 +226,7 @@ async def test_a_wall_clock_that_is_set_does_not_touch_the_drive(
         assert status["mode"] == "MOVING"
     journal = journal_of(read_back(next(world.recordings.iterdir()))["/robotctl/journal"])
     assert [entry.name for entry in journal].count("ModeChanged") == 2  # began and ended
-    assert rerun(journal) is None
+    assert first_divergence(journal) is None
 
 
 async def test_the_status_says_what_came_of_the_priority_that_was_asked_for(
@@ -324,7 +324,7 @@ async def test_after_a_short_stall_the_robot_drives_on_from_zero(
     stalled = driven.index((0.0, 0.0), began)
     went_on = next(each for each in driven[stalled:] if each != (0.0, 0.0))
     assert went_on[0] <= 0.05
-    assert rerun(journal) is None
+    assert first_divergence(journal) is None
 
 
 # The recording of it all
@@ -339,7 +339,7 @@ async def test_a_fault_can_be_decided_again_from_the_journal(
         await daemon.until(lambda status: status["mode"] == "ERROR")
     journal = journal_of(read_back(next(world.recordings.iterdir()))["/robotctl/journal"])
     assert "LoopStalled" in [entry.name for entry in journal]
-    assert rerun(journal) is None
+    assert first_divergence(journal) is None
 
 
 def _count(status: Any, topic: str) -> int:

@@ -14,7 +14,7 @@ from robotctl.kernel.patterns import PatternKind
 from robotctl.recording.format.journal import EntryKind, decode
 from robotctl.recording.read.reader import read_info, read_messages
 from robotctl.recording.write.recorder import RecorderOptions
-from robotctl.rerun.check import check
+from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
 from tests.support.waiting import loop_until
 from tests.support.world import PATIENT, World
@@ -47,7 +47,7 @@ async def test_each_file_begins_with_a_snapshot_and_can_be_decided_again(
         entries = [decode(m.data) for m in read_messages(path, {"/robotctl/journal"})]
         assert entries[0].kind is EntryKind.SNAPSHOT
         seqs += [entry.seq for entry in entries]
-        report = check(path)
+        report = check_recording(path)
         assert report.verdict is Verdict.SAME
         assert not any("before the first snapshot" in note for note in report.notes)
     assert seqs == list(range(len(seqs)))

@@ -14,7 +14,7 @@ import pytest
 from robotctl.daemon.recording import folder, topic_rates
 from robotctl.kernel.patterns import PatternKind
 from robotctl.recording.write.recorder import RecorderOptions
-from robotctl.rerun.rerun import rerun
+from robotctl.rerun.rerun import first_divergence
 from robotctl.testing.faults import FailingFile
 from tests.support.waiting import until
 from tests.support.world import PATIENT, World, journal_of, read_back
@@ -120,4 +120,4 @@ def test_a_recorder_that_fails_stops_the_robot(world: World) -> None:
     assert recorder["received"] == recorder["written"] + recorder["queued"] + recorder["dropped"]
     world.ok("stop")
     journal = journal_of(read_back(next(world.recordings.iterdir()))["/robotctl/journal"])
-    assert rerun(journal) is None
+    assert first_divergence(journal) is None

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from robotctl.recording.format.journal import EntryKind, JournalEntry
-from robotctl.rerun.rerun import rerun
+from robotctl.rerun.rerun import first_divergence
 from tests.support.waiting import until
 from tests.support.world import STATUS_KEYS, Peer, World, journal_of, new_world, read_back
 
@@ -318,7 +318,7 @@ def test_a_fresh_kernel_decides_the_same_bit_for_bit(session: Session) -> None:
     journal = session.journal
     assert journal[0].kind is EntryKind.SNAPSHOT
     assert sum(entry.kind is EntryKind.EFFECT for entry in journal) > 300
-    assert rerun(journal) is None
+    assert first_divergence(journal) is None
 
 
 def test_each_request_has_one_reply(session: Session) -> None:

@@ -15,7 +15,7 @@ from robotctl.daemon.recording.folder import open_recorder
 from robotctl.recording.format.events import EventKind, events_in
 from robotctl.recording.format.ledger_record import read_ledger
 from robotctl.recording.read.reader import Recording, read_info, read_messages
-from robotctl.rerun.check import check
+from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
 from robotctl.rerun.invariants import unbalanced
 
@@ -36,7 +36,7 @@ def test_the_recordings_are_small() -> None:
 
 @pytest.mark.parametrize("name", RECORDINGS)
 def test_a_golden_recording_is_decided_the_same_or_by_other_rules(name: str) -> None:
-    report = check(GOLDEN / name)
+    report = check_recording(GOLDEN / name)
     assert (report.version, report.events) == ("0.1.0", COUNTS[name])
     assert report.violations == []
     if report.verdict is not Verdict.SAME:

@@ -60,13 +60,13 @@ from robotctl.errors import RobotctlError
 from robotctl.recording.keep.listing import list_recording
 from robotctl.recording.read.reader import read_info
 from robotctl.recording.keep.recover import recover
-from robotctl.rerun.check import check
+from robotctl.rerun.check import check_recording
 
 path, said = Path(sys.argv[1]), {}
 for name, answer in {
     "info": lambda: list(read_info(path).missing),
     "recordings": lambda: list(list_recording(path).damage),
-    "check": lambda: check(path).missing,
+    "check": lambda: check_recording(path).missing,
     "recover": lambda: list(recover(path, path.with_suffix(".out")).lost),
 }.items():
     began = time.perf_counter()

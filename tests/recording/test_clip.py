@@ -17,7 +17,7 @@ from robotctl.recording.format.journal import EntryKind, JournalEntry, decode, e
 from robotctl.recording.keep.clip import Clip, Moment, cut_clip
 from robotctl.recording.read.reader import Recording, read_info, read_messages
 from robotctl.recording.write.recorder import Recorder, RecorderOptions, Topic
-from robotctl.rerun.check import check
+from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
 from robotctl.testing.drives import BEGIN_NS, JOURNAL, Written, drive, serialized
 from tests.support.bags import LATCHED, STRING, VOLATILE, Line, text, write_bag
@@ -137,7 +137,7 @@ def test_whatever_is_cut_a_fresh_kernel_decides_it_the_same(
 ) -> None:
     target = tmp_path_factory.mktemp("clips") / "clip.mcap"
     clip(recording, target, start_s, start_s + length_s)
-    report = check(target)
+    report = check_recording(target)
     assert (report.verdict, report.missing, report.notes) == (Verdict.SAME, [], [])
     assert report.events > 0
 
@@ -146,7 +146,7 @@ def test_a_clip_of_a_clip_is_one_as_well(recording: Path, tmp_path: Path) -> Non
     outer, inner = tmp_path / "outer.mcap", tmp_path / "inner.mcap"
     clip(recording, outer, 10, 30)
     clip(outer, inner, 15, 20)
-    assert check(inner).verdict is Verdict.SAME
+    assert check_recording(inner).verdict is Verdict.SAME
     assert read_info(inner).metadata["robotctl.clip"]["of"] == "outer.mcap"
 
 
@@ -158,7 +158,7 @@ def test_a_recording_that_goes_on_can_be_cut(driven: list[Written], tmp_path: Pa
     finally:
         recorder.close()
     assert made.lost == ()
-    assert check(made.target).verdict is Verdict.SAME
+    assert check_recording(made.target).verdict is Verdict.SAME
 
 
 def test_recordings_of_others_are_cut_without_a_journal(tmp_path: Path) -> None:

@@ -17,10 +17,10 @@ from robotctl.recording.format.identity import MADE_BY
 from robotctl.recording.format.journal import EntryKind, JournalEntry, encode
 from robotctl.recording.read.reader import Recording
 from robotctl.recording.write.recorder import Recorder, RecorderOptions
-from robotctl.rerun.check import check
+from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Report, Verdict
 from robotctl.rerun.incident import find_incident
-from robotctl.rerun.resim import resim
+from robotctl.rerun.resim import resimulate
 from robotctl.rerun.whatif import what_if
 from robotctl.rerun.why import explain
 from robotctl.testing.drives import (
@@ -42,7 +42,7 @@ def drive_of_3_s() -> list[Written]:
 
 
 def checked(folder: Path, written: list[Written], **facts: str) -> Report:
-    return check(record(folder / "run", written, **facts))
+    return check_recording(record(folder / "run", written, **facts))
 
 
 def altered(written: list[Written], name: str, old: str, new: str) -> tuple[list[Written], int]:
@@ -250,7 +250,7 @@ def test_every_file_of_a_recording_can_be_checked_alone(tmp_path: Path) -> None:
         elif isinstance(each, Twist):
             recorder.write(commands, serialized(each), log_ns + 9, log_ns + 1, number, GID)
     recorder.close()
-    reports = [check(path) for path in (folder, *sorted(folder.glob("*.mcap")))]
+    reports = [check_recording(path) for path in (folder, *sorted(folder.glob("*.mcap")))]
     assert [report.verdict for report in reports] == [Verdict.SAME] * 3
     assert reports[0].events == reports[1].events + reports[2].events
 
@@ -270,7 +270,7 @@ def test_a_recording_that_goes_on_is_checked_as_far_as_it_is(
     for each in entries:
         recorder.write(journal, encode(each), START_NS, START_NS, each.seq + 1, GID)
     until(lambda: recorder.stats().queued == 0)
-    report = check(tmp_path / "run")
+    report = check_recording(tmp_path / "run")
     recorder.close()
     assert report.verdict is Verdict.SAME
     assert report.events == sum(entry.kind is EntryKind.EVENT for entry in entries)
@@ -290,7 +290,7 @@ def test_a_damaged_file_is_never_called_the_same(
             chunk = recording._files[0].index.places[3]
         data[chunk.offset + chunk.length // 2] ^= 0xFF
     file.write_bytes(data)
-    report = check(file)
+    report = check_recording(file)
     assert report.verdict is Verdict.INCOMPLETE
     assert report.events > 10
     assert report.missing
@@ -310,7 +310,7 @@ def test_a_clock_that_is_set_meanwhile_changes_nothing(
         drive_of_3_s,
         clock=lambda now_ns: now_ns + 3_600_000_000_000 * (now_ns > moment_ns),
     )
-    for report in (check(back), check(ahead)):
+    for report in (check_recording(back), check_recording(ahead)):
         assert (report.verdict, report.notes) == (Verdict.SAME, [])
         assert report.commands > 100
 
@@ -330,7 +330,7 @@ def test_memory_does_not_grow_with_the_recording(tmp_path: Path) -> None:
         folder = record(tmp_path / f"{seconds}", drive(seconds))
         tracemalloc.start()
         try:
-            assert check(folder).verdict is Verdict.SAME
+            assert check_recording(folder).verdict is Verdict.SAME
             return tracemalloc.get_traced_memory()[1]
         finally:
             tracemalloc.stop()
@@ -363,10 +363,10 @@ def test_a_snapshot_that_cannot_be_is_told_by_whatever_begins_from_it(
     assert old in snapshot.data
     changed = snapshot._replace(data=snapshot.data.replace(old, new))
     folder = record(tmp_path / "run", [changed, *written[begin + 1 :]])
-    assert check(folder).verdict is not Verdict.SAME
+    assert check_recording(folder).verdict is not Verdict.SAME
     for look in (
         lambda: what_if(folder, {"tracking.k_y": "8"}, silent),
-        lambda: resim(folder, {}, silent),
+        lambda: resimulate(folder, {}, silent),
         lambda: told_why(folder),
     ):
         with suppress(UnreadableFile):

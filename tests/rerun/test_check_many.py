@@ -13,7 +13,7 @@ import psutil
 import pytest
 
 from robotctl.rerun import check_many as module
-from robotctl.rerun.check_many import check_many
+from robotctl.rerun.check_many import check_recordings
 from robotctl.testing.drives import drive, record
 from tests.support.waiting import DEADLINE_S, until
 
@@ -41,7 +41,7 @@ def test_reports_come_in_the_order_of_the_recordings(recording: Path, tmp_path: 
     (tmp_path / "empty.mcap").touch()
     paths = [recording, tmp_path / "empty.mcap", recording, tmp_path / "nowhere"]
     told: list[tuple[int, int]] = []
-    reports = check_many(paths, lambda done, total: told.append((done, total)))
+    reports = check_recordings(paths, lambda done, total: told.append((done, total)))
     assert [report["path"] for report in reports] == [str(path) for path in paths]
     verdicts = [report["verdict"] for report in reports]
     assert verdicts == ["same", "incomplete", "same", "incomplete"]
@@ -54,13 +54,15 @@ def test_a_process_that_dies_costs_its_recording_alone(
     program = """
 import os, sys
 from robotctl.rerun import check_process
-check = check_process.check
-check_process.check = lambda path, tell: os._exit(9) if "deadly" in str(path) else check(path, tell)
+check = check_process.check_recording
+check_process.check_recording = lambda path, tell: (
+    os._exit(9) if "deadly" in str(path) else check(path, tell)
+)
 check_process.main()
 """
     monkeypatch.setattr(module, "WORKER", (sys.executable, "-c", program))
     deadly = tmp_path / "deadly"
-    reports = check_many([deadly, recording, deadly, recording, recording])
+    reports = check_recordings([deadly, recording, deadly, recording, recording])
     verdicts = [report["verdict"] for report in reports]
     assert verdicts == ["incomplete", "same", "incomplete", "same", "same"]
     assert reports[0]["missing"] == ["the process that checked it ended with 9"]
@@ -70,8 +72,8 @@ def test_an_interrupted_check_ends_its_processes(tmp_path: Path) -> None:
     long = record(tmp_path / "long", drive(120.0))
     program = f"""
 from pathlib import Path
-from robotctl.rerun.check_many import check_many
-check_many([Path({str(long)!r})] * 200)
+from robotctl.rerun.check_many import check_recordings
+check_recordings([Path({str(long)!r})] * 200)
 """
     checking = subprocess.Popen(
         [sys.executable, "-c", program], stderr=subprocess.PIPE, process_group=0
@@ -95,8 +97,8 @@ def test_a_killed_check_leaves_no_process_and_no_traceback_behind(tmp_path: Path
     long = record(tmp_path / "long", drive(60.0))
     program = f"""
 from pathlib import Path
-from robotctl.rerun.check_many import check_many
-check_many([Path({str(long)!r})] * 200, lambda done, total: done and print(done, flush=True))
+from robotctl.rerun.check_many import check_recordings
+check_recordings([Path({str(long)!r})] * 200, lambda done, total: done and print(done, flush=True))
 """
     checking = subprocess.Popen(
         [sys.executable, "-c", program],

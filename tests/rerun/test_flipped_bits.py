@@ -13,9 +13,9 @@ import pytest
 from robotctl.errors import UnreadableFile
 from robotctl.recording.format.journal import JournalEntry, decode, encode
 from robotctl.recording.write.recorder import Compression, RecorderOptions
-from robotctl.rerun.check import check
+from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
-from robotctl.rerun.rerun import rerun
+from robotctl.rerun.rerun import first_divergence
 from robotctl.testing.drives import Written, drive, record
 
 EVERY = 23
@@ -57,7 +57,7 @@ def test_every_bit_that_flips_on_the_disk_is_found_and_its_place_is_named(
     assert whole.count(event) == 1
     for changed in flipped(event):
         file.write_bytes(whole.replace(event, changed))
-        report = check(file)
+        report = check_recording(file)
         assert report.verdict is Verdict.INCOMPLETE
         assert any("chunk" in sentence for sentence in report.missing), report.missing
 
@@ -74,7 +74,7 @@ def test_behind_a_repaired_checksum_only_numbers_that_change_nothing_escape(
         try:
             read = decode(changed)
             entries[position] = read
-            escaped = rerun(entries) is None
+            escaped = first_divergence(entries) is None
         except UnreadableFile:
             escaped = False
         found += not escaped
@@ -99,7 +99,7 @@ def test_a_flipped_bit_that_changes_a_decision_is_found_and_its_event_is_named(
     data = entry.data[:digit] + flipped + entry.data[digit + 1 :]
     changed = [*short_drive]
     changed[position] = entry._replace(data=data)
-    report = check(record(tmp_path / "run", changed))
+    report = check_recording(record(tmp_path / "run", changed))
     assert report.verdict is Verdict.DIVERGED
     assert report.divergence is not None
     assert report.divergence.event == f"{name} {data}"

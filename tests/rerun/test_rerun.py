@@ -20,7 +20,7 @@ from robotctl.kernel.types import (
     Twist,
 )
 from robotctl.recording.format.journal import EntryKind, JournalEntry
-from robotctl.rerun.rerun import rerun
+from robotctl.rerun.rerun import first_divergence
 
 TICK_NS = 20_000_000
 
@@ -55,14 +55,14 @@ def a_journal() -> list[JournalEntry]:
 def test_the_same_events_give_the_same_effects() -> None:
     journal = a_journal()
     assert any('"linear":0.3' in entry.data for entry in journal)
-    assert rerun(journal) is None
+    assert first_divergence(journal) is None
 
 
 def test_it_can_begin_in_the_middle() -> None:
     journal = a_journal()
     middle = [entry.kind for entry in journal].index(EntryKind.SNAPSHOT, 1)
-    assert rerun(journal[middle:]) is None
-    assert rerun(journal[middle - 10 :]) is None
+    assert first_divergence(journal[middle:]) is None
+    assert first_divergence(journal[middle - 10 :]) is None
 
 
 def test_a_last_bit_that_differs_is_found() -> None:
@@ -70,7 +70,7 @@ def test_a_last_bit_that_differs_is_found() -> None:
     at = next(i for i, entry in enumerate(journal) if '"linear":0.3' in entry.data)
     last_digit = journal[at].data.replace('"linear":0.3', '"linear":0.30000000000000004')
     journal[at] = journal[at]._replace(data=last_digit)
-    found = rerun(journal)
+    found = first_divergence(journal)
     assert found is not None
     assert found.seq == at
     assert found.event.startswith("Tick ")
@@ -87,7 +87,7 @@ def test_an_effect_too_few_or_too_many_is_found(change: str) -> None:
     else:
         journal.insert(at, journal[at])
     journal = [entry._replace(seq=seq) for seq, entry in enumerate(journal)]
-    found = rerun(journal)
+    found = first_divergence(journal)
     assert found is not None
     assert (found.recorded == "", found.decided == "") == (change == "missing", change == "added")
 
@@ -96,7 +96,7 @@ def test_a_snapshot_that_differs_is_found() -> None:
     journal = a_journal()
     at = [entry.kind for entry in journal].index(EntryKind.SNAPSHOT, 1)
     journal[at] = journal[at]._replace(data=journal[at].data.replace('"speed":', '"speed":1', 1))
-    found = rerun(journal)
+    found = first_divergence(journal)
     assert found is not None
     assert found.seq == at
 
@@ -104,14 +104,14 @@ def test_a_snapshot_that_differs_is_found() -> None:
 def test_the_effects_of_the_last_event_may_be_cut_off() -> None:
     journal = a_journal()
     assert journal[-1].name == "PublishTwist"
-    assert rerun(journal[:-1]) is None
+    assert first_divergence(journal[:-1]) is None
 
 
 def test_a_gap_is_no_divergence_but_named() -> None:
     journal = a_journal()
     del journal[20:23]
     with pytest.raises(UnreadableFile, match="lacks the entries 20 to 22"):
-        rerun(journal)
+        first_divergence(journal)
 
 
 def test_an_event_of_another_version_is_named() -> None:
@@ -119,8 +119,8 @@ def test_an_event_of_another_version_is_named() -> None:
     at = next(i for i, entry in enumerate(journal) if entry.name == "Tick")
     journal[at] = journal[at]._replace(name="Tock")
     with pytest.raises(UnreadableFile, match=f"journal entry {at} is not ours: no event is called"):
-        rerun(journal)
+        first_divergence(journal)
 
 
 def test_nothing_recorded_is_no_divergence() -> None:
-    assert rerun([]) is None
+    assert first_divergence([]) is None

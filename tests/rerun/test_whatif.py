@@ -12,7 +12,7 @@ from robotctl.errors import ConfigError, UnreadableFile, UsageError
 from robotctl.kernel.types import CommandListenersSeen, CommandPublishersSeen, ModeRequested
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.rerun.recorded_settings import check_scope, parse_settings
-from robotctl.rerun.resim import resim
+from robotctl.rerun.resim import resimulate
 from robotctl.rerun.whatif import what_if
 from robotctl.testing.drives import BEGIN_NS, drive, drive_requested, record
 
@@ -88,14 +88,14 @@ def test_a_key_that_changes_nothing_is_refused() -> None:
 
 
 def test_a_simulation_drives_as_the_simulated_robot_did(recorded: Path) -> None:
-    (one,) = resim(recorded, {}, silent)["drives"]
+    (one,) = resimulate(recorded, {}, silent)["drives"]
     assert one["recorded"]["completed"]
     assert one["simulated"] == one["recorded"]
     assert one["what_if"] is None
 
 
 def test_a_robot_that_lags_more_is_further_off_the_track(recorded: Path) -> None:
-    (one,) = resim(recorded, {"sim.lag_s": "0.3"}, silent)["drives"]
+    (one,) = resimulate(recorded, {"sim.lag_s": "0.3"}, silent)["drives"]
     assert one["what_if"]["completed"]
     assert one["what_if"]["cross_track_rms_m"] > 2 * one["simulated"]["cross_track_rms_m"]
 
@@ -103,7 +103,7 @@ def test_a_robot_that_lags_more_is_further_off_the_track(recorded: Path) -> None
 def test_a_drive_that_becomes_longer_than_the_recording_is_driven_to_its_end(
     recorded: Path,
 ) -> None:
-    (one,) = resim(recorded, {"pattern.speed_mps": "0.1", "limits.linear_mps": "0.1"}, silent)[
+    (one,) = resimulate(recorded, {"pattern.speed_mps": "0.1", "limits.linear_mps": "0.1"}, silent)[
         "drives"
     ]
     assert one["what_if"]["completed"]
@@ -118,7 +118,7 @@ def test_a_simulation_goes_on_where_a_file_begins(tmp_path: Path) -> None:
         for position, each in enumerate(written)
         if isinstance(each, JournalEntry) and each.name == "Snapshot"
     )
-    found = resim(record(tmp_path / "run", written[at:]), {}, silent)
+    found = resimulate(record(tmp_path / "run", written[at:]), {}, silent)
     (one,) = found["drives"]
     assert one["recorded"]["reason"] == one["simulated"]["reason"] == "requested by somebody"
     assert one["simulated"]["distance_m"] == pytest.approx(one["recorded"]["distance_m"], rel=0.05)
@@ -138,14 +138,14 @@ def test_a_simulated_robot_is_alone_whatever_was_there_when_the_file_began(tmp_p
         for position, each in enumerate(written)
         if isinstance(each, JournalEntry) and each.name == "Snapshot"
     )
-    (one,) = resim(record(tmp_path / "run", written[begins:]), {}, silent)["drives"]
+    (one,) = resimulate(record(tmp_path / "run", written[begins:]), {}, silent)["drives"]
     assert one["simulated"]["reason"] == "under way at the end"
 
 
 def test_the_recorded_configuration_is_the_one_that_is_simulated(tmp_path: Path) -> None:
     config = with_setting(with_setting(Config(), "sim.lag_s", 0.3), "rate_hz", 20.0)
     written = drive(4.0, config=config)
-    found = resim(record(tmp_path / "run", written, config=config), {}, silent)
+    found = resimulate(record(tmp_path / "run", written, config=config), {}, silent)
     (one,) = found["drives"]
     assert one["simulated"]["reason"] == "under way at the end"
     assert found["missing"] == []
@@ -153,6 +153,6 @@ def test_the_recorded_configuration_is_the_one_that_is_simulated(tmp_path: Path)
 
 def test_nothing_to_begin_from_is_said(tmp_path: Path) -> None:
     folder = record(tmp_path / "run", [])
-    for compare in (what_if, resim):
+    for compare in (what_if, resimulate):
         with pytest.raises(UnreadableFile, match="holds no snapshot"):
             compare(folder, {}, silent)

@@ -21,7 +21,7 @@ from robotctl.kernel.types import (
 )
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.write.recording_file import RecordingFile
-from robotctl.rerun.check import check
+from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
 from robotctl.rerun.incident import Incident, IncidentKind, find_incident
 from robotctl.rerun.why import explain
@@ -107,7 +107,7 @@ def test_the_chain_of_a_stop_is_told(tmp_path: Path, name: str) -> None:
         2.2 if case.then else 3.0, requests=[drive_requested(), *case.requests], then=case.then
     )
     folder = record(tmp_path / "run", written)
-    assert check(folder).verdict is Verdict.SAME
+    assert check_recording(folder).verdict is Verdict.SAME
     found = incident(folder)
     assert found.kind is case.kind
     told = str(explain(found))

@@ -23,7 +23,7 @@ from typing import Any
 from robotctl.domains import reserved_domain
 from robotctl.recording.format.journal import JournalEntry, decode
 from robotctl.recording.keep.catalog import CLIPS_FOLDER
-from robotctl.rerun.check import check
+from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
 from tests.support.lines import Told, peer
 from tests.support.waiting import DEADLINE_S, until
@@ -229,7 +229,7 @@ class World:
             path if path.parent.name == CLIPS_FOLDER else path.parent
             for path in self.folder.rglob("*.mcap")
         }
-        reports = [check(recording) for recording in sorted(recordings)]
+        reports = [check_recording(recording) for recording in sorted(recordings)]
         return [
             f"recording: {report.as_object()}"
             for report in reports

@@ -13,7 +13,7 @@ from robotctl.cli.terminal.text import duration, row, short_path
 from robotctl.errors import Divergence, RobotctlError, UnreadableFile
 from robotctl.kernel.modes import Mode
 from robotctl.recording.read.files import is_recording
-from robotctl.rerun.check_many import check_many
+from robotctl.rerun.check_many import check_recordings
 from robotctl.rerun.check_report import Verdict
 
 _WIDTH = 12
@@ -29,7 +29,7 @@ def check_command(files: Sequence[Path], robot: str | None, *, as_json: bool) ->
     """
     paths, others = recordings_among(files, robot)
     with progress_bar("checking", quiet=as_json) as on_progress:
-        reports = check_many(paths, on_progress)
+        reports = check_recordings(paths, on_progress)
     lines = [line for report in reports for line in report_lines(report)]
     lines += skipped_lines(others)
     answer = {"recordings": reports, **_counts(reports), "skipped": list(map(str, others))}

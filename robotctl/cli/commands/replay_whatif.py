@@ -12,7 +12,7 @@ from robotctl.cli.terminal.progress import progress_bar
 from robotctl.cli.terminal.text import duration, number, printable, row, short_path
 from robotctl.errors import UnreadableFile, UsageError
 from robotctl.rerun.recorded_settings import check_scope, parse_settings
-from robotctl.rerun.resim import resim
+from robotctl.rerun.resim import resimulate
 from robotctl.rerun.whatif import what_if
 
 OPEN_LOOP = (
@@ -54,7 +54,7 @@ def what_if_command(
         raise UsageError("give a recording: robotctl replay FILE --what-if KEY=VALUE")
     parsed = parse_settings([*settings, *more])
     check_scope(parsed, closed_loop=closed_loop)
-    compare, lines = (resim, resim_lines) if closed_loop else (what_if, what_if_lines)
+    compare, lines = (resimulate, resim_lines) if closed_loop else (what_if, what_if_lines)
     found = []
     paths, others = recordings_among(files, robot)
     for path in paths:
