@@ -91,7 +91,7 @@ def many(paths: list[Path]) -> float:
     reports = check_recordings(paths)
     took_s = time.perf_counter() - began
     assert all(report["verdict"] == "same" for report in reports), reports
-    return sum(report["duration_s"] for report in reports) / took_s
+    return float(sum(report["duration_s"] for report in reports) / took_s)
 
 
 def peak_mb(path: Path) -> float:

@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-calls=False
 """AsyncioExecutor beside rclpy's executors: CPU per message, idle CPU, loss and latency.
 
     python benchmarks/executor.py                                   everything, about 12 minutes

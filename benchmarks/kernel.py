@@ -9,6 +9,7 @@ promise of 15 us a step is held against: on a shared machine the rest is other p
 
 from __future__ import annotations
 
+import argparse
 import gc
 import time
 from collections.abc import Callable, Iterator
@@ -34,7 +35,6 @@ from robotctl.kernel.types import (
 )
 from robotctl.sim.robot import Robot, SimParams
 
-ROUNDS = 7
 STEPS = 4_000
 TARGET_US = 15.0
 PERIOD_NS = 20_000_000
@@ -118,13 +118,16 @@ def us_per_step(case: Case) -> float:
 
 def main() -> None:
     """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--rounds", type=int, default=7)
+    count = parser.parse_args().rounds
     gc.disable()
     lines = tuple(cases())
     rounds: dict[str, list[float]] = {case.name: [] for case in lines}
-    for _ in range(ROUNDS):  # interleaved, so that a busy moment hits every line alike
+    for _ in range(count):  # interleaved, so that a busy moment hits every line alike
         for case in lines:
             rounds[case.name].append(us_per_step(case))
-    print(f"{'us per step':32} {'median':>7} {'min':>7} {'max':>7}   ({ROUNDS} rounds)")
+    print(f"{'us per step':32} {'median':>7} {'min':>7} {'max':>7}   ({count} rounds)")
     for name, costs in rounds.items():
         print(f"{name:32} {median(costs):7.2f} {min(costs):7.2f} {max(costs):7.2f}")
     worst = max(min(costs) for name, costs in rounds.items() if "a drive" in name)

@@ -197,7 +197,7 @@ def first(table: Table, rounds: int, _: float, scratch: Path) -> None:
                     next(recording.messages(None, print, (start_ns, 1 << 63)))
                 reading.append(time.monotonic() - begin)
                 with listening([["/odom", ODOMETRY, QOS]]) as listener:
-                    _, begun = replay(file, "--start-offset", offset, "--duration", "0.5")
+                    _summary, begun = replay(file, "--start-offset", offset, "--duration", "0.5")
                     heard = listener.heard(400)
                 taken.append(min(at_ns for _number, at_ns in heard) / 1e9 - begun)
             reached = statistics.median(reading) <= 1.0

@@ -1,6 +1,7 @@
 """The classic mode service: sets the mode, and publishes the status once a second."""
 
 from contextlib import suppress
+from typing import Any
 
 import rclpy
 from rclpy.executors import ExternalShutdownException
@@ -12,7 +13,7 @@ from sensor_msgs.msg import BatteryState
 
 
 class ModeService(Node):
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__("mode_service")
         self.status = RobotStatus(robot_name="robot", is_connected=True)
         self.status.mode = self.declare_parameter("mode", RobotStatus.MODE_IDLE).value
@@ -24,10 +25,10 @@ class ModeService(Node):
         self.create_service(SetMode, "set_mode", self.set_mode)
         self.create_timer(1.0, self.publish)
 
-    def on_battery(self, battery):
+    def on_battery(self, battery: Any) -> None:
         self.status.battery_level = battery.percentage
 
-    def set_mode(self, request, response):
+    def set_mode(self, request: Any, response: Any) -> Any:
         response.success = request.requested_mode <= RobotStatus.MODE_EMERGENCY_STOP
         if response.success:
             self.status.mode = request.requested_mode
@@ -35,11 +36,11 @@ class ModeService(Node):
         response.current_mode = self.status.mode
         return response
 
-    def publish(self):
+    def publish(self) -> None:
         self.publisher.publish(self.status)
 
 
-def main():
+def main() -> None:
     rclpy.init()
     with suppress(KeyboardInterrupt, ExternalShutdownException):
         rclpy.spin(ModeService())

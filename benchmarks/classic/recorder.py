@@ -2,8 +2,10 @@
 
 import sys
 import time
+from collections.abc import Sequence
 from functools import partial
 from importlib import import_module
+from typing import Any
 
 import rclpy
 from mcap.writer import CompressionType, Writer
@@ -12,26 +14,26 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 
-def get_message(type_name):
+def get_message(type_name: str) -> Any:
     package, kind, name = type_name.split("/")
     return getattr(import_module(f"{package}.{kind}"), name)
 
 
 class Recorder(Node):
-    def __init__(self, writer):
+    def __init__(self, writer: Writer) -> None:
         super().__init__("recorder")
         self.writer = writer
-        self.topics = set()
+        self.topics: set[str] = set()
         self.create_timer(0.5, self.discover)
 
-    def discover(self):
+    def discover(self) -> None:
         for topic, types in self.get_topic_names_and_types():
             publishers = self.get_publishers_info_by_topic(topic)
             if topic not in self.topics and publishers:
                 self.topics.add(topic)
                 self.subscribe(topic, types[0], [info.qos_profile for info in publishers])
 
-    def subscribe(self, topic, type_name, offered):
+    def subscribe(self, topic: str, type_name: str, offered: Sequence[QoSProfile]) -> None:
         """Ask for what every publisher offers, as rosbag2 does."""
         reliable = all(each.reliability == ReliabilityPolicy.RELIABLE for each in offered)
         latched = all(each.durability == DurabilityPolicy.TRANSIENT_LOCAL for each in offered)
@@ -45,12 +47,12 @@ class Recorder(Node):
         write = partial(self.write, channel)
         self.create_subscription(get_message(type_name), topic, write, qos, raw=True)
 
-    def write(self, channel, data):
+    def write(self, channel: int, data: bytes) -> None:
         now = time.time_ns()
         self.writer.add_message(channel, log_time=now, data=data, publish_time=now)
 
 
-def main():
+def main() -> None:
     rclpy.init()
     # Without compression, as rosbag2 writes MCAP unless told otherwise.
     writer = Writer(sys.argv[1], compression=CompressionType.NONE)

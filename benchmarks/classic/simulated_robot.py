@@ -2,6 +2,7 @@
 
 import math
 from contextlib import suppress
+from typing import Any
 
 import rclpy
 from geometry_msgs.msg import Twist as TwistMessage
@@ -16,7 +17,7 @@ from robotctl.sim.robot import Robot, SimParams
 
 
 class SimulatedRobot(Node):
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__("simulated_robot")
         rate_hz = self.declare_parameter("rate_hz", 50.0).value
         self.robot = Robot(SimParams())
@@ -27,10 +28,10 @@ class SimulatedRobot(Node):
         self.create_timer(1.0 / rate_hz, self.move)
         self.create_timer(1.0, self.publish_battery)
 
-    def on_command(self, command):
+    def on_command(self, command: Any) -> None:
         self.robot.command(Twist(command.linear.x, command.angular.z))
 
-    def move(self):
+    def move(self) -> None:
         now = self.get_clock().now()
         self.robot.advance((now - self.last).nanoseconds / 1e9)
         self.last = now
@@ -47,13 +48,13 @@ class SimulatedRobot(Node):
         message.twist.twist.angular.z = velocity.angular
         self.odometry.publish(message)
 
-    def publish_battery(self):
+    def publish_battery(self) -> None:
         message = BatteryState(percentage=self.robot.battery, present=True)
         message.header.stamp = self.get_clock().now().to_msg()
         self.battery.publish(message)
 
 
-def main():
+def main() -> None:
     rclpy.init()
     with suppress(KeyboardInterrupt, ExternalShutdownException):
         rclpy.spin(SimulatedRobot())

@@ -2,6 +2,7 @@
 
 import math
 from contextlib import suppress
+from typing import Any
 
 import rclpy
 from geometry_msgs.msg import Twist
@@ -15,7 +16,7 @@ FORWARD_S, TURN_S = 1.0 / LINEAR_MPS, math.pi / 2.0 / ANGULAR_RPS
 
 
 class VelocityPublisher(Node):
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__("velocity_publisher")
         rate_hz = self.declare_parameter("rate_hz", 50.0).value
         self.mode = RobotStatus.MODE_IDLE
@@ -25,12 +26,12 @@ class VelocityPublisher(Node):
         self.create_subscription(RobotStatus, "robot_status", self.on_status, latched)
         self.create_timer(1.0 / rate_hz, self.tick)
 
-    def on_status(self, status):
+    def on_status(self, status: Any) -> None:
         if status.mode != self.mode:
             self.mode = status.mode
             self.begun = self.get_clock().now()
 
-    def tick(self):
+    def tick(self) -> None:
         command = Twist()
         if self.mode == RobotStatus.MODE_MOVING:
             elapsed_s = (self.get_clock().now() - self.begun).nanoseconds / 1e9
@@ -41,7 +42,7 @@ class VelocityPublisher(Node):
         self.publisher.publish(command)
 
 
-def main():
+def main() -> None:
     rclpy.init()
     with suppress(KeyboardInterrupt, ExternalShutdownException):
         rclpy.spin(VelocityPublisher())

@@ -57,9 +57,9 @@ class Bench:
         """The two processes, taker and publisher, on a topic of their own."""
         topic = f"/load_{os.getpid()}_{next(_numbers)}"
         with tempfile.TemporaryDirectory(dir=self.scratch) as folder:
-            taking = [subject.__file__, contender, topic, seconds, int(ticks), folder]
-            sending = [publisher.__file__, self.library, topic]
-            sending += [load.type_name, load.size, load.rate]
+            taking = [subject.__file__, contender, topic, str(seconds), str(int(ticks)), folder]
+            sending = [publisher.__file__, self.library, topic, load.type_name]
+            sending += [str(load.size), str(load.rate)]
             processes: list[subprocess.Popen[str]] = []
             try:
                 processes.append(_start(taking, self.domain_id))
@@ -73,9 +73,9 @@ class Bench:
                     process.wait()
 
 
-def _start(command: list[object], domain_id: int) -> subprocess.Popen[str]:
+def _start(command: list[str], domain_id: int) -> subprocess.Popen[str]:
     return subprocess.Popen(
-        [sys.executable, *map(str, command)],
+        [sys.executable, *command],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,

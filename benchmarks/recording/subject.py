@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-calls=False
 """The measured process: one way of taking a topic that is published elsewhere.
 
     bare      the tap with a sink that counts, and nothing else
@@ -22,7 +21,13 @@ import sys
 import threading
 import time
 from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import ExitStack, asynccontextmanager, contextmanager, suppress
+from contextlib import (
+    AbstractContextManager,
+    ExitStack,
+    asynccontextmanager,
+    contextmanager,
+    suppress,
+)
 from dataclasses import asdict, dataclass
 from functools import partial
 from importlib import import_module
@@ -51,11 +56,19 @@ class Measured:
 class Taker(Protocol):
     """What takes the messages."""
 
-    received: int
-    lost: int
-    """Missing between two that were received."""
+    @property
+    def received(self) -> int: ...
 
-    dropped: int
+    @property
+    def lost(self) -> int:
+        """How many are missing between those that were received."""
+
+    @property
+    def dropped(self) -> int: ...
+
+
+Sinks = tuple[Taker, Callable[[Any], Any]]
+"""What takes the messages, and what opens the sink of a topic."""
 
 
 class Counter:
@@ -100,20 +113,20 @@ class Recording:
 
 
 @contextmanager
-def bare(folder: Path) -> Iterator[tuple[Taker, Callable[[Any], Any]]]:
+def bare(folder: Path) -> Iterator[Sinks]:
     counter = Counter()
     yield counter, lambda topic: counter
 
 
 @contextmanager
-def plain(folder: Path) -> Iterator[tuple[Taker, Callable[[Any], Any]]]:
+def plain(folder: Path) -> Iterator[Sinks]:
     with (folder / "plain").open("wb") as file:
         counter = Counter(file.write)
         yield counter, lambda topic: counter
 
 
 @contextmanager
-def recording(compressed: bool, folder: Path) -> Iterator[tuple[Taker, Callable[[Any], Any]]]:
+def recording(compressed: bool, folder: Path) -> Iterator[Sinks]:
     from robotctl.recording.write.recorder import Compression, Recorder, RecorderOptions, Topic
 
     compression = Compression.ZSTD if compressed else Compression.NONE
@@ -128,7 +141,7 @@ def recording(compressed: bool, folder: Path) -> Iterator[tuple[Taker, Callable[
     assert stats.received == stats.written + stats.dropped, stats
 
 
-TAPPED = {
+TAPPED: dict[str, Callable[[Path], AbstractContextManager[Sinks]]] = {
     "bare": bare,
     "plain": plain,
     "none": partial(recording, False),
@@ -176,7 +189,7 @@ async def classic(topic: str, folder: Path) -> AsyncIterator[Taker]:
         )
         counter = Counter()
 
-        def write(data: bytes, info: dict[str, int]) -> None:
+        def take(data: bytes, info: dict[str, int]) -> None:
             sequence = info["publication_sequence_number"]
             log_ns, publish_ns = info["received_timestamp"], info["source_timestamp"]
             counter(data, log_ns, publish_ns, sequence, b"")
@@ -188,7 +201,9 @@ async def classic(topic: str, folder: Path) -> AsyncIterator[Taker]:
 
         package, kind, name = type_name.split("/")
         message_class = getattr(import_module(f"{package}.{kind}"), name)
-        node.create_subscription(message_class, topic, write, RECORDING_DEPTH, raw=True)
+        # rclpy's own types know a callback of one argument only.
+        callback: Any = take
+        node.create_subscription(message_class, topic, callback, RECORDING_DEPTH, raw=True)
         thread = threading.Thread(target=spin)
         thread.start()
         yield counter

@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from typing import Any
 
 DEADLINE_S = 120.0
 
@@ -41,9 +42,9 @@ def listen(topics: list[list[str]], *, urgent: bool) -> None:
 
                 qos = replay_qos(offered)
                 qos.depth = 100_000
-                node.create_subscription(
-                    message_class(type_name), name, RawTap(take), qos, raw=True
-                )
+                # rclpy's own types know a callback of one argument only.
+                tap: Any = RawTap(take)
+                node.create_subscription(message_class(type_name), name, tap, qos, raw=True)
             if urgent:  # Not this thread, which would take a core from those.
                 os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
             print("ready", flush=True)

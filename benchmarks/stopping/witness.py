@@ -49,7 +49,9 @@ class Witness:
         self._asked_ns = 0
         self._zero_ns = 0
         self._speed = 0.0
-        node.create_subscription(Twist, "/cmd_vel", self._take, 1000)
+        # rclpy's own types know a callback of one argument only.
+        take: Any = self._take
+        node.create_subscription(Twist, "/cmd_vel", take, 1000)
         until(self._set_mode.service_is_ready)
         self.ways: dict[str, Callable[[], None]] = {
             "control socket": self._by_socket,

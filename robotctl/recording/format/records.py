@@ -43,7 +43,7 @@ def record_bytes(record: McapRecord) -> bytes:
     """The record as it stands in a file, with opcode and length."""
     builder = RecordBuilder()
     record.write(builder)
-    data: bytes = builder.end()  # type: ignore[no-untyped-call]  # the package leaves it untyped
+    data: bytes = builder.end()  # the package leaves it untyped
     return data
 
 

@@ -1,0 +1,43 @@
+"""The scripts of benchmarks/ can be started; mypy checks what they call."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
+SCRIPTS = sorted(BENCHMARKS.glob("*.py"))
+
+HELP_OF_EACH = """
+import contextlib, io, runpy, sys
+
+for script in sys.argv[1:]:
+    sys.argv = [script, "--help"]
+    with contextlib.suppress(SystemExit), contextlib.redirect_stdout(io.StringIO()) as shown:
+        runpy.run_path(script, run_name="__main__")
+    print(script, "shows its usage" if shown.getvalue().startswith("usage: ") else "does not")
+"""
+"""One process for all: most of the time is the imports, which the scripts share."""
+
+
+def test_each_benchmark_script_shows_its_usage() -> None:
+    pytest.importorskip("foxglove", reason="benchmarks/recorder.py needs the `dev` extra")
+    ran = subprocess.run(
+        [sys.executable, "-c", HELP_OF_EACH, *SCRIPTS],
+        cwd=BENCHMARKS,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+
+    assert ran.stderr == ""
+    assert ran.stdout.splitlines() == [f"{script} shows its usage" for script in SCRIPTS]
+
+
+def test_the_page_of_the_benchmarks_names_each_script() -> None:
+    page = (BENCHMARKS / "README.md").read_text()
+
+    assert [script for script in SCRIPTS if f"python benchmarks/{script.name}" not in page] == []
