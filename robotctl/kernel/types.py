@@ -287,4 +287,7 @@ class DriveEnded:
     report: DriveReport
 
 
-Effect = PublishTwist | ModeChanged | LatchEmergencyStop | ReleaseEmergencyStop | Reply | DriveEnded
+Decision = PublishTwist | ModeChanged | LatchEmergencyStop | ReleaseEmergencyStop | Reply
+"""The effects that a kernel of another version must decide as well."""
+
+Effect = Decision | DriveEnded

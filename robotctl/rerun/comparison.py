@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, get_args
 
 import msgspec
 
 from robotctl import __version__
 from robotctl.kernel.codec import to_json
+from robotctl.kernel.types import Decision
 from robotctl.recording.format.identity import MADE_BY
 
 TOLERANCE = 1e-9
@@ -22,10 +23,8 @@ WORDING = frozenset({"reason", "message", "stop_reason"})
 _quick_json = msgspec.json.Encoder().encode
 """As `to_json` for all but floats with an exponent, nan, inf, and text that is not ASCII."""
 
-DECISIONS = frozenset(
-    {"PublishTwist", "ModeChanged", "LatchEmergencyStop", "ReleaseEmergencyStop", "Reply"}
-)
-"""The effects that are compared with those of another version."""
+DECISION_NAMES = frozenset(kind.__name__ for kind in get_args(Decision))
+"""The names in the journal of the effects that are compared with those of another version."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import assert_never
 
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams, VelocityLimits
@@ -16,6 +17,7 @@ from robotctl.kernel.types import (
     NS_PER_S,
     ZERO,
     CommandPublishersSeen,
+    DriveEnded,
     DriveRequested,
     Effect,
     Event,
@@ -108,8 +110,10 @@ class Invariants:
                     self._latched = False
                 case Reply():
                     self._check_reply(effect)
+                case DriveEnded():
+                    pass  # a report, not a command
                 case _:
-                    pass
+                    assert_never(effect)
         if self._latched is not (self.mode is Mode.EMERGENCY_STOP):
             latched = "latched" if self._latched else "not latched"
             self.violate(f"the mode is {self.mode.name}, and the emergency stop is {latched}")

@@ -11,9 +11,9 @@ from robotctl.kernel.codec import to_json
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.state import State
-from robotctl.kernel.types import Effect, Event
+from robotctl.kernel.types import Decision, Effect, Event
 from robotctl.recording.format.journal import JournalEntry
-from robotctl.rerun.comparison import DECISIONS, Comparison
+from robotctl.rerun.comparison import DECISION_NAMES, Comparison
 from robotctl.rerun.journal_steps import Gap, Step, steps
 from robotctl.rerun.journal_values import KERNEL_FAILURES, read_event, read_snapshot, text_of
 
@@ -102,8 +102,8 @@ class Rerun:
             self.kernel = None
             return Decided(event, None, replace(found, decided=f"{type(error).__name__} {error}"))
         if not self._same_version:
-            theirs = [effect for effect in theirs if effect.name in DECISIONS]
-            mine = tuple(effect for effect in mine if type(effect).__name__ in DECISIONS)
+            theirs = [effect for effect in theirs if effect.name in DECISION_NAMES]
+            mine = tuple(effect for effect in mine if isinstance(effect, Decision))
         for recorded, effect in zip(theirs, mine, strict=False):
             if (
                 recorded.t_ns != entry.t_ns

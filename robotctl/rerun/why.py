@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import assert_never
 
 from robotctl.config import Config, flat
 from robotctl.kernel.modes import REQUESTS, TRANSITIONS, Guard, Mode, Trigger
@@ -220,6 +221,8 @@ def _went_out(incident: Incident) -> Iterator[str]:
                 yield f"answered: {effect.message}"
             case Reply() | ModeChanged():
                 pass  # is what happened
+            case _:
+                assert_never(effect)
 
 
 def _zero(incident: Incident) -> str:

@@ -6,6 +6,7 @@ import logging
 import time
 from collections.abc import Callable
 from functools import partial
+from typing import assert_never
 
 from robotctl.daemon.control.latch import Latch
 from robotctl.daemon.control.pending import Requests, UnsavedReply
@@ -69,6 +70,8 @@ class Effects:
                     RecordedEvent(EventKind.DRIVE_ENDED, time.time_ns(), effect.reason, laps)
                 )
                 self._requests.end_drive(effect)
+            case _:
+                assert_never(effect)
 
     def _answer(self, reply: Reply, problem: str) -> None:
         if problem and reply.ok:
