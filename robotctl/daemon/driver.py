@@ -47,13 +47,12 @@ from robotctl.kernel.types import (
 )
 from robotctl.paths import latch_path
 from robotctl.ros.executor import Ticker
-from robotctl.ros.messages import qos
 from robotctl.ros.nodes.battery_subscriber import BatterySubscriber
 from robotctl.ros.nodes.journal_publisher import JournalPublisher
-from robotctl.ros.nodes.mode_service import EVENTS_OF_SERVICES, ModeService, Shown
+from robotctl.ros.nodes.mode_service import CALLS, STATUS, ModeService, Shown
 from robotctl.ros.nodes.odom_subscriber import OdomSubscriber
-from robotctl.ros.nodes.simulated_robot import SimulatedRobot
-from robotctl.ros.nodes.velocity_publisher import TYPE_NAME, VelocityPublisher
+from robotctl.ros.nodes.simulated_robot import SimulatedRobot, battery_topic, odometry_topic
+from robotctl.ros.nodes.velocity_publisher import VelocityPublisher, command_topic
 from robotctl.ros.tap.subscription import LATENCY_S
 
 _log = logging.getLogger(__name__)
@@ -91,10 +90,8 @@ class Driver:
             on_file=lambda: self._control.journal_snapshot(time.monotonic_ns()),
         )
         tap = self.recorder.tap
-        tap.subscribe_own(params.command.topic, TYPE_NAME, qos.COMMAND)
-        tap.subscribe_own("robot_status", "robot_controller/msg/RobotStatus", qos.LATCHED)
-        for service, calls in EVENTS_OF_SERVICES.items():
-            tap.subscribe_own(f"{service}/_service_event", calls, qos.SERVICE_EVENTS)
+        for topic in (command_topic(params.command.topic), STATUS, *CALLS):
+            tap.subscribe_own(topic)
         self._velocity = VelocityPublisher(session, params.command.topic)
         self._watchdog = Watchdog(params.rate_hz, self._velocity)
         requests = Requests()
@@ -187,15 +184,15 @@ class Driver:
 
     def _simulated_robot(self) -> SimulatedRobot:
         params, tap = self._host.config.kernel, self.recorder.tap
-        tap.subscribe_own(params.odometry.topic, "nav_msgs/msg/Odometry", qos.SENSOR)
+        tap.subscribe_own(odometry_topic(params.odometry.topic))
         if params.battery.topic:
-            tap.subscribe_own(params.battery.topic, "sensor_msgs/msg/BatteryState", qos.SENSOR)
+            tap.subscribe_own(battery_topic(params.battery.topic))
         return SimulatedRobot(
             self._host.session,
             self._host.config.sim,
-            command_topic=params.command.topic,
-            odometry_topic=params.odometry.topic,
-            battery_topic=params.battery.topic,
+            command=params.command.topic,
+            odometry=params.odometry.topic,
+            battery=params.battery.topic,
             full_level=full_level(params.battery.scale),
         )
 

@@ -28,9 +28,9 @@ async def simulate(
         robot = SimulatedRobot(
             session,
             config.sim,
-            command_topic=topics.command.topic,
-            odometry_topic=topics.odometry.topic,
-            battery_topic=topics.battery.topic,
+            command=topics.command.topic,
+            odometry=topics.odometry.topic,
+            battery=topics.battery.topic,
             full_level=full_level(topics.battery.scale),
         )
         running = asyncio.create_task(robot.run())

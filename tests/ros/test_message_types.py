@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robotctl.ros.messages import classes
-from robotctl.ros.messages.classes import UnusableType, message_class
+from robotctl.ros.messages.classes import UnusableType, message_class, type_name_of
 from robotctl.ros.messages.type_definition import definition_of, type_hash_of
 
 HOSTILE = (
@@ -58,6 +58,7 @@ def test_what_a_service_implies_is_found_through_it() -> None:
 
     assert message_class("std_srvs/srv/Trigger_Event") is Trigger_Event
     assert message_class("std_srvs/srv/Trigger_Request") is Trigger_Request
+    assert type_name_of(Trigger_Event) == "std_srvs/srv/Trigger_Event"
 
 
 @pytest.mark.parametrize(

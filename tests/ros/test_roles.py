@@ -13,15 +13,17 @@ import pytest
 
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import Odometry, Reply, Twist
+from robotctl.recording.format import journal
 from robotctl.ros.graph import endpoints
 from robotctl.ros.messages import qos
-from robotctl.ros.nodes import mode_service, odom_subscriber
+from robotctl.ros.nodes import journal_publisher, mode_service, odom_subscriber
 from robotctl.ros.nodes.battery_subscriber import BatterySubscriber
 from robotctl.ros.nodes.diagnostics_publisher import TOPIC, Diagnosis, DiagnosticsPublisher, Level
 from robotctl.ros.nodes.mode_service import ModeService, Shown
 from robotctl.ros.nodes.odom_subscriber import OdomSubscriber
 from robotctl.ros.nodes.simulated_robot import SimulatedRobot
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
+from robotctl.ros.playback.playback import DAEMON_TYPE
 from robotctl.ros.session import Session, ros_session
 from robotctl.sim.robot import SimParams
 
@@ -230,9 +232,9 @@ async def test_a_simulated_robot_stops_at_bytes_that_are_no_command(session: Ses
     robot = SimulatedRobot(
         session,
         SimParams(),
-        command_topic="cmd_vel",
-        odometry_topic="odom",
-        battery_topic="",
+        command="cmd_vel",
+        odometry="odom",
+        battery="",
         full_level=1.0,
     )
     for data in (b"", b"\0\1\0\0", b"\0\0\0\0", b"\xff" * 60):
@@ -414,7 +416,7 @@ async def test_diagnostics_are_told_whatever_bytes_a_path_has(
 
     heard: list[Any] = []
     diagnostics = DiagnosticsPublisher(session, "r2")
-    subscription = node.create_subscription(DiagnosticArray, TOPIC, heard.append, 10)
+    subscription = node.create_subscription(DiagnosticArray, TOPIC.name, heard.append, 10)
     await until(subscription.get_publisher_count)
     await until(diagnostics._publisher.get_subscription_count)
     diagnostics.publish(
@@ -423,3 +425,22 @@ async def test_diagnostics_are_told_whatever_bytes_a_path_has(
     await until(lambda: heard)
     (status,) = heard[0].status
     assert (status.message, status.values[0].value) == ("no \\x1b[31m", "/data/\\udcff.mcap")
+
+
+# The topics that they declare
+
+
+async def test_what_the_mode_service_publishes_is_what_it_declares(session: Session) -> None:
+    service = ModeService(session, "r2", lambda mode, source: asyncio.Future())
+    for topic in (mode_service.STATUS, *mode_service.CALLS):
+        (found,) = endpoints.publishers(service._node, session.resolve(topic.name))
+        offered = found.qos_profile
+        assert found.topic_type == topic.type_name
+        assert offered.durability is topic.qos.durability
+        assert offered.reliability is topic.qos.reliability
+
+
+def test_the_journal_is_declared_as_readers_and_replays_look_for_it() -> None:
+    declared = journal_publisher.TOPIC
+    assert (declared.name, declared.type_name) == (journal.TOPIC, journal.TYPE_NAME)
+    assert declared.type_name == DAEMON_TYPE

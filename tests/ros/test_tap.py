@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from robotctl.ros.messages import qos
-from robotctl.ros.messages.topic_description import TopicDescription
+from robotctl.ros.messages.own_topic import OwnTopic
 from robotctl.ros.messages.type_definition import definition_of, holds_bytes, type_hash_of
 from robotctl.ros.session import Session
 from robotctl.ros.tap import type_loader
@@ -55,8 +55,10 @@ async def test_a_foreign_topic_is_taken_with_all_that_describes_it(
 async def test_our_own_topic_is_taken_from_its_first_message(
     session: Session, new_taken: Callable[[], Any], topic: str, until: Until
 ) -> None:
+    from std_msgs.msg import UInt64
+
     taken = new_taken()
-    Tap(session, taken.open).subscribe_own(topic, "std_msgs/msg/UInt64", qos.COMMAND)
+    Tap(session, taken.open).subscribe_own(OwnTopic(topic, UInt64, qos.COMMAND))
     publisher(session.node("ours"), topic).publish(number(1))
     await until(lambda: taken.messages[topic])
     assert [message[3] for message in taken.messages[topic]] == [1]
@@ -88,7 +90,7 @@ async def test_what_nobody_publishes_and_what_comes_otherwise_are_not_subscribed
     from std_msgs.msg import UInt64
 
     node.create_subscription(UInt64, f"{topic}_listened", print, 10)
-    sink = taken.tap.reserve(TopicDescription("/reserved", "", "", "", ""))
+    sink = taken.tap.reserve(OwnTopic("/reserved", UInt64, qos.COMMAND))
     reserved = publisher(node, "/reserved")
     publisher(node, topic)
     await until(lambda: topic in taken.topics)

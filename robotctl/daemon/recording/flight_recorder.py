@@ -23,9 +23,14 @@ from robotctl.recording.format.events import EventKind, RecordedEvent
 from robotctl.recording.write.recorder import RecorderStats, Topic
 from robotctl.recording.write.topic_filter import TopicFilter
 from robotctl.ros.executor import UNKNOWN_GID, ViewSink
-from robotctl.ros.messages import qos
 from robotctl.ros.messages.topic_description import TopicDescription
-from robotctl.ros.nodes.diagnostics_publisher import TOPIC, TYPE_NAME, DiagnosticsPublisher
+from robotctl.ros.nodes import (
+    diagnostics_publisher,
+    journal_publisher,
+    mark_publisher,
+    mode_service,
+)
+from robotctl.ros.nodes.diagnostics_publisher import DiagnosticsPublisher
 from robotctl.ros.nodes.journal_publisher import JournalPublisher
 from robotctl.ros.nodes.mark_publisher import MarkPublisher
 from robotctl.ros.session import Session
@@ -73,13 +78,14 @@ class FlightRecorder:
             in_loop(self._file_full),
         )
         topics = (config.kernel.command.topic, config.kernel.odometry.topic)
-        proof = map(session.resolve, (*topics, "robot_status", "robotctl/journal"))
+        own = (mode_service.STATUS.name, journal_publisher.TOPIC.name)
+        proof = map(session.resolve, (*topics, *own))
         topic_filter = TopicFilter(config.recording.include, config.recording.exclude, proof)
         self.tap = Tap(session, self._open_sink, topic_filter.records)
-        self.tap.subscribe_own(TOPIC, TYPE_NAME, qos.DIAGNOSTICS)
+        self.tap.subscribe_own(diagnostics_publisher.TOPIC)
         diagnostics = DiagnosticsPublisher(session, options.robot)
         self._marks = MarkPublisher(session)
-        self._write_mark = self.tap.reserve(self._marks.description)
+        self._write_mark = self.tap.reserve(mark_publisher.TOPIC)
         recording = self._recorder.stats().file.parent
         self._black_box = BlackBox(config.recording, recording)
         self.tidier = Tidier(retention_policy(config.recording), recording)
@@ -98,7 +104,7 @@ class FlightRecorder:
 
     def open_journal(self, publisher: JournalPublisher) -> Callable[[bytes, int], None]:
         """Return what records and publishes an entry, given serialized and with its number."""
-        write = self.tap.reserve(publisher.description)
+        write = self.tap.reserve(journal_publisher.TOPIC)
 
         def write_entry(serialized: bytes, seq: int) -> None:
             now_ns = time.time_ns()

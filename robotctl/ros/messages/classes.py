@@ -54,6 +54,12 @@ def parse_type_name(type_name: str) -> TypeName:
     raise UnusableType("is not the name of a ROS type")
 
 
+def type_name_of(message_class: Any) -> str:
+    """Return the name of a generated class as `package/kind/Name`."""
+    package, kind, *_ = message_class.__module__.split(".")
+    return f"{package}/{kind}/{message_class.__name__}"
+
+
 @lru_cache(maxsize=1024)
 def message_class(type_name: str) -> Any:
     """Return the class of `pkg/msg/T`, or of a type that a service or an action implies.

@@ -10,12 +10,11 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from robotctl.printable import printable
 from robotctl.ros.messages import qos
+from robotctl.ros.messages.own_topic import OwnTopic
 from robotctl.ros.session import Session
 
-TOPIC = "/diagnostics"
-"""Of all robots, whatever their namespace, as aggregators expect."""
-
-TYPE_NAME = "diagnostic_msgs/msg/DiagnosticArray"
+TOPIC = OwnTopic("/diagnostics", DiagnosticArray, qos.DIAGNOSTICS)
+"""One topic for all robots, outside their namespaces, as aggregators expect."""
 
 
 class Level(Enum):
@@ -42,7 +41,7 @@ class DiagnosticsPublisher:
     def __init__(self, session: Session, robot: str) -> None:
         self._robot = robot
         self._node = session.node("diagnostics")
-        self._publisher = self._node.create_publisher(DiagnosticArray, TOPIC, qos.DIAGNOSTICS)
+        self._publisher = TOPIC.create_publisher(self._node)
 
     def publish(self, diagnosis: Diagnosis) -> None:
         """Publish the state of a part as it is now; what is not printable in it is escaped."""

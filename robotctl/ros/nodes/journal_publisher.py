@@ -8,11 +8,10 @@ from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from robot_controller.msg import JournalEntry
 
 from robotctl.ros.messages import qos
-from robotctl.ros.messages.topic_description import TopicDescription
-from robotctl.ros.messages.type_definition import definition_of, type_hash_of
+from robotctl.ros.messages.own_topic import OwnTopic
 from robotctl.ros.session import Session
 
-TYPE_NAME = "robot_controller/msg/JournalEntry"
+TOPIC = OwnTopic("robotctl/journal", JournalEntry, qos.JOURNAL)
 
 _log = logging.getLogger(__name__)
 
@@ -22,20 +21,8 @@ class JournalPublisher:
 
     def __init__(self, session: Session) -> None:
         node = session.node("journal")
-        self._publisher = node.create_publisher(JournalEntry, "robotctl/journal", qos.JOURNAL)
+        self._publisher = TOPIC.create_publisher(node)
         self._failing = False
-        self.topic = str(self._publisher.topic_name)
-
-    @property
-    def description(self) -> TopicDescription:
-        """What a recording must know of the topic."""
-        return TopicDescription(
-            self.topic,
-            TYPE_NAME,
-            definition_of(TYPE_NAME),
-            type_hash_of(TYPE_NAME),
-            qos.to_yaml([qos.JOURNAL]),
-        )
 
     def publish(self, serialized: bytes) -> None:
         """Publish one entry, if anybody listens; a failure is logged: no decision depends on it."""

@@ -10,11 +10,10 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 
 from robotctl.ros.messages import qos
-from robotctl.ros.messages.topic_description import TopicDescription
-from robotctl.ros.messages.type_definition import definition_of, type_hash_of
+from robotctl.ros.messages.own_topic import OwnTopic
 from robotctl.ros.session import Session
 
-TYPE_NAME = "std_msgs/msg/String"
+TOPIC = OwnTopic("robotctl/marks", String, qos.MARK)
 
 _log = logging.getLogger(__name__)
 
@@ -24,18 +23,7 @@ class MarkPublisher:
 
     def __init__(self, session: Session) -> None:
         node = session.node("marks")
-        self._publisher = node.create_publisher(String, "robotctl/marks", qos.MARK)
-
-    @property
-    def description(self) -> TopicDescription:
-        """What a recording must know of the topic."""
-        return TopicDescription(
-            str(self._publisher.topic_name),
-            TYPE_NAME,
-            definition_of(TYPE_NAME),
-            type_hash_of(TYPE_NAME),
-            qos.to_yaml([qos.MARK]),
-        )
+        self._publisher = TOPIC.create_publisher(node)
 
     def publish(self, text: str) -> bytes:
         """Publish a mark and return it serialized; a failure is logged: it is recorded anyway."""

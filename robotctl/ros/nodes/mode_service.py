@@ -18,6 +18,7 @@ from std_srvs.srv import Trigger
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import Reply
 from robotctl.ros.messages import qos
+from robotctl.ros.messages.own_topic import OwnTopic
 from robotctl.ros.session import Session
 
 _TEMPERATURE = Path("/sys/class/thermal/thermal_zone0/temp")
@@ -32,11 +33,16 @@ class Shown:
     is_connected: bool
 
 
-EVENTS_OF_SERVICES = {
-    "set_mode": "robot_controller/srv/SetMode_Event",
-    "estop": "std_srvs/srv/Trigger_Event",
-}
-"""Service -> type of the topic `<service>/_service_event` that tells its calls."""
+ESTOP, SET_MODE = "estop", "set_mode"
+"""The names of the services."""
+
+STATUS = OwnTopic("robot_status", RobotStatus, qos.LATCHED)
+
+CALLS = tuple(
+    OwnTopic(f"{service}/_service_event", kind.Event, qos.SERVICE_EVENTS)
+    for service, kind in ((SET_MODE, SetMode), (ESTOP, Trigger))
+)
+"""The topics that show the calls and responses of each service."""
 
 MAX_IN_WORK = 256
 """Requests that wait for their answer at once; one more is refused as busy, a stop never is. The
@@ -67,9 +73,9 @@ class ModeService:
         self._say = say
         self._in_work = 0
         self._node = session.node("mode_service")
-        self._publisher = self._node.create_publisher(RobotStatus, "robot_status", qos.LATCHED)
-        self._serve(Trigger, "estop", self._stop)
-        self._serve(SetMode, "set_mode", self._set_mode)
+        self._publisher = STATUS.create_publisher(self._node)
+        self._serve(Trigger, ESTOP, self._stop)
+        self._serve(SetMode, SET_MODE, self._set_mode)
         self._message = RobotStatus(robot_name=robot)
         self.published = 0
 
@@ -101,7 +107,7 @@ class ModeService:
         )
 
     def _stop(self, _: Any, response: Any) -> Any:
-        return self._answer_stop(self._ask(Mode.EMERGENCY_STOP.value, "estop"), response)
+        return self._answer_stop(self._ask(Mode.EMERGENCY_STOP.value, ESTOP), response)
 
     async def _answer_stop(self, reply: Future[Reply], response: Any) -> Any:
         done = await reply
@@ -115,7 +121,7 @@ class ModeService:
             response.message = f"busy: {self._in_work} requests wait for their answer; ask again"
             response.current_mode = self._message.mode
             return response
-        return self._answer_mode(self._ask(mode, "set_mode"), response)
+        return self._answer_mode(self._ask(mode, SET_MODE), response)
 
     async def _answer_mode(self, reply: Future[Reply], response: Any) -> Any:
         done = await reply

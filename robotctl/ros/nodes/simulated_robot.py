@@ -14,11 +14,22 @@ from robotctl.ros.executor import RawTap, Ticker
 from robotctl.ros.messages import qos
 from robotctl.ros.messages.cdr import OdometryEncoder, decode_twist
 from robotctl.ros.messages.convert import battery_message
+from robotctl.ros.messages.own_topic import OwnTopic
 from robotctl.ros.session import Session
 from robotctl.sim.robot import Robot, SimParams
 
 MAX_STEP_S = 0.1
 """After a longer pause of the process the robot has stood still, rather than leapt."""
+
+
+def odometry_topic(name: str) -> OwnTopic:
+    """Return the declaration of the simulated robot's odometry topic of this name."""
+    return OwnTopic(name, OdometryMessage, qos.SENSOR)
+
+
+def battery_topic(name: str) -> OwnTopic:
+    """Return the declaration of the simulated robot's battery topic of this name."""
+    return OwnTopic(name, BatteryState, qos.SENSOR)
 
 
 class SimulatedRobot:
@@ -29,26 +40,26 @@ class SimulatedRobot:
         session: Session,
         params: SimParams,
         *,
-        command_topic: str,
-        odometry_topic: str,
-        battery_topic: str,
+        command: str,
+        odometry: str,
+        battery: str,
         full_level: float,
     ) -> None:
-        """`full_level` is what the gauge reports of a full battery."""
+        """Take the command from topic `command`, publish on topics `odometry` and `battery`.
+
+        There is no battery where its topic is "". `full_level` is the level reported for a full
+        battery.
+        """
         self._params = params
         self._robot = Robot(params)
         self._full_level = full_level
         node = session.node("simulated_robot")
         tap: Any = RawTap(self._command, latency_s=0.0)
         self._subscription = node.create_subscription(
-            TwistMessage, command_topic, tap, qos.COMMAND, raw=True
+            TwistMessage, command, tap, qos.COMMAND, raw=True
         )
-        self._odometry = node.create_publisher(OdometryMessage, odometry_topic, qos.SENSOR)
-        self._battery = (
-            node.create_publisher(BatteryState, battery_topic, qos.SENSOR)
-            if battery_topic
-            else None
-        )
+        self._odometry = odometry_topic(odometry).create_publisher(node)
+        self._battery = battery_topic(battery).create_publisher(node) if battery else None
 
     async def run(self) -> None:
         """Move, and publish odometry at its rate and the battery each second."""

@@ -15,9 +15,8 @@ from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.publishers import full_name, gid_of, publisher_names
 from robotctl.ros.messages import qos
 from robotctl.ros.messages.cdr import encode_twist
+from robotctl.ros.messages.own_topic import OwnTopic
 from robotctl.ros.session import RECORDER_NODE, Session
-
-TYPE_NAME = "geometry_msgs/msg/Twist"
 
 NODE_NAME = "velocity_publisher"
 
@@ -29,6 +28,11 @@ LOCK_TIMEOUT_S = 0.02
 """Longer than any publication: whoever holds the lock for longer hangs in the middleware."""
 
 
+def command_topic(name: str) -> OwnTopic:
+    """Return the declaration of the command topic of this name."""
+    return OwnTopic(name, TwistMessage, qos.COMMAND)
+
+
 class VelocityPublisher:
     """Node `velocity_publisher`; `published` counts the commands that were sent.
 
@@ -38,7 +42,9 @@ class VelocityPublisher:
 
     def __init__(self, session: Session, topic: str) -> None:
         self._node = session.node(NODE_NAME)
-        self._publisher = self._node.create_publisher(TwistMessage, topic, qos.COMMAND)
+        own_topic = command_topic(topic)
+        self._publisher = own_topic.create_publisher(self._node)
+        self._type_name = own_topic.type_name
         self._zero = encode_twist(ZERO)
         self._lock = Lock()
         self._gated = False
@@ -132,8 +138,8 @@ class VelocityPublisher:
             for each in endpoints.subscriptions(self._node, self.topic)
             if each.node_name not in (RECORDER_NODE, NODE_NAME)
         ]
-        others = sorted(set(types) - {TYPE_NAME})
-        return types.count(TYPE_NAME), tuple(others[:MAX_NAMED])
+        others = sorted(set(types) - {self._type_name})
+        return types.count(self._type_name), tuple(others[:MAX_NAMED])
 
     def count_listeners(self) -> int:
         """Return how many subscriptions the command topic has, recorders included."""

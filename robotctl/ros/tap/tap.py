@@ -13,9 +13,8 @@ from rclpy.qos import QoSProfile
 from robotctl.printable import printable, short_name
 from robotctl.ros.executor import ViewSink, self_test
 from robotctl.ros.graph import endpoints
-from robotctl.ros.messages import qos
-from robotctl.ros.messages.topic_description import TopicDescription
-from robotctl.ros.messages.type_definition import definition_of, type_hash_of
+from robotctl.ros.messages.own_topic import OwnTopic
+from robotctl.ros.messages.topic_description import TopicDescription, describe
 from robotctl.ros.session import RECORDER_NODE, Session
 from robotctl.ros.tap.subscription import TappedSubscription
 from robotctl.ros.tap.type_loader import SLOW_LOAD_S, TypeLoader
@@ -85,17 +84,18 @@ class Tap:
             await self._look()
             await self._types.pause(POLL_S)
 
-    def subscribe_own(self, name: str, type_name: str, offered: QoSProfile) -> None:
-        """Tap a topic of ours, before its publisher exists."""
-        topic = self._node.resolve_topic_name(name)
-        if self._wanted(topic, type_name):
-            self._own.add(topic)
-            self._subscribe(topic, type_name, [offered])
+    def subscribe_own(self, topic: OwnTopic) -> None:
+        """Subscribe to a topic of robotctl's own, before its publisher exists."""
+        name = self._node.resolve_topic_name(topic.name)
+        if self._wanted(name, topic.type_name):
+            self._own.add(name)
+            self._subscribe(name, topic.type_name, [topic.qos])
 
-    def reserve(self, topic: TopicDescription) -> ViewSink:
-        """Return the sink of a topic whose messages come to it from elsewhere, not from here."""
-        self._reserved.add(topic.name)
-        return self._open_sink(topic)
+    def reserve(self, topic: OwnTopic) -> ViewSink:
+        """Return the sink of an own topic that its role records directly; never subscribe to it."""
+        name = self._node.resolve_topic_name(topic.name)
+        self._reserved.add(name)
+        return self._open_sink(describe(name, topic.type_name, [topic.qos]))
 
     async def _look(self) -> None:
         look = next(self._looks)
@@ -214,9 +214,7 @@ class Tap:
         limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
         if len(self._tapped) >= max(limit - RESERVED_FILES, limit // 2):
             raise TooManyTopics(f"more topics than {limit} open files allow (see ulimit -n)")
-        definition, type_hash = definition_of(type_name), type_hash_of(type_name)
-        described = TopicDescription(topic, type_name, definition, type_hash, qos.to_yaml(offered))
-        sink = self._open_sink(described)
+        sink = self._open_sink(describe(topic, type_name, offered))
         self._tapped[topic] = TappedSubscription(self._node, topic, type_name, sink, offered)
 
     def _offered(self, topic: str) -> dict[str, list[QoSProfile]]:
