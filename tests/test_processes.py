@@ -270,7 +270,8 @@ def test_lines_come_out_of_pieces() -> None:
 
 
 def test_every_child_is_started_in_one_way() -> None:
-    from robotctl.cli.support import launch, player_process
+    from robotctl.cli.commands.replay import player_process
+    from robotctl.cli.support import launch
     from robotctl.rerun import check_many as checking
 
     programs = (launch.DAEMON, player_process.PLAYER, checking.WORKER, black_box.CUTTER)

@@ -87,7 +87,7 @@ def test_what_cannot_be_read_is_no_success(cli: Cli) -> None:
     Path("empty.mcap").touch()
     ran = cli("replay", "nowhere", "empty.mcap", "--check")
     assert ran.exit_code == 6
-    assert "2 of 2 recordings could not be checked whole" in ran.err
+    assert "2 of 2 recordings could not be checked completely" in ran.err
     assert "it is empty" in ran.out
 
 
@@ -122,7 +122,7 @@ def test_other_files_in_a_glob_are_skipped_with_a_line_each(
     ran = cli("replay", *glob, "--check")
     assert (ran.exit_code, ran.err) == (0, "")
     assert ran.out.splitlines()[2:] == [
-        f"skipped     recordings/{name}: it is no recording" for name in ("README", "notes", "pipe")
+        f"skipped     recordings/{name}: not a recording" for name in ("README", "notes", "pipe")
     ]
     answer = json.loads(cli("replay", *glob, "--check", "--json").out)
     assert answer["skipped"] == [f"recordings/{name}" for name in ("README", "notes", "pipe")]

@@ -87,5 +87,5 @@ def test_other_files_in_a_glob_are_skipped(cli: Cli, written: list[Written]) -> 
     command = ("replay", "recordings/README", "recordings/a", "--what-if", "tracking.k_y=8")
     ran = cli(*command)
     assert (ran.exit_code, ran.err) == (0, "")
-    assert ran.out.splitlines()[-1] == "skipped     recordings/README: it is no recording"
+    assert ran.out.splitlines()[-1] == "skipped     recordings/README: not a recording"
     assert json.loads(cli(*command, "--json").out)["skipped"] == ["recordings/README"]

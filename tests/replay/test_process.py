@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.cli.support.player_process import PLAYER
+from robotctl.cli.commands.replay.player_process import PLAYER
 from robotctl.processes import start
 from robotctl.replay.controls import Command
 from robotctl.replay.job import Job

@@ -10,6 +10,7 @@ import typer
 
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.support.answer import tell
+from robotctl.cli.support.given_options import given_options
 from robotctl.cli.support.recording_paths import (
     RecordedBy,
     Recordings,
@@ -122,13 +123,11 @@ def unkeep(
 
 def _refuse_options_before(context: typer.Context, command: str) -> None:
     """Raise UsageError for an option of the list that stands before `command`."""
-    for parameter in context.command.params:
-        source = context.get_parameter_source(parameter.name or "")
-        if source is not None and source.name == "COMMANDLINE":
-            raise UsageError(
-                f"{parameter.opts[0]} stands before {command}",
-                f"give it after: robotctl recordings {command} NAME {parameter.opts[0]} ...",
-            )
+    for option in given_options(context).values():
+        raise UsageError(
+            f"{option} stands before {command}",
+            f"give it after: robotctl recordings {command} NAME {option} ...",
+        )
 
 
 def _set_kept(name: str, folder: Path | None, robot: str | None, *, kept: bool) -> Path:

@@ -1,4 +1,4 @@
-"""The process that plays a recording: started, heard, steered and ended from the command line."""
+"""The process that plays a recording: start it, show what it reports, pass keys on, end it."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field
 from typing import Any
 
+from robotctl.cli.commands.replay.keys import KEYS, QUIT
 from robotctl.cli.terminal.keyboard import Keyboard
 from robotctl.cli.terminal.replay_screen import Screen
 from robotctl.errors import RobotctlError, error_for_exit_code
@@ -18,106 +19,102 @@ from robotctl.replay.job import Job
 PLAYER = program("robotctl.replay")
 
 END_DEADLINE_S = 15.0
-"""For the player to take its publishers off the graph and leave."""
-
-KEYS = {
-    " ": Command.TOGGLE,
-    "+": Command.FASTER,
-    "=": Command.FASTER,
-    "-": Command.SLOWER,
-    "n": Command.NEXT,
-}
-"""Beside QUIT; `=` is where keyboards have the plus."""
-
-QUIT = "q"
+"""How long the player may take to remove its publishers from the graph and exit."""
 
 
 @dataclass(slots=True)
-class Outcome:
-    """What came of a replay, as far as is known."""
+class PlayerReport:
+    """What the player process has reported so far."""
 
     summary: dict[str, Any] = field(default_factory=dict)
     error: RobotctlError | None = None
     interrupted: bool = False
+    """Whether Ctrl-C or a signal has ended the replay."""
     ended: bool = False
-    """The player has nothing more to say."""
+    """Whether the player will report nothing more."""
 
 
-def play(
-    job: Job, outcome: Outcome, open_screen: Callable[[], AbstractContextManager[Screen]]
-) -> None:
-    """Have a process play the job and show what it says; the first Ctrl-C asks it to end.
+def play_in_process(
+    job: Job, open_screen: Callable[[], AbstractContextManager[Screen]]
+) -> PlayerReport:
+    """Play the job in a child process, and return its report; the first Ctrl-C asks it to end.
 
-    The screen is opened while that process starts.
+    The screen is opened while the process starts.
+
+    Raises:
+        RobotctlError: The process ended without a report.
+        KeyboardInterrupt: Ctrl-C was pressed a second time.
     """
+    report = PlayerReport()
     child = start(PLAYER, obeys=True)
     try:
-        with suppress(BrokenPipeError):  # it has ended, which is seen below
+        with suppress(BrokenPipeError):  # it has ended; the loop below notices
             child.tell(f"{job.to_json()}\n".encode())
         with open_screen() as screen:
-            player = _Player(child, outcome, screen)
+            player = _Player(child, report, screen)
             with Keyboard(player.suspend, player.resume) as keyboard:
-                while not outcome.ended:
+                while not report.ended:
                     try:
-                        player.attend(keyboard)
+                        player.wait_for_input(keyboard)
                     except KeyboardInterrupt:
-                        if outcome.interrupted:
+                        if report.interrupted:
                             raise
-                        outcome.interrupted = True
+                        report.interrupted = True
                         child.hang_up()
     finally:
         exit_code = child.close(END_DEADLINE_S)
-    if not (outcome.summary or outcome.error or outcome.interrupted):
+    if not (report.summary or report.error or report.interrupted):
         raise RobotctlError(
-            f"the player ended with {exit_code} before the replay did "
+            f"the player ended with exit code {exit_code} before the replay was over "
             "(see why with: robotctl --debug replay ...)"
         )
+    return report
 
 
 class _Player:
-    """The other process, as seen from here."""
+    """The player process, with the report, the screen and the pause of its replay."""
 
-    def __init__(self, child: Child, outcome: Outcome, screen: Screen) -> None:
+    def __init__(self, child: Child, report: PlayerReport, screen: Screen) -> None:
         self._child = child
-        self._outcome = outcome
+        self._report = report
         self._screen = screen
         self._paused = False
-        self._resumes = False
+        self._was_playing = False
 
-    def attend(self, keyboard: Keyboard) -> None:
-        """Wait for what is said or pressed next, and see to it."""
+    def wait_for_input(self, keyboard: Keyboard) -> None:
+        """Wait for the player or the keyboard, and handle what comes."""
         child = self._child
         patience_s = None if child.obeys else END_DEADLINE_S
         ready, _, _ = select.select([child.fileno(), *keyboard.sources], [], [], patience_s)
-        self._outcome.ended = not ready
+        self._report.ended = not ready
         if child.fileno() in ready:
             try:
                 for said in child.hear():
                     self._hear(said)
             except EOFError:
-                self._outcome.ended = True
+                self._report.ended = True
         if not set(ready).isdisjoint(keyboard.sources):
             for key in keyboard.read():
                 self._press(key)
 
     def suspend(self) -> None:
-        """Stand still as long as this process does."""
-        self._resumes = not self._paused
+        """Pause the player while this process is stopped."""
+        self._was_playing = not self._paused
         self._send(Command.PAUSE)
         self._screen.suspend()
 
     def resume(self) -> None:
-        """Go on, unless it stood still before."""
+        """Continue, unless the replay was paused before `suspend`."""
         self._screen.resume()
-        if self._resumes:
+        if self._was_playing:
             self._send(Command.RESUME)
 
     def _hear(self, said: dict[str, Any]) -> None:
         if "error" in said:
-            self._outcome.error = error_for_exit_code(said["exit_code"], said["error"], said)
+            self._report.error = error_for_exit_code(said["exit_code"], said["error"], said)
         if "progress" in said:
             self._paused = said["progress"]["paused"]
-        self._outcome.summary = said.get("summary", self._outcome.summary)
+        self._report.summary = said.get("summary", self._report.summary)
         self._screen.show(said)
 
     def _press(self, key: str) -> None:
@@ -127,5 +124,5 @@ class _Player:
             self._send(KEYS[key])
 
     def _send(self, command: Command) -> None:
-        with suppress(BrokenPipeError):  # it has ended, which `attend` sees
+        with suppress(BrokenPipeError):  # it has ended; `wait_for_input` notices
             self._child.tell(command.line())

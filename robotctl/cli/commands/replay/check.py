@@ -1,4 +1,4 @@
-"""replay --check: recordings decided once more, and what came of it."""
+"""replay --check: re-run the decisions of recordings, and compare them with the recorded ones."""
 
 from __future__ import annotations
 
@@ -6,40 +6,42 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from robotctl.cli.commands.replay.select_recordings import (
+    LABEL_WIDTH,
+    select_recordings,
+    skipped_lines,
+)
 from robotctl.cli.support.answer import tell
-from robotctl.cli.support.recording_paths import find_recording
 from robotctl.cli.terminal.progress import progress_bar
 from robotctl.cli.terminal.text import duration, row, short_path
 from robotctl.errors import Divergence, RobotctlError, UnreadableFile
 from robotctl.kernel.modes import Mode
-from robotctl.recording.read.files import is_recording
 from robotctl.rerun.check_many import check_recordings
 from robotctl.rerun.check_report import Verdict
 
-_WIDTH = 12
-_INDENT = " " * _WIDTH
+_INDENT = " " * LABEL_WIDTH
 
 
 def check_command(files: Sequence[Path], robot: str | None, *, as_json: bool) -> None:
-    """Check recordings and say what came of it; other files that a shell's glob brings are skipped.
+    """Check recordings and print the results; files that are not recordings are skipped.
 
     Raises:
-        Divergence: One of them decides otherwise, or breaks a promise.
-        UnreadableFile: Not all of them could be checked whole.
+        Divergence: A recording is decided differently, or breaks a promise.
+        UnreadableFile: A recording could not be checked completely.
     """
-    paths, others = recordings_among(files, robot)
+    paths, skipped = select_recordings(files, robot)
     with progress_bar("checking", quiet=as_json) as on_progress:
         reports = check_recordings(paths, on_progress)
     lines = [line for report in reports for line in report_lines(report)]
-    lines += skipped_lines(others)
-    answer = {"recordings": reports, **_counts(reports), "skipped": list(map(str, others))}
+    lines += skipped_lines(skipped)
+    answer = {"recordings": reports, **_counts(reports), "skipped": list(map(str, skipped))}
     tell(answer, lines, as_json=as_json, error=_gravest(reports))
 
 
 def report_lines(report: dict[str, Any]) -> Iterator[str]:
-    """What came of one check, from its object in `--json`."""
+    """Yield the result of one check, from its object in `--json`."""
     verdict = Verdict(report["verdict"])
-    yield f"{verdict.value:{_WIDTH}}{short_path(report['path'])}"
+    yield f"{verdict.value:{LABEL_WIDTH}}{short_path(report['path'])}"
     if report["events"]:
         how = "bit for bit" if report["bitwise"] else "as far as they can be compared"
         yield from row(
@@ -96,42 +98,18 @@ def _counts(reports: Sequence[dict[str, Any]]) -> dict[str, int]:
 
 
 def _gravest(reports: Sequence[dict[str, Any]]) -> RobotctlError | None:
-    found = {verdict: [r for r in reports if r["verdict"] == verdict] for verdict in Verdict}
-    of = f" of {len(reports)} recordings" if len(reports) > 1 else " recording"
-    if found[Verdict.DIVERGED]:
+    counts = _counts(reports)
+
+    def those(verdict: Verdict) -> str:
+        total = len(reports)
+        return "the recording" if total == 1 else f"{counts[verdict]} of {total} recordings"
+
+    if counts[Verdict.DIVERGED]:
         return Divergence(
-            f"{len(found[Verdict.DIVERGED])}{of} would be decided differently by this robotctl"
+            f"{those(Verdict.DIVERGED)} would be decided differently by this version of robotctl"
         )
-    if found[Verdict.BROKEN]:
-        return Divergence(f"{len(found[Verdict.BROKEN])}{of} breaks a promise of robotctl")
-    if found[Verdict.INCOMPLETE]:
-        return UnreadableFile(f"{len(found[Verdict.INCOMPLETE])}{of} could not be checked whole")
+    if counts[Verdict.BROKEN]:
+        return Divergence(f"{those(Verdict.BROKEN)} broke a promise of robotctl")
+    if counts[Verdict.INCOMPLETE]:
+        return UnreadableFile(f"{those(Verdict.INCOMPLETE)} could not be checked completely")
     return None
-
-
-def recordings_among(files: Sequence[Path], robot: str | None) -> tuple[list[Path], list[Path]]:
-    """The recordings that are meant by paths, names or `last`, and the paths that are none.
-
-    Of a folder of recordings, all of them. Where no path is a recording, all count as recordings:
-    each then has to say what is wrong with it. Raises Refused where there is no last one.
-    """
-    found = [find_recording(str(file), robot) for file in files]
-    others = [path for path in found if not is_recording(path)]
-    if len(others) == len(found):
-        others = []
-    return [each for path in found if path not in others for each in _recordings_at(path)], others
-
-
-def skipped_lines(others: Sequence[Path]) -> list[str]:
-    """A line for each path that is no recording."""
-    return [f"{'skipped':{_WIDTH}}{short_path(path)}: it is no recording" for path in others]
-
-
-def _recordings_at(path: Path) -> list[Path]:
-    """The recording itself, or those in a folder of recordings."""
-    try:
-        if path.is_dir() and not any(path.glob("*.mcap")):
-            return sorted({file.parent for file in path.glob("*/*.mcap")}) or [path]
-    except OSError:
-        pass  # its reader says why it cannot be read
-    return [path]

@@ -1,49 +1,32 @@
-"""replay: a recording to ROS, with its own timing, or only to the eye."""
+"""The options of `replay`, and the choice between its five commands."""
 
 from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from signal import SIGHUP, SIGQUIT, SIGTERM
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from robotctl.cli.options import Json, new_app
-from robotctl.cli.support.answer import tell
-from robotctl.cli.support.player_process import Outcome, play
+from robotctl.cli.support.given_options import given_options
 from robotctl.cli.support.recording_paths import RecordedBy, find_recording
 from robotctl.cli.support.signals import interrupted_by
-from robotctl.cli.terminal.replay_lines import summary_lines
-from robotctl.cli.terminal.replay_screen import Screen, screen
 from robotctl.cli.terminal.text import short_path
-from robotctl.errors import Interrupted, UsageError
+from robotctl.errors import UsageError
 from robotctl.paths import DEFAULT_ROBOT, check_robot_name
-from robotctl.replay.job import (
-    Job,
-    check_clock,
-    check_regex,
-    check_seconds,
-    parse_rate,
-    parse_remap,
-)
-
-if TYPE_CHECKING:
-    from robotctl.replay.recorded_robot import Sight
-    from robotctl.replay.timeline import Span
 
 app = new_app()
 
 MAX_DOMAIN_ID = 232
 """The last ROS domain whose ports exist (DDSI-RTPS 2.5, 9.6.2.3)."""
 
-_OF_CHECKS = frozenset({"files", "check", "what_if", "resim", "robot", "as_json"})
-"""What --check, --what-if and --resim take."""
-
 MAX_READ_AHEAD = 1_000_000
+
+_OPTIONS_OF_RERUNS = frozenset({"files", "check", "what_if", "resim", "robot", "as_json"})
+"""The options that --check, --what-if and --resim accept."""
 
 
 @app.command()
@@ -104,8 +87,10 @@ def replay(
         int | None,
         typer.Option(metavar="N", min=1, max=MAX_READ_AHEAD, help="Messages to read ahead."),
     ] = None,
-    see: Annotated[bool, typer.Option("--view", help="Draw the recorded robot meanwhile.")] = False,
-    see_only: Annotated[
+    with_view: Annotated[
+        bool, typer.Option("--view", help="Draw the recorded robot meanwhile.")
+    ] = False,
+    view_only: Annotated[
         bool, typer.Option("--view-only", help="Draw the recorded robot; nothing goes to ROS.")
     ] = False,
     original_names: Annotated[
@@ -153,15 +138,29 @@ def replay(
     if check or what_if or resim:
         _refuse_playing_options(context)
     if check:
-        from robotctl.cli.commands.replay_check import check_command
+        from robotctl.cli.commands.replay.check import check_command
 
         check_command(files, robot, as_json=as_json)
         return
-    if what_if or resim:
-        from robotctl.cli.commands.replay_whatif import what_if_command
+    if resim:
+        from robotctl.cli.commands.replay.resim import resim_command
 
-        what_if_command(files, what_if or [], robot, closed_loop=resim, as_json=as_json)
+        resim_command(files, what_if or [], robot, as_json=as_json)
         return
+    if what_if:
+        from robotctl.cli.commands.replay.what_if import what_if_command
+
+        what_if_command(files, what_if, robot, as_json=as_json)
+        return
+    from robotctl.replay.job import (
+        Job,
+        check_clock,
+        check_regex,
+        check_seconds,
+        parse_rate,
+        parse_remap,
+    )
+
     name = _only(files)
     path = find_recording(str(name), robot)
     job = Job(
@@ -191,67 +190,27 @@ def replay(
     if path != name and not as_json:
         print(short_path(path), flush=True)
     with interrupted_by((SIGTERM, SIGHUP, SIGQUIT)):
-        if see_only:
-            _view(job, quiet=as_json)
+        if view_only:
+            from robotctl.cli.commands.replay.view import view_command
+
+            view_command(job, quiet=as_json)
         else:
-            _play(job, see=see, as_json=as_json)
+            from robotctl.cli.commands.replay.play import play_command
 
-
-def _play(job: Job, *, see: bool, as_json: bool) -> None:
-    """Play to ROS, and print the summary."""
-
-    @contextmanager
-    def open_screen() -> Iterator[Screen]:
-        with ExitStack() as stack:
-            sight = stack.enter_context(_sight(job))[0] if see else None
-            yield stack.enter_context(screen(sight, quiet=as_json))
-
-    outcome = Outcome()
-    play(job, outcome, open_screen)
-    error = Interrupted() if outcome.interrupted else outcome.error
-    if outcome.summary:
-        lines = summary_lines(outcome.summary)
-        tell(outcome.summary, lines, as_json=as_json, error=error)
-    elif error is not None:
-        raise error
-
-
-def _view(job: Job, *, quiet: bool) -> None:
-    """Show the recording; nothing of ROS is imported. Raises UsageError."""
-    if job.rate is None:
-        raise UsageError("--view-only needs a --rate that is a number: nobody can see max")
-    from robotctl.cli.support.replay_without_ros import view
-
-    with _sight(job) as (sight, span), screen(sight, quiet=quiet) as shown:
-        view(job, sight, span, shown)
-
-
-@contextmanager
-def _sight(job: Job) -> Iterator[tuple[Sight, Span]]:
-    """The recorded robot during the part that is played."""
-    from robotctl.recording.read.reader import Recording
-    from robotctl.replay.recorded_robot import Sight
-    from robotctl.replay.timeline import span_of
-
-    with Recording(job.file) as recording:
-        span = span_of(recording.info(), job)
-        yield Sight(recording, span, loop=job.loop), span
+            play_command(job, with_view=with_view, as_json=as_json)
 
 
 def _refuse_playing_options(context: typer.Context) -> None:
     """Raise UsageError for an option that only says how to play."""
-    for parameter in context.command.params:
-        name = parameter.name or ""
-        source = context.get_parameter_source(name)
-        if name not in _OF_CHECKS and source is not None and source.name == "COMMANDLINE":
+    for name, spelling in given_options(context).items():
+        if name not in _OPTIONS_OF_RERUNS:
             raise UsageError(
-                f"{parameter.opts[0]}: says how to play; leave it out with --check, "
-                "--what-if and --resim"
+                f"{spelling}: says how to play; leave it out with --check, --what-if and --resim"
             )
 
 
 def _only(files: list[Path]) -> Path:
-    """The one recording that is played. Raises UsageError."""
+    """Return the one recording to play; raise UsageError for several."""
     if len(files) > 1:
         raise UsageError(
             f"{len(files)} recordings: one at a time is played "
@@ -261,12 +220,12 @@ def _only(files: list[Path]) -> Path:
 
 
 def _names(given: list[str] | None) -> tuple[str, ...]:
-    """Topic names, given one by one or with commas."""
+    """Return topic names that were given one by one or with commas."""
     return tuple(name for text in given or () for name in text.split(",") if name)
 
 
 def _domain_id(given: int | None) -> int | None:
-    """The domain that was asked for. Raises UsageError."""
+    """Return the ROS domain of --domain-id, else of ROS_DOMAIN_ID; raise UsageError."""
     text = os.environ.get("ROS_DOMAIN_ID")
     name, value = ("ROS_DOMAIN_ID", text) if given is None else ("--domain-id", str(given))
     if not value:

@@ -1,0 +1,12 @@
+"""replay: five commands on a recording, which the options tell apart.
+
+- `play`: publish it to ROS with its original timing.
+- `view`: show it in the terminal, without ROS (`--view-only`).
+- `check`: re-run its decisions and compare them (`--check`).
+- `what_if`: re-run its decisions with other parameters (`--what-if`).
+- `resim`: re-run its drives with a simulated robot (`--resim`).
+
+`command` declares the options and calls one of the five.
+"""
+
+from robotctl.cli.commands.replay.command import app as app

@@ -1,0 +1,18 @@
+"""The keys that steer a replay."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from robotctl.replay.controls import Command
+
+KEYS: Final = {
+    " ": Command.TOGGLE,
+    "+": Command.FASTER,
+    "=": Command.FASTER,
+    "-": Command.SLOWER,
+    "n": Command.NEXT,
+}
+"""All keys but QUIT; `=` is the plus key without Shift."""
+
+QUIT: Final = "q"

@@ -1,0 +1,40 @@
+"""replay: publish a recording to ROS with its original timing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+
+from robotctl.cli.commands.replay.player_process import play_in_process
+from robotctl.cli.support.answer import tell
+from robotctl.cli.terminal.replay_screen import Screen, screen
+from robotctl.cli.terminal.replay_summary import summary_lines
+from robotctl.errors import Interrupted
+from robotctl.replay.job import Job
+
+
+def play_command(job: Job, *, with_view: bool, as_json: bool) -> None:
+    """Publish a recording to ROS, and print the summary; `with_view` draws the recorded robot.
+
+    Raises:
+        Interrupted: Ctrl-C or a signal ended the replay.
+        RobotctlError: The player failed; the error has its exit code.
+    """
+
+    @contextmanager
+    def open_screen() -> Iterator[Screen]:
+        with ExitStack() as stack:
+            sight = None
+            if with_view:
+                from robotctl.cli.commands.replay.view import recorded_robot
+
+                sight, _ = stack.enter_context(recorded_robot(job))
+            yield stack.enter_context(screen(sight, quiet=as_json))
+
+    report = play_in_process(job, open_screen)
+    error = Interrupted() if report.interrupted else report.error
+    if report.summary:
+        lines = summary_lines(report.summary)
+        tell(report.summary, lines, as_json=as_json, error=error)
+    elif error is not None:
+        raise error

@@ -1,0 +1,44 @@
+"""Which of the given files are recordings: for `check`, `what_if` and `resim`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from robotctl.cli.support.recording_paths import find_recording
+from robotctl.cli.terminal.text import short_path
+from robotctl.recording.read.files import is_recording
+
+LABEL_WIDTH = 12
+"""Width of the column before a path: a verdict or `skipped`."""
+
+
+def select_recordings(files: Sequence[Path], robot: str | None) -> tuple[list[Path], list[Path]]:
+    """Return the recordings that paths, names or `last` stand for, and the paths to skip.
+
+    A folder of recordings stands for all of them. If no path is a recording, none is skipped: each
+    then fails with its own error.
+
+    Raises:
+        Refused: `last` was given and there is no recording.
+    """
+    found = [find_recording(str(file), robot) for file in files]
+    skipped = [path for path in found if not is_recording(path)]
+    if len(skipped) == len(found):
+        skipped = []
+    return [each for path in found if path not in skipped for each in _recordings_at(path)], skipped
+
+
+def skipped_lines(skipped: Sequence[Path]) -> list[str]:
+    """Return a line for each path that is not a recording."""
+    return [f"{'skipped':{LABEL_WIDTH}}{short_path(path)}: not a recording" for path in skipped]
+
+
+def _recordings_at(path: Path) -> list[Path]:
+    """Return the recording at `path`, or those in it if it is a folder of recordings."""
+    try:
+        if path.is_dir() and not any(path.glob("*.mcap")):
+            return sorted({file.parent for file in path.glob("*/*.mcap")}) or [path]
+    except OSError:
+        pass  # the reader of the recording reports why
+    return [path]
