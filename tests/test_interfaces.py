@@ -3,6 +3,7 @@
 import xml.etree.ElementTree as ElementTree
 from importlib.metadata import files, version
 from pathlib import Path
+from typing import Any
 
 import pytest
 from robot_controller.msg import JournalEntry, RobotStatus
@@ -14,13 +15,13 @@ from robotctl.kernel.modes import Mode
 ROOT = Path(__file__).parents[1]
 
 
-def test_the_ros_package_and_the_python_package_have_one_version():
+def test_the_ros_package_and_the_python_package_have_one_version() -> None:
     package_xml = ElementTree.parse(ROOT / "package.xml")
 
     assert package_xml.findtext("version") == version("robotctl") == __version__
 
 
-def test_a_mode_has_the_same_number_in_the_kernel_and_on_the_wire():
+def test_a_mode_has_the_same_number_in_the_kernel_and_on_the_wire() -> None:
     on_the_wire = {mode: getattr(RobotStatus, f"MODE_{mode.name}") for mode in Mode}
 
     assert on_the_wire == {mode: mode.value for mode in Mode}
@@ -53,14 +54,16 @@ def test_a_mode_has_the_same_number_in_the_kernel_and_on_the_wire():
         (SetMode.Response, {"success": "boolean", "message": "string", "current_mode": "uint8"}),
     ],
 )
-def test_an_interface_keeps_its_fields_since_recordings_hold_them(interface, fields):
+def test_an_interface_keeps_its_fields_since_recordings_hold_them(
+    interface: Any, fields: dict[str, str]
+) -> None:
     assert interface.get_fields_and_field_types() == fields
 
 
 @pytest.mark.parametrize(
     "source", ["msg/JournalEntry.msg", "msg/RobotStatus.msg", "srv/SetMode.srv"]
 )
-def test_the_build_is_not_older_than_the_interface_files(source):
+def test_the_build_is_not_older_than_the_interface_files(source: str) -> None:
     installed = [
         file
         for file in files("robotctl") or []

@@ -181,7 +181,7 @@ def record(file: Path) -> None:
         for index in range(20):
             at_ns = 1_767_268_800_000_000_000 + index * 20_000_000
             writer.add_message(channel, at_ns, b"\0" * 16, at_ns)
-        writer.finish()  # type: ignore[no-untyped-call]
+        writer.finish()
 
 
 def say_ready(descriptor: int | None, said: object) -> None:

@@ -34,7 +34,7 @@ def recording(tmp_path: Path) -> Path:
             at_ns = 1_767_268_800_000_000_000 + index * 10_000_000
             writer.add_message(odom, at_ns, b"\0" * 16, at_ns)
         writer.add_message(evil, at_ns, b"\0" * 16, at_ns)
-        writer.finish()  # type: ignore[no-untyped-call]
+        writer.finish()
     return folder
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from typing import Any
 
 from robotctl.kernel.codec import from_json, to_json
 from robotctl.kernel.kernel import Kernel
@@ -60,7 +61,8 @@ def test_events_fed_again_from_a_snapshot_in_their_midst_give_the_same_effects()
     for begin, text in snapshots.items():
         fresh = from_json(Snapshot, text).kernel()
         for event, effects in journal[begin:]:
-            assert fresh.step(from_json(type(event), to_json(event))) == effects
+            again: Any = from_json(type(event), to_json(event))
+            assert fresh.step(again) == effects
         assert to_json(fresh.state) == to_json(kernel.state)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
@@ -11,7 +12,7 @@ from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import Cause, CommandPublishersSeen, FaultReported
 from robotctl.testing.kernels import Bench, in_mode, stopping
 
-SITUATIONS = {
+SITUATIONS: dict[str, Callable[[], Bench]] = {
     "stopping": stopping,
     "in error": lambda: in_mode(Mode.ERROR),
     "standing beside others": lambda: beside_others(in_mode(Mode.IDLE)),

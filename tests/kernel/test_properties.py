@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from math import isfinite
+from typing import Any
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -265,7 +266,8 @@ class AnyHistory(RuleBasedStateMachine):
         """The journal so far, fed to the kernel of its snapshot, gives the same effects."""
         kernel = from_json(Snapshot, self.snapshot).kernel()
         for event, effects in self.since:
-            again = kernel.step(from_json(type(event), to_json(event)))
+            read: Any = from_json(type(event), to_json(event))
+            again = kernel.step(read)
             assert list(map(to_json, again)) == list(map(to_json, effects))
         assert to_json(kernel.state) == to_json(self.bench.state)
         self.snapshot = self._snapshot()

@@ -84,7 +84,8 @@ def test_a_reset_of_an_error_leaves_the_latch_alone() -> None:
 def test_a_latched_stop_outlives_the_process() -> None:
     bench = Bench(state=latched("stopped before the restart"))
     bench.run(5)
-    assert bench.state.mode is Mode.EMERGENCY_STOP
+    stopped = bench.state
+    assert stopped.mode is Mode.EMERGENCY_STOP
     bench.request(Mode.MOVING)
     assert not bench.replies[-1].ok
     assert "robotctl reset" in bench.replies[-1].message
@@ -161,7 +162,8 @@ def test_a_drive_is_replaced_only_on_request() -> None:
     assert bench.state == before
     effects = bench.drive(CIRCLE, replacing=True)
     assert kinds(effects) == [DriveEnded, Reply]
-    assert bench.replies[-1].ok
+    allowed = bench.replies[-1]
+    assert allowed.ok
     assert bench.state.drive is not None
     assert bench.state.drive.pattern == CIRCLE
 
@@ -225,7 +227,8 @@ def test_a_reset_is_refused_while_the_cause_or_another_one_would_stop_again() ->
     reset(bench)
     assert not bench.replies[-1].ok
     assert "the disk is full" in bench.replies[-1].message
-    assert bench.state.mode is Mode.EMERGENCY_STOP
+    stopped = bench.state
+    assert stopped.mode is Mode.EMERGENCY_STOP
     bench.give(FaultCleared(bench.t_ns, Cause.RECORDER_FAILED))
     reset(bench)
     assert bench.state.mode is Mode.IDLE

@@ -18,7 +18,7 @@ def test_every_public_name_can_be_imported() -> None:
 
 def test_an_unknown_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="no attribute 'Recoder'"):
-        robotctl.recording.Recoder  # type: ignore[attr-defined]  # noqa: B018
+        robotctl.recording.Recoder  # noqa: B018
 
 
 def test_importing_the_package_imports_no_module_of_it() -> None:

@@ -57,7 +57,7 @@ def bag(
             writer.add_message(channel, at_ns, message, at_ns, number)
         if told_by != "yaml":
             writer.add_metadata("rosbag2", {"serialized_metadata": metadata(mode, form)})
-        writer.finish()  # type: ignore[no-untyped-call]
+        writer.finish()
     if told_by != "file":
         text = f"rosbag2_bagfile_information:\n{metadata(mode, form)}"
         (folder / "metadata.yaml").write_text(text)

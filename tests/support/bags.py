@@ -112,5 +112,5 @@ def write_bag(path: Path, lines: Iterable[Line], *, chunk_bytes: int = 1 << 20) 
                 channels[key] = writer.register_channel(line.topic, line.encoding, schema, metadata)
             at_ns = START_NS + round(line.at_ms * 1e6)
             writer.add_message(channels[key], at_ns, line.data, at_ns, number)
-        writer.finish()  # type: ignore[no-untyped-call]
+        writer.finish()
     return path

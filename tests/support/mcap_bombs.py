@@ -8,7 +8,7 @@ from itertools import count, repeat
 from pathlib import Path
 from typing import Final
 
-import lz4.frame  # type: ignore[import-untyped]
+import lz4.frame
 import zstandard
 from isal.isal_zlib import crc32
 from mcap.opcode import Opcode

@@ -12,7 +12,7 @@ from io import BytesIO
 from typing import Final
 
 from isal.isal_zlib import crc32
-from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
+from lz4.frame import LZ4FrameDecompressor
 from mcap.opcode import Opcode
 from zstandard import ZstdDecompressor, ZstdError, frame_content_size
 
