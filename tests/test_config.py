@@ -56,10 +56,10 @@ BAD = {
     "topic with a space": ("command.topic: 'a b'", "command.topic: 'a b' is not allowed"),
     "topic with //": ("battery.topic: 'a//b'", "battery.topic: 'a//b' is not allowed"),
     "number for a topic": ("command.topic: 3", "command.topic: 3 is not allowed"),
-    "key twice": ("rate_hz: 50\nrate_hz: 20", "'rate_hz': stands twice"),
+    "key twice": ("rate_hz: 50\nrate_hz: 20", "'rate_hz': is given twice"),
     "key twice, dotted and nested": (
         "limits: {linear_mps: 0.3}\nlimits.linear_mps: 0.4",
-        "limits.linear_mps: stands twice",
+        "limits.linear_mps: is given twice",
     ),
     "clears below where it stops": (
         "battery: {stop_level: 0.3, clear_level: 0.25}",
@@ -71,7 +71,7 @@ BAD = {
     ),
     "two roles on one topic": (
         "odometry.topic: /cmd_vel",
-        "odometry.topic: '/cmd_vel' is not allowed: command.topic has it already",
+        "odometry.topic: '/cmd_vel' is not allowed: command.topic is the same topic",
     ),
     "list": ("- a\n- b", "not a mapping of keys to values"),
     "text": ("hello", "not a mapping of keys to values"),

@@ -1,0 +1,103 @@
+"""Read a configuration file.
+
+A file is YAML, nested or with dotted keys, plain or in the form of a ROS parameter file:
+
+    tracking.k_y: 8.0                     robot:
+    limits: {linear_mps: 0.3}               ros__parameters:
+                                              tracking.k_y: 8.0
+
+Anchors and aliases are refused: with them, a file of a few lines can expand beyond the memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterator, Mapping
+from pathlib import Path
+from reprlib import repr as short_repr
+from typing import Any
+
+from robotctl.config.params import Config
+from robotctl.config.settings import check_together, with_setting
+from robotctl.errors import ConfigError
+from robotctl.regular_file import open_regular
+
+MAX_FILE_BYTES = 1_000_000
+"""The largest file that is read."""
+
+
+def load(path: Path) -> Config:
+    """Return the configuration in the file `path`.
+
+    Raises:
+        ConfigError: The file cannot be read, or a key or value is not allowed.
+    """
+    settings = _flatten(_parameters(_read(path), path), path)
+    config = Config()
+    seen: set[str] = set()
+    try:
+        for key, value in settings:
+            if key in seen:
+                raise ConfigError(f"{key}: is given twice", "keep one of them")
+            seen.add(key)
+            config = with_setting(config, key, value)
+        check_together(config.kernel)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error.cause}", error.cure) from None
+    return config
+
+
+def _read(path: Path) -> Any:
+    import yaml  # here, because it takes 15 ms and most daemons have no configuration file
+
+    class Loader(yaml.SafeLoader):
+        """Loader that refuses aliases and duplicate keys, of which YAML would keep the last."""
+
+        def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+            if self.check_event(yaml.AliasEvent):
+                raise yaml.YAMLError("aliases are not supported: write the value itself")
+            return super().compose_node(parent, index)
+
+        def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> Any:
+            seen: set[Hashable] = set()
+            for item, _ in node.value:
+                key = self.construct_object(item, deep=True)
+                if key in seen:
+                    raise yaml.YAMLError(f"{short_repr(key)}: is given twice: keep one of them")
+                seen.add(key)
+            return super().construct_mapping(node, deep)
+
+    try:
+        with open_regular(path) as file:
+            text = file.read(MAX_FILE_BYTES + 1)
+        if len(text) > MAX_FILE_BYTES:
+            raise ConfigError(f"{path}: larger than {MAX_FILE_BYTES} bytes, not a configuration")
+        return yaml.load(text, Loader)
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}", "give the path of a YAML file") from None
+    except (yaml.YAMLError, RecursionError, TypeError, ValueError) as error:
+        raise ConfigError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
+
+
+def _parameters(content: Any, path: Path) -> Mapping[Any, Any]:
+    """Return the settings of a file; in a ROS parameter file they are below `ros__parameters`."""
+    if content is None:
+        return {}
+    if not isinstance(content, dict):
+        raise ConfigError(f"{path}: not a mapping of keys to values")
+    if len(content) == 1:
+        (inner,) = content.values()
+        if isinstance(inner, dict) and list(inner) == ["ros__parameters"]:
+            return _parameters(inner["ros__parameters"], path)
+    return content
+
+
+def _flatten(
+    settings: Mapping[Any, Any], path: Path, prefix: str = ""
+) -> Iterator[tuple[str, object]]:
+    """Yield each setting as a dotted key and its value."""
+    for name, value in settings.items():
+        key = f"{prefix}{name}"
+        if isinstance(value, dict):
+            yield from _flatten(value, path, f"{key}.")
+        else:
+            yield key, value

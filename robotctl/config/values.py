@@ -1,0 +1,78 @@
+"""Whether a value is allowed for a key of the configuration."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from enum import Enum
+from reprlib import repr as short_repr
+from typing import Any
+
+from robotctl.errors import ConfigError
+from robotctl.kernel.ranges import Range
+
+_TOPIC = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+_PATTERN = re.compile(r"(?:type:|(?=[/*?\[]))[A-Za-z0-9_/*?!\[\]-]{1,300}")
+PATTERN_HELP = "a topic (/scan), a glob (/camera/*) or a type (type:sensor_msgs/msg/Image)"
+
+
+def checked_value(key: str, value: object, kind: Any, metadata: Mapping[str, Any]) -> object:
+    """Return `value` in the type of its field, if it is allowed for `key`.
+
+    Raises:
+        ConfigError: The value is not allowed; the error says what is.
+    """
+    if kind == tuple[str, ...]:
+        return _checked_patterns(key, value)
+    if issubclass(kind, Enum):
+        choices = {member.value: member for member in kind}
+        if type(value) in (str, int) and str(value) in choices:  # 100 is an int in YAML
+            return choices[str(value)]
+        raise not_allowed(key, value, f"use {', '.join(choices)}")
+    if kind is float:
+        low, high, unit = metadata.get("range", Range(-1e12, 1e12))
+        if not isinstance(value, int | float) or isinstance(value, bool):
+            raise not_allowed(key, value, f"use a number from {low:g} to {high:g} {unit}".rstrip())
+        if not low <= value <= high:  # so is NaN
+            raise not_allowed(key, value, f"use {low:g} to {high:g} {unit}".rstrip())
+        return float(value)
+    if "choices" in metadata and value not in metadata["choices"]:
+        raise not_allowed(key, value, f"use {', '.join(metadata['choices'])}")
+    if metadata.get("topic") and not _is_topic(value, optional=metadata["optional"]):
+        none = ', or "" for none' if metadata["optional"] else ""
+        raise not_allowed(key, value, f"use the name of a ROS topic, such as /a/b{none}")
+    if type(value) is not kind:
+        names = {int: "a whole number", str: "text", bool: "true or false"}
+        raise not_allowed(key, value, f"use {names[kind]}")
+    if isinstance(value, int) and "range" in metadata:
+        low, high, _ = metadata["range"]
+        if not low <= value <= high:
+            raise not_allowed(key, value, f"use {low} to {high}")
+    return value
+
+
+def _checked_patterns(key: str, value: object) -> tuple[str, ...]:
+    if not isinstance(value, list):
+        raise not_allowed(key, value, f"use a list, each {PATTERN_HELP}")
+    for pattern in value:
+        if not is_topic_pattern(pattern):
+            raise not_allowed(key, pattern, f"use {PATTERN_HELP}")
+    return tuple(value)
+
+
+def is_topic_pattern(value: object) -> bool:
+    """Return whether the value is a topic, glob or type that can select topics."""
+    return isinstance(value, str) and _PATTERN.fullmatch(value) is not None
+
+
+def _is_topic(value: object, *, optional: bool) -> bool:
+    if not isinstance(value, str):
+        return False
+    if not value:
+        return optional
+    return _TOPIC.fullmatch(value) is not None and "__" not in value and len(value) <= 200
+
+
+def not_allowed(key: str, value: object, allowed: str) -> ConfigError:
+    """Return the error for a value that is not allowed, with what is."""
+    return ConfigError(f"{key}: {short_repr(value)} is not allowed", allowed)
