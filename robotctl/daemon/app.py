@@ -6,7 +6,6 @@ import asyncio
 import gc
 import os
 from contextlib import AsyncExitStack, ExitStack
-from typing import Any
 
 from robotctl import __version__
 from robotctl.config import Config, load
@@ -18,6 +17,7 @@ from robotctl.daemon.recording.folder import remember
 from robotctl.daemon.shutdown import told_to_end
 from robotctl.daemon.supervisor import Supervisor
 from robotctl.domains import is_deserted
+from robotctl.ipc.answers import StartSummary
 from robotctl.ipc.listener import remove_stale
 from robotctl.ipc.server import ControlServer, Identity
 from robotctl.paths import chain_to, robot_state_folder, socket_path
@@ -69,7 +69,7 @@ async def serve(
         gc.collect()
         gc.freeze()  # a full collection over all that was imported would hold the loop for 70 ms
 
-        def ready(summary: dict[str, Any]) -> None:
+        def ready(summary: StartSummary) -> None:
             on_ready(summary)
             daemon.recorder.tidier.begin()  # not before: files of any number, size and origin
 

@@ -13,11 +13,12 @@ from robotctl.daemon.api.status import PartWarning
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.daemon.supervisor import Supervisor, Work
+from robotctl.ipc.answers import StartSummary
 from robotctl.ipc.connection import Method
 from robotctl.ipc.server import ControlServer
 from robotctl.ros.session import Session
 
-Ready = Callable[[dict[str, Any]], None]
+Ready = Callable[[StartSummary], None]
 """Called once with the summary of a daemon that is ready."""
 
 

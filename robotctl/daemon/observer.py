@@ -8,11 +8,13 @@ from typing import Any, NoReturn
 
 from robotctl.daemon.api.common import common_methods
 from robotctl.daemon.api.recording import recording_methods
-from robotctl.daemon.api.status import ROBOT_FACTS, StatusSource
+from robotctl.daemon.api.status import StatusSource
 from robotctl.daemon.host import Host, Ready, running
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.errors import Refused
+from robotctl.ipc.answers import RobotFacts
 from robotctl.ipc.connection import Method
+from robotctl.ipc.methods import DRIVE, PATH, RESET, SET_MODE
 from robotctl.ipc.params import DriveParams, NoParams, ResetParams, SetModeParams
 from robotctl.ipc.server import ControlServer
 from robotctl.kernel.types import Event, FaultReported
@@ -42,10 +44,10 @@ class Observer:
         return {
             **common_methods(self._status, self._host.stop),
             **recording_methods(self.recorder, self._host.options.robot),
-            "path": Method(NoParams, self._refuse),
-            "set_mode": Method(SetModeParams, self._refuse),
-            "reset": Method(ResetParams, self._refuse),
-            "drive": Method(DriveParams, self._refuse),
+            PATH: Method(NoParams, self._refuse),
+            SET_MODE: Method(SetModeParams, self._refuse),
+            RESET: Method(ResetParams, self._refuse),
+            DRIVE: Method(DriveParams, self._refuse),
         }
 
     async def run(self, server: ControlServer, notes: list[str], on_ready: Ready) -> None:
@@ -60,9 +62,19 @@ class Observer:
     async def cut(self) -> None:
         """There is no robot of ours to stop."""
 
-    def facts(self) -> dict[str, Any]:
+    def facts(self) -> RobotFacts:
         """Return the robot's part of the status: nothing is known."""
-        return dict.fromkeys(ROBOT_FACTS)
+        return {
+            "mode": None,
+            "phase": None,
+            "mode_reason": None,
+            "pose": None,
+            "velocity": None,
+            "battery": None,
+            "sim": None,
+            "stalls": None,
+            "odometry_dropped": None,
+        }
 
     def warnings(self) -> Iterator[str]:
         """Say what failed in the daemon itself."""

@@ -6,6 +6,7 @@ import json
 import logging
 import os
 import sys
+from collections.abc import Mapping
 from contextlib import suppress
 from threading import Thread
 from typing import Any
@@ -26,7 +27,7 @@ class Starter:
         if ready_fd is not None:
             os.set_inheritable(ready_fd, False)
 
-    def tell(self, said: dict[str, Any]) -> None:
+    def tell(self, said: Mapping[str, Any]) -> None:
         """Say what came of the start; later calls in the background find nobody who waits."""
         line = f"{json.dumps(said)}\n".encode()
         if not self._in_background:  # who has stdout may not read it: the loop does not wait

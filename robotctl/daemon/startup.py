@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import resource
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from typing import Any
 
@@ -49,7 +49,7 @@ def _main(arguments: list[str], notes: list[str], at_end: ExitStack) -> int:
 
 def _run(
     options: DaemonOptions,
-    tell: Callable[[dict[str, Any]], None],
+    tell: Callable[[Mapping[str, Any]], None],
     notes: list[str],
     at_end: ExitStack,
 ) -> None:

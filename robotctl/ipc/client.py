@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 import struct
 import time
-from typing import Any, Self
+from typing import Any, Self, TypeVar, overload
 
 from robotctl.errors import (
     IN_PARENTHESES,
@@ -15,6 +15,7 @@ from robotctl.errors import (
     UsageError,
     error_for_exit_code,
 )
+from robotctl.ipc.methods import MethodName
 from robotctl.ipc.peer import peer_of
 from robotctl.ipc.protocol import (
     MAX_RESPONSE_BYTES,
@@ -42,14 +43,32 @@ _RECEIVE_BYTES = 65536
 _TIMEVAL = struct.Struct("ll")
 _HELLO_ID = 0
 
+A = TypeVar("A")
 
+
+@overload
+def call(
+    robot: str,
+    method: MethodName[A],
+    params: dict[str, Any] | None = None,
+    *,
+    deadline_s: float | None = CALL_DEADLINE_S,
+) -> A: ...
+@overload
 def call(
     robot: str,
     method: str,
     params: dict[str, Any] | None = None,
     *,
     deadline_s: float | None = CALL_DEADLINE_S,
-) -> dict[str, Any]:
+) -> Any: ...
+def call(
+    robot: str,
+    method: str,
+    params: dict[str, Any] | None = None,
+    *,
+    deadline_s: float | None = CALL_DEADLINE_S,
+) -> object:
     """One call on a connection of its own; see Client.call."""
     with Client(robot) as client:
         return client.call(method, params, deadline_s=deadline_s)
@@ -111,13 +130,29 @@ class Client:
         """The process that listens; 0 where it lives in another pid namespace."""
         return peer_of(self._sock).pid
 
+    @overload
+    def call(
+        self,
+        method: MethodName[A],
+        params: dict[str, Any] | None = None,
+        *,
+        deadline_s: float | None = CALL_DEADLINE_S,
+    ) -> A: ...
+    @overload
     def call(
         self,
         method: str,
         params: dict[str, Any] | None = None,
         *,
         deadline_s: float | None = CALL_DEADLINE_S,
-    ) -> dict[str, Any]:
+    ) -> Any: ...
+    def call(
+        self,
+        method: str,
+        params: dict[str, Any] | None = None,
+        *,
+        deadline_s: float | None = CALL_DEADLINE_S,
+    ) -> object:
         """Carry out `method` in the daemon and return its result.
 
         Without a deadline this waits for as long as the daemon answers others.

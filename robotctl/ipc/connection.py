@@ -14,6 +14,7 @@ from typing import Any, Generic, TypeVar
 import msgspec
 
 from robotctl.errors import NoDaemon, Refused, RobotctlError, UsageError
+from robotctl.ipc.answers import Hello
 from robotctl.ipc.params import HelloParams, decode
 from robotctl.ipc.protocol import (
     MAX_REQUEST_BYTES,
@@ -214,7 +215,7 @@ class Connection:
             text = f"{request.method} took longer than {method.deadline_s} s"
             raise _Rejected(Code.TIMEOUT, RobotctlError(text)) from None
 
-    def _hello(self, params: HelloParams) -> dict[str, object]:
+    def _hello(self, params: HelloParams) -> Hello:
         identity = self._identity
         if params.protocol != PROTOCOL_VERSION:
             text = (

@@ -16,11 +16,11 @@ import pytest
 from robotctl import processes
 from robotctl.cli.support import control, interrupted_drive
 from robotctl.cli.support.background import Background
+from robotctl.ipc.answers import Status
 from robotctl.ipc.client import Client, call
 from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
 from robotctl.kernel.modes import Mode
 from tests.support.waiting import until
-from tests.support.world import STATUS_KEYS
 
 
 def mode() -> str:
@@ -54,7 +54,7 @@ def test_status_json_is_one_line_with_the_stable_keys(
     out = cli("status", "--json").out
     assert out.count("\n") == 1
     status = json.loads(out)
-    assert status.keys() >= STATUS_KEYS
+    assert status.keys() >= Status.__required_keys__
     assert status["mode"] == "IDLE"
 
 

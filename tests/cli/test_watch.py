@@ -86,7 +86,7 @@ def test_it_ends_with_the_daemon(
     assert err.count("\n") == 1
 
 
-@pytest.mark.parametrize("missing", ["pose", "battery", "velocity", "recorder"])
+@pytest.mark.parametrize("missing", ["pose", "battery", "velocity"])
 def test_what_is_not_known_yet_is_shown_as_unknown(missing: str, daemon: None) -> None:
     status = call("robot", "status")
     status[missing] = None

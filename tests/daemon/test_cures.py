@@ -9,11 +9,12 @@ from typing import Any, cast
 import pytest
 
 from robotctl.daemon.api.recording import recording_methods
-from robotctl.daemon.api.status import ROBOT_FACTS, StatusSource
+from robotctl.daemon.api.status import StatusSource
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.daemon.recording.report import RecorderReport
 from robotctl.errors import Refused
+from robotctl.ipc.answers import RobotFacts
 from robotctl.ipc.params import MarkParams, NoParams
 
 FAILURE = "the recorder failed: see robotctl logs"
@@ -44,7 +45,7 @@ async def test_a_failed_recorder_tells_the_cure_for_its_robot(report: RecorderRe
 
 def test_the_notes_of_a_start_tell_the_cure_for_its_robot(report: RecorderReport) -> None:
     robot: Any = SimpleNamespace(
-        facts=lambda: dict.fromkeys(ROBOT_FACTS), warnings=lambda: iter(())
+        facts=lambda: dict.fromkeys(RobotFacts.__required_keys__), warnings=lambda: iter(())
     )
     options = DaemonOptions("r2", None, Path(), None, None, 0)
     source = StatusSource(options, report, robot, "", [])

@@ -9,9 +9,10 @@ from typing import Any
 
 import pytest
 
+from robotctl.ipc.answers import Status
 from robotctl.replay.other_daemons import daemons_in, running_daemons
 from tests.support.waiting import until
-from tests.support.world import STATUS_KEYS, Peer, Ran, World, new_world, read_back
+from tests.support.world import Peer, Ran, World, new_world, read_back
 
 COMMANDS = 200
 
@@ -126,7 +127,7 @@ def test_its_ledger_is_on_diagnostics(observed: Observed) -> None:
 
 
 def test_its_status_has_the_same_keys_and_no_robot(observed: Observed) -> None:
-    assert set(observed.status) == STATUS_KEYS
+    assert set(observed.status) == Status.__required_keys__
     robot = ("mode", "phase", "mode_reason", "pose", "velocity", "battery", "sim")
     assert [observed.status[key] for key in robot] == [None] * 7
     assert observed.status["recorder"]["state"] == "recording"

@@ -13,10 +13,11 @@ from typing import Any
 
 import pytest
 
+from robotctl.ipc.answers import Status
 from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.rerun.rerun import first_divergence
 from tests.support.waiting import until
-from tests.support.world import STATUS_KEYS, Peer, World, journal_of, new_world, read_back
+from tests.support.world import Peer, World, journal_of, new_world, read_back
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +143,7 @@ def test_start_prints_what_runs(session: Session) -> None:
 
 def test_status_has_the_stable_keys(session: Session) -> None:
     status = session.idle
-    assert set(status) == STATUS_KEYS
+    assert set(status) == Status.__required_keys__
     assert set(status["pose"]) == {"x", "y", "theta"}
     assert set(status["velocity"]) == {"linear", "angular"}
     ledger = ("bytes", "written", "queued", "dropped", "lost", "unseen")

@@ -31,31 +31,6 @@ from tests.support.waiting import DEADLINE_S, until
 ROBOTCTL = str(Path(sys.executable).with_name("robotctl"))
 SHARED_MEMORY = Path("/dev/shm")
 
-STATUS_KEYS = {
-    "robot",
-    "version",
-    "pid",
-    "mode",
-    "phase",
-    "mode_reason",
-    "pose",
-    "velocity",
-    "battery",
-    "sim",
-    "stalls",
-    "odometry_dropped",
-    "topics",
-    "recorder",
-    "warnings",
-    "domain_id",
-    "discovery_range",
-    "scheduling",
-    "socket",
-    "uptime_s",
-}
-"""What `status --json` always has."""
-
-
 PATIENT = """\
 max_tick_gap_s: 5.0
 odometry.timeout_s: 10.0

@@ -27,7 +27,9 @@ from robotctl.cli.terminal.text import is_terminal, json_text, number, printable
 from robotctl.cli.terminal.topic_table import TopicTable
 from robotctl.domains import reserved_domain
 from robotctl.errors import NoDaemon, RobotctlError
+from robotctl.ipc.answers import DriveAnswer, Status
 from robotctl.ipc.client import call, command_for
+from robotctl.ipc.methods import DRIVE, PATH, STATUS
 
 app = new_app()
 
@@ -43,8 +45,8 @@ SENSORS_DEADLINE_S = 20.0
 class Outcome:
     """What the demo has seen, of the drive and of the daemon just before its end."""
 
-    drive: dict[str, Any]
-    status: dict[str, Any]
+    drive: DriveAnswer
+    status: Status
     wanted: Path2D
     driven: Path2D
 
@@ -126,20 +128,22 @@ def _drive_one_lap(robot: str, *, quiet: bool) -> Outcome:
         "source": source("demo"),
     }
     _wait_for_sensors(robot)
-    drive = Background(partial(call, robot, "drive", params, deadline_s=None))
+    drive: Background[DriveAnswer] = Background(
+        partial(call, robot, DRIVE, params, deadline_s=None)
+    )
     drive.start()
     if not quiet:
         show(polled_until(drive, robot))
     result = drive.result()
-    path = call(robot, "path")
-    return Outcome(result, call(robot, "status"), path["reference"], path["driven"])
+    path = call(robot, PATH)
+    return Outcome(result, call(robot, STATUS), path["reference"], path["driven"])
 
 
 def _wait_for_sensors(robot: str) -> None:
     """Return when the robot knows where it is and how full its battery is."""
     until = time.monotonic() + SENSORS_DEADLINE_S
     while time.monotonic() < until:
-        status = call(robot, "status")
+        status = call(robot, STATUS)
         if status.get("pose") is not None and status.get("battery") is not None:
             return
         time.sleep(POLL_S)
@@ -152,7 +156,7 @@ def _wait_for_sensors(robot: str) -> None:
 def _recording_of(robot: str) -> str | None:
     """The file that the robot's daemon writes; None where there is no daemon."""
     try:
-        return short_path(call(robot, "status")["recorder"]["file"])
+        return short_path(call(robot, STATUS)["recorder"]["file"])
     except NoDaemon:
         return None
 
@@ -212,7 +216,7 @@ def _next_commands(robot: str, folder: str, *, keep: bool) -> list[str]:
     return [f"robotctl info {recording}", f"robotctl replay {recording}", "robotctl start"]
 
 
-def _title(robot: str, drive: dict[str, Any]) -> str:
+def _title(robot: str, drive: DriveAnswer) -> str:
     rms, worst = (
         number(drive.get(key), ".3f") for key in ("cross_track_rms_m", "cross_track_max_m")
     )

@@ -18,7 +18,9 @@ from robotctl.cli.support.interrupted_drive import LOST, stopped, wait_while_rea
 from robotctl.cli.support.signals import interrupted_by
 from robotctl.cli.terminal.text import is_terminal, number, printable
 from robotctl.errors import RobotctlError, UsageError
+from robotctl.ipc.answers import DriveAnswer
 from robotctl.ipc.client import call
+from robotctl.ipc.methods import DRIVE
 from robotctl.kernel.drive import MAX_LAPS
 from robotctl.kernel.patterns import MAX_SIZE_M, MAX_SPEED_MPS, MIN_SIZE_M, MIN_SPEED_MPS
 from robotctl.paths import DEFAULT_ROBOT
@@ -97,10 +99,7 @@ def drive(
         "wait": wait,
         "source": source("drive"),
     }
-    if wait:
-        answer = _drive_and_wait(robot, params, as_json=as_json)
-    else:
-        answer = call(robot, "drive", params)
+    answer = _drive_and_wait(robot, params, as_json=as_json) if wait else call(robot, DRIVE, params)
     lines = [printable(answer.get("message", "done"))]
     if wait:
         lines += tracking_lines(answer)
@@ -113,13 +112,15 @@ def _check(option: str, value: float | None, low: float, high: float, unit: str 
         raise UsageError(f"{option} {value:g}", f"use {low:g} to {high:g}{unit}")
 
 
-def _drive_and_wait(robot: str, params: dict[str, Any], *, as_json: bool) -> dict[str, Any]:
+def _drive_and_wait(robot: str, params: dict[str, Any], *, as_json: bool) -> DriveAnswer:
     """Return what the daemon answers when the drive is done, with the live view until then.
 
     A drive that was stopped shows its numbers as well. Raises Interrupted once the robot stands.
     """
     with interrupted_by(LOST):
-        driving = Background(partial(call, robot, "drive", params, deadline_s=None))
+        driving: Background[DriveAnswer] = Background(
+            partial(call, robot, DRIVE, params, deadline_s=None)
+        )
         try:
             driving.start()  # here, for it may be interrupted when the request is sent already
             if is_terminal() and not as_json:

@@ -15,6 +15,7 @@ from robotctl.cli.terminal.text import (
 )
 from robotctl.errors import UsageError
 from robotctl.ipc.client import call
+from robotctl.ipc.methods import MARK
 from robotctl.ipc.protocol import MAX_MARK_LENGTH
 from robotctl.paths import DEFAULT_ROBOT
 
@@ -39,7 +40,7 @@ def mark(
     text = text.strip()
     if not 0 < len(text) <= MAX_MARK_LENGTH:
         raise UsageError(f"a mark has 1 to {MAX_MARK_LENGTH} characters, not {len(text)}")
-    answer = call(robot, "mark", {"text": text, "source": source("mark")})
+    answer = call(robot, MARK, {"text": text, "source": source("mark")})
     if as_json:
         print(json_text(answer))
     else:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 from robotctl.cli.options import Json, Robot, new_app
 from robotctl.cli.terminal.text import (
@@ -15,7 +14,9 @@ from robotctl.cli.terminal.text import (
     short_path,
     size,
 )
+from robotctl.ipc.answers import RecordStatus
 from robotctl.ipc.client import call
+from robotctl.ipc.methods import RECORD_SPLIT, RECORD_STATUS
 from robotctl.paths import DEFAULT_ROBOT
 
 app = new_app()
@@ -55,7 +56,7 @@ def status(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
       robotctl record status
       robotctl record status --json | jq .recorder.lost
     """
-    answer = call(robot, "record_status")
+    answer = call(robot, RECORD_STATUS)
     print(json_text(answer) if as_json else "\n".join(status_lines(answer)))
 
 
@@ -67,21 +68,21 @@ def split(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
     Examples:
       robotctl record split
     """
-    answer = call(robot, "record_split", deadline_s=SPLIT_DEADLINE_S)
+    answer = call(robot, RECORD_SPLIT, deadline_s=SPLIT_DEADLINE_S)
     print(json_text(answer) if as_json else printable(answer.get("message")))
 
 
-def status_lines(answer: dict[str, Any]) -> Iterator[str]:
+def status_lines(answer: RecordStatus) -> Iterator[str]:
     """The lines of `robotctl record status`."""
-    recorder = answer.get("recorder") or {}
+    recorder = answer["recorder"]
     written = size(recorder.get("bytes") or 0)
     yield f"{printable(recorder.get('state'))}: {short_path(recorder.get('file'))}, {written}"
-    names = [topic.get("name") for topic in answer.get("topics") or []]
+    names = [topic.get("name") for topic in answer["topics"]]
     most = columns() - len("   ") - len(_COUNT_HEADER)
     name_width = column_width(names, at_least=_MIN_NAME_WIDTH, at_most=most)
     yield f"  {'topic':{name_width}} {_COUNT_HEADER}"
-    for topic in answer.get("topics") or []:
+    for topic in answer["topics"]:
         known = {"received": topic.get("count"), **topic}
         counts = " ".join(f"{known.get(key) or 0:>{width}}" for key, width in _COUNTS.items())
         yield f"  {elided(topic.get('name'), name_width):{name_width}} {counts}"
-    yield from (f"warning: {printable(warning)}" for warning in answer.get("warnings") or [])
+    yield from (f"warning: {printable(warning)}" for warning in answer["warnings"])

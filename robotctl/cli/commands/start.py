@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -18,6 +18,7 @@ from robotctl.cli.support.signals import interrupted_by
 from robotctl.cli.terminal.screen import mode_text
 from robotctl.cli.terminal.text import json_text, printable, short_path
 from robotctl.errors import UsageError
+from robotctl.ipc.answers import StartSummary
 from robotctl.ipc.client import command_for
 from robotctl.paths import DEFAULT_ROBOT, check_robot_name
 
@@ -96,7 +97,7 @@ def start(
         command = options.command()
         os.execv(command[0], command)
 
-    def tell(ready: dict[str, Any]) -> None:
+    def tell(ready: StartSummary) -> None:
         with suppress(BrokenPipeError):  # who has closed our stdout does not want to be told
             print(json_text(ready) if as_json else "\n".join(summary(ready)), flush=True)
 
@@ -104,7 +105,7 @@ def start(
         launch(options, tell)
 
 
-def summary(ready: dict[str, Any]) -> Iterator[str]:
+def summary(ready: StartSummary) -> Iterator[str]:
     """What a daemon that has just become ready says of itself."""
     robot = printable(ready.get("robot"))
     yield f"robotctl {__version__}: robot {robot} is ready"

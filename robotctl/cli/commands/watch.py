@@ -11,7 +11,9 @@ from robotctl.cli.support.background import Background
 from robotctl.cli.terminal.status_line import HEADER, status_line
 from robotctl.cli.terminal.text import is_terminal
 from robotctl.errors import RobotctlError
+from robotctl.ipc.answers import Status
 from robotctl.ipc.client import call
+from robotctl.ipc.methods import STATUS
 from robotctl.paths import DEFAULT_ROBOT
 
 app = new_app()
@@ -35,15 +37,15 @@ def watch(robot: Robot = DEFAULT_ROBOT) -> None:
     show(polled(robot))
 
 
-def polled(robot: str) -> Iterator[dict[str, Any]]:
+def polled(robot: str) -> Iterator[Status]:
     """The daemon's status, as often as it can be shown; ends with NoDaemon when the daemon does."""
     period_s = POLL_S if is_terminal() else LINE_S
     while True:
-        yield call(robot, "status")
+        yield call(robot, STATUS)
         time.sleep(period_s)
 
 
-def polled_until(working: Background, robot: str) -> Iterator[dict[str, Any]]:
+def polled_until(working: Background[Any], robot: str) -> Iterator[Status]:
     """The daemon's status until the work is done; nothing of work that is done at once.
 
     A poll that fails is left out: the work itself says how it ends.
@@ -52,7 +54,7 @@ def polled_until(working: Background, robot: str) -> Iterator[dict[str, Any]]:
     working.join(POLL_S)
     while not working.is_done:
         try:
-            status = call(robot, "status")
+            status = call(robot, STATUS)
         except RobotctlError:
             pass
         else:
@@ -60,7 +62,7 @@ def polled_until(working: Background, robot: str) -> Iterator[dict[str, Any]]:
         time.sleep(period_s)
 
 
-def show(statuses: Iterator[dict[str, Any]]) -> None:
+def show(statuses: Iterator[Status]) -> None:
     """Draw each status over the one before, or print a line each where there is no terminal."""
     if not is_terminal():
         for row, status in enumerate(statuses):

@@ -25,7 +25,9 @@ from robotctl.cli.terminal.progress import Progress, progress_bar
 from robotctl.cli.terminal.text import row, short_path
 from robotctl.errors import NoDaemon, Refused, RobotctlError, UnreadableFile, UsageError
 from robotctl.ipc.advice import advice
+from robotctl.ipc.answers import Committed
 from robotctl.ipc.client import Client
+from robotctl.ipc.methods import RECORD_COMMIT
 from robotctl.paths import DEFAULT_ROBOT
 
 if TYPE_CHECKING:
@@ -124,9 +126,9 @@ def _committed(robot: str, missing: list[str]) -> Path | None:
     return None if answer is None else Path(answer["file"]).parent
 
 
-def _commit(client: Client, missing: list[str]) -> dict[str, Any] | None:
+def _commit(client: Client, missing: list[str]) -> Committed | None:
     try:
-        answer = client.call("record_commit", deadline_s=COMMIT_DEADLINE_S)
+        answer = client.call(RECORD_COMMIT, deadline_s=COMMIT_DEADLINE_S)
     except RobotctlError as error:  # busy, stuck, ending, or of another version
         missing.append(f"what the daemon has not written yet: {error}")
         return None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from robotctl.cli.support.failure import drop_output
@@ -12,7 +12,7 @@ from robotctl.errors import RobotctlError
 
 
 def tell(
-    answer: dict[str, Any],
+    answer: Mapping[str, Any],
     lines: Iterable[str],
     *,
     as_json: bool,

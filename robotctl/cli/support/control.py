@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import os
-from typing import Any
+from typing import TYPE_CHECKING
 
 from robotctl.cli.terminal.screen import status_screen
 from robotctl.cli.terminal.text import json_text, printable
 from robotctl.errors import RobotctlError, UsageError
 from robotctl.ipc.client import Client, call, command_for
+from robotctl.ipc.methods import RESET, SET_MODE, STATUS, STOP
 from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
+
+if TYPE_CHECKING:
+    from robotctl.ipc.answers import ModeAnswer, Stopped
 
 MODES = {"idle": 0, "moving": 1, "error": 2, "emergency-stop": EMERGENCY_STOP_MODE}
 
@@ -19,26 +23,26 @@ STOP_DEADLINE_S = 30.0
 
 def status(robot: str, as_json: bool) -> None:
     """Print the daemon's status, as a screen of text or one line of JSON."""
-    answer = call(robot, "status")
+    answer = call(robot, STATUS)
     print(json_text(answer) if as_json else "\n".join(status_screen(answer)))
 
 
 def set_mode(mode: str, robot: str, as_json: bool) -> None:
     """Ask for a mode by name or number; raises UsageError with the valid ones."""
     number = mode_number(mode)
-    _show(call(robot, "set_mode", {"mode": number, "source": source("set-mode")}), as_json)
+    _show(call(robot, SET_MODE, {"mode": number, "source": source("set-mode")}), as_json)
 
 
 def estop(robot: str, as_json: bool) -> None:
     """Latch the emergency stop."""
     params = {"mode": EMERGENCY_STOP_MODE, "source": source("estop")}
-    answer = call(robot, "set_mode", params)
+    answer = call(robot, SET_MODE, params)
     _show(answer, as_json, hint=f"release it with: {command_for(robot, 'reset')}")
 
 
 def reset(robot: str, as_json: bool) -> None:
     """Release ERROR or EMERGENCY_STOP to IDLE."""
-    _show(call(robot, "reset", {"source": source("reset")}), as_json)
+    _show(call(robot, RESET, {"source": source("reset")}), as_json)
 
 
 def stop(robot: str, as_json: bool) -> None:
@@ -46,12 +50,12 @@ def stop(robot: str, as_json: bool) -> None:
     _show(stop_daemon(robot), as_json)
 
 
-def stop_daemon(robot: str) -> dict[str, Any]:
+def stop_daemon(robot: str) -> Stopped:
     """Ask the daemon to end, and return its answer when its process is gone."""
     from robotctl.processes import readable_within, watched
 
     with Client(robot) as client, watched(client.daemon_pid) as process:
-        answer = client.call("stop")
+        answer = client.call(STOP)
         if process is not None and not readable_within(process, STOP_DEADLINE_S):
             pid = client.daemon_pid
             raise RobotctlError(
@@ -76,7 +80,7 @@ def source(command: str) -> str:
     return f"robotctl {command} (uid {os.getuid()}, pid {os.getpid()})"
 
 
-def _show(answer: dict[str, Any], as_json: bool, hint: str = "") -> None:
+def _show(answer: ModeAnswer | Stopped, as_json: bool, hint: str = "") -> None:
     if as_json:
         print(json_text(answer))
     else:

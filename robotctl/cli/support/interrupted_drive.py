@@ -6,6 +6,7 @@ import select
 import signal
 import sys
 import time
+from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any, Final
 
@@ -13,7 +14,9 @@ from robotctl.cli.support.background import Background
 from robotctl.cli.support.control import source
 from robotctl.cli.support.signals import ignoring
 from robotctl.errors import Interrupted, RobotctlError
+from robotctl.ipc.answers import DriveAnswer
 from robotctl.ipc.client import call, command_for
+from robotctl.ipc.methods import END_DRIVE, SET_MODE
 from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
 
 LOST: Final = (signal.SIGHUP, signal.SIGTERM)
@@ -28,7 +31,7 @@ NUMBERS_S: Final = 2.0
 _STDOUT: Final = 1
 
 
-def wait_while_read(driving: Background) -> None:
+def wait_while_read(driving: Background[DriveAnswer]) -> None:
     """Wait for the end of the drive; raises KeyboardInterrupt if nobody reads our stdout any more.
 
     An ssh without a terminal ends so: no signal comes, only its end of our stdout is closed.
@@ -40,7 +43,7 @@ def wait_while_read(driving: Background) -> None:
             raise KeyboardInterrupt
 
 
-def stopped(robot: str, driving: Background) -> Interrupted:
+def stopped(robot: str, driving: Background[DriveAnswer]) -> Interrupted:
     """Ramp the robot down, at a second Ctrl-C stop it at once; returns what came of it.
 
     A terminal that closes sends several signals: only Ctrl-C asks for more. Raises RobotctlError
@@ -50,7 +53,7 @@ def stopped(robot: str, driving: Background) -> Interrupted:
         with ignoring(LOST):
             _say("stopping the robot (Ctrl-C again: emergency stop)")
             params = {"source": source("drive")}
-            message = str(call(robot, "end_drive", params, deadline_s=None)["message"])
+            message = call(robot, END_DRIVE, params, deadline_s=None)["message"]
     except KeyboardInterrupt:
         with ignoring((signal.SIGINT, *LOST)):
             message = _emergency_stop(robot)
@@ -59,11 +62,11 @@ def stopped(robot: str, driving: Background) -> Interrupted:
 
 def _emergency_stop(robot: str) -> str:
     params = {"source": source("drive"), "mode": EMERGENCY_STOP_MODE}
-    message = call(robot, "set_mode", params)["message"]
+    message = call(robot, SET_MODE, params)["message"]
     return f"{message} (release it with: {command_for(robot, 'reset')})"
 
 
-def _numbers(driving: Background) -> dict[str, Any]:
+def _numbers(driving: Background[DriveAnswer]) -> Mapping[str, Any]:
     """What is known of the drive after its end; {} where the daemon does not tell."""
     until = time.monotonic() + NUMBERS_S
     while not driving.is_done:
@@ -73,7 +76,7 @@ def _numbers(driving: Background) -> dict[str, Any]:
     try:
         return driving.result()
     except RobotctlError as error:
-        return dict(error.answer)
+        return error.answer
 
 
 def _say(text: str) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from robotctl.errors import (
     IN_PARENTHESES,
@@ -17,6 +17,7 @@ from robotctl.errors import (
     UsageError,
     error_for_exit_code,
 )
+from robotctl.ipc.answers import StartSummary
 from robotctl.ipc.client import command_for
 from robotctl.paths import log_path, make_private
 from robotctl.processes import Child, program, start
@@ -66,8 +67,8 @@ class StartOptions:
 
 
 def launch(
-    options: StartOptions, tell: Callable[[dict[str, Any]], None] = lambda ready: None
-) -> dict[str, Any]:
+    options: StartOptions, tell: Callable[[StartSummary], None] = lambda ready: None
+) -> StartSummary:
     """Start a daemon in a session of its own and return what it says when it is ready.
 
     Until `tell(that)` has returned, an interruption ends the daemon: none runs that nobody was
@@ -91,9 +92,10 @@ def launch(
         said = _said_when_ready(daemon)
         if said.get("ready") is True:
             _put_in_place(own_log, log)
-            tell(said)
+            summary = cast(StartSummary, said)
+            tell(summary)
             daemon.leave()
-            return said
+            return summary
         failure = _failure(options.robot, daemon, said, own_log)
     except BaseException:  # Ctrl-C among them: nothing is left running half-started
         _end(daemon, patiently=False)

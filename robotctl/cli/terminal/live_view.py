@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from rich.console import Group, RenderableType
@@ -17,6 +18,7 @@ from robotctl.cli.terminal.screen import (
     velocity_text,
 )
 from robotctl.cli.terminal.text import columns, duration, number, printable, size
+from robotctl.ipc.answers import RecorderAnswer, Status, TopicAnswer
 
 _MODE_STYLES = {
     "IDLE": "bold cyan",
@@ -28,7 +30,7 @@ _MAX_TOPICS = 12
 """So that the view stays within a terminal of 24 lines."""
 
 
-def live_view(status: dict[str, Any]) -> RenderableType:
+def live_view(status: Status) -> RenderableType:
     """Mode, pose, speed, battery, recorder and topics in one panel."""
     facts = Table.grid(padding=(0, 2))
     facts.add_column(style="dim")
@@ -38,15 +40,15 @@ def live_view(status: dict[str, Any]) -> RenderableType:
         facts.add_row("pose", Text(pose_text(status)))
         facts.add_row("velocity", Text(velocity_text(status)))
         facts.add_row("battery", Text(battery_text(status)))
-    facts.add_row("recorder", _recorder(status.get("recorder") or {}))
-    for warning in status.get("warnings") or []:
+    facts.add_row("recorder", _recorder(status["recorder"]))
+    for warning in status["warnings"]:
         facts.add_row("warning", Text(printable(warning), style="yellow"))
     title = Text(f"{printable(status.get('robot'))}  up {duration(status.get('uptime_s') or 0)}")
-    body = Group(facts, Text(), _topics(status.get("topics") or []))
+    body = Group(facts, Text(), _topics(status["topics"]))
     return Panel(body, title=title, title_align="left", width=columns())
 
 
-def coloured_mode(status: dict[str, Any]) -> Text:
+def coloured_mode(status: Mapping[str, Any]) -> Text:
     """The mode in its colour, with phase and reason."""
     mode = mode_text(status)
     text = Text(mode, style=_MODE_STYLES.get(mode, "bold"))
@@ -57,7 +59,7 @@ def coloured_mode(status: dict[str, Any]) -> Text:
     return text
 
 
-def _recorder(recorder: dict[str, Any]) -> Text:
+def _recorder(recorder: RecorderAnswer) -> Text:
     text = Text(f"{printable(recorder.get('state'))}  {size(recorder.get('bytes') or 0)}  ")
     text.append(f"{recorder.get('written')} messages  ")
     for name in ("dropped", "lost"):
@@ -65,7 +67,7 @@ def _recorder(recorder: dict[str, Any]) -> Text:
     return text
 
 
-def _topics(topics: list[dict[str, Any]]) -> Table:
+def _topics(topics: list[TopicAnswer]) -> Table:
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
     table.add_column("topic", no_wrap=True, overflow="ellipsis")
     table.add_column("count", justify="right")

@@ -2,59 +2,62 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
 
 from robotctl.cli.terminal.text import duration, number, printable, row, short_path, size
 from robotctl.cli.terminal.topic_table import TopicTable
+
+if TYPE_CHECKING:
+    from robotctl.ipc.answers import Status
 
 _LABEL_WIDTH = 10
 
 OBSERVING = "observing (records, drives nothing)"
 
 
-def status_screen(status: dict[str, Any]) -> Iterator[str]:
+def status_screen(status: Status) -> Iterator[str]:
     """The lines of `robotctl status`, from the object of `status --json`."""
     yield headline(status)
     if status.get("mode_reason"):
         yield from row(f"  {'reason':{_LABEL_WIDTH}} ", status["mode_reason"])
     yield from (f"  {label:{_LABEL_WIDTH}} {text}" for label, text in status_rows(status))
-    topics = status.get("topics") or []
+    topics = status["topics"]
     if topics:
-        table = TopicTable((topic.get("name"), topic.get("type")) for topic in topics)
+        table = TopicTable((topic["name"], topic["type"]) for topic in topics)
         yield ""
         yield table.header
         for topic in topics:
-            yield table.row(*(topic.get(key) for key in ("name", "type", "count", "rate")))
-    for warning in status.get("warnings") or []:
+            yield table.row(topic["name"], topic["type"], topic["count"], topic["rate"])
+    for warning in status["warnings"]:
         yield from row("warning: ", warning)
 
 
-def headline(status: dict[str, Any]) -> str:
+def headline(status: Status) -> str:
     """Which robot is in which mode."""
     phase = status.get("phase")
     suffix = f" ({printable(phase)})" if phase else ""
     return f"{printable(status.get('robot'))}: {mode_text(status)}{suffix}"
 
 
-def mode_text(status: dict[str, Any]) -> str:
+def mode_text(status: Mapping[str, Any]) -> str:
     """The mode; an observer has none."""
     return OBSERVING if is_observer(status) else printable(status.get("mode"))
 
 
-def is_observer(status: dict[str, Any]) -> bool:
+def is_observer(status: Mapping[str, Any]) -> bool:
     """Whether the daemon only records, and knows nothing of a robot."""
     return "mode" in status and status["mode"] is None
 
 
-def status_rows(status: dict[str, Any]) -> Iterator[tuple[str, str]]:
+def status_rows(status: Status) -> Iterator[tuple[str, str]]:
     """Label and text of everything but the reason and the topics; a path is never wrapped."""
     if not is_observer(status):
         yield "pose", pose_text(status)
         yield "velocity", velocity_text(status)
         yield "battery", battery_text(status)
         yield "simulator", "yes" if status.get("sim") else "no"
-    recorder = status.get("recorder") or {}
+    recorder = status["recorder"]
     yield "recorder", f"{printable(recorder.get('state'))}, {size(recorder.get('bytes') or 0)}"
     counts = ("received", "written", "queued", "dropped", "lost")
     yield "messages", ", ".join(f"{recorder.get(name, 0)} {name}" for name in counts)
@@ -69,7 +72,7 @@ def status_rows(status: dict[str, Any]) -> Iterator[tuple[str, str]]:
     yield "daemon", f"robotctl {version}, pid {pid}, up {duration(status.get('uptime_s') or 0)}"
 
 
-def pose_text(status: dict[str, Any]) -> str:
+def pose_text(status: Mapping[str, Any]) -> str:
     """Where the robot is, in its odometry frame."""
     pose = status.get("pose")
     if not pose:
@@ -78,14 +81,14 @@ def pose_text(status: dict[str, Any]) -> str:
     return f"x {x} m   y {y} m   theta {theta} rad"
 
 
-def velocity_text(status: dict[str, Any]) -> str:
+def velocity_text(status: Mapping[str, Any]) -> str:
     """How fast the robot is, as measured."""
     velocity = status.get("velocity") or {}
     linear, angular = (number(velocity.get(key), "+.3f") for key in ("linear", "angular"))
     return f"{linear} m/s   {angular} rad/s"
 
 
-def battery_text(status: dict[str, Any]) -> str:
+def battery_text(status: Status) -> str:
     """The battery's charge in percent."""
     battery = status.get("battery")
     return "unknown" if battery is None else f"{number(battery, '.0%')}".replace("%", " %")

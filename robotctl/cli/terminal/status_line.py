@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from robotctl.cli.terminal.screen import is_observer
 from robotctl.cli.terminal.text import number, printable
+from robotctl.ipc.answers import Status
 
 _ROW = "{:>8} {:<14} {:>8} {:>8} {:>7} {:>7} {:>7} {:>8} {:>5}"
 HEADER = _ROW.format(
@@ -13,10 +15,11 @@ HEADER = _ROW.format(
 )
 
 
-def status_line(status: dict[str, Any]) -> str:
+def status_line(status: Status) -> str:
     """Mode, pose, speed, battery and recorder in the columns of HEADER; `-` is unknown."""
-    pose, velocity = status.get("pose") or {}, status.get("velocity") or {}
-    recorder = status.get("recorder") or {}
+    pose: Mapping[str, Any] = status["pose"] or {}
+    velocity: Mapping[str, Any] = status["velocity"] or {}
+    recorder = status["recorder"]
     cells = (
         _cell(status.get("uptime_s"), ".1f"),
         "observing" if is_observer(status) else printable(status.get("mode")),

@@ -6,18 +6,20 @@ import asyncio
 from typing import Any
 
 from robotctl.daemon.api.status import StatusSource
+from robotctl.ipc.answers import Status, Stopped
 from robotctl.ipc.connection import Method
+from robotctl.ipc.methods import STATUS, STOP
 from robotctl.ipc.params import NoParams
 
 
 def common_methods(status: StatusSource, stop: asyncio.Event) -> dict[str, Method[Any]]:
     """Return `status`, and `stop`, which sets the event."""
 
-    async def get_status(_: NoParams) -> dict[str, Any]:
+    async def get_status(_: NoParams) -> Status:
         return status.status()
 
-    async def end(_: NoParams) -> dict[str, Any]:
+    async def end(_: NoParams) -> Stopped:
         stop.set()
         return {"message": f"Stopped: {status.status()['recorder']['file']}"}
 
-    return {"status": Method(NoParams, get_status), "stop": Method(NoParams, end)}
+    return {STATUS: Method(NoParams, get_status), STOP: Method(NoParams, end)}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import dataclasses
 import time
 from math import isfinite
 from typing import Any
@@ -13,12 +12,14 @@ from robotctl.daemon.control.motion import Motion
 from robotctl.daemon.control.pending import UnsavedReply
 from robotctl.errors import Refused, RobotctlError, UsageError
 from robotctl.ipc.advice import advice
+from robotctl.ipc.answers import DriveAnswer, DrivenPath, ModeAnswer
 from robotctl.ipc.connection import Method
+from robotctl.ipc.methods import DRIVE, END_DRIVE, PATH, RESET, SET_MODE
 from robotctl.ipc.params import DriveParams, EndDriveParams, NoParams, ResetParams, SetModeParams
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.patterns import Pattern, PatternKind
-from robotctl.kernel.types import DriveReport, DriveRequested, ModeRequested, Reply, ResetRequested
+from robotctl.kernel.types import DriveEnded, DriveRequested, ModeRequested, Reply, ResetRequested
 from robotctl.paths import DEFAULT_ROBOT
 
 DEFAULT_SIZE_M = {
@@ -50,11 +51,11 @@ class DrivingMethods:
     def table(self) -> dict[str, Method[Any]]:
         """Return every method by its name."""
         return {
-            "path": Method(NoParams, self._get_path),
-            "set_mode": Method(SetModeParams, self._set_mode, MODE_DEADLINE_S),
-            "reset": Method(ResetParams, self._reset, MODE_DEADLINE_S),
-            "drive": Method(DriveParams, self._drive, None),
-            "end_drive": Method(EndDriveParams, self._end_drive, None),
+            PATH: Method(NoParams, self._get_path),
+            SET_MODE: Method(SetModeParams, self._set_mode, MODE_DEADLINE_S),
+            RESET: Method(ResetParams, self._reset, MODE_DEADLINE_S),
+            DRIVE: Method(DriveParams, self._drive, None),
+            END_DRIVE: Method(EndDriveParams, self._end_drive, None),
         }
 
     def pattern(
@@ -75,10 +76,10 @@ class DrivingMethods:
             configured.speed_mps if speed_mps is None else speed_mps,
         )
 
-    async def _get_path(self, _: NoParams) -> dict[str, Any]:
+    async def _get_path(self, _: NoParams) -> DrivenPath:
         return self._motion.path()
 
-    async def _set_mode(self, params: SetModeParams) -> dict[str, Any]:
+    async def _set_mode(self, params: SetModeParams) -> ModeAnswer:
         if params.mode not in list(Mode):
             names = ", ".join(f"{mode.value} {mode.name}" for mode in Mode)
             raise UsageError(f"{params.mode} is not a mode", f"use {names}")
@@ -86,12 +87,12 @@ class DrivingMethods:
         event = ModeRequested(time.monotonic_ns(), request_id, params.mode, params.source)
         return self._answer(await self._control.request(event))
 
-    async def _reset(self, params: ResetParams) -> dict[str, Any]:
+    async def _reset(self, params: ResetParams) -> ModeAnswer:
         request_id = self._control.new_request_id()
         event = ResetRequested(time.monotonic_ns(), request_id, params.source)
         return self._answer(await self._control.request(event))
 
-    async def _drive(self, params: DriveParams) -> dict[str, Any]:
+    async def _drive(self, params: DriveParams) -> DriveAnswer:
         kind = PatternKind(params.pattern)
         size_m, unused = params.side_m, params.radius_m
         if kind is not PatternKind.SQUARE:
@@ -115,7 +116,7 @@ class DrivingMethods:
         try:
             answer = self._answer(await self._control.request(event))
             if not params.wait:
-                return answer
+                return {"message": answer["message"], "mode": answer["mode"]}
             ended = await end
         except asyncio.CancelledError:
             if params.wait:
@@ -124,13 +125,13 @@ class DrivingMethods:
         finally:
             end.cancel()
         mode = self._control.state.mode
-        result = {"message": ended.reason, "mode": mode.name, **_figures(ended.report)}
+        result = _drive_answer(ended, mode)
         if not (ended.completed if event.laps else mode is Mode.IDLE):
             text = f"the drive ended after {ended.report.laps} laps: {ended.reason}"
             raise Refused(*advice(text, self._robot), answer=result)
         return result
 
-    async def _end_drive(self, params: EndDriveParams) -> dict[str, Any]:
+    async def _end_drive(self, params: EndDriveParams) -> ModeAnswer:
         """Ramp down; unlike a request for IDLE this never releases an error or a latched stop."""
         state = self._control.state
         if state.mode is not Mode.MOVING:
@@ -157,7 +158,7 @@ class DrivingMethods:
                 f"use at most {limit_mps:g}, or start with a configuration that allows more",
             )
 
-    def _answer(self, reply: Reply) -> dict[str, Any]:
+    def _answer(self, reply: Reply) -> ModeAnswer:
         if isinstance(reply, UnsavedReply):
             raise RobotctlError(*advice(reply.message, self._robot))
         if not reply.ok:
@@ -165,9 +166,18 @@ class DrivingMethods:
         return {"message": reply.message, "mode": reply.mode.name}
 
 
-def _figures(report: DriveReport) -> dict[str, float | None]:
-    """Return how well the path was followed; None for what is not known."""
+def _drive_answer(ended: DriveEnded, mode: Mode) -> DriveAnswer:
+    report = ended.report
     return {
-        name: value if isfinite(value) else None
-        for name, value in dataclasses.asdict(report).items()
+        "message": ended.reason,
+        "mode": mode.name,
+        "laps": report.laps,
+        "distance_m": _known(report.distance_m),
+        "cross_track_rms_m": _known(report.cross_track_rms_m),
+        "cross_track_max_m": _known(report.cross_track_max_m),
+        "closure_m": _known(report.closure_m),
     }
+
+
+def _known(value: float) -> float | None:
+    return value if isfinite(value) else None

@@ -8,7 +8,9 @@ from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.daemon.waiting import until
 from robotctl.errors import Refused
 from robotctl.ipc.advice import advice
+from robotctl.ipc.answers import Committed, FileSplit, Marked, RecordStatus
 from robotctl.ipc.connection import Method
+from robotctl.ipc.methods import MARK, RECORD_COMMIT, RECORD_SPLIT, RECORD_STATUS
 from robotctl.ipc.params import MarkParams, NoParams
 
 SPLIT_DEADLINE_S = 5.0
@@ -24,13 +26,13 @@ def recording_methods(recorder: FlightRecorder, robot: str) -> dict[str, Method[
     def failure() -> str:
         return advice(recorder.failure, robot).sentence
 
-    async def status(_: NoParams) -> dict[str, Any]:
+    async def status(_: NoParams) -> RecordStatus:
         return {
             **recorder.report.facts(),
             "warnings": [advice(text, robot).sentence for text in recorder.report.warnings()],
         }
 
-    async def commit(_: NoParams) -> dict[str, Any]:
+    async def commit(_: NoParams) -> Committed:
         """Answer once the file holds all that was received before this request."""
         received = recorder.stats().received
 
@@ -45,7 +47,7 @@ def recording_methods(recorder: FlightRecorder, robot: str) -> dict[str, Method[
             "failure": failure(),
         }
 
-    async def split(_: NoParams) -> dict[str, Any]:
+    async def split(_: NoParams) -> FileSplit:
         before = _file_of(recorder)
         recorder.split()
         if not await until(
@@ -57,19 +59,19 @@ def recording_methods(recorder: FlightRecorder, robot: str) -> dict[str, Method[
         file = _file_of(recorder)
         return {"message": f"Recording goes on in {file}", "finished": before, "file": file}
 
-    async def mark(params: MarkParams) -> dict[str, Any]:
+    async def mark(params: MarkParams) -> Marked:
         if recorder.failure:
             raise Refused(failure())
         event = recorder.mark(params.text, params.source)
         return {"message": "Marked", "text": params.text, "time_ns": event.log_ns}
 
     return {
-        "record_status": Method(NoParams, status),
-        "record_commit": Method(NoParams, commit),
-        "record_split": Method(NoParams, split, 2 * SPLIT_DEADLINE_S),
-        "mark": Method(MarkParams, mark),
+        RECORD_STATUS: Method(NoParams, status),
+        RECORD_COMMIT: Method(NoParams, commit),
+        RECORD_SPLIT: Method(NoParams, split, 2 * SPLIT_DEADLINE_S),
+        MARK: Method(MarkParams, mark),
     }
 
 
 def _file_of(recorder: FlightRecorder) -> str:
-    return str(recorder.report.facts()["recorder"]["file"])
+    return recorder.report.facts()["recorder"]["file"]

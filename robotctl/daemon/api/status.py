@@ -5,37 +5,25 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any, Protocol
+from typing import Protocol
 
 from robotctl import __version__
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.recording.report import RecorderReport
 from robotctl.domains import discovery_range, is_on_this_machine_only
 from robotctl.ipc.advice import advice
+from robotctl.ipc.answers import RobotFacts, StartSummary, Status
 from robotctl.paths import log_path, socket_path
 
 PartWarning = Callable[[], str]
 """Returns what is wrong with a part of the daemon in a sentence, "" where nothing is."""
 
-ROBOT_FACTS = (
-    "mode",
-    "phase",
-    "mode_reason",
-    "pose",
-    "velocity",
-    "battery",
-    "sim",
-    "stalls",
-    "odometry_dropped",
-)
-"""The keys of `RobotView.facts`."""
-
 
 class RobotView(Protocol):
     """What is known of the robot."""
 
-    def facts(self) -> dict[str, Any]:
-        """Return the value of each of ROBOT_FACTS, None where unknown."""
+    def facts(self) -> RobotFacts:
+        """Return the robot's part of the status."""
 
     def warnings(self) -> Iterator[str]:
         """Say what is wrong, a sentence each."""
@@ -59,7 +47,7 @@ class StatusSource:
         self._parts = parts
         self._started = time.monotonic()
 
-    def status(self) -> dict[str, Any]:
+    def status(self) -> Status:
         """Return the object of `robotctl status --json`."""
         robot, facts = self._options.robot, self._robot.facts()
         if facts["mode_reason"]:
@@ -78,13 +66,18 @@ class StatusSource:
             "uptime_s": round(time.monotonic() - self._started, 3),
         }
 
-    def summary(self, notes: list[str]) -> dict[str, Any]:
+    def summary(self, notes: list[str]) -> StartSummary:
         """Return what a daemon that is ready says to whoever started it."""
         status = self.status()
-        told = ("robot", "mode", "domain_id", "discovery_range", "sim", "socket", "pid")
         return {
             "ready": True,
-            **{key: status[key] for key in told},
+            "robot": status["robot"],
+            "mode": status["mode"],
+            "domain_id": status["domain_id"],
+            "discovery_range": status["discovery_range"],
+            "sim": status["sim"],
+            "socket": status["socket"],
+            "pid": status["pid"],
             "recording": status["recorder"]["file"],
             "log": str(log_path(self._options.robot)),
             "notes": [advice(note, self._options.robot).sentence for note in notes],

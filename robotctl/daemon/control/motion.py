@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from typing import Any
 
 from robotctl.daemon.control.dispatcher import Control
+from robotctl.ipc.answers import DrivenPath, RobotFacts
 from robotctl.kernel.battery import is_level
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.health import Health
@@ -54,7 +54,7 @@ class Motion:
             if len(self._driven) > MAX_DRIVEN_POSES:
                 del self._driven[1::2]
 
-    def path(self) -> dict[str, Any]:
+    def path(self) -> DrivenPath:
         """Return the wanted and the driven path of the present or last drive [m, odom frame]."""
         return {
             "reference": [[pose.x, pose.y] for pose in self._wanted],
@@ -78,7 +78,7 @@ class Motion:
             missing.append("the nodes that take the velocity command are not known yet")
         return missing
 
-    def facts(self) -> dict[str, Any]:
+    def facts(self) -> RobotFacts:
         """Return the robot's part of the status."""
         state = self._control.state
         odometry = state.health.odometry

@@ -5,19 +5,16 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 from robotctl.daemon.recording.loss_diagnosis import diagnose
 from robotctl.daemon.recording.topic_rates import HeavyTopics, RateMeter, by_topic
+from robotctl.ipc.answers import RecordingFacts
 from robotctl.recording.write.recorder import Recorder
 from robotctl.recording.write.topic_filter import TopicFilter
 from robotctl.ros.nodes.diagnostics_publisher import DiagnosticsPublisher
 from robotctl.ros.tap.tap import Tap
 
 _log = logging.getLogger(__name__)
-
-LEDGER = ("bytes", "written", "queued", "dropped", "lost", "unseen")
-"""What `status` tells of each topic beside its count and rate."""
 
 _NO_MEMORY = "are not recorded, for there is no memory: end other programs, or exclude large topics"
 
@@ -44,7 +41,7 @@ class RecorderReport:
         self._logged: set[str] = set()
         self._logged_memory = False
 
-    def facts(self) -> dict[str, Any]:
+    def facts(self) -> RecordingFacts:
         """Return what `status` tells of the recording."""
         stats = self._recorder.stats()
         return {
@@ -54,7 +51,12 @@ class RecorderReport:
                     "type": topic.type_name,
                     "count": topic.received,
                     "rate": self._rates.rate((topic.name, topic.type_name)),
-                    **{name: getattr(topic, name) for name in LEDGER},
+                    "bytes": topic.bytes,
+                    "written": topic.written,
+                    "queued": topic.queued,
+                    "dropped": topic.dropped,
+                    "lost": topic.lost,
+                    "unseen": topic.unseen,
                 }
                 for topic in by_topic(stats.topics)
             ],

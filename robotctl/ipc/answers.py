@@ -1,0 +1,183 @@
+"""The answers of the control socket: the stable keys of each method, with their types.
+
+`daemon.api` builds these objects, and the commands read them. They cross the socket as JSON: a
+value that is unknown or not finite is null.
+"""
+
+from __future__ import annotations
+
+from typing import TypedDict
+
+
+class Hello(TypedDict):
+    """The first answer on each connection."""
+
+    protocol: int
+    version: str
+    robot: str
+    pid: int
+
+
+class PoseAnswer(TypedDict):
+    """A pose in the odometry frame [m, rad]."""
+
+    x: float
+    y: float
+    theta: float
+
+
+class VelocityAnswer(TypedDict):
+    """A measured velocity [m/s, rad/s]."""
+
+    linear: float
+    angular: float
+
+
+class RobotFacts(TypedDict):
+    """The robot's part of `status`; None stands for an unknown value.
+
+    For a daemon that only observes, each value is None.
+    """
+
+    mode: str | None
+    phase: str | None
+    mode_reason: str | None
+    pose: PoseAnswer | None
+    velocity: VelocityAnswer | None
+    battery: float | None
+    """From 0 to 1."""
+    sim: bool | None
+    stalls: int | None
+    odometry_dropped: int | None
+
+
+class TopicAnswer(TypedDict):
+    """One recorded topic of one type."""
+
+    name: str
+    type: str
+    count: int
+    """Messages received."""
+    rate: float
+    """Messages per second."""
+    bytes: int
+    written: int
+    queued: int
+    dropped: int
+    lost: int
+    unseen: int
+
+
+class RecorderAnswer(TypedDict):
+    """The recorder's state and counts: received = written + queued + dropped."""
+
+    state: str
+    file: str
+    bytes: int
+    received: int
+    written: int
+    queued: int
+    dropped: int
+    lost: int
+
+
+class RecordingFacts(TypedDict):
+    """The recording's part of `status`."""
+
+    topics: list[TopicAnswer]
+    recorder: RecorderAnswer
+
+
+class RecordStatus(RecordingFacts):
+    """The answer of `record_status`."""
+
+    warnings: list[str]
+
+
+class Status(RobotFacts, RecordingFacts):
+    """The answer of `status`: the stable keys of `robotctl status --json`."""
+
+    robot: str
+    version: str
+    pid: int
+    warnings: list[str]
+    domain_id: int
+    discovery_range: str
+    scheduling: str
+    socket: str
+    uptime_s: float
+
+
+class StartSummary(TypedDict):
+    """The object of `robotctl start --json`; a new daemon sends it on its pipe, not the socket."""
+
+    ready: bool
+    robot: str
+    mode: str | None
+    domain_id: int
+    discovery_range: str
+    sim: bool | None
+    socket: str
+    pid: int
+    recording: str
+    log: str
+    notes: list[str]
+
+
+class Stopped(TypedDict):
+    """The answer of `stop`."""
+
+    message: str
+
+
+class DrivenPath(TypedDict):
+    """The answer of `path`: points of the present or last drive, in the odometry frame [m]."""
+
+    reference: list[list[float]]
+    driven: list[list[float]]
+
+
+class ModeAnswer(TypedDict):
+    """The answer of `set_mode`, `reset`, `end_drive`, and of a `drive` that is not waited for."""
+
+    message: str
+    mode: str
+
+
+class DriveAnswer(ModeAnswer, total=False):
+    """The answer of `drive`; the figures are there when the call waited for the end of the drive.
+
+    They are those of `kernel.types.DriveReport`; None stands for an unknown value.
+    """
+
+    laps: int
+    distance_m: float | None
+    cross_track_rms_m: float | None
+    cross_track_max_m: float | None
+    closure_m: float | None
+
+
+class Committed(TypedDict):
+    """The answer of `record_commit`."""
+
+    file: str
+    uncommitted: int
+    """Messages received before the request that the file does not hold yet."""
+    failure: str
+    """Why the recorder has failed, else ""."""
+
+
+class FileSplit(TypedDict):
+    """The answer of `record_split`."""
+
+    message: str
+    finished: str
+    file: str
+
+
+class Marked(TypedDict):
+    """The answer of `mark`."""
+
+    message: str
+    text: str
+    time_ns: int

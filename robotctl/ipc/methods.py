@@ -1,0 +1,42 @@
+"""The methods of the control socket that a command calls, each with the type of its answer.
+
+The types themselves are imported for type checking only: `robotctl status` does without them.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, Generic, TypeVar
+
+if TYPE_CHECKING:
+    from robotctl.ipc.answers import (
+        Committed,
+        DriveAnswer,
+        DrivenPath,
+        FileSplit,
+        Marked,
+        ModeAnswer,
+        RecordStatus,
+        Status,
+        Stopped,
+    )
+
+A_co = TypeVar("A_co", covariant=True)
+
+
+class MethodName(str, Generic[A_co]):
+    """The name of a method that answers with an `A_co`."""
+
+    __slots__ = ()
+
+
+STATUS: Final[MethodName[Status]] = MethodName("status")
+STOP: Final[MethodName[Stopped]] = MethodName("stop")
+PATH: Final[MethodName[DrivenPath]] = MethodName("path")
+SET_MODE: Final[MethodName[ModeAnswer]] = MethodName("set_mode")
+RESET: Final[MethodName[ModeAnswer]] = MethodName("reset")
+DRIVE: Final[MethodName[DriveAnswer]] = MethodName("drive")
+END_DRIVE: Final[MethodName[ModeAnswer]] = MethodName("end_drive")
+RECORD_STATUS: Final[MethodName[RecordStatus]] = MethodName("record_status")
+RECORD_COMMIT: Final[MethodName[Committed]] = MethodName("record_commit")
+RECORD_SPLIT: Final[MethodName[FileSplit]] = MethodName("record_split")
+MARK: Final[MethodName[Marked]] = MethodName("mark")
