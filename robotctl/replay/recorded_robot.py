@@ -9,11 +9,12 @@ from dataclasses import asdict
 from math import hypot, isfinite
 from typing import Any, Final
 
+from robotctl.cdr.motion import decode_odometry
+from robotctl.cdr.reader import CdrReader
 from robotctl.errors import UsageError
-from robotctl.kernel.geometry import Pose, yaw_of
+from robotctl.kernel.geometry import Pose
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import Twist
-from robotctl.recording.format.cdr_reader import CdrReader
 from robotctl.recording.read.reader import Recording, TopicInfo
 from robotctl.replay.timeline import Entry, Span, recorded
 
@@ -25,8 +26,6 @@ STEP_M: Final = 0.005
 
 MAX_POINTS: Final = 4000
 """Beyond that every other point of the path is forgotten."""
-
-_COVARIANCES: Final = 36
 
 
 class Sight:
@@ -42,7 +41,7 @@ class Sight:
         self.velocity: Twist | None = None
         self.mode: str | None = None
         self.path: list[tuple[float, float]] = []
-        self._takes: dict[str, Callable[[CdrReader], None]] = {}
+        self._takes: dict[str, Callable[[bytes], None]] = {}
         for type_name, take in ((ODOMETRY, self._odometry), (STATUS, self._status)):
             topic = _busiest(topics, type_name)
             if topic is not None:
@@ -78,20 +77,13 @@ class Sight:
             if number != self._pass:
                 self._pass, self.path = number, []
             with suppress(struct.error):  # cut short: a replay passes it on as it is
-                self._takes[topic](CdrReader(data))
+                self._takes[topic](data)
             self._next = next(self._entries, None)
 
-    def _odometry(self, message: CdrReader) -> None:
-        message.take("i")
-        message.take("I")
-        message.text()
-        message.text()
-        x, y, _, qx, qy, qz, qw = message.take("d", 7)
-        message.take("d", _COVARIANCES)
-        linear, _, _, _, _, angular = message.take("d", 6)
-        self.pose = Pose(x, y, yaw_of(qx, qy, qz, qw))
-        self.velocity = Twist(linear, angular)
-        self._trace(x, y)
+    def _odometry(self, data: bytes) -> None:
+        odometry = decode_odometry(data)
+        self.pose, self.velocity = odometry.pose, odometry.velocity
+        self._trace(odometry.pose.x, odometry.pose.y)
 
     def _trace(self, x: float, y: float) -> None:
         path = self.path
@@ -102,7 +94,8 @@ class Sight:
         if len(path) > MAX_POINTS:
             del path[1:-1:2]
 
-    def _status(self, message: CdrReader) -> None:
+    def _status(self, data: bytes) -> None:
+        message = CdrReader(data)
         message.text()
         (mode,) = message.take("B")
         self.mode = Mode(mode).name if mode in list(Mode) else f"mode {mode}"

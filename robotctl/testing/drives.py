@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import struct
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 from robotctl import __version__
+from robotctl.cdr.motion import encode_twist
 from robotctl.config import Config, flat
 from robotctl.daemon.control.journal_writer import Journal
 from robotctl.kernel.kernel import Kernel
@@ -121,7 +121,7 @@ def record(
         elif isinstance(each, Twist):
             published += 1
             now_ns = clock(time_ns)
-            recorder.write(commands, serialized(each), now_ns + 9, now_ns + 1, published, GID)
+            recorder.write(commands, encode_twist(each), now_ns + 9, now_ns + 1, published, GID)
         else:
             recorder.write(odometry, each, clock(time_ns), clock(time_ns), 0, GID)
         time_ns += 10
@@ -129,11 +129,6 @@ def record(
             time.sleep(0.001)
     recorder.close()
     return folder
-
-
-def serialized(twist: Twist) -> bytes:
-    """A geometry_msgs/Twist in CDR."""
-    return struct.pack("<4s6d", b"\x00\x01\x00\x00", twist.linear, 0, 0, 0, 0, twist.angular)
 
 
 def _fail(detail: str) -> None:

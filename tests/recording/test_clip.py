@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rosbags.highlevel import AnyReader
 
+from robotctl.cdr.motion import encode_twist
 from robotctl.errors import Refused
 from robotctl.recording.disk.storage import DiskFile
 from robotctl.recording.format.events import EventKind, RecordedEvent
@@ -19,7 +20,7 @@ from robotctl.recording.read.reader import Recording, read_info, read_messages
 from robotctl.recording.write.recorder import Recorder, RecorderOptions, Topic
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
-from robotctl.testing.drives import BEGIN_NS, JOURNAL, Written, drive, serialized
+from robotctl.testing.drives import BEGIN_NS, JOURNAL, Written, drive
 from tests.support.bags import LATCHED, STRING, VOLATILE, Line, text, write_bag
 from tests.support.recordings import GID, QOS, START_NS, TWIST, read_strictly
 from tests.support.waiting import until
@@ -66,7 +67,7 @@ def record(folder: Path, driven: list[Written], *splits_s: float) -> Recorder:
                 until(lambda count=count: len(begun) > count)  # type: ignore[misc]
         else:
             published += 1
-            recorder.write(commands, serialized(each), log_ns, log_ns, published, GID)
+            recorder.write(commands, encode_twist(each), log_ns, log_ns, published, GID)
     for seconds in range(10, 40, 10):
         recorder.add_event(RecordedEvent(EventKind.ERROR, at_ns(seconds), f"at {seconds}"))
     return recorder

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from robotctl import __version__
+from robotctl.cdr.motion import encode_twist
 from robotctl.errors import UnreadableFile
 from robotctl.kernel import kernel as kernel_module
 from robotctl.kernel.types import CommandPublishersSeen, ModeRequested, Twist
@@ -30,7 +31,6 @@ from robotctl.testing.drives import (
     drive,
     drive_requested,
     record,
-    serialized,
 )
 from tests.support.recordings import GID, START_NS, TWIST
 from tests.support.waiting import until
@@ -248,7 +248,7 @@ def test_every_file_of_a_recording_can_be_checked_alone(tmp_path: Path) -> None:
                 until(lambda: len(list(folder.glob("*.mcap"))) == 2)
             recorder.write(journal, encode(each), log_ns, log_ns, each.seq + 1, GID)
         elif isinstance(each, Twist):
-            recorder.write(commands, serialized(each), log_ns + 9, log_ns + 1, number, GID)
+            recorder.write(commands, encode_twist(each), log_ns + 9, log_ns + 1, number, GID)
     recorder.close()
     reports = [check_recording(path) for path in (folder, *sorted(folder.glob("*.mcap")))]
     assert [report.verdict for report in reports] == [Verdict.SAME] * 3

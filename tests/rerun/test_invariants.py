@@ -7,6 +7,7 @@ from math import inf, nan
 
 import pytest
 
+from robotctl.cdr.motion import encode_twist
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.snapshot import Snapshot
@@ -30,7 +31,6 @@ from robotctl.kernel.types import (
 )
 from robotctl.rerun.invariants import MAX_VIOLATIONS, Invariants, unbalanced
 from robotctl.rerun.traffic import MAX_WAITING, STILL_STEPS, CommandTraffic
-from robotctl.testing.drives import serialized
 from robotctl.testing.kernels import ready
 
 MOVING, IDLE, STOP = Mode.MOVING, Mode.IDLE, Mode.EMERGENCY_STOP
@@ -172,11 +172,11 @@ def test_nothing_is_checked_where_events_are_missing() -> None:
 def test_each_decision_explains_one_command_whichever_is_seen_first() -> None:
     traffic = CommandTraffic()
     traffic.step((command(0.1),))
-    traffic.message(serialized(Twist(0.1)))
-    traffic.message(serialized(Twist(0.2)))
+    traffic.message(encode_twist(Twist(0.1)))
+    traffic.message(encode_twist(Twist(0.2)))
     traffic.step((command(0.2),))
-    traffic.message(serialized(ZERO))
-    traffic.message(serialized(Twist(-0.0, -0.0)))
+    traffic.message(encode_twist(ZERO))
+    traffic.message(encode_twist(Twist(-0.0, -0.0)))
     traffic.end()
     assert (traffic.seen, traffic.undecided) == (4, 0)
 
@@ -185,7 +185,7 @@ def test_a_command_that_is_seen_twice_was_decided_once() -> None:
     traffic = CommandTraffic()
     traffic.step((command(0.1, 0.2),))
     for _ in range(3):
-        traffic.message(serialized(Twist(0.1, 0.2)))
+        traffic.message(encode_twist(Twist(0.1, 0.2)))
     traffic.end()
     assert (traffic.undecided, traffic.example) == (2, "0.1 m/s, 0.2 rad/s")
 
@@ -193,7 +193,7 @@ def test_a_command_that_is_seen_twice_was_decided_once() -> None:
 def test_a_sideways_motion_was_never_decided() -> None:
     traffic = CommandTraffic()
     traffic.step((command(0.1),))
-    data = bytearray(serialized(Twist(0.1)))
+    data = bytearray(encode_twist(Twist(0.1)))
     data[12:20] = data[4:12]
     traffic.message(bytes(data))
     traffic.end()
@@ -205,14 +205,14 @@ def test_a_lost_message_excuses_no_later_one_for_ever() -> None:
     traffic.step((command(0.1),))
     for _ in range(STILL_STEPS):
         traffic.step((command(0.0),))
-    traffic.message(serialized(Twist(0.1)))
+    traffic.message(encode_twist(Twist(0.1)))
     for _ in range(MAX_WAITING + 1):
-        traffic.message(serialized(Twist(0.3)))
+        traffic.message(encode_twist(Twist(0.3)))
     assert traffic.undecided >= 2
 
 
 def test_a_big_endian_command_is_understood() -> None:
-    little = serialized(Twist(0.1, 0.2))
+    little = encode_twist(Twist(0.1, 0.2))
     values = b"".join(little[i : i + 8][::-1] for i in range(4, 52, 8))
     traffic = CommandTraffic()
     traffic.step((command(0.1, 0.2),))

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import struct
+from typing import Any
 
 import pytest
 from geometry_msgs.msg import Twist as TwistMessage
@@ -12,10 +13,9 @@ from hypothesis import strategies as st
 from nav_msgs.msg import Odometry as OdometryMessage
 from rclpy.serialization import deserialize_message, serialize_message
 
-from robotctl.kernel.geometry import Pose
+from robotctl.cdr.motion import OdometryEncoder, decode_odometry, decode_twist, encode_twist
+from robotctl.kernel.geometry import Pose, yaw_of
 from robotctl.kernel.types import Odometry, Twist
-from robotctl.ros.messages.cdr import OdometryEncoder, decode_odometry, decode_twist, encode_twist
-from robotctl.ros.messages.convert import to_odometry, to_twist
 
 finite = st.floats(allow_nan=False, allow_infinity=False, min_value=-1e6, max_value=1e6)
 anything = st.floats(width=64)
@@ -26,6 +26,18 @@ stamps = st.integers(0, (2**31 - 1) * 10**9)
 def bits(*values: float) -> bytes:
     """Values to be compared: NaN equals itself, and 0.0 is not -0.0."""
     return struct.pack(f"{len(values)}d", *values)
+
+
+def to_odometry(message: Any) -> Odometry:
+    """What the kernel wants of rclpy's message."""
+    position, q = message.pose.pose.position, message.pose.pose.orientation
+    twist = message.twist.twist
+    stamp = message.header.stamp
+    return Odometry(
+        Pose(position.x, position.y, yaw_of(q.x, q.y, q.z, q.w)),
+        Twist(twist.linear.x, twist.angular.z),
+        stamp.sec * 10**9 + stamp.nanosec,
+    )
 
 
 def odometry_bits(odometry: Odometry) -> tuple[bytes, int]:
@@ -67,9 +79,9 @@ def test_a_twist_reads_as_rclpy_reads_it(numbers: list[float]) -> None:
     linear.x, linear.y, linear.z, angular.x, angular.y, angular.z = numbers
     serialized = serialize_message(message)
 
-    read, rclpys = decode_twist(serialized), to_twist(deserialize_message(serialized, TwistMessage))
+    read, rclpys = decode_twist(serialized), deserialize_message(serialized, TwistMessage)
 
-    assert bits(read.linear, read.angular) == bits(rclpys.linear, rclpys.angular)
+    assert bits(read.linear, read.angular) == bits(rclpys.linear.x, rclpys.angular.z)
 
 
 @given(anything, anything)
@@ -78,6 +90,20 @@ def test_a_twist_is_written_as_rclpy_writes_it(linear: float, angular: float) ->
     message.linear.x, message.angular.z = linear, angular
 
     assert encode_twist(Twist(linear, angular)) == serialize_message(message)
+
+
+@given(frames, frames)
+def test_odometry_is_written_as_rclpy_writes_it_but_for_padding(
+    frame_id: str, child_frame_id: str
+) -> None:
+    message = OdometryMessage()
+    message.header.frame_id, message.child_frame_id = frame_id, child_frame_id
+    rclpys = serialize_message(message)
+
+    written = OdometryEncoder(frame_id, child_frame_id).encode(Pose(0.0, 0.0, 0.0), Twist(), 0)
+
+    assert len(written) == len(rclpys)  # rclpy leaves its padding uninitialized
+    assert deserialize_message(written, OdometryMessage) == message
 
 
 @given(frames, frames, st.lists(st.tuples(finite, finite, st.floats(-3.14, 3.14), finite, stamps)))
@@ -99,10 +125,34 @@ def test_odometry_written_one_after_the_other_reads_back(
         assert (message.pose.pose.position.z, message.twist.twist.linear.y) == (0.0, 0.0)
 
 
-def test_a_big_endian_message_is_left_to_rclpy() -> None:
+def test_a_big_endian_twist_reads_as_rclpy_reads_it() -> None:
     big_endian = b"\x00\x00\x00\x00" + struct.pack(">6d", 0.25, 0.0, 0.0, 0.0, 0.0, -0.5)
+    rclpys = deserialize_message(big_endian, TwistMessage)
 
-    assert decode_twist(big_endian) == Twist(0.25, -0.5)
+    assert decode_twist(big_endian) == Twist(rclpys.linear.x, rclpys.angular.z) == Twist(0.25, -0.5)
+
+
+@given(frames, frames, st.lists(finite, min_size=13, max_size=13))
+def test_big_endian_odometry_reads_as_rclpy_reads_it(
+    frame_id: str, child_frame_id: str, numbers: list[float]
+) -> None:
+    data = bytes(4) + struct.pack(">iI", 7, 8)
+    for text in (frame_id, child_frame_id):
+        data += bytes(-len(data) % 4)
+        data += struct.pack(">I", len(text.encode()) + 1) + text.encode() + b"\0"
+    data += bytes((4 - len(data)) % 8)
+    data += struct.pack(">7d288x6d288x", *numbers)
+
+    rclpys = to_odometry(deserialize_message(data, OdometryMessage))
+
+    assert odometry_bits(decode_odometry(data)) == odometry_bits(rclpys)
+
+
+@pytest.mark.parametrize("decode", [decode_odometry, decode_twist])
+@pytest.mark.parametrize("head", [b"\0\2\0\0", b"\0\7\0\0", b"\1\1\0\0"])
+def test_what_is_not_plain_cdr_is_an_error(decode: Any, head: bytes) -> None:
+    with pytest.raises(struct.error, match="not plain CDR"):
+        decode(head + bytes(800))
 
 
 @pytest.mark.parametrize("size", [2, 10, 20, 40, 200, 400])

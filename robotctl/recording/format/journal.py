@@ -6,6 +6,7 @@ import struct
 from enum import IntEnum
 from typing import NamedTuple
 
+from robotctl.cdr.reader import ENCAPSULATION, LITTLE_ENDIAN
 from robotctl.errors import UnreadableFile
 
 TOPIC = "robotctl/journal"
@@ -39,7 +40,6 @@ _KINDS = tuple(EntryKind)
 _HEAD = struct.Struct("<4sQqBxxxI")
 """Encapsulation (CDR, little endian), then seq, t_ns, kind, padding, length of name."""
 
-_ENCAPSULATION = b"\x00\x01\x00\x00"
 _LENGTH = struct.Struct("<I")
 
 
@@ -47,7 +47,7 @@ def encode(entry: JournalEntry) -> bytes:
     """Return the entry as ROS serializes it (CDR, OMG DDSI-RTPS 10.2)."""
     name, data = entry.name.encode() + b"\0", entry.data.encode() + b"\0"
     padding = b"\0" * (-len(name) % 4)
-    head = _HEAD.pack(_ENCAPSULATION, entry.seq, entry.t_ns, entry.kind, len(name))
+    head = _HEAD.pack(ENCAPSULATION, entry.seq, entry.t_ns, entry.kind, len(name))
     return b"".join((head, name, padding, _LENGTH.pack(len(data)), data))
 
 
@@ -55,7 +55,7 @@ def decode(serialized: bytes) -> JournalEntry:
     """Return the entry that `encode` wrote; raises UnreadableFile where it is not one."""
     try:
         encapsulation, seq, t_ns, kind, name_size = _HEAD.unpack_from(serialized)
-        if encapsulation[:2] != _ENCAPSULATION[:2]:
+        if encapsulation[:2] != LITTLE_ENDIAN:
             raise ValueError("not little-endian CDR")
         if kind >= len(_KINDS):
             raise ValueError(f"{kind} is no kind of entry")

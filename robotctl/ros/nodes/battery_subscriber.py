@@ -9,7 +9,7 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import BatteryState
 
 from robotctl.ros.messages import qos
-from robotctl.ros.messages.convert import to_battery_level
+from robotctl.ros.messages.battery_state import to_battery_level
 from robotctl.ros.session import Session
 
 

@@ -8,12 +8,12 @@ from typing import Any
 
 from nav_msgs.msg import Odometry as OdometryMessage
 
+from robotctl.cdr.motion import decode_odometry
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.types import Odometry, Twist
 from robotctl.ros.executor import RawTap
 from robotctl.ros.graph.publishers import publisher_names
 from robotctl.ros.messages import qos
-from robotctl.ros.messages.cdr import decode_odometry
 from robotctl.ros.session import Session
 
 MAX_SOURCES = 256

@@ -9,11 +9,11 @@ from geometry_msgs.msg import Twist as TwistMessage
 from nav_msgs.msg import Odometry as OdometryMessage
 from sensor_msgs.msg import BatteryState
 
+from robotctl.cdr.motion import OdometryEncoder, decode_twist
 from robotctl.kernel.types import ZERO
 from robotctl.ros.executor import RawTap, Ticker
 from robotctl.ros.messages import qos
-from robotctl.ros.messages.cdr import OdometryEncoder, decode_twist
-from robotctl.ros.messages.convert import battery_message
+from robotctl.ros.messages.battery_state import battery_message
 from robotctl.ros.messages.own_topic import OwnTopic
 from robotctl.ros.session import Session
 from robotctl.sim.robot import Robot, SimParams

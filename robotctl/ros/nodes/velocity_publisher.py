@@ -8,13 +8,13 @@ from typing import Any
 
 from geometry_msgs.msg import Twist as TwistMessage
 
+from robotctl.cdr.motion import encode_twist
 from robotctl.kernel.types import ZERO, Twist
 from robotctl.printable import short_name
 from robotctl.ros.executor import RawTap
 from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.publishers import full_name, gid_of, publisher_names
 from robotctl.ros.messages import qos
-from robotctl.ros.messages.cdr import encode_twist
 from robotctl.ros.messages.own_topic import OwnTopic
 from robotctl.ros.session import RECORDER_NODE, Session
 

@@ -16,6 +16,8 @@ from rclpy.publisher import Publisher
 from rclpy.serialization import deserialize_message
 from service_msgs.msg import ServiceEventInfo
 
+from robotctl.cdr.reader import ENCAPSULATION
+
 BLOCKED_S: Final = 5.0
 """How long a subscriber that reads nothing may hold up a replay at full speed."""
 
@@ -23,9 +25,7 @@ MAX_OPEN_REQUESTS: Final = 10_000
 """Requests of which the second of two reports may still come."""
 
 _CLOCK = struct.Struct("<4siI")
-"""rosgraph_msgs/Clock: encapsulation (CDR, little endian), seconds, nanoseconds."""
-
-_ENCAPSULATION = b"\x00\x01\x00\x00"
+"""rosgraph_msgs/Clock: encapsulation, seconds, nanoseconds."""
 
 
 def sender(publisher: Publisher) -> Callable[[bytes], bool]:
@@ -63,7 +63,7 @@ def clock_sender(publisher: Publisher) -> Callable[[int], bool]:
     send_once = sender(publisher)
 
     def send(time_ns: int) -> bool:
-        return send_once(_CLOCK.pack(_ENCAPSULATION, *divmod(time_ns, 1_000_000_000)))
+        return send_once(_CLOCK.pack(ENCAPSULATION, *divmod(time_ns, 1_000_000_000)))
 
     return send
 

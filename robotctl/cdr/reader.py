@@ -1,0 +1,55 @@
+"""Reading any message in plain CDR, field by field."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any, Final
+
+ENCAPSULATION: Final = b"\x00\x01\x00\x00"
+"""The first bytes of a message in plain CDR, little endian."""
+
+LITTLE_ENDIAN: Final = ENCAPSULATION[:2]
+BIG_ENDIAN: Final = b"\x00\x00"
+
+BODY: Final = len(ENCAPSULATION)
+"""Where the fields begin; alignment counts from here."""
+
+
+class CdrReader:
+    """Gives the fields of a message in their order."""
+
+    def __init__(self, data: bytes) -> None:
+        """Read `data` from its first field.
+
+        Raises:
+            struct.error: The message is not in plain CDR.
+        """
+        if data[:2] not in (LITTLE_ENDIAN, BIG_ENDIAN):
+            raise struct.error(f"not plain CDR: it begins with {data[:2].hex() or 'nothing'}")
+        self._data = data
+        self._position = BODY
+        self._order = "<" if data[:2] == LITTLE_ENDIAN else ">"
+
+    def take(self, code: str, count: int = 1) -> tuple[Any, ...]:
+        """Return the next `count` numbers, of the format `code` of `struct`.
+
+        Raises:
+            struct.error: The message is cut short.
+        """
+        size = struct.calcsize(code)
+        self._position += (BODY - self._position) % size
+        numbers = struct.unpack_from(f"{self._order}{count}{code}", self._data, self._position)
+        self._position += size * count
+        return numbers
+
+    def text(self) -> str:
+        """Return the next string; bytes that are not UTF-8 are replaced.
+
+        Raises:
+            struct.error: The message is cut short.
+        """
+        (size,) = self.take("I")
+        begin, self._position = self._position, self._position + size
+        if self._position > len(self._data):
+            raise struct.error("a string is longer than its message")
+        return self._data[begin : self._position - 1].decode(errors="replace")
