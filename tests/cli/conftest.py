@@ -20,7 +20,7 @@ from robotctl.cli.support import launch
 from robotctl.cli.terminal import text
 from robotctl.errors import NoDaemon
 from robotctl.ipc.client import Client
-from robotctl.processes import Child
+from robotctl.processes import Child, start
 
 FAKE_DAEMON = Path(__file__).with_name("fake_daemon.py")
 
@@ -46,7 +46,6 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     (tmp_path / "cwd").mkdir()
     monkeypatch.chdir(tmp_path / "cwd")
     started: list[int] = []
-    start = launch.start
 
     def start_child(*arguments: Any, **options: Any) -> Child:
         child = start(*arguments, **options)

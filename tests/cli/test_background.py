@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 from collections.abc import Callable
+from functools import partial
 from itertools import count
 from types import FrameType
 from typing import Any
@@ -39,9 +40,10 @@ def test_an_interruption_at_any_step_of_whoever_asks_does_not_keep_the_work_from
             return {}
 
         working = started(work)
-        was_interrupted = interrupted_at(step, lambda working=working: working.is_done)
+        is_done = partial(getattr, working, "is_done")
+        was_interrupted = interrupted_at(step, is_done)
         release.set()
-        until(lambda working=working: working.is_done)
+        until(is_done)
         working.join(DEADLINE_S)
         assert not working.is_alive()
         if not was_interrupted:

@@ -8,7 +8,7 @@ import re
 import signal
 import subprocess
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
@@ -98,7 +98,9 @@ def test_a_poll_that_fails_does_not_end_the_view_of_a_drive(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     done = threading.Event()
-    polls = iter([Refused("busy with 64 clients"), {"mode": "MOVING"}])
+    polls: Iterator[Refused | dict[str, Any]] = iter(
+        [Refused("busy with 64 clients"), {"mode": "MOVING"}]
+    )
 
     def poll(robot: str, method: str) -> dict[str, Any]:
         found = next(polls)

@@ -48,6 +48,12 @@ class Velocity:
         self.calls.append(event)
 
 
+async def look_again(velocity: Velocity, times: int) -> None:
+    """Wait until the publishers were counted more often than that."""
+    looks = velocity.looks
+    await loop_until(lambda: velocity.looks > looks + times)
+
+
 async def test_other_publishers_are_told_when_they_come_and_when_they_go(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -57,8 +63,7 @@ async def test_other_publishers_are_told_when_they_come_and_when_they_go(
 
     async def seen(*names: str) -> list[tuple[str, ...]]:
         velocity.others = names
-        looks = velocity.looks
-        await loop_until(lambda: velocity.looks > looks + 3)
+        await look_again(velocity, 3)
         return [call.names for call in velocity.calls if isinstance(call, CommandPublishersSeen)]
 
     assert await seen() == []
@@ -78,8 +83,7 @@ async def test_who_takes_the_command_is_told_when_it_changes(
     for taking in ((0, ()), (1, ()), (0, ("x/msg/Other",)), (1, ("x/msg/Other",))):
         velocity.taking = taking
         told.append(taking)
-        looks = velocity.looks
-        await loop_until(lambda looks=looks: velocity.looks > looks + 12)
+        await look_again(velocity, 12)
         seen = [call for call in velocity.calls if isinstance(call, CommandListenersSeen)]
         assert [(each.count, each.other_types) for each in seen] == told
     watching.cancel()

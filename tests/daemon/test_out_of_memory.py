@@ -38,7 +38,8 @@ async def test_without_memory_the_robot_stops_and_the_daemon_ends(
     owner: Any,
     name: str,
 ) -> None:
-    original, armed, failed = getattr(owner, name), [False], []
+    original, armed = getattr(owner, name), [False]
+    failed: list[str] = []
 
     def fail(*args: Any, **kwargs: Any) -> Any:
         if armed[0] and len(failed) < 5:

@@ -71,8 +71,12 @@ def test_a_link_with_the_name_of_the_new_recording_is_not_followed(
     recordings.mkdir()
     (recordings / "robot_20260101_120000").symlink_to(elsewhere)
     (recordings / "robot_20260101_120000-2").symlink_to(tmp_path / "nowhere")
+
+    def unexpected(told: object) -> None:
+        pytest.fail(str(told))
+
     recorder = open_recorder(
-        recordings, "robot", Config(), lambda: "IDLE", pytest.fail, pytest.fail, pytest.fail
+        recordings, "robot", Config(), lambda: "IDLE", unexpected, unexpected, unexpected
     )
     assert recorder.close().file.parent == recordings / "robot_20260101_120000-3"
     assert list(elsewhere.iterdir()) == []

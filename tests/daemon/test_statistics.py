@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -26,7 +27,7 @@ CAMERA, SCAN = ("/camera", "sensor_msgs/msg/Image"), ("/scan", "sensor_msgs/msg/
 HEAVY = round(1.2 * HEAVY_BYTES_PER_S)
 
 
-def topic(name: str = "/scan", type_name: str = "t", **counts: int) -> TopicStats:
+def topic(name: str = "/scan", type_name: str = "t", **counts: Any) -> TopicStats:
     return replace(TopicStats(name, type_name, 0, 0, 0, 0, 0, 0, 0, 0), **counts)
 
 

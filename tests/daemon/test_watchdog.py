@@ -46,10 +46,9 @@ class Gate:
 
 def stall_of(watchdog: Watchdog) -> LoopStalled:
     """Wait until there is a stall to take, and take it."""
-    found: list[object] = []
-    until(lambda: found.append(watchdog.take()) or found[-1] is not None)
-    assert isinstance(found[-1], LoopStalled)
-    return found[-1]
+    found = until(watchdog.take)
+    assert isinstance(found, LoopStalled)
+    return found
 
 
 def test_before_the_first_tick_nothing_is_watched() -> None:
@@ -238,9 +237,7 @@ def test_a_watchdog_that_dies_is_a_fault_and_told_once() -> None:
     with Watchdog(50.0, gate) as watchdog:
         watchdog.ping()
         assert isinstance(stall_of(watchdog), LoopStalled)  # the gate must not stay closed
-        found: list[object] = []
-        until(lambda: found.append(watchdog.take()) or found[-1] is not None)
-        (fault,) = (each for each in found if each is not None)
+        fault = until(watchdog.take)
         assert isinstance(fault, FaultReported)
         assert fault.cause is Cause.TASK_DIED
         assert "the watchdog failed (SystemExit: out of everything)" in fault.detail

@@ -97,6 +97,6 @@ async def test_what_the_disk_did_not_take_is_counted(
     monkeypatch.setattr(recording, "COMMIT_DEADLINE_S", 0.2)
     given: Any = recorder
     commit = recording.recording_methods(given, "robot")["record_commit"].handler
-    answer = await commit(NoParams())
+    answer: Any = await commit(NoParams())
     assert answer["uncommitted"] == uncommitted
     assert answer["failure"] == recorder.failure

@@ -12,6 +12,7 @@ from rosbags.highlevel import AnyReader
 
 from robotctl.cdr.motion import encode_twist
 from robotctl.errors import Refused
+from robotctl.kernel.types import Twist
 from robotctl.recording.disk.storage import DiskFile
 from robotctl.recording.format.events import EventKind, RecordedEvent
 from robotctl.recording.format.journal import EntryKind, JournalEntry, decode, encode
@@ -23,7 +24,7 @@ from robotctl.rerun.check_report import Verdict
 from robotctl.testing.drives import BEGIN_NS, JOURNAL, Written, drive
 from tests.support.bags import LATCHED, STRING, VOLATILE, Line, text, write_bag
 from tests.support.recordings import GID, QOS, START_NS, TWIST, read_strictly
-from tests.support.waiting import until
+from tests.support.waiting import until, until_longer
 
 DURATION_S = 40.0
 MAP = Topic("/map", STRING, "string data\n", "", QOS.replace(": volatile", ": transient_local"))
@@ -64,8 +65,9 @@ def record(folder: Path, driven: list[Written], *splits_s: float) -> Recorder:
                 splits.pop(0)
                 count = len(begun)
                 recorder.split()
-                until(lambda count=count: len(begun) > count)  # type: ignore[misc]
+                until_longer(begun, count)
         else:
+            assert isinstance(each, Twist)
             published += 1
             recorder.write(commands, encode_twist(each), log_ns, log_ns, published, GID)
     for seconds in range(10, 40, 10):

@@ -161,6 +161,10 @@ def test_each_error_of_the_disk_has_its_own_cure(tmp_path: Path, code: int) -> N
     assert failures == [told + CURES[code]]
 
 
+def has_failed(recorder: Recorder) -> bool:
+    return recorder.stats().failure != ""
+
+
 @pytest.mark.parametrize("compression", list(Compression))
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EIO])
 def test_an_error_at_any_write_keeps_what_was_written_before(
@@ -171,12 +175,12 @@ def test_an_error_at_any_write_keeps_what_was_written_before(
         options = RecorderOptions(
             compression=compression,
             chunk_bytes=4 * KIB,
-            open_file=lambda path, fail_at=fail_at: FailingFile(path, fail_at, code=code),
+            open_file=partial(FailingFile, fail_at=fail_at, code=code),
         )
         recorder = Recorder(tmp_path / f"run{fail_at}", options, on_failure=failures.append)
         channel = recorder.add_topic(TWIST)
         write_numbered(recorder, channel, range(1, 2001))
-        until(lambda recorder=recorder: recorder.stats().failure != "")
+        until(partial(has_failed, recorder))
         write_numbered(recorder, channel, range(2001, 2101))
         stats = recorder.close()
         assert len(failures) == 1

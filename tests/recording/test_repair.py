@@ -20,6 +20,7 @@ from zstandard import ZstdDecompressor
 
 from robotctl.recording.disk.storage import DiskFile
 from robotctl.recording.keep import repair as repairing
+from robotctl.recording.keep.unfinished_commit import find_unfinished_commit
 from robotctl.recording.read.file_index import FileIndex, read_record_head
 from robotctl.recording.read.indexing import index_of
 from robotctl.recording.read.mcap_input import InputFile
@@ -288,12 +289,11 @@ def test_a_file_that_cannot_be_repaired_keeps_no_other_from_it(
     for number in (1, 2):
         shutil.copy(file, tmp_path / "run0" / f"run0_{number}.mcap")
     crashed(tmp_path / "run1", 100)
-    find = repairing.find_unfinished_commit
 
     def failing(file: InputFile, index: FileIndex, data_end: int) -> int | None:
         if file.path.name == "run0_1.mcap":
             raise ValueError("a surprise")
-        return find(file, index, data_end)
+        return find_unfinished_commit(file, index, data_end)
 
     monkeypatch.setattr(repairing, "find_unfinished_commit", failing)
     sentences = repair(tmp_path)

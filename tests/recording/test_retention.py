@@ -17,7 +17,7 @@ from robotctl.recording.keep.tidy_job import TidyJob, tidy
 from robotctl.recording.read.reader import read_info
 from robotctl.recording.write.recorder import Recorder, RecorderOptions
 from tests.support.recordings import TWIST, read_strictly, write_numbered
-from tests.support.waiting import until
+from tests.support.waiting import until, until_longer
 
 NOW_S = 2_000_000_000.0
 
@@ -30,7 +30,7 @@ def recorded(folder: Path, age_s: float, splits: int = 0) -> int:
     write_numbered(recorder, channel, range(1, 11))
     for split in range(splits):
         recorder.split()
-        until(lambda split=split: len(begun) > split)
+        until_longer(begun, split)
         write_numbered(recorder, channel, range(11, 21))
     recorder.close()
     files = sorted(folder.glob("*.mcap"))

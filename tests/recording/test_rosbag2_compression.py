@@ -130,7 +130,8 @@ def test_messages_that_claim_to_be_huge_are_not_unpacked(tmp_path: Path) -> None
     bombs = [ZstdCompressor().compress(bytes(100 << 20))] * 2
     bombs += [ZstdCompressor().compress(bytes(60 << 20))] * 20
     folder = bag(tmp_path / "bag", [*compressed(SENT[:1]), *bombs])
-    count, missing = 0, []
+    count = 0
+    missing: list[str] = []
     for _ in read_messages(folder, on_missing=missing.append):
         count += 1
     assert 1 < count < 12

@@ -36,7 +36,7 @@ from tests.support.recordings import (
     read_strictly,
     write_numbered,
 )
-from tests.support.waiting import until
+from tests.support.waiting import until, until_longer
 
 LATCHED = Topic(
     "/robot_status",
@@ -157,7 +157,7 @@ def test_a_full_file_is_told_once_and_goes_on_until_it_is_split(tmp_path: Path) 
         until(lambda: recorder.stats().queued == 0)
         assert len(full) == file + 1
         recorder.split()
-        until(lambda file=file: len(begun) > file)
+        until_longer(begun, file)
     recorder.close()
     assert full == files_of(tmp_path / "run")[:3]
     found = [[m.sequence for m in read_strictly(path)] for path in files_of(tmp_path / "run")]

@@ -139,7 +139,8 @@ def test_single_steps_send_one_message_each_and_stand_still_behind_it() -> None:
     steering = player.steering
     clock.script = [
         (LEAD_NS + SECOND, steering.step),
-        (LEAD_NS + 2 * SECOND, lambda: (steering.step(), steering.step())),
+        (LEAD_NS + 2 * SECOND, steering.step),
+        (LEAD_NS + 2 * SECOND, steering.step),
         (LEAD_NS + 4 * SECOND, steering.resume),
     ]
     player.run()

@@ -13,6 +13,9 @@ from robotctl import __version__
 from robotctl.cdr.motion import encode_twist
 from robotctl.errors import UnreadableFile
 from robotctl.kernel import kernel as kernel_module
+from robotctl.kernel.geometry import Pose
+from robotctl.kernel.params import TrackingParams, VelocityLimits
+from robotctl.kernel.tracking import Reference, track
 from robotctl.kernel.types import CommandPublishersSeen, ModeRequested, Twist
 from robotctl.recording.format.identity import MADE_BY
 from robotctl.recording.format.journal import EntryKind, JournalEntry, encode
@@ -41,8 +44,8 @@ def drive_of_3_s() -> list[Written]:
     return drive(3.0, snapshots_s=(0.0, 1.5))
 
 
-def checked(folder: Path, written: list[Written], **facts: str) -> Report:
-    return check_recording(record(folder / "run", written, **facts))
+def checked(folder: Path, written: list[Written], version: str = __version__) -> Report:
+    return check_recording(record(folder / "run", written, version=version))
 
 
 def altered(written: list[Written], name: str, old: str, new: str) -> tuple[list[Written], int]:
@@ -70,9 +73,9 @@ def test_the_same_kernel_decides_the_same(tmp_path: Path, drive_of_3_s: list[Wri
 def test_a_kernel_with_another_gain_diverges(
     tmp_path: Path, drive_of_3_s: list[Written], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    track = kernel_module.track
-
-    def stronger(reference, pose, gains, limits):  # type: ignore[no-untyped-def]
+    def stronger(
+        reference: Reference, pose: Pose, gains: TrackingParams, limits: VelocityLimits
+    ) -> Twist:
         return track(reference, pose, replace(gains, k_x=gains.k_x * 1.001), limits)
 
     monkeypatch.setattr(kernel_module, "track", stronger)

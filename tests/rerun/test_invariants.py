@@ -57,7 +57,7 @@ def command(linear: float, angular: float = 0.0) -> PublishTwist:
 
 
 def test_what_keeps_every_promise_is_clean() -> None:
-    steps = [
+    steps: list[tuple[Event, Sequence[Effect]]] = [
         (ModeRequested(1, 1, 1, "x"), [ModeChanged(IDLE, MOVING, ""), Reply(1, True, "", MOVING)]),
         tick(1, command(0.02, 0.08)),
         tick(2, command(0.04)),
@@ -129,13 +129,13 @@ def test_a_request_without_its_one_true_reply_is_found(effects: list[Effect], me
 
 
 def test_an_emergency_stop_that_is_left_otherwise_is_found() -> None:
-    released = [command(0.0), ReleaseEmergencyStop()]
+    released: list[Effect] = [command(0.0), ReleaseEmergencyStop()]
     battery = BatteryReceived(1, 1.0)
     assert broken(STOP, [(battery, [*released, ModeChanged(STOP, IDLE, "")])]) == [
         "EMERGENCY_STOP was left by a BatteryReceived, not by a reset"
     ]
     reset = ResetRequested(1, 1, "x")
-    left = [*released, ModeChanged(STOP, MOVING, ""), Reply(1, True, "", MOVING)]
+    left: list[Effect] = [*released, ModeChanged(STOP, MOVING, ""), Reply(1, True, "", MOVING)]
     assert broken(STOP, [(reset, left)]) == ["EMERGENCY_STOP was left to MOVING, not to IDLE"]
 
 

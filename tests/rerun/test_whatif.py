@@ -9,7 +9,12 @@ import pytest
 
 from robotctl.config import Config, with_setting
 from robotctl.errors import ConfigError, UnreadableFile, UsageError
-from robotctl.kernel.types import CommandListenersSeen, CommandPublishersSeen, ModeRequested
+from robotctl.kernel.types import (
+    CommandListenersSeen,
+    CommandPublishersSeen,
+    Event,
+    ModeRequested,
+)
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.rerun.recorded_settings import check_scope, parse_settings
 from robotctl.rerun.resim import resimulate
@@ -126,7 +131,7 @@ def test_a_simulation_goes_on_where_a_file_begins(tmp_path: Path) -> None:
 
 def test_a_simulated_robot_is_alone_whatever_was_there_when_the_file_began(tmp_path: Path) -> None:
     at = BEGIN_NS + 500_000_000
-    others = [
+    others: list[Event] = [
         CommandListenersSeen(BEGIN_NS + 1, 0, ()),
         CommandPublishersSeen(BEGIN_NS + 2, ("/teleop",)),
         CommandPublishersSeen(at, ()),

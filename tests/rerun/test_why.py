@@ -128,14 +128,14 @@ def test_a_refusal_names_the_condition_and_its_rule(tmp_path: Path) -> None:
 
 
 def test_a_refusal_by_the_table_of_modes_is_told(tmp_path: Path) -> None:
-    asked = [drive_requested(), ESTOP, ModeRequested(at(2.5), 3, 1, "somebody")]
+    asked: list[Event] = [drive_requested(), ESTOP, ModeRequested(at(2.5), 3, 1, "somebody")]
     found = incident(record(tmp_path / "run", drive(3.0, requests=asked)))
     told = explain(found)
     assert told.rule == "the table of modes: request moving is refused in EMERGENCY_STOP"
 
 
 def test_what_is_nearest_to_a_time_is_told_with_what_came_of_it(tmp_path: Path) -> None:
-    asked = [
+    asked: list[Event] = [
         drive_requested(),
         ESTOP,
         ResetRequested(at(2.5), 3, "robotctl reset"),

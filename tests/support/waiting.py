@@ -4,19 +4,27 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable
-from typing import Final
+from collections.abc import Callable, Sized
+from typing import Final, TypeVar
+
+T = TypeVar("T")
 
 DEADLINE_S: Final = 30.0
 """Far beyond what anything should take: whoever waits so long waits in vain."""
 
 
-def until(condition: Callable[[], object]) -> None:
-    """Wait for a condition."""
+def until(condition: Callable[[], T]) -> T:
+    """Wait for a condition, and return its first true answer."""
     end = time.monotonic() + DEADLINE_S
-    while not condition():
+    while not (answer := condition()):
         assert time.monotonic() < end, "waited in vain"
         time.sleep(0.005)
+    return answer
+
+
+def until_longer(items: Sized, count: int) -> None:
+    """Wait until there are more than `count` items."""
+    until(lambda: len(items) > count)
 
 
 async def loop_until(condition: Callable[[], object]) -> None:
