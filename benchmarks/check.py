@@ -25,8 +25,8 @@ from recording.figures import Figure, Round, table
 from robotctl.config import Config, with_setting
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.types import DriveRequested
+from robotctl.recording import Compression, RecorderOptions
 from robotctl.recording.format.journal import JournalEntry
-from robotctl.recording.write.recorder import Compression, RecorderOptions
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_many import check_recordings
 from robotctl.rerun.check_report import Verdict

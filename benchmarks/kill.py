@@ -33,8 +33,7 @@ from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from robotctl.recording.read.reader import read_messages
-from robotctl.recording.write.recorder import Recorder, Topic
+from robotctl.recording import Recorder, Topic, read_messages
 from robotctl.ros.executor import UNKNOWN_GID
 
 TARGET = 1 / 200

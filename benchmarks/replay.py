@@ -39,7 +39,7 @@ from replaying.players import PLAYERS
 
 from robotctl import environment
 from robotctl.domains import reserved_domain
-from robotctl.recording.read.reader import Recording, read_info, read_messages
+from robotctl.recording import Recording, read_info, read_messages
 
 ARRIVAL = ("steady", "drive")
 CONTENDERS = ("robotctl", "asyncio", "condition")

@@ -18,8 +18,8 @@ from robotctl.config import RecordingParams
 from robotctl.daemon.recording import black_box
 from robotctl.daemon.recording.black_box import BlackBox
 from robotctl.processes import Child, Lines, program, readable_within, start
+from robotctl.recording import read_info
 from robotctl.recording.format.events import EventKind, RecordedEvent
-from robotctl.recording.read.reader import read_info
 from robotctl.rerun.check_many import check_recordings
 from robotctl.testing.drives import drive, record
 from tests.support.bags import talk, write_bag

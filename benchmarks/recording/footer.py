@@ -13,11 +13,10 @@ from pathlib import Path
 
 from recording.figures import Figure
 
+from robotctl.recording import RecorderOptions, Topic
 from robotctl.recording.format.records import MESSAGE_HEAD
 from robotctl.recording.format.topics import TopicAccount
 from robotctl.recording.write.buffer import pack
-from robotctl.recording.write.recorder import Topic
-from robotctl.recording.write.recorder_options import RecorderOptions
 from robotctl.recording.write.recording_file import RecordingFile
 
 TOPICS = 30

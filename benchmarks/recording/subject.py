@@ -127,7 +127,7 @@ def plain(folder: Path) -> Iterator[Sinks]:
 
 @contextmanager
 def recording(compressed: bool, folder: Path) -> Iterator[Sinks]:
-    from robotctl.recording.write.recorder import Compression, Recorder, RecorderOptions, Topic
+    from robotctl.recording import Compression, Recorder, RecorderOptions, Topic
 
     compression = Compression.ZSTD if compressed else Compression.NONE
     options = RecorderOptions(compression=compression)

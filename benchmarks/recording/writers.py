@@ -17,7 +17,7 @@ from foxglove.mcap import MCAPCompression, MCAPWriteOptions
 from mcap.writer import CompressionType, Writer
 from recording.figures import Figure
 
-from robotctl.recording.write.recorder import Compression, Recorder, RecorderOptions, Topic
+from robotctl.recording import Compression, Recorder, RecorderOptions, Topic
 
 GID = b"publisher-number"
 START_NS = 1_700_000_000_000_000_000

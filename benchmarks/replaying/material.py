@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from robotctl.recording.write.recorder import Compression, Recorder, RecorderOptions, Topic
+from robotctl.recording import Compression, Recorder, RecorderOptions, Topic
 
 ROBOTCTL = [sys.executable, "-P", "-c", "from robotctl.cli.app import main; main()"]
 ODOMETRY = "nav_msgs/msg/Odometry"

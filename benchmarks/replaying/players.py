@@ -17,7 +17,7 @@ from typing import Any
 
 from replaying.material import ODOMETRY, QOS, START_NS
 
-from robotctl.recording.read.reader import read_messages
+from robotctl.recording import read_messages
 
 READ_AHEAD = 1000
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.ranges import bounded
+from robotctl.recording.format.compression import Compression
 from robotctl.sim.robot import SimParams
 
 
@@ -21,7 +22,7 @@ class RecordingParams:
     group read the recordings, otherwise only their owner may.
     """
 
-    compression: str = field(default="zstd", metadata={"choices": ("zstd", "none")})
+    compression: Compression = Compression.ZSTD
     max_total_gb: float = bounded(20.0, 0.0, 1e6, "GB")
     max_age_days: float = bounded(30.0, 0.0, 1e5, "days")
     include: tuple[str, ...] = ()

@@ -10,6 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from robotctl.recording.format.compression import Compression
     from robotctl.recording.format.events import EventKind, RecordedEvent
     from robotctl.recording.format.journal import EntryKind, JournalEntry
     from robotctl.recording.format.topics import Topic, TopicStats
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from robotctl.recording.read.messages import Message
     from robotctl.recording.read.reader import Recording, read_info, read_messages
     from robotctl.recording.write.recorder import Recorder
-    from robotctl.recording.write.recorder_options import Compression, RecorderOptions
+    from robotctl.recording.write.recorder_options import RecorderOptions
     from robotctl.recording.write.recorder_stats import RecorderState, RecorderStats
 
 __all__ = [
@@ -56,6 +57,7 @@ __all__ = [
 ]
 
 _NAMES_OF_MODULE = {
+    "format.compression": ("Compression",),
     "format.events": ("EventKind", "RecordedEvent"),
     "format.journal": ("EntryKind", "JournalEntry"),
     "format.topics": ("Topic", "TopicStats"),
@@ -68,7 +70,7 @@ _NAMES_OF_MODULE = {
     "read.messages": ("Message",),
     "read.reader": ("Recording", "read_info", "read_messages"),
     "write.recorder": ("Recorder",),
-    "write.recorder_options": ("Compression", "RecorderOptions"),
+    "write.recorder_options": ("RecorderOptions",),
     "write.recorder_stats": ("RecorderState", "RecorderStats"),
 }
 _MODULES = {name: module for module, names in _NAMES_OF_MODULE.items() for name in names}

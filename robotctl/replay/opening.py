@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from typing import Final
 
 from robotctl.errors import IN_PARENTHESES, Refused
-from robotctl.recording.read.reader import TopicInfo
+from robotctl.recording import TopicInfo
 from robotctl.replay import plan
 from robotctl.replay.job import Job
 from robotctl.replay.notes import Record

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from robotctl.errors import UsageError
-from robotctl.recording.read.reader import TopicInfo
+from robotctl.recording import TopicInfo
 from robotctl.replay.job import Job
 
 MAX_NAMES_SHOWN: Final = 12

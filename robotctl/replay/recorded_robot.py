@@ -15,7 +15,7 @@ from robotctl.errors import UsageError
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import Twist
-from robotctl.recording.read.reader import Recording, TopicInfo
+from robotctl.recording import Recording, TopicInfo
 from robotctl.replay.timeline import Entry, Span, recorded
 
 ODOMETRY: Final = "nav_msgs/msg/Odometry"

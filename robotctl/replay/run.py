@@ -10,7 +10,7 @@ from contextlib import suppress
 from typing import Final
 
 from robotctl.errors import UnreadableFile
-from robotctl.recording.read.reader import Recording
+from robotctl.recording import Recording
 from robotctl.replay import plan
 from robotctl.replay.clock import SteadyClock
 from robotctl.replay.controls import Command, carry_out

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from robotctl.errors import UsageError
-from robotctl.recording.read.reader import Message, Recording, RecordingInfo
+from robotctl.recording import Message, Recording, RecordingInfo
 from robotctl.replay.job import Job
 
 Entry = tuple[int, str, bytes]

@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from robotctl.errors import UnreadableFile
+from robotctl.recording import Recording, RecordingInfo, read_info
 from robotctl.recording.format.identity import CLIP_RECORD, INFO_RECORD, OWN_LIBRARY
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.format.ledger_record import read_ledger
 from robotctl.recording.read.journal_reader import EntryDecoder, journal_topic
-from robotctl.recording.read.reader import Recording, RecordingInfo, read_info
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.comparison import Comparison
 from robotctl.rerun.invariants import Invariants, unbalanced

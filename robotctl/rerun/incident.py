@@ -13,10 +13,10 @@ from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.state import State
 from robotctl.kernel.types import Effect, Event, ModeChanged, ModeRequested, Phase, Reply
+from robotctl.recording import Recording
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.journal_reader import EntryDecoder, journal_topic
-from robotctl.recording.read.reader import Recording
 from robotctl.rerun.journal_steps import Gap, Step, steps
 from robotctl.rerun.journal_values import decide, read_effect, read_event, read_snapshot
 from robotctl.rerun.traffic import command_topic, is_still

@@ -26,10 +26,10 @@ from robotctl.kernel.types import (
     ModeRequested,
     ResetRequested,
 )
+from robotctl.recording import Recording
 from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.journal_reader import read_journal
-from robotctl.recording.read.reader import Recording
 from robotctl.rerun.closed_loop import closed_loop
 from robotctl.rerun.journal_values import read_effect, read_event, read_snapshot
 from robotctl.rerun.recorded_settings import Settings, changed, simulated

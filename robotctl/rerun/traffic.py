@@ -7,9 +7,9 @@ from collections import deque
 
 from robotctl.errors import UnreadableFile
 from robotctl.kernel.types import Effect, PublishTwist, Twist
+from robotctl.recording import RecordingInfo
 from robotctl.recording.format.identity import INFO_RECORD
 from robotctl.recording.format.journal import TOPIC
-from robotctl.recording.read.reader import RecordingInfo
 
 TYPES = frozenset({"geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"})
 """Both end with the six numbers."""

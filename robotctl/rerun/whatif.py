@@ -18,9 +18,9 @@ from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.types import NS_PER_S, Effect, Event, Reply, Tick
+from robotctl.recording import Recording
 from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.journal_reader import read_journal
-from robotctl.recording.read.reader import Recording
 from robotctl.rerun.journal_steps import Gap, Step, steps
 from robotctl.rerun.journal_values import decide, read_event, read_snapshot, text_of
 from robotctl.rerun.recorded_settings import Settings, changed

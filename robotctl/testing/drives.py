@@ -14,8 +14,8 @@ from robotctl.daemon.control.journal_writer import Journal
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.patterns import Pattern
 from robotctl.kernel.types import DriveRequested, Effect, Event, PublishTwist, Twist
+from robotctl.recording import Recorder, RecorderOptions, Topic
 from robotctl.recording.format.journal import TYPE_NAME, JournalEntry, decode, encode
-from robotctl.recording.write.recorder import Recorder, RecorderOptions, Topic
 from robotctl.rerun.closed_loop import closed_loop
 from tests.support.recordings import GID, ODOMETRY, START_NS, TWIST
 

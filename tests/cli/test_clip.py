@@ -11,9 +11,8 @@ from typing import Any
 import pytest
 
 from robotctl.paths import recordings_note_path
+from robotctl.recording import Recorder, read_info
 from robotctl.recording.format.events import EventKind, RecordedEvent
-from robotctl.recording.read.reader import read_info
-from robotctl.recording.write.recorder import Recorder
 from tests.support.recordings import START_NS, TWIST, number_of, read_strictly, write_numbered
 
 Cli = Callable[..., Any]

@@ -16,7 +16,7 @@ from robotctl.cli.commands import demo
 from robotctl.cli.commands.demo import CONFIG
 from robotctl.config import Config, load
 from robotctl.ipc.client import call
-from robotctl.recording.read.reader import read_info
+from robotctl.recording import read_info
 
 
 def sockets(home: Path) -> list[str]:

@@ -20,7 +20,7 @@ import robotctl
 from robotctl.cli import registry
 from robotctl.cli.registry import COMMANDS as OURS
 from robotctl.cli.support import control
-from robotctl.recording.write.recorder import Recorder
+from robotctl.recording import Recorder
 from tests.support.recordings import TWIST, write_numbered
 
 COMMANDS = [*OURS, "record status", "record split", "recordings keep", "recordings unkeep"]

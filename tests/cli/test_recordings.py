@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from robotctl.paths import recordings_note_path
+from robotctl.recording import Recorder, Topic
 from robotctl.recording.format.events import EventKind, RecordedEvent
-from robotctl.recording.write.recorder import Recorder, Topic
 from tests.support.recordings import START_NS, TWIST, read_strictly, write_numbered
 
 Cli = Callable[..., Any]

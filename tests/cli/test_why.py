@@ -15,7 +15,7 @@ import pytest
 
 from robotctl.kernel.types import ModeRequested, Twist
 from robotctl.paths import recordings_note_path
-from robotctl.recording.read.reader import read_info
+from robotctl.recording import read_info
 from robotctl.testing.drives import BEGIN_NS, Written, drive, drive_requested, record
 
 Cli = Callable[..., Any]

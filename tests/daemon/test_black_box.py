@@ -14,8 +14,8 @@ import pytest
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
+from robotctl.recording import read_info, read_messages
 from robotctl.recording.format.journal import EntryKind
-from robotctl.recording.read.reader import read_info, read_messages
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
 from tests.support.bags import text

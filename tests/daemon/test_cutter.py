@@ -16,10 +16,10 @@ from robotctl.config import RecordingParams
 from robotctl.daemon.recording import black_box
 from robotctl.daemon.recording.black_box import CUTTER, BlackBox
 from robotctl.processes import start
+from robotctl.recording import Recorder
 from robotctl.recording.format.events import EventKind, RecordedEvent
 from robotctl.recording.keep.clip import Moment
 from robotctl.recording.keep.clip_job import ClipJob
-from robotctl.recording.write.recorder import Recorder
 from tests.support.recordings import GID, TWIST, numbered
 from tests.support.waiting import DEADLINE_S, until
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.recording.read.reader import read_info
+from robotctl.recording import read_info
 from tests.support.waiting import DEADLINE_S, until
 from tests.support.world import World, read_back
 

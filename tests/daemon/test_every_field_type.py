@@ -16,7 +16,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 
-from robotctl.recording.read.reader import read_messages
+from robotctl.recording import read_messages
 from tests.support.bags import padded
 from tests.support.waiting import until
 from tests.support.world import World, new_world

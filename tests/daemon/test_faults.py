@@ -26,7 +26,7 @@ from robotctl.ipc.listener import Listener
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.patterns import PatternKind
 from robotctl.kernel.types import ModeRequested
-from robotctl.recording.read.reader import read_info
+from robotctl.recording import read_info
 from robotctl.rerun.rerun import first_divergence
 from robotctl.ros.nodes.mode_service import ModeService
 from robotctl.ros.nodes.simulated_robot import SimulatedRobot

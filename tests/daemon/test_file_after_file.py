@@ -11,9 +11,8 @@ import pytest
 
 from robotctl.daemon.recording import folder
 from robotctl.kernel.patterns import PatternKind
+from robotctl.recording import RecorderOptions, read_info, read_messages
 from robotctl.recording.format.journal import EntryKind, decode
-from robotctl.recording.read.reader import read_info, read_messages
-from robotctl.recording.write.recorder import RecorderOptions
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
 from tests.support.waiting import loop_until

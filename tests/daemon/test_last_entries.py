@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.recording.write.recorder import Recorder, RecorderStats
+from robotctl.recording import Recorder, RecorderStats
 from tests.support.world import Peer, World, journal_of, read_back
 
 SLOW_DISK_S = 0.3

@@ -13,7 +13,7 @@ import pytest
 
 from robotctl.daemon.recording import folder, topic_rates
 from robotctl.kernel.patterns import PatternKind
-from robotctl.recording.write.recorder import RecorderOptions
+from robotctl.recording import RecorderOptions
 from robotctl.rerun.rerun import first_divergence
 from robotctl.testing.faults import FailingFile
 from tests.support.waiting import until

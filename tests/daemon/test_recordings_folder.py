@@ -9,7 +9,7 @@ import pytest
 
 from robotctl.config import Config
 from robotctl.daemon.recording.folder import open_recorder
-from robotctl.recording.read.reader import read_info
+from robotctl.recording import read_info
 from tests.support.world import World
 
 STEERING = "rec\n\x1b[2J\x1b[31mordings"

@@ -19,7 +19,7 @@ from robotctl.daemon.recording.topic_rates import (
     RateMeter,
     by_topic,
 )
-from robotctl.recording.write.recorder import RecorderState, RecorderStats, TopicStats
+from robotctl.recording import RecorderState, RecorderStats, TopicStats
 from robotctl.ros.nodes.diagnostics_publisher import Level
 
 S = 1_000_000_000

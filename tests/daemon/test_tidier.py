@@ -12,8 +12,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.recording.read.reader import read_info
-from robotctl.recording.write.recorder import Recorder
+from robotctl.recording import Recorder, read_info
 from tests.support.recordings import TWIST, write_numbered
 from tests.support.waiting import until
 from tests.support.world import World

@@ -12,9 +12,9 @@ from robotctl import __version__
 from robotctl.cli import app
 from robotctl.config import Config
 from robotctl.daemon.recording.folder import open_recorder
+from robotctl.recording import Recording, read_info, read_messages
 from robotctl.recording.format.events import EventKind, events_in
 from robotctl.recording.format.ledger_record import read_ledger
-from robotctl.recording.read.reader import Recording, read_info, read_messages
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
 from robotctl.rerun.invariants import unbalanced

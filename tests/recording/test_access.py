@@ -13,13 +13,13 @@ from PIL import Image
 from robotctl.cli.terminal.picture import write_png
 from robotctl.config import Config, with_setting
 from robotctl.daemon.recording.folder import open_recorder
+from robotctl.recording import Recorder
 from robotctl.recording.keep.catalog import set_kept
 from robotctl.recording.keep.clip import Moment
 from robotctl.recording.keep.clip_job import ClipJob, make_clip
 from robotctl.recording.keep.recover import recover
 from robotctl.recording.keep.recover_folder import recover_folder
 from robotctl.recording.keep.repair import repair
-from robotctl.recording.write.recorder import Recorder
 from tests.support.numbered_files import foreign
 from tests.support.recordings import START_NS, TWIST, write_numbered
 

@@ -13,6 +13,7 @@ import pytest
 from mcap.records import Channel
 
 from robotctl.errors import UnreadableFile, UsageError
+from robotctl.recording import Compression, read_info
 from robotctl.recording.disk.storage import DiskFile
 from robotctl.recording.format.journal import (
     MAX_TEXT_BYTES,
@@ -31,12 +32,10 @@ from robotctl.recording.read.read_limits import (
     VARIABLE,
     ReadLimits,
 )
-from robotctl.recording.read.reader import read_info
 from robotctl.recording.read.stored_chunk import UnpackBudget
 from robotctl.recording.write.buffer import pack
 from robotctl.recording.write.chunk_encoder import ChunkEncoder
 from robotctl.recording.write.mcap_writer import McapFile
-from robotctl.recording.write.recorder_options import Compression
 from tests.support.mcap_bombs import (
     BOMBS,
     SIZE,
@@ -58,7 +57,7 @@ import json, sys, time
 from pathlib import Path
 from robotctl.errors import RobotctlError
 from robotctl.recording.keep.listing import list_recording
-from robotctl.recording.read.reader import read_info
+from robotctl.recording import read_info
 from robotctl.recording.keep.recover import recover
 from robotctl.rerun.check import check_recording
 

@@ -13,12 +13,11 @@ from rosbags.highlevel import AnyReader
 from robotctl.cdr.motion import encode_twist
 from robotctl.errors import Refused
 from robotctl.kernel.types import Twist
+from robotctl.recording import Recorder, RecorderOptions, Recording, Topic, read_info, read_messages
 from robotctl.recording.disk.storage import DiskFile
 from robotctl.recording.format.events import EventKind, RecordedEvent
 from robotctl.recording.format.journal import EntryKind, JournalEntry, decode, encode
 from robotctl.recording.keep.clip import Clip, Moment, cut_clip
-from robotctl.recording.read.reader import Recording, read_info, read_messages
-from robotctl.recording.write.recorder import Recorder, RecorderOptions, Topic
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
 from robotctl.testing.drives import BEGIN_NS, JOURNAL, Written, drive

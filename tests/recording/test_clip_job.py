@@ -9,13 +9,12 @@ from pathlib import Path
 import pytest
 
 from robotctl.errors import Refused
+from robotctl.recording import Recorder, read_info
 from robotctl.recording.format.events import EventKind
 from robotctl.recording.keep import clip_job
 from robotctl.recording.keep.clip import Moment
 from robotctl.recording.keep.clip_job import ClipJob, make_clip, remaining_s
 from robotctl.recording.keep.listing import list_recording
-from robotctl.recording.read.reader import read_info
-from robotctl.recording.write.recorder import Recorder
 from tests.support.recordings import GID, TWIST, numbered, read_strictly
 
 

@@ -11,12 +11,12 @@ from mcap.records import Attachment, ChunkIndex, Header, Metadata, Statistics
 from mcap.records import Message as MessageRecord
 from mcap.stream_reader import StreamReader
 
+from robotctl.recording import Message, Recording, read_info
 from robotctl.recording.format.records import MAGIC, record_bytes
 from robotctl.recording.keep.recover import recover
 from robotctl.recording.read.file_index import read_attachment
 from robotctl.recording.read.indexing import index_of
 from robotctl.recording.read.mcap_input import InputFile
-from robotctl.recording.read.reader import Message, Recording, read_info
 from tests.support.mcap_bombs import CHANNEL, chunk, finished
 from tests.support.mcap_conformance import CONTENTS, Feature, Variant, variants
 

@@ -21,10 +21,9 @@ from mcap.records import (
 from mcap.writer import CompressionType
 
 from robotctl.errors import UnreadableFile
+from robotctl.recording import Compression, read_info, read_messages
 from robotctl.recording.read.damage import Damaged
 from robotctl.recording.read.mcap_input import parse
-from robotctl.recording.read.reader import read_info, read_messages
-from robotctl.recording.write.recorder import Compression
 from robotctl.testing.faults import mutated, record_boundaries
 from tests.support.numbered_files import first_numbers, foreign, recorded, salvaged
 from tests.support.recordings import (

@@ -7,11 +7,10 @@ from pathlib import Path
 import pytest
 from mcap.records import Metadata
 
+from robotctl.recording import Recorder, read_info
 from robotctl.recording.format.events import EventKind, RecordedEvent, events_in
 from robotctl.recording.format.identity import EVENT_RECORD
-from robotctl.recording.read.reader import read_info
 from robotctl.recording.write import bag_writer
-from robotctl.recording.write.recorder import Recorder
 from tests.support.recordings import START_NS, TWIST, read_strictly, write_numbered
 from tests.support.waiting import until
 

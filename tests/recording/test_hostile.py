@@ -12,8 +12,8 @@ import pytest
 import zstandard
 from mcap.writer import Writer
 
+from robotctl.recording import read_info
 from robotctl.recording.format.records import MAGIC
-from robotctl.recording.read.reader import read_info
 from tests.support.numbered_files import salvaged
 from tests.support.recordings import (
     numbered,

@@ -8,10 +8,9 @@ from pathlib import Path
 import pytest
 
 from robotctl.errors import UnreadableFile
+from robotctl.recording import Recorder, RecorderOptions, Recording, Topic
 from robotctl.recording.format.journal import TYPE_NAME, EntryKind, JournalEntry, encode
 from robotctl.recording.read.journal_reader import journal_topic, read_journal
-from robotctl.recording.read.reader import Recording
-from robotctl.recording.write.recorder import Recorder, RecorderOptions, Topic
 from tests.support.recordings import GID, START_NS, TWIST
 
 

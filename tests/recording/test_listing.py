@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from robotctl.recording import Recorder
 from robotctl.recording.format.events import EventKind, RecordedEvent
 from robotctl.recording.keep.catalog import set_kept
 from robotctl.recording.keep.listing import ListedRecording, list_recordings
-from robotctl.recording.write.recorder import Recorder
 from tests.support.bags import TWIST as TWIST_TYPE
 from tests.support.bags import Line, twist, write_bag
 from tests.support.recordings import START_NS, TWIST, write_numbered

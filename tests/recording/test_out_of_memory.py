@@ -9,10 +9,9 @@ from typing import Any
 
 import pytest
 
+from robotctl.recording import Recorder, RecorderOptions, RecorderState
 from robotctl.recording.write.buffer import LargeMessage, PackBuffer
 from robotctl.recording.write.chunk_encoder import ChunkEncoder
-from robotctl.recording.write.recorder import Recorder, RecorderState
-from robotctl.recording.write.recorder_options import RecorderOptions
 from robotctl.recording.write.writer_thread import Drain
 from tests.support.recordings import TWIST, read_strictly, record_without_memory, write_numbered
 from tests.support.waiting import until

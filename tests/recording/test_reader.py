@@ -11,12 +11,18 @@ import pytest
 from mcap.writer import CompressionType, IndexType, Writer
 
 from robotctl.errors import UnreadableFile
+from robotctl.recording import (
+    Compression,
+    Recorder,
+    RecorderOptions,
+    Recording,
+    read_info,
+    read_messages,
+)
 from robotctl.recording.disk.storage import DiskFile
 from robotctl.recording.format.records import MAGIC
 from robotctl.recording.read.indexing import index_of
 from robotctl.recording.read.mcap_input import InputFile
-from robotctl.recording.read.reader import Recording, read_info, read_messages
-from robotctl.recording.write.recorder import Compression, Recorder, RecorderOptions
 from tests.support.numbered_files import first_numbers, foreign, recorded, salvaged
 from tests.support.recordings import (
     ODOMETRY,

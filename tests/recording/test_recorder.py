@@ -18,10 +18,7 @@ from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader as RosbagsReader
 
 from robotctl.errors import Refused
-from robotctl.recording.disk.thread_priority import SLICE_S
-from robotctl.recording.write import bag_writer
-from robotctl.recording.write import recorder as recorder_module
-from robotctl.recording.write.recorder import (
+from robotctl.recording import (
     Compression,
     Recorder,
     RecorderOptions,
@@ -29,6 +26,9 @@ from robotctl.recording.write.recorder import (
     RecorderStats,
     Topic,
 )
+from robotctl.recording.disk.thread_priority import SLICE_S
+from robotctl.recording.write import bag_writer
+from robotctl.recording.write import recorder as recorder_module
 from robotctl.recording.write.writer_thread import NICE
 from tests.support.recordings import (
     GID,

@@ -19,19 +19,20 @@ from shutil import rmtree
 import pytest
 
 from robotctl.errors import Refused
-from robotctl.recording.disk.storage import Buffer, DiskFile
-from robotctl.recording.format.records import MESSAGE_HEAD
-from robotctl.recording.format.topics import TopicAccount
-from robotctl.recording.read.reader import read_info, read_messages
-from robotctl.recording.write.bag_writer import BagWriter
-from robotctl.recording.write.buffer import PackBuffer
-from robotctl.recording.write.recorder import (
+from robotctl.recording import (
     Compression,
     Recorder,
     RecorderOptions,
     RecorderState,
     RecorderStats,
+    read_info,
+    read_messages,
 )
+from robotctl.recording.disk.storage import Buffer, DiskFile
+from robotctl.recording.format.records import MESSAGE_HEAD
+from robotctl.recording.format.topics import TopicAccount
+from robotctl.recording.write.bag_writer import BagWriter
+from robotctl.recording.write.buffer import PackBuffer
 from robotctl.testing.faults import FailingFile, GatedFile, VolatileFile
 from tests.support.recordings import (
     TWIST,

@@ -14,10 +14,9 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from robotctl.errors import Refused, UnreadableFile
+from robotctl.recording import Recorder, RecorderOptions, read_info, read_messages
 from robotctl.recording.format.events import EventKind, RecordedEvent
 from robotctl.recording.keep.recover import recover
-from robotctl.recording.read.reader import read_info, read_messages
-from robotctl.recording.write.recorder import Recorder, RecorderOptions
 from robotctl.testing.faults import FailingFile, mutated, record_boundaries
 from tests.support.recordings import (
     START_NS,

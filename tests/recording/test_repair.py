@@ -18,14 +18,13 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from zstandard import ZstdDecompressor
 
+from robotctl.recording import Recorder, RecorderOptions, read_info
 from robotctl.recording.disk.storage import DiskFile
 from robotctl.recording.keep import repair as repairing
 from robotctl.recording.keep.unfinished_commit import find_unfinished_commit
 from robotctl.recording.read.file_index import FileIndex, read_record_head
 from robotctl.recording.read.indexing import index_of
 from robotctl.recording.read.mcap_input import InputFile
-from robotctl.recording.read.reader import read_info
-from robotctl.recording.write.recorder import Recorder, RecorderOptions
 from tests.support.recordings import TWIST, numbered, read_strictly, write_numbered
 from tests.support.waiting import until
 
@@ -230,7 +229,7 @@ def test_what_there_is_no_memory_for_is_left_for_the_next_start(
                 raise MemoryError
             return ZstdDecompressor().decompress(data, max_output_size=max_output_size)
 
-    monkeypatch.setattr("robotctl.recording.read.stored_chunk.ZstdDecompressor", OnceNoMemory)
+    monkeypatch.setattr("robotctl.recording.read.decompression.ZstdDecompressor", OnceNoMemory)
     (sentence,) = repair(tmp_path)
     assert "run_0.mcap could not be repaired: no memory for a chunk of" in sentence
     assert file.read_bytes() == before

@@ -10,12 +10,11 @@ import pytest
 from mcap.writer import Writer
 from rosbags.rosbag2 import Reader as RosbagsReader
 
+from robotctl.recording import Recorder, RecorderOptions, read_info
 from robotctl.recording.keep.clip import Moment
 from robotctl.recording.keep.clip_job import ClipJob, make_clip
 from robotctl.recording.keep.retention import DAY_S, RetentionPolicy, enforce
 from robotctl.recording.keep.tidy_job import TidyJob, tidy
-from robotctl.recording.read.reader import read_info
-from robotctl.recording.write.recorder import Recorder, RecorderOptions
 from tests.support.recordings import TWIST, read_strictly, write_numbered
 from tests.support.waiting import until, until_longer
 

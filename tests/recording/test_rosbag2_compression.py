@@ -13,12 +13,12 @@ from mcap.writer import Writer
 from zstandard import ZstdCompressor, ZstdDecompressor
 
 from robotctl.errors import UnreadableFile
+from robotctl.recording import Recording, read_info, read_messages
 from robotctl.recording.keep.clip import Moment, cut_clip
 from robotctl.recording.keep.listing import list_recording
 from robotctl.recording.keep.recover import recover
 from robotctl.recording.keep.recover_folder import recover_folder
 from robotctl.recording.read.messages import ALWAYS
-from robotctl.recording.read.reader import Recording, read_info, read_messages
 from tests.support.bags import START_NS, data, talk, write_bag
 from tests.support.numbered_files import salvaged
 from tests.support.recordings import read_strictly

@@ -8,7 +8,7 @@ from shutil import copyfile, copytree
 
 import pytest
 
-from robotctl.recording.read.reader import read_info, read_messages
+from robotctl.recording import read_info, read_messages
 from tests.support.numbered_files import salvaged
 
 SAMPLES = Path(__file__).parents[3] / "shared" / "samples" / "rosbag2"

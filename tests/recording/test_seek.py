@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.writer import IndexType, Writer
 
+from robotctl.recording import Message, Recording
 from robotctl.recording.read.mcap_input import InputFile
-from robotctl.recording.read.reader import Message, Recording
 from tests.support.recordings import numbered
 
 TOPICS = ("/a", "/b", "/map")

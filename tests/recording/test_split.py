@@ -14,17 +14,18 @@ from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader as RosbagsReader
 
 from robotctl.errors import Refused
-from robotctl.recording.disk.storage import DiskFile, is_being_written
-from robotctl.recording.format.ledger_record import read_ledger
-from robotctl.recording.read.reader import read_info, read_messages
-from robotctl.recording.write import bag_writer
-from robotctl.recording.write.recorder import (
+from robotctl.recording import (
     Compression,
     Recorder,
     RecorderOptions,
     RecorderState,
     Topic,
+    read_info,
+    read_messages,
 )
+from robotctl.recording.disk.storage import DiskFile, is_being_written
+from robotctl.recording.format.ledger_record import read_ledger
+from robotctl.recording.write import bag_writer
 from robotctl.testing.faults import FailingFile, GatedFile
 from tests.support.recordings import (
     GID,

@@ -8,13 +8,12 @@ from pathlib import Path
 
 import pytest
 
+from robotctl.recording import Recorder, RecorderOptions, Recording, read_info
 from robotctl.recording.disk.storage import Storage
 from robotctl.recording.keep.listing import list_recording
 from robotctl.recording.keep.recover import recover
 from robotctl.recording.keep.recover_folder import recover_folder
 from robotctl.recording.read.journal_reader import read_journal
-from robotctl.recording.read.reader import Recording, read_info
-from robotctl.recording.write.recorder import Recorder, RecorderOptions
 from robotctl.testing.drives import drive, record
 from robotctl.testing.faults import FailingFile, chunks_of
 from tests.support.numbered_files import recorded, salvaged

@@ -21,14 +21,13 @@ from mcap.records import ChunkIndex, Footer, Message, Statistics, SummaryOffset
 from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
 
+from robotctl.recording import Compression, RecorderOptions, read_messages
 from robotctl.recording.disk.storage import Buffer, DiskFile
 from robotctl.recording.format.records import MAGIC
 from robotctl.recording.format.topics import TopicAccount
 from robotctl.recording.keep.repair import repair
 from robotctl.recording.read.mcap_input import RECORD_HEAD, parse, walk_records
-from robotctl.recording.read.reader import read_messages
 from robotctl.recording.write.buffer import pack
-from robotctl.recording.write.recorder_options import Compression, RecorderOptions
 from robotctl.recording.write.recording_file import RecordingFile
 from robotctl.testing.faults import PAGE, FailingFile
 from tests.support.recordings import ODOMETRY, TWIST, numbered, read_strictly

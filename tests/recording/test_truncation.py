@@ -11,9 +11,8 @@ from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
 
 from robotctl.errors import UnreadableFile
+from robotctl.recording import Compression, read_info
 from robotctl.recording.format.records import MAGIC, MESSAGE_HEAD
-from robotctl.recording.read.reader import read_info
-from robotctl.recording.write.recorder import Compression
 from robotctl.testing.faults import record_boundaries
 from tests.support.numbered_files import first_numbers, foreign, recorded, salvaged
 

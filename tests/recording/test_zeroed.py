@@ -11,12 +11,11 @@ from mcap.opcode import Opcode
 from mcap.writer import CompressionType
 
 from robotctl.errors import UnreadableFile
+from robotctl.recording import Compression, Recording, read_info, read_messages
 from robotctl.recording.keep.clip import Moment, cut_clip
 from robotctl.recording.keep.recover import recover
 from robotctl.recording.keep.recover_folder import recover_folder
 from robotctl.recording.read.messages import ALWAYS
-from robotctl.recording.read.reader import Recording, read_info, read_messages
-from robotctl.recording.write.recorder import Compression
 from robotctl.testing.faults import PAGE, chunks_of, zero
 from tests.support.numbered_files import first_numbers, foreign, recorded, salvaged
 from tests.support.recordings import number_of, read_strictly

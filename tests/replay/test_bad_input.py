@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 from zstandard import ZstdCompressor
 
+from robotctl.recording import read_info
 from robotctl.recording.format.records import MAGIC
-from robotctl.recording.read.reader import read_info
 from robotctl.testing.faults import chunks_of, zero
 from tests.support.bags import STRING, TWIST, Line, data, in_order, talk, text, twist, write_bag
 

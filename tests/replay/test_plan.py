@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from robotctl.errors import UsageError
-from robotctl.recording.read.reader import TopicInfo
+from robotctl.recording import TopicInfo
 from robotctl.replay import plan
 from robotctl.replay.guard import Safety, is_command
 from robotctl.replay.job import Job, check_clock, check_regex, parse_remap

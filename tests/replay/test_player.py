@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from robotctl.recording.read.reader import Message
+from robotctl.recording import Message
 from robotctl.replay.clock import SteadyClock
 from robotctl.replay.lateness import Lateness
 from robotctl.replay.player import LEAD_NS, Player

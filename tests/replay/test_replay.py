@@ -134,7 +134,7 @@ async def test_what_was_latched_before_the_offset_is_latched_again(
 async def test_a_folder_of_rosbag2_is_played_in_order(
     bag: str, listener: Any, replay: Any, until: Until
 ) -> None:
-    from robotctl.recording.read.reader import read_messages
+    from robotctl.recording import read_messages
 
     folder = next(
         (each / bag for each in (Path(__file__).parents[3] / "shared" / "samples").glob("rosbag2")),

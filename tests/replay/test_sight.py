@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robotctl.kernel.geometry import Pose
-from robotctl.recording.read.reader import Recording
+from robotctl.recording import Recording
 from robotctl.replay.recorded_robot import Sight
 from robotctl.replay.timeline import Span
 from tests.support.bags import ODOMETRY, START_NS, STATUS, Line, odometry, status, write_bag

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from robotctl.errors import UnreadableFile
+from robotctl.recording import Compression, RecorderOptions
 from robotctl.recording.format.journal import JournalEntry, decode, encode
-from robotctl.recording.write.recorder import Compression, RecorderOptions
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
 from robotctl.rerun.rerun import first_divergence

@@ -8,8 +8,7 @@ from typing import Any
 
 from mcap.writer import Writer
 
-from robotctl.recording.read.reader import Message, read_messages
-from robotctl.recording.write.recorder import Recorder, RecorderOptions
+from robotctl.recording import Message, Recorder, RecorderOptions, read_messages
 from tests.support.recordings import START_NS, TWIST, numbered, write_numbered
 
 CHUNK_BYTES = 1024

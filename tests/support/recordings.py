@@ -14,8 +14,8 @@ from mcap.reader import SeekingReader
 from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 
+from robotctl.recording import Compression, Recorder, RecorderOptions
 from robotctl.recording.format.topics import Topic
-from robotctl.recording.write.recorder import Compression, Recorder, RecorderOptions
 
 START_NS = 1_700_000_000_000_000_000
 GID = b"publisher-number"

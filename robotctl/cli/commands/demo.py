@@ -167,7 +167,7 @@ def _stop_if_running(robot: str) -> None:
 
 
 def _as_object(robot: str, outcome: Outcome, png: Path) -> dict[str, Any]:
-    from robotctl.recording.read.reader import read_info
+    from robotctl.recording import read_info
 
     topics = read_info(outcome.folder).topics
     return {
@@ -181,7 +181,7 @@ def _as_object(robot: str, outcome: Outcome, png: Path) -> dict[str, Any]:
 
 
 def _report(robot: str, outcome: Outcome, png: Path, *, keep: bool) -> Iterator[str]:
-    from robotctl.recording.read.reader import read_info
+    from robotctl.recording import read_info
 
     found = read_info(outcome.folder)
     folder = short_path(outcome.folder)

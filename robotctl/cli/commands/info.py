@@ -17,8 +17,8 @@ from robotctl.cli.terminal.topic_table import TopicTable
 from robotctl.errors import UnreadableFile
 
 if TYPE_CHECKING:
+    from robotctl.recording import RecordingInfo
     from robotctl.recording.format.events import RecordedEvent
-    from robotctl.recording.read.reader import RecordingInfo
 
 app = new_app()
 
@@ -58,7 +58,7 @@ def info(
       robotctl info recordings/robot_20260101_120000
       robotctl info run.mcap --json | jq '.topics[].name'
     """
-    from robotctl.recording.read.reader import read_info
+    from robotctl.recording import read_info
 
     path = find_recording(file, robot, folder)
     found = read_info(path)

@@ -147,7 +147,7 @@ def _at(paths: Sequence[Path], at: str, missing: list[str]) -> tuple[Path, int]:
     Raises:
         UnreadableFile: None can be read.
     """
-    from robotctl.recording.read.reader import read_info
+    from robotctl.recording import read_info
 
     unreadable: list[UnreadableFile] = []
     readable: list[tuple[Path, int]] = []

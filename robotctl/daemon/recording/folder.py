@@ -11,8 +11,8 @@ from robotctl.config import Config, RecordingParams, flat
 from robotctl.daemon.recording.provenance import provenance
 from robotctl.errors import RobotctlError
 from robotctl.paths import make_private, recordings_note_path
+from robotctl.recording import Recorder, RecorderOptions
 from robotctl.recording.keep.retention import DAY_S, RetentionPolicy
-from robotctl.recording.write.recorder import Compression, Recorder, RecorderOptions
 
 
 def retention_policy(params: RecordingParams) -> RetentionPolicy:
@@ -49,12 +49,14 @@ def open_recorder(
     `mode` is asked when a file begins; like the listeners, from any thread. `on_full` is to see
     that the recorder's `split` is called.
     """
-    compression = Compression.ZSTD if config.recording.compression == "zstd" else Compression.NONE
     parameters = {f"parameter.{key}": str(value) for key, value in flat(config).items()}
     described = {"robot": robot, **provenance(), **parameters}
     return Recorder(
         _new_folder(recordings, f"{robot}_{time.strftime('%Y%m%d_%H%M%S')}"),
-        RecorderOptions(compression=compression, group_readable=config.recording.group_readable),
+        RecorderOptions(
+            compression=config.recording.compression,
+            group_readable=config.recording.group_readable,
+        ),
         metadata=lambda: {"mode": mode(), **described},
         on_failure=on_failure,
         on_split=on_split,

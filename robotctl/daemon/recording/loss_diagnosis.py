@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from robotctl.daemon.recording.topic_rates import by_topic
-from robotctl.recording.write.recorder import RecorderState, RecorderStats, TopicStats
+from robotctl.recording import RecorderState, RecorderStats, TopicStats
 from robotctl.ros.nodes.diagnostics_publisher import Diagnosis, Level
 
 MAX_TOPICS = 100

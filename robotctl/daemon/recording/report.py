@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from robotctl.daemon.recording.loss_diagnosis import diagnose
 from robotctl.daemon.recording.topic_rates import HeavyTopics, RateMeter, by_topic
 from robotctl.ipc.answers import RecordingFacts
-from robotctl.recording.write.recorder import Recorder
+from robotctl.recording import Recorder
 from robotctl.recording.write.topic_filter import TopicFilter
 from robotctl.ros.nodes.diagnostics_publisher import DiagnosticsPublisher
 from robotctl.ros.tap.tap import Tap

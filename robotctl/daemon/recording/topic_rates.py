@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
-from robotctl.recording.write.recorder import TopicStats
+from robotctl.recording import TopicStats
 
 HEAVY_BYTES_PER_S = 5e6
 HEAVY_WINDOW_S = 5.0

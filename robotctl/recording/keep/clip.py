@@ -13,6 +13,7 @@ from pathlib import Path
 from robotctl.errors import Refused
 from robotctl.recording.disk.access import share_like
 from robotctl.recording.disk.new_file import new_file
+from robotctl.recording.format.compression import Compression
 from robotctl.recording.format.events import EventKind, RecordedEvent, events_in
 from robotctl.recording.format.identity import (
     CLIP_RECORD,
@@ -27,12 +28,11 @@ from robotctl.recording.format.rosbag2 import METADATA_RECORD, BagFile, serializ
 from robotctl.recording.format.topics import MAX_LATCHED, Topic
 from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.journal_reader import since_snapshot
-from robotctl.recording.read.messages import Window
-from robotctl.recording.read.reader import Message, Recording
+from robotctl.recording.read.messages import Message, Window
+from robotctl.recording.read.reader import Recording
 from robotctl.recording.write.buffer import pack
 from robotctl.recording.write.chunk_encoder import ChunkEncoder
 from robotctl.recording.write.mcap_writer import McapFile
-from robotctl.recording.write.recorder_options import Compression
 
 CHUNK_BYTES = 1 << 20
 

@@ -10,6 +10,7 @@ from robotctl.errors import UnreadableFile
 from robotctl.recording.disk.access import share_like
 from robotctl.recording.disk.new_file import new_file
 from robotctl.recording.disk.storage import DiskFile, Storage
+from robotctl.recording.format.compression import Compression
 from robotctl.recording.format.identity import LIBRARY, RECOVERY_RECORD
 from robotctl.recording.format.records import PlainMessage
 from robotctl.recording.format.rosbag2 import METADATA_RECORD, metadata_text
@@ -29,7 +30,6 @@ from robotctl.recording.read.messages import ALWAYS, OpenFile, Source, names_of
 from robotctl.recording.write.buffer import pack
 from robotctl.recording.write.chunk_encoder import ChunkEncoder
 from robotctl.recording.write.mcap_writer import McapFile
-from robotctl.recording.write.recorder_options import Compression
 
 _BATCH_BYTES = 8 << 20
 """Messages that become one chunk of the copy: a chunk of the original may be larger by far."""

@@ -16,6 +16,7 @@ from isal.isal_zlib import crc32
 from robotctl.errors import RobotctlError
 from robotctl.recording.disk.disk_errors import reason_of
 from robotctl.recording.disk.storage import DiskFile
+from robotctl.recording.format.compression import Compression
 from robotctl.recording.format.identity import LEDGER_RECORD, RECOVERY_RECORD
 from robotctl.recording.format.records import PlainMessage
 from robotctl.recording.format.trailer import WrittenFile
@@ -31,7 +32,6 @@ from robotctl.recording.read.summary_section import index_from_summary, read_wri
 from robotctl.recording.write.buffer import pack
 from robotctl.recording.write.chunk_encoder import ChunkEncoder
 from robotctl.recording.write.mcap_writer import McapFile
-from robotctl.recording.write.recorder_options import Compression
 
 _UNFINISHED = ".repair"
 _PIECE_BYTES = 1 << 20

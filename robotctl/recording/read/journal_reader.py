@@ -10,8 +10,10 @@ from robotctl.errors import IN_PARENTHESES, UnreadableFile
 from robotctl.paths import DEFAULT_ROBOT, namespace_of
 from robotctl.recording.format.identity import INFO_RECORD
 from robotctl.recording.format.journal import TOPIC, TYPE_NAME, EntryKind, JournalEntry, decode
+from robotctl.recording.read.info import RecordingInfo
+from robotctl.recording.read.messages import Message
 from robotctl.recording.read.read_limits import CURE
-from robotctl.recording.read.reader import Message, Recording, RecordingInfo
+from robotctl.recording.read.reader import Recording
 
 _FIRST_STEP_NS = 15 * 10**9
 """How far back a snapshot is looked for at first; daemons write one every 10 s."""

@@ -21,21 +21,12 @@ from robotctl.recording.read.declared_counts import lacking
 from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.files import absent_files, recording_files
 from robotctl.recording.read.indexing import index_of
-from robotctl.recording.read.info import RecordingInfo, TopicInfo, describe, metadata_in
+from robotctl.recording.read.info import RecordingInfo, describe, metadata_in
 from robotctl.recording.read.lookback import last_before
 from robotctl.recording.read.mcap_input import InputFile
 from robotctl.recording.read.merge import in_order_written, merge
 from robotctl.recording.read.messages import ALWAYS, Message, OpenFile, Window
 from robotctl.recording.read.read_limits import ReadLimits
-
-__all__ = [
-    "Message",
-    "Recording",
-    "RecordingInfo",
-    "TopicInfo",
-    "read_info",
-    "read_messages",
-]
 
 
 def read_info(path: Path) -> RecordingInfo:

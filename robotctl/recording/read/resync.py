@@ -6,18 +6,19 @@ import re
 import struct
 
 from robotctl.recording.read.damage import BeyondLimit, Damaged
+from robotctl.recording.read.decompression import DECOMPRESSORS
 from robotctl.recording.read.mcap_input import RECORD_HEAD, InputFile, walk_records
 from robotctl.recording.read.stored_chunk import UnpackBudget, read_chunk, read_chunk_ref
 
 _WINDOW_BYTES = 4 << 20
+_COMPRESSIONS = [struct.pack("<I", len(name)) + name.encode() for name in DECOMPRESSORS]
 _HEAD = re.compile(
-    rb"\x06(?=.{8}.{28}(?:\x00{4}|\x03\x00{3}lz4|\x04\x00{3}zstd))",
-    re.DOTALL,
+    rb"\x06(?=.{8}.{28}(?:%b))" % b"|".join(map(re.escape, _COMPRESSIONS)), re.DOTALL
 )
 """The opcode of a chunk, before lengths, times, sizes and a known compression."""
 
 _NAME_OFFSET = RECORD_HEAD.size + 28
-_HEAD_BYTES = _NAME_OFFSET + 4 + 4 + 8
+_HEAD_BYTES = _NAME_OFFSET + max(map(len, _COMPRESSIONS)) + 8
 """At most, from the opcode to the data."""
 
 

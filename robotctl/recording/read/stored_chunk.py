@@ -6,17 +6,14 @@ Every size is checked against the file's limits before anything is unpacked.
 from __future__ import annotations
 
 import struct
-from contextlib import suppress
 from dataclasses import dataclass
-from io import BytesIO
 from typing import Final
 
 from isal.isal_zlib import crc32
-from lz4.frame import LZ4FrameDecompressor
 from mcap.opcode import Opcode
-from zstandard import ZstdDecompressor, ZstdError, frame_content_size
 
 from robotctl.recording.read.damage import BeyondLimit, Damaged
+from robotctl.recording.read.decompression import decompressor_of
 from robotctl.recording.read.mcap_input import RECORD_HEAD, InputFile
 from robotctl.recording.read.read_limits import ReadLimits, unpacking_cost
 
@@ -24,7 +21,6 @@ _CHUNK_FIELDS: Final = struct.Struct("<QQQI")
 """What begins a chunk: start and end time [ns], uncompressed size [bytes], uncompressed CRC."""
 
 _MAX_NAME_BYTES = 32
-_PIECE_BYTES = 8 << 20
 _PREFIX_BYTES = RECORD_HEAD.size + _CHUNK_FIELDS.size + 4 + _MAX_NAME_BYTES + 8
 
 
@@ -92,7 +88,8 @@ def read_chunk(file: InputFile, ref: ChunkRef) -> bytes:
     """The chunk's records, unpacked and checked. Raises Damaged."""
     _check_size(file, ref)
     try:
-        data = _unpack(file.read(ref.data_offset, ref.data_size), ref)
+        stored = file.read(ref.data_offset, ref.data_size)
+        data = decompressor_of(ref.compression).unpack(stored, ref.uncompressed_size)
     except MemoryError as error:
         raise file.failed(f"no memory for a chunk of {ref.uncompressed_size} bytes") from error
     if len(data) != ref.uncompressed_size:
@@ -106,19 +103,7 @@ def read_torn_chunk(file: InputFile, ref: ChunkRef) -> bytes:
     """What can be unpacked of a chunk that the end of the file cuts off; unchecked."""
     _check_size(file, ref)
     stored = file.read(ref.data_offset, max(min(ref.data_size, file.size - ref.data_offset), 0))
-    if ref.compression == "":
-        return stored
-    pieces: list[bytes] = []
-    left = ref.uncompressed_size
-    with suppress(ZstdError, RuntimeError, ValueError, MemoryError):
-        if ref.compression == "zstd":
-            with ZstdDecompressor().stream_reader(BytesIO(stored)) as reader:
-                while piece := reader.read(min(_PIECE_BYTES, left)):
-                    pieces.append(piece)
-                    left -= len(piece)
-        elif ref.compression == "lz4":
-            pieces.append(LZ4FrameDecompressor().decompress(stored, left))
-    return b"".join(pieces)
+    return decompressor_of(ref.compression).unpack_torn(stored, ref.uncompressed_size)
 
 
 def _instead_of_a_chunk(found: bytes) -> str:
@@ -134,20 +119,3 @@ def _check_size(file: InputFile, ref: ChunkRef) -> None:
             f"a chunk claims to unpack to {ref.uncompressed_size} bytes, "
             f"more than {limits.chunk_bytes}"
         )
-
-
-def _unpack(stored: bytes, ref: ChunkRef) -> bytes:
-    size = ref.uncompressed_size
-    try:
-        if ref.compression == "":
-            return stored
-        if ref.compression == "zstd":
-            if frame_content_size(stored) not in (-1, size):
-                raise Damaged("a chunk's zstd frame has another size than its record")
-            return ZstdDecompressor().decompress(stored, max_output_size=size)
-        if ref.compression == "lz4":
-            data: bytes = LZ4FrameDecompressor().decompress(stored, size)
-            return data
-    except (ZstdError, RuntimeError, ValueError) as error:
-        raise Damaged(f"a chunk's {ref.compression} data is corrupt") from error
-    raise Damaged(f"a chunk is compressed by {ref.compression!r}, which is not supported")

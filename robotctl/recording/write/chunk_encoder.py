@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import assert_never
 
 from isal.isal_zlib import crc32
 from zstandard import ZstdCompressionParameters, ZstdCompressor, ZstdError
 
 from robotctl.recording.disk.storage import Buffer
+from robotctl.recording.format.compression import Compression
 from robotctl.recording.format.records import Chunk
 from robotctl.recording.write.buffer import Taken
-from robotctl.recording.write.recorder_options import Compression
 
 _CACHED = {"window_log": 18, "hash_log": 13}
 """Tables that fit into the nearest caches: on odometry a third faster, and no larger."""
@@ -46,7 +47,7 @@ class ChunkEncoder:
         size = sum(map(len, taken.parts))
         return Chunk(
             parts=self._stored(taken.parts, size),
-            compression=self._compression.value,
+            compression=self._compression.mcap_name,
             uncompressed_size=size,
             uncompressed_crc=crc,
             start_ns=taken.start_ns,
@@ -55,8 +56,15 @@ class ChunkEncoder:
         )
 
     def _stored(self, parts: Sequence[Buffer], size: int) -> Sequence[Buffer]:
-        if self._compression is Compression.NONE:
-            return parts
+        match self._compression:
+            case Compression.NONE:
+                return parts
+            case Compression.ZSTD:
+                return self._zstd(parts, size)
+            case _:
+                assert_never(self._compression)
+
+    def _zstd(self, parts: Sequence[Buffer], size: int) -> Sequence[Buffer]:
         if len(parts) == 1:
             return [self._compressor.compress(parts[0])]
         if len(parts) > 2 or size <= JOINED_BYTES:

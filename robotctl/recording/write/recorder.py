@@ -25,23 +25,12 @@ from robotctl.recording.format.topics import (
     Packer,
     Topic,
     TopicAccount,
-    TopicStats,
 )
 from robotctl.recording.write.bag_writer import begin_bag
 from robotctl.recording.write.buffer import LargeMessage, PackBuffer
-from robotctl.recording.write.recorder_options import Compression, RecorderOptions
+from robotctl.recording.write.recorder_options import RecorderOptions
 from robotctl.recording.write.recorder_stats import RecorderState, RecorderStats
 from robotctl.recording.write.writer_thread import Drain, Request
-
-__all__ = [
-    "Compression",
-    "Recorder",
-    "RecorderOptions",
-    "RecorderState",
-    "RecorderStats",
-    "Topic",
-    "TopicStats",
-]
 
 MAX_TOPICS: Final = 1 << 16
 """A channel id of MCAP has 16 bits."""

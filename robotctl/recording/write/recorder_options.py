@@ -5,17 +5,10 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import Enum
 from pathlib import Path
 
 from robotctl.recording.disk.storage import DiskFile, Storage
-
-
-class Compression(Enum):
-    """How chunks are stored; the value is the format's own name."""
-
-    NONE = ""
-    ZSTD = "zstd"
+from robotctl.recording.format.compression import Compression
 
 
 def free_space(folder: Path) -> int:

@@ -12,7 +12,7 @@ from robotctl.cli.commands.replay.keys import KEYS, QUIT
 from robotctl.cli.terminal.keyboard import Keyboard
 from robotctl.cli.terminal.replay_screen import Screen, screen
 from robotctl.errors import UsageError
-from robotctl.recording.read.reader import Recording
+from robotctl.recording import Recording
 from robotctl.replay.controls import carry_out
 from robotctl.replay.job import Job
 from robotctl.replay.recorded_robot import Sight

@@ -1,0 +1,17 @@
+"""The compressions that the recorder offers, listed here and nowhere else."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+
+class Compression(Enum):
+    """How the recorder stores chunks; the value is the one of `recording.compression`."""
+
+    ZSTD = "zstd"
+    NONE = "none"
+
+    @property
+    def mcap_name(self) -> str:
+        """The name in a chunk record (https://mcap.dev/spec/registry)."""
+        return "" if self is Compression.NONE else self.value
