@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 import threading
 from collections.abc import Callable
-from functools import partial
 from itertools import count
 from types import FrameType
 from typing import Any
@@ -16,7 +15,7 @@ from robotctl.cli.support.background import Background
 from tests.support.waiting import DEADLINE_S, until
 
 
-def started(work: Callable[[], dict[str, Any]]) -> Background:
+def started(work: Callable[[], dict[str, Any]]) -> Background[dict[str, Any]]:
     background = Background(work)
     background.start()
     return background
@@ -40,7 +39,10 @@ def test_an_interruption_at_any_step_of_whoever_asks_does_not_keep_the_work_from
             return {}
 
         working = started(work)
-        is_done = partial(getattr, working, "is_done")
+
+        def is_done(working: Background[dict[str, Any]] = working) -> bool:
+            return working.is_done
+
         was_interrupted = interrupted_at(step, is_done)
         release.set()
         until(is_done)

@@ -16,7 +16,7 @@ import pytest
 from robotctl import processes
 from robotctl.cli.support import control, interrupted_drive
 from robotctl.cli.support.background import Background
-from robotctl.ipc.answers import Status
+from robotctl.ipc.answers import DriveAnswer, Status
 from robotctl.ipc.client import Client, call
 from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
 from robotctl.kernel.modes import Mode
@@ -223,7 +223,8 @@ def test_a_second_ctrl_c_straight_after_the_first_is_the_emergency_stop_and_a_th
         signal.raise_signal(signal.SIGINT)
         return call(robot, method, params, **options)
 
-    driving = Background(dict)
+    ended: DriveAnswer = {"message": "", "mode": "IDLE"}
+    driving = Background(lambda: ended)
     driving.start()
     monkeypatch.setattr(interrupted_drive, "_say", lambda _: signal.raise_signal(signal.SIGINT))
     monkeypatch.setattr(interrupted_drive, "call", interrupted_call)

@@ -113,7 +113,7 @@ def test_a_poll_that_fails_does_not_end_the_view_of_a_drive(
     driving = Background(lambda: {"waited": done.wait()})
     driving.start()
     for status in watch.polled_until(driving, "robot"):
-        assert status == {"mode": "MOVING"}
+        assert status["mode"] == "MOVING"
         done.set()
         driving.join()
     assert driving.result() == {"waited": True}
