@@ -11,7 +11,8 @@ from math import cos, sin
 
 from robotctl.cdr.reader import BODY, ENCAPSULATION, LITTLE_ENDIAN, CdrReader
 from robotctl.kernel.geometry import Pose, yaw_of
-from robotctl.kernel.types import NS_PER_S, Odometry, Twist
+from robotctl.kernel.types import Odometry, Twist
+from robotctl.kernel.units import NS_PER_S
 
 _TWIST = struct.Struct("<4s6d")
 _STAMP = struct.Struct("<iI")

@@ -31,7 +31,6 @@ from robotctl.kernel.safety import (
 from robotctl.kernel.state import State
 from robotctl.kernel.tracking import track
 from robotctl.kernel.types import (
-    NS_PER_S,
     ZERO,
     BatteryReceived,
     Cause,
@@ -57,6 +56,7 @@ from robotctl.kernel.types import (
     ResetRequested,
     Tick,
 )
+from robotctl.kernel.units import NS_PER_S
 
 MAX_WAITING = 64
 """How many requests may wait for a ramp to end; one more is refused."""

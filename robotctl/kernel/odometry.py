@@ -8,7 +8,8 @@ from math import isfinite
 from robotctl.kernel.geometry import wrap_angle
 from robotctl.kernel.health import Health, OdometrySources, SecondOdometry
 from robotctl.kernel.params import OdometryParams
-from robotctl.kernel.types import NS_PER_S, Odometry, OdometrySourceFound, OdomReceived
+from robotctl.kernel.types import Odometry, OdometrySourceFound, OdomReceived
+from robotctl.kernel.units import NS_PER_S
 
 MAX_NAMED_SOURCES = 16
 """Publishers of odometry whose names are kept; a graph may make new ones without end."""

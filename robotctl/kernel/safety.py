@@ -15,7 +15,8 @@ from robotctl.kernel.battery import is_level
 from robotctl.kernel.health import Health
 from robotctl.kernel.modes import Mode, Trigger
 from robotctl.kernel.params import KernelParams
-from robotctl.kernel.types import NS_PER_S, Cause
+from robotctl.kernel.types import Cause
+from robotctl.kernel.units import NS_PER_S
 
 FOREIGN_COMMAND_S = 1.0
 """How long a command of another node hinders motion: its publisher may send only now and then."""

@@ -8,6 +8,8 @@ import os
 import time
 from typing import Final, Protocol
 
+from robotctl.kernel.units import NS_PER_S
+
 SPIN_NS: Final = 120_000
 """The end of a wait is spent looking at the clock: the scheduler wakes us up to this late."""
 
@@ -45,7 +47,7 @@ class SteadyClock:
     def sleep_until(self, moment_ns: int) -> None:
         """Return at `moment_ns`, within a few microseconds. Raises OSError."""
         until = self._until
-        until.seconds, until.nanoseconds = divmod(max(moment_ns - SPIN_NS, 0), 1_000_000_000)
+        until.seconds, until.nanoseconds = divmod(max(moment_ns - SPIN_NS, 0), NS_PER_S)
         failure = errno.EINTR
         while failure == errno.EINTR:
             failure = self._sleep(time.CLOCK_MONOTONIC, _TIMER_ABSTIME, self._pointer, None)

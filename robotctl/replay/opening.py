@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from typing import Final
 
 from robotctl.errors import IN_PARENTHESES, Refused
+from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import TopicInfo
 from robotctl.replay import plan
 from robotctl.replay.job import Job
@@ -82,7 +83,7 @@ def open_clock(prefix: str, ros: ReplaySession, job: Job, span: Span) -> Ticks |
     def tell(position_ns: int) -> None:
         send(span.start_ns + (position_ns % span.pass_ns if job.loop else position_ns))
 
-    return Ticks(round(1e9 / job.clock_hz), tell)
+    return Ticks(round(NS_PER_S / job.clock_hz), tell)
 
 
 def _check_definitions(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
+from robotctl.kernel.units import NS_PER_S
 from robotctl.replay.lateness import Lateness
 from robotctl.replay.notes import Record
 from robotctl.replay.plan import Route
@@ -20,13 +21,13 @@ def progress(player: Player, ahead: ReadAhead, now_ns: int) -> dict[str, Any]:
     schedule, position_ns = player.steering.schedule, player.position_ns
     behind = 0
     if schedule.rate is not None:
-        overdue_ns = round(BEHIND_S * 1e9 * schedule.rate)
+        overdue_ns = round(BEHIND_S * NS_PER_S * schedule.rate)
         due_ns = schedule.position_ns(now_ns)
         if due_ns - position_ns > overdue_ns:
             behind = ahead.count(position_ns, due_ns - overdue_ns)
         position_ns = max(position_ns, due_ns) if not behind else position_ns
     return {
-        "position_s": position_ns / 1e9,
+        "position_s": position_ns / NS_PER_S,
         "sent": player.sent,
         "behind": behind,
         "rate": schedule.rate,
@@ -56,7 +57,7 @@ def summary(
         "withheld": record.withheld,
         "skipped": record.skipped,
         "timing_error_us": _timing(player.lateness),
-        "played_s": player.position_ns / 1e9,
+        "played_s": player.position_ns / NS_PER_S,
         "interrupted": interrupted,
         "missing": record.missing,
         "notes": record.notes,

@@ -10,6 +10,7 @@ from contextlib import suppress
 from typing import Final
 
 from robotctl.errors import UnreadableFile
+from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording
 from robotctl.replay import plan
 from robotctl.replay.clock import SteadyClock
@@ -150,14 +151,14 @@ class Replay:
                 rate=job.rate,
                 clock=SteadyClock(),
                 paused=job.paused,
-                delay_ns=round(job.delay_s * 1e9),
+                delay_ns=round(job.delay_s * NS_PER_S),
                 ticks=ticks,
             )
             with self._controlling:
                 self._player = player
                 for command in self._early:
                     carry_out(command, player.steering)
-            self._tell({"start": {"length_s": span.length_ns / 1e9, "topics": len(routes)}})
+            self._tell({"start": {"length_s": span.length_ns / NS_PER_S, "topics": len(routes)}})
             safety.check()  # waiting may have taken its time
             self._run_player(player, ahead, safety)
         self._ros.wait_until_received()

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from robotctl.errors import UsageError
+from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Message, Recording, RecordingInfo
 from robotctl.replay.job import Job
 
@@ -42,10 +43,10 @@ def span_of(info: RecordingInfo, job: Job) -> Span:
             f"--start-offset {job.start_offset_s:g}: "
             f"the recording ends after {info.duration_s:.1f} s"
         )
-    start_ns = info.start_ns + round(job.start_offset_s * 1e9)
+    start_ns = info.start_ns + round(job.start_offset_s * NS_PER_S)
     end_ns = info.end_ns
     if job.duration_s is not None:
-        end_ns = min(end_ns, start_ns + round(job.duration_s * 1e9))
+        end_ns = min(end_ns, start_ns + round(job.duration_s * NS_PER_S))
     return Span(start_ns, end_ns)
 
 

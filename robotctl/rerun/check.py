@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from robotctl.errors import UnreadableFile
+from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording, RecordingInfo, read_info
 from robotctl.recording.format.identity import CLIP_RECORD, INFO_RECORD, OWN_LIBRARY
 from robotctl.recording.format.journal import JournalEntry
@@ -164,7 +165,7 @@ class _Check:
 
     def _end(self) -> None:
         report, invariants = self._report, self._invariants
-        report.duration_s = (self._end_ns - report.begin_ns) / 1e9
+        report.duration_s = (self._end_ns - report.begin_ns) / NS_PER_S
         if self._rerun is None:
             report.miss("its journal holds no snapshot of the kernel to begin from")
             return

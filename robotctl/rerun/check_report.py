@@ -13,6 +13,7 @@ from robotctl import __version__
 from robotctl.errors import Divergence as DivergenceError
 from robotctl.errors import UnreadableFile
 from robotctl.kernel.codec import to_json
+from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.read.file_index import note_missing
 from robotctl.rerun.invariants import Violation
 from robotctl.rerun.rerun import Divergence
@@ -103,12 +104,12 @@ class Report:
     def moment(self, t_ns: int) -> dict[str, Any]:
         """A steady time, in seconds after the recording's beginning and as a date with a time."""
         after_ns = t_ns - self.begin_ns
-        wall_s = (self.begin_log_ns + after_ns) / 1e9
+        wall_s = (self.begin_log_ns + after_ns) / NS_PER_S
         try:
             at = datetime.fromtimestamp(wall_s, UTC).astimezone().isoformat(timespec="milliseconds")
         except (OverflowError, ValueError, OSError):  # a time that nobody has a calendar for
             at = ""
-        return {"t_ns": t_ns, "after_s": after_ns / 1e9, "at": at}
+        return {"t_ns": t_ns, "after_s": after_ns / NS_PER_S, "at": at}
 
     def as_object(self) -> dict[str, Any]:
         """The report as plain values, for machines."""

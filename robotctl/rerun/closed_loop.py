@@ -7,7 +7,6 @@ from collections.abc import Iterable, Iterator
 from robotctl.kernel.battery import full_level
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.types import (
-    NS_PER_S,
     BatteryReceived,
     Effect,
     Event,
@@ -16,6 +15,7 @@ from robotctl.kernel.types import (
     PublishTwist,
     Tick,
 )
+from robotctl.kernel.units import NS_PER_S
 from robotctl.rerun.journal_values import decide
 from robotctl.sim.robot import Robot, SimParams
 

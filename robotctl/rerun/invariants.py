@@ -14,7 +14,6 @@ from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams, VelocityLimits
 from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.types import (
-    NS_PER_S,
     ZERO,
     CommandPublishersSeen,
     DriveEnded,
@@ -34,6 +33,7 @@ from robotctl.kernel.types import (
     Tick,
     Twist,
 )
+from robotctl.kernel.units import NS_PER_S
 
 MAX_VIOLATIONS = 20
 """So many are told; all are counted."""

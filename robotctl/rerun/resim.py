@@ -18,7 +18,6 @@ from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.state import State
 from robotctl.kernel.types import (
-    NS_PER_S,
     DriveEnded,
     DriveReport,
     DriveRequested,
@@ -26,6 +25,7 @@ from robotctl.kernel.types import (
     ModeRequested,
     ResetRequested,
 )
+from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording
 from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.recording.read.file_index import note_missing

@@ -5,7 +5,6 @@ from __future__ import annotations
 from robotctl.kernel.battery import FULLEST_LEVEL
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import (
-    NS_PER_S,
     BatteryReceived,
     CommandListenersSeen,
     CommandPublishersSeen,
@@ -21,6 +20,7 @@ from robotctl.kernel.types import (
     ResetRequested,
     Tick,
 )
+from robotctl.kernel.units import NS_PER_S
 
 
 def sentence_of(event: Event) -> str:

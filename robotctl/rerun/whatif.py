@@ -17,7 +17,8 @@ from robotctl.errors import UnreadableFile
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.snapshot import Snapshot
-from robotctl.kernel.types import NS_PER_S, Effect, Event, Reply, Tick
+from robotctl.kernel.types import Effect, Event, Reply, Tick
+from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording
 from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.journal_reader import read_journal

@@ -14,6 +14,7 @@ from robotctl.daemon.control.journal_writer import Journal
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.patterns import Pattern
 from robotctl.kernel.types import DriveRequested, Effect, Event, PublishTwist, Twist
+from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recorder, RecorderOptions, Topic
 from robotctl.recording.format.journal import TYPE_NAME, JournalEntry, decode, encode
 from robotctl.rerun.closed_loop import closed_loop
@@ -36,7 +37,7 @@ Written = JournalEntry | Twist | bytes
 
 def drive_requested(after_s: float = 0.1, laps: int = 0) -> DriveRequested:
     """A request to drive a square."""
-    t_ns = BEGIN_NS + round(after_s * 1e9)
+    t_ns = BEGIN_NS + round(after_s * NS_PER_S)
     return DriveRequested(t_ns, 1, Pattern(), laps, False, "somebody")
 
 
@@ -55,7 +56,7 @@ def drive(
     config = config or Config()
     asked = [drive_requested()] if requests is None else requests
     kernel = Kernel(config.kernel)
-    snapshots_ns = [BEGIN_NS + round(after_s * 1e9) for after_s in snapshots_s]
+    snapshots_ns = [BEGIN_NS + round(after_s * NS_PER_S) for after_s in snapshots_s]
     return list(journaled(kernel, _steps(kernel, config, asked, seconds, then), snapshots_ns))
 
 
@@ -83,7 +84,7 @@ def journaled(
 def _steps(
     kernel: Kernel, config: Config, asked: Iterable[Event], seconds: float, then: Iterable[Event]
 ) -> Iterator[Step]:
-    end_ns = BEGIN_NS + round(seconds * 1e9)
+    end_ns = BEGIN_NS + round(seconds * NS_PER_S)
     for event, effects in closed_loop(kernel, config.sim, asked, BEGIN_NS):
         yield event, effects
         if event.t_ns >= end_ns:

@@ -29,6 +29,7 @@ from robotctl.kernel.types import (
     Tick,
     Twist,
 )
+from robotctl.kernel.units import NS_PER_S
 from robotctl.sim.robot import Robot, SimParams
 
 TICK_NS = 20_000_000
@@ -39,7 +40,7 @@ class Bench:
 
     def __init__(self, params: KernelParams | None = None, state: State | None = None) -> None:
         self.kernel = Kernel(params or KernelParams(), state)
-        self.t_ns = 1_000_000_000
+        self.t_ns = NS_PER_S
         self.effects: list[Effect] = []
         self.events: list[Event] = []
         self._requests = 0
@@ -201,7 +202,7 @@ def drive_simulated(
             if isinstance(effect, PublishTwist):
                 robot.command(effect.twist)
             elif isinstance(effect, DriveEnded):
-                seconds = (t_ns - begin_ns) / 1e9
+                seconds = (t_ns - begin_ns) / NS_PER_S
                 return Driven(effect, seconds, tuple(bench.events), tuple(bench.commands))
         if not begin_ns and t_ns >= 100_000_000:
             begin_ns = t_ns
@@ -214,9 +215,9 @@ def _schedule(rate_hz: float, odometry_rate_hz: float) -> Iterator[tuple[str, in
     """Yield what happens when, for 200 s: ticks come 1 ms after the odometry of their moment."""
     due_ns = {"odometry": 0, "battery": 500_000, "tick": 1_000_000}
     period_ns = {
-        "odometry": round(1e9 / odometry_rate_hz),
-        "battery": 1_000_000_000,
-        "tick": round(1e9 / rate_hz),
+        "odometry": round(NS_PER_S / odometry_rate_hz),
+        "battery": NS_PER_S,
+        "tick": round(NS_PER_S / rate_hz),
     }
     while True:
         kind = min(due_ns, key=due_ns.__getitem__)

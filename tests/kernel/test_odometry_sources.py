@@ -7,13 +7,13 @@ import pytest
 from robotctl.kernel.geometry import ORIGIN, Pose
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import (
-    NS_PER_S,
     ZERO,
     Cause,
     Odometry,
     OdometrySourceFound,
     OdomReceived,
 )
+from robotctl.kernel.units import NS_PER_S
 from robotctl.testing.kernels import Bench, reset, start, stopped_by
 
 FAR = Pose(10.0, 0.0, 0.0)

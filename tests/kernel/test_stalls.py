@@ -7,7 +7,6 @@ import pytest
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.types import (
-    NS_PER_S,
     ZERO,
     Cause,
     LoopStalled,
@@ -15,6 +14,7 @@ from robotctl.kernel.types import (
     Phase,
     PublishTwist,
 )
+from robotctl.kernel.units import NS_PER_S
 from robotctl.testing.kernels import Bench, in_mode, moving, reset, stopped_by
 
 LIMIT_S = KernelParams().max_tick_gap_s

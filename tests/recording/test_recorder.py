@@ -26,7 +26,7 @@ from robotctl.recording import (
     RecorderStats,
     Topic,
 )
-from robotctl.recording.disk.thread_priority import SLICE_S
+from robotctl.recording.disk.thread_priority import SLICE_NS
 from robotctl.recording.write import bag_writer
 from robotctl.recording.write import recorder as recorder_module
 from robotctl.recording.write.writer_thread import NICE
@@ -405,7 +405,7 @@ def test_the_writer_thread_ranks_below_the_loop(open_recorder: OpenRecorder) -> 
     until(lambda: os.sched_getscheduler(writer) == os.SCHED_BATCH)
     assert os.getpriority(os.PRIO_PROCESS, writer) == min(ours + NICE, 19)
     release = tuple(map(int, os.uname().release.split(".")[:2]))
-    until(lambda: release < (6, 12) or slice_of(writer) in (None, round(SLICE_S * 1e9)))
+    until(lambda: release < (6, 12) or slice_of(writer) in (None, SLICE_NS))
     assert os.getpriority(os.PRIO_PROCESS, 0) == ours
     assert os.sched_getscheduler(0) == os.SCHED_OTHER
     recorder.close()

@@ -24,6 +24,7 @@ from robotctl.cli.support.time_argument import parse_moment
 from robotctl.cli.terminal.progress import progress_bar
 from robotctl.cli.terminal.text import duration, moment, printable, short_path
 from robotctl.errors import IN_PARENTHESES, RecoveredWithLoss, Refused, UnreadableFile, UsageError
+from robotctl.kernel.units import NS_PER_S
 
 if TYPE_CHECKING:
     from robotctl.recording.keep.clip import Clip, Moment
@@ -169,5 +170,5 @@ def _lines(made: Clip) -> Iterator[str]:
     what = "" if about.kind is None else f"{about.kind.value}: {printable(about.text)}, "
     yield f"{short_path(made.target)}"
     yield f"  around     {what}{moment(about.log_ns)}"
-    length_s = (made.end_ns - made.start_ns) / 1e9
+    length_s = (made.end_ns - made.start_ns) / NS_PER_S
     yield f"  holds      {made.message_count} messages in {duration(length_s)}"

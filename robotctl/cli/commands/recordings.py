@@ -32,6 +32,7 @@ from robotctl.cli.terminal.text import (
 )
 from robotctl.errors import IN_PARENTHESES, Refused, UsageError
 from robotctl.ipc.client import command_for
+from robotctl.kernel.units import NS_PER_S
 from robotctl.paths import DEFAULT_ROBOT
 
 if TYPE_CHECKING:
@@ -177,7 +178,7 @@ def _screen(place: Path, found: Sequence[ListedRecording], robot: str) -> Iterat
     width = column_width(names, at_least=_NAME_WIDTH, at_most=most)
     yield (f"  {'name':{width}} {'start':16} {'size':>8} {'duration':>11} {'laps':>4}  worst")
     for each in found:
-        begun_ns = each.start_ns or round(each.modified_s * 1e9)
+        begun_ns = each.start_ns or round(each.modified_s * NS_PER_S)
         worst = "-" if each.worst is None else each.worst.value
         yield (
             f"  {elided(each.path.name, width):{width}} {moment(begun_ns)[:16]} "

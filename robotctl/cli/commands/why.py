@@ -28,6 +28,7 @@ from robotctl.ipc.advice import advice
 from robotctl.ipc.answers import Committed
 from robotctl.ipc.client import Client
 from robotctl.ipc.methods import RECORD_COMMIT
+from robotctl.kernel.units import NS_PER_S
 from robotctl.paths import DEFAULT_ROBOT
 
 if TYPE_CHECKING:
@@ -214,7 +215,7 @@ def why_lines(found: Found) -> Iterator[str]:
     for label, text in rows:
         if text:
             yield from row(f"  {label:12}", text)
-    after_s = (incident.t_ns - incident.begin_ns) / 1e9
+    after_s = (incident.t_ns - incident.begin_ns) / NS_PER_S
     yield f"  {'recorded in':12}{short_path(found.path)}, {after_s:.3f} s after its beginning"
 
 
@@ -241,7 +242,7 @@ def as_object(found: Found) -> dict[str, Any]:
         "kind": incident.kind.value,
         "seq": incident.seq,
         "log_ns": incident.log_ns,
-        "after_s": (incident.t_ns - incident.begin_ns) / 1e9,
+        "after_s": (incident.t_ns - incident.begin_ns) / NS_PER_S,
         "mode_before": incident.before.mode.name if incident.before else None,
         "mode": incident.after.mode.name if incident.after else None,
         "cause": rule.cause.value if rule else None,
@@ -262,7 +263,7 @@ def as_object(found: Found) -> dict[str, Any]:
 
 def _clock(incident: Incident) -> str:
     """The time of day, to the millisecond."""
-    seconds, rest_ns = divmod(incident.log_ns, 10**9)
+    seconds, rest_ns = divmod(incident.log_ns, NS_PER_S)
     try:
         day = time.strftime("%H:%M:%S", time.localtime(seconds))
     except (OverflowError, ValueError, OSError):  # a file may claim anything

@@ -6,6 +6,7 @@ import math
 from datetime import UTC, datetime, timedelta
 
 from robotctl.errors import UsageError
+from robotctl.kernel.units import NS_PER_S
 
 MAX_SECONDS = 366 * 86_400.0
 
@@ -28,9 +29,9 @@ def parse_moment(text: str, start_ns: int, end_ns: int) -> int:
     if is_offset(text):
         seconds = float(text)
         if math.isfinite(seconds) and 0 <= seconds <= MAX_SECONDS:
-            return start_ns + round(seconds * 1e9)
+            return start_ns + round(seconds * NS_PER_S)
     else:
-        first_day = datetime.fromtimestamp(start_ns // 10**9, UTC).astimezone()
+        first_day = datetime.fromtimestamp(start_ns // NS_PER_S, UTC).astimezone()
         same, next_ = (f"{first_day + timedelta(days=days):%Y-%m-%d}T{text}" for days in (0, 1))
         date_ns, same_ns, next_ns = map(_date_ns, (text, same, next_))
         if date_ns is not None:
@@ -46,6 +47,6 @@ def parse_moment(text: str, start_ns: int, end_ns: int) -> int:
 
 def _date_ns(text: str) -> int | None:
     try:
-        return round(datetime.fromisoformat(text).astimezone().timestamp() * 1e9)
+        return round(datetime.fromisoformat(text).astimezone().timestamp() * NS_PER_S)
     except (ValueError, OverflowError, OSError):
         return None

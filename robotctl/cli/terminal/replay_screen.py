@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Protocol
 
 from robotctl.cli.terminal.text import duration, is_terminal, printable
+from robotctl.kernel.units import NS_PER_S
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -76,7 +77,7 @@ class _Notes(_Nothing):
     def _print_sight(self, sight: Sight, position_s: float) -> None:
         from robotctl.cli.terminal.replay_view import recorded_line
 
-        sight.advance(round(position_s * 1e9))
+        sight.advance(round(position_s * NS_PER_S))
         if time.monotonic() >= self._line_at:
             self._line_at = time.monotonic() + LINE_S
             print(f"{position_s:.1f} s  {recorded_line(sight)}", flush=True)
@@ -119,7 +120,7 @@ class _Bar:
         if self._sight is not None:
             from robotctl.cli.terminal.replay_view import recorded_view
 
-            self._sight.advance(round(position_s * 1e9))
+            self._sight.advance(round(position_s * NS_PER_S))
             parts.insert(0, recorded_view(self._sight))
         self._live.update(Group(*parts), refresh=True)
 

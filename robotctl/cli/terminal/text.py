@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterable, Iterator
 from typing import Any
 
+from robotctl.kernel.units import NS_PER_S
 from robotctl.printable import printable as printable
 
 COLUMNS = 80
@@ -16,7 +17,7 @@ COLUMNS = 80
 UNLIMITED = 1 << 20
 """In a pipe or a file: nothing is cut or wrapped, so that others can search and cut lines."""
 
-_LAST_MOMENT_NS = 253_402_300_800 * 10**9
+_LAST_MOMENT_NS = 253_402_300_800 * NS_PER_S
 """The end of the year 9999."""
 
 
@@ -105,7 +106,7 @@ def moment(time_ns: int) -> str:
     """A time since the epoch as a clock in this place shows it."""
     if time_ns > _LAST_MOMENT_NS:  # a file may claim anything
         return f"{time_ns} ns"
-    seconds = time.localtime(time_ns // 1_000_000_000)
+    seconds = time.localtime(time_ns // NS_PER_S)
     return time.strftime("%Y-%m-%d %H:%M:%S %z", seconds)
 
 

@@ -20,10 +20,11 @@ from robotctl.kernel.types import (
     Reply,
     ResetRequested,
 )
+from robotctl.kernel.units import NS_PER_S
 
 Request = ModeRequested | ResetRequested | DriveRequested
 
-SNAPSHOT_PERIOD_NS = 10 * 10**9
+SNAPSHOT_PERIOD_NS = 10 * NS_PER_S
 """So much of the journal, at most, must be decided again to know the state at some moment."""
 
 

@@ -12,7 +12,8 @@ from robotctl.kernel.geometry import Pose
 from robotctl.kernel.health import Health
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.safety import FOREIGN_COMMAND_S, RULE_OF
-from robotctl.kernel.types import NS_PER_S, Cause
+from robotctl.kernel.types import Cause
+from robotctl.kernel.units import NS_PER_S
 
 MAX_DRIVEN_POSES = 20_000
 """Of the driven path; beyond it every second pose is forgotten."""
@@ -66,7 +67,7 @@ class Motion:
         health = self._control.state.health
         if health.odometry is None:
             return False
-        age_s = (time.monotonic_ns() - health.odometry_t_ns) / 1e9
+        age_s = (time.monotonic_ns() - health.odometry_t_ns) / NS_PER_S
         return age_s <= self._params.odometry.timeout_s
 
     def missing(self) -> list[str]:

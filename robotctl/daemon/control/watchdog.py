@@ -11,7 +11,8 @@ from types import FrameType
 from typing import Protocol, Self
 
 from robotctl.daemon.control.processor_time import ProcessorTime, pressure
-from robotctl.kernel.types import NS_PER_S, Cause, FaultReported, LoopStalled
+from robotctl.kernel.types import Cause, FaultReported, LoopStalled
+from robotctl.kernel.units import NS_PER_S
 
 STALL_S = 0.1
 """A loop that has not ticked for this long has stalled..."""

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from robotctl.config import RecordingParams
+from robotctl.kernel.units import NS_PER_S
 from robotctl.processes import program, start
 from robotctl.recording.format.events import EventKind, RecordedEvent
 from robotctl.recording.keep.clip import Moment
@@ -58,7 +59,7 @@ class BlackBox:
         while True:
             self._came.clear()
             while self._waiting:
-                since_s = (time.time_ns() - self._waiting[0].log_ns) / 1e9
+                since_s = (time.time_ns() - self._waiting[0].log_ns) / NS_PER_S
                 after_s = self._params.clip_after_s
                 await asyncio.sleep(min(after_s - since_s, after_s))  # the clock may be set back
                 await self._cut_next(CUT_DEADLINE_S)

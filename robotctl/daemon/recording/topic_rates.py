@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
+from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import TopicStats
 
 HEAVY_BYTES_PER_S = 5e6
@@ -29,7 +30,7 @@ class RateMeter:
 
     def sample(self, t_ns: int, counts: Mapping[TopicKey, int]) -> None:
         """Take the counts at steady time `t_ns`."""
-        elapsed_s = (t_ns - self._t_ns) / 1e9
+        elapsed_s = (t_ns - self._t_ns) / NS_PER_S
         self._rates = {
             topic: (count - self._counts.get(topic, 0)) / elapsed_s
             for topic, count in counts.items()
@@ -53,10 +54,10 @@ class HeavyTopics:
         """Take the bytes received so far at steady time `t_ns`."""
         samples = self._samples
         samples.append((t_ns, sizes))
-        while len(samples) > 2 and t_ns - samples[1][0] >= HEAVY_WINDOW_S * 1e9:
+        while len(samples) > 2 and t_ns - samples[1][0] >= HEAVY_WINDOW_S * NS_PER_S:
             samples.popleft()
         first_ns, before = samples[0]
-        elapsed_s = (t_ns - first_ns) / 1e9
+        elapsed_s = (t_ns - first_ns) / NS_PER_S
         if elapsed_s < HEAVY_WINDOW_S:
             return
         rates = {topic: (size - before.get(topic, 0)) / elapsed_s for topic, size in sizes.items()}

@@ -8,7 +8,7 @@ import platform
 from contextlib import suppress
 from typing import Final
 
-SLICE_S: Final = 0.02
+SLICE_NS: Final = 20_000_000
 """Since Linux 6.12 a thread that wakes up displaces one whose slice is longer than its own, which
 is 3 ms unless it asks for another; the end of a shorter one it has to wait for."""
 
@@ -46,6 +46,6 @@ def rank_below(nice: int) -> None:
         size=ctypes.sizeof(_Attributes),
         policy=os.SCHED_BATCH,
         nice=os.getpriority(os.PRIO_PROCESS, 0),
-        runtime=round(SLICE_S * 1e9),
+        runtime=SLICE_NS,
     )
     ctypes.CDLL(None).syscall(number, 0, ctypes.byref(attributes), 0)  # a kernel may not know it

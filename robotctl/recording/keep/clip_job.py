@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from robotctl.errors import Refused
+from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.disk.access import is_shared, make_folder
 from robotctl.recording.format.events import EventKind
 from robotctl.recording.keep.catalog import CLIPS_FOLDER
@@ -64,14 +65,14 @@ class ClipJob:
     @property
     def end_ns(self) -> int:
         """Until when [ns since the epoch]."""
-        return self.moment.log_ns + round(self.after_s * 1e9)
+        return self.moment.log_ns + round(self.after_s * NS_PER_S)
 
 
 def remaining_s(job: ClipJob, listed: ListedRecording) -> float:
     """How long the recording will go on before all is there that was asked for."""
     if not listed.live or listed.end_ns >= job.end_ns:
         return 0.0
-    return max(job.end_ns - time.time_ns(), 0) / 1e9
+    return max(job.end_ns - time.time_ns(), 0) / NS_PER_S
 
 
 def make_clip(job: ClipJob, on_progress: Progress = lambda done, total: None) -> Clip:
@@ -85,14 +86,14 @@ def make_clip(job: ClipJob, on_progress: Progress = lambda done, total: None) ->
         return cut_clip(
             recording,
             job.moment,
-            (max(job.moment.log_ns - round(job.before_s * 1e9), 0), job.end_ns),
+            (max(job.moment.log_ns - round(job.before_s * NS_PER_S), 0), job.end_ns),
             target,
             on_progress,
         )
 
 
 def _wait_for_end(job: ClipJob) -> None:
-    due_s = min((job.end_ns - time.time_ns()) / 1e9, job.after_s)  # the clock may be set back
+    due_s = min((job.end_ns - time.time_ns()) / NS_PER_S, job.after_s)  # the clock may be set back
     deadline = time.monotonic() + due_s + PATIENCE_S
     while time.monotonic() < deadline:
         listed = list_recording(job.source)
@@ -110,7 +111,7 @@ def _free_name(job: ClipJob) -> Path:
             make_folder(folder, shared=is_shared(folder.parent))
     except OSError as error:
         raise Refused(f"cannot write into {folder}: {error.strerror} (elsewhere: -o)") from error
-    at = time.strftime("%H%M%S", time.localtime(job.moment.log_ns // 10**9))
+    at = time.strftime("%H%M%S", time.localtime(job.moment.log_ns // NS_PER_S))
     kind = "at" if job.moment.kind is None else job.moment.kind.value
     name, attempt = f"{source.stem}_{kind}_{at}", 1
     target = folder / f"{name}.mcap"

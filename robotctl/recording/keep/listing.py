@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from errno import ENOENT
 from pathlib import Path
 
+from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.events import EventKind, RecordedEvent, events_in
 from robotctl.recording.format.identity import INFO_RECORD
 from robotctl.recording.format.rosbag2 import metadata_text
@@ -49,7 +50,7 @@ class ListedRecording:
     @property
     def duration_s(self) -> float:
         """Seconds from the first message to the last."""
-        return (self.end_ns - self.start_ns) / 1e9
+        return (self.end_ns - self.start_ns) / NS_PER_S
 
     @property
     def laps(self) -> int:

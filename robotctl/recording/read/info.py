@@ -8,6 +8,7 @@ from pathlib import Path
 
 from mcap.records import Metadata
 
+from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.events import RecordedEvent, events_in
 from robotctl.recording.format.type_names import type_name_of
 from robotctl.recording.read.file_index import FileIndex
@@ -57,7 +58,7 @@ class RecordingInfo:
     @property
     def duration_s(self) -> float:
         """Seconds from the first message to the last."""
-        return (self.end_ns - self.start_ns) / 1e9
+        return (self.end_ns - self.start_ns) / NS_PER_S
 
 
 def describe(path: Path, files: Sequence[OpenFile], missing: Sequence[str]) -> RecordingInfo:
@@ -74,7 +75,7 @@ def describe(path: Path, files: Sequence[OpenFile], missing: Sequence[str]) -> R
         start_ns=start_ns,
         end_ns=end_ns,
         message_count=sum(index.message_count for index in indexes),
-        topics=_topics(indexes, (end_ns - start_ns) / 1e9),
+        topics=_topics(indexes, (end_ns - start_ns) / NS_PER_S),
         profile=indexes[0].profile,
         library=indexes[0].library,
         metadata={record.name: record.metadata for record in metadata},

@@ -7,6 +7,7 @@ from itertools import dropwhile
 from typing import NamedTuple
 
 from robotctl.errors import IN_PARENTHESES, UnreadableFile
+from robotctl.kernel.units import NS_PER_S
 from robotctl.paths import DEFAULT_ROBOT, namespace_of
 from robotctl.recording.format.identity import INFO_RECORD
 from robotctl.recording.format.journal import TOPIC, TYPE_NAME, EntryKind, JournalEntry, decode
@@ -15,7 +16,7 @@ from robotctl.recording.read.messages import Message
 from robotctl.recording.read.read_limits import CURE
 from robotctl.recording.read.reader import Recording
 
-_FIRST_STEP_NS = 15 * 10**9
+_FIRST_STEP_NS = 15 * NS_PER_S
 """How far back a snapshot is looked for at first; daemons write one every 10 s."""
 
 

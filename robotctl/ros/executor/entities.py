@@ -26,6 +26,7 @@ from robotctl.ros.executor.sources.subscriptions import RawTapSource, Subscripti
 from robotctl.ros.executor.sources.timers import TimerSource
 from robotctl.ros.executor.sources.waitables import GuardSource, WaitableSource
 from robotctl.ros.executor.sources.waitset import WaitSetThread
+from robotctl.ros.executor.time_limits import NS_PER_S
 
 
 class Attachments:
@@ -89,7 +90,7 @@ class Attachments:
                 where = f"{name}: client {entity.service_name}"
                 return ClientSource(runtime, entity, where, executor)
             case Timer():
-                period_s = entity.timer_period_ns / 1e9
+                period_s = entity.timer_period_ns / NS_PER_S
                 where = f"{name}: timer of {period_s:g} s ({name_of(entity.callback)})"
                 return TimerSource(runtime, entity, where)
             case GuardCondition():

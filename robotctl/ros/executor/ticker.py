@@ -9,9 +9,9 @@ import weakref
 from dataclasses import dataclass
 from typing import Self
 
+from robotctl.ros.executor.time_limits import NS_PER_S
 from robotctl.ros.executor.timerfd import TimerFd
 
-_NS_PER_S = 1_000_000_000
 MAX_HZ = 10_000.0
 
 
@@ -50,7 +50,7 @@ class Ticker:
         """
         if not (math.isfinite(hz) and 0.0 < hz <= MAX_HZ):
             raise ValueError(f"a ticker's rate must be above 0 and at most {MAX_HZ:g} Hz, not {hz}")
-        self.period_ns = round(_NS_PER_S / hz)
+        self.period_ns = round(NS_PER_S / hz)
         self._timer: TimerFd | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._waiter: asyncio.Future[None] | None = None

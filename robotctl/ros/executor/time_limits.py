@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+NS_PER_S = 1_000_000_000
+
 SLOW_CALLBACK_NS = 50_000_000
 """A callback that holds the loop for longer is warned about: it delays the control tick."""
 

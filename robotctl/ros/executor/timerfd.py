@@ -10,11 +10,12 @@ import os
 from functools import cache
 from typing import Any
 
+from robotctl.ros.executor.time_limits import NS_PER_S
+
 _CLOCK_MONOTONIC = 1
 _TFD_TIMER_ABSTIME = 1
 _TFD_NONBLOCK = os.O_NONBLOCK
 _TFD_CLOEXEC = os.O_CLOEXEC
-_NS_PER_S = 1_000_000_000
 
 
 class _TimeSpec(ctypes.Structure):
@@ -86,7 +87,7 @@ class TimerFd:
 
     def _set(self, flags: int, value_ns: int, interval_ns: int) -> None:
         spec = _TimerSpec(
-            _TimeSpec(*divmod(interval_ns, _NS_PER_S)), _TimeSpec(*divmod(value_ns, _NS_PER_S))
+            _TimeSpec(*divmod(interval_ns, NS_PER_S)), _TimeSpec(*divmod(value_ns, NS_PER_S))
         )
         if _libc().timerfd_settime(self.fd, flags, ctypes.byref(spec), None) != 0:
             raise _fail("timerfd_settime")

@@ -18,6 +18,7 @@ from rclpy.qos import (
     ReliabilityPolicy,
 )
 
+from robotctl.kernel.units import NS_PER_S
 from robotctl.ros.executor import RclCallFailed
 from robotctl.ros.executor.rcl import Allocator, rcutils, take_error_text
 
@@ -174,7 +175,7 @@ def _endpoint(info: _Endpoint) -> RawEndpoint:
 
 
 def _duration(time: _Time) -> Duration:
-    nanoseconds = time.sec * 10**9 + time.nsec
+    nanoseconds = time.sec * NS_PER_S + time.nsec
     return Duration(nanoseconds=min(nanoseconds, 2**63 - 1))
 
 

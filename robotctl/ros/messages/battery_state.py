@@ -7,7 +7,7 @@ from typing import Any
 
 from sensor_msgs.msg import BatteryState
 
-from robotctl.kernel.types import NS_PER_S
+from robotctl.kernel.units import NS_PER_S
 
 
 def to_battery_level(message: Any) -> float:

@@ -14,6 +14,8 @@ from rclpy.qos import (
     ReliabilityPolicy,
 )
 
+from robotctl.kernel.units import NS_PER_S
+
 COMMAND = QoSProfile(depth=10)
 """Reliable, volatile, as ros2_control and Nav2 expect of a velocity command."""
 
@@ -116,5 +118,5 @@ def _duration_yaml(duration: Duration) -> str:
     if nanoseconds in (0, Infinite.nanoseconds):
         sec, nsec = 9_223_372_036, 854_775_807
     else:
-        sec, nsec = divmod(nanoseconds, 1_000_000_000)
+        sec, nsec = divmod(nanoseconds, NS_PER_S)
     return f"    sec: {sec}\n    nsec: {nsec}\n"

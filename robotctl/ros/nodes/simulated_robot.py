@@ -11,6 +11,7 @@ from sensor_msgs.msg import BatteryState
 
 from robotctl.cdr.motion import OdometryEncoder, decode_twist
 from robotctl.kernel.types import ZERO
+from robotctl.kernel.units import NS_PER_S
 from robotctl.ros.executor import RawTap, Ticker
 from robotctl.ros.messages import qos
 from robotctl.ros.messages.battery_state import battery_message
@@ -70,12 +71,12 @@ class SimulatedRobot:
         # Once, so that a clock that is set meanwhile does not take odometry back in time.
         wall_ns = time.time_ns() - last_ns
         async for tick in Ticker(self._params.odometry_rate_hz):
-            robot.advance(min((tick.t_ns - last_ns) / 1e9, MAX_STEP_S))
+            robot.advance(min((tick.t_ns - last_ns) / NS_PER_S, MAX_STEP_S))
             last_ns = tick.t_ns
             stamp_ns = wall_ns + tick.t_ns
             self._odometry.publish(encoder.encode(robot.odometry, robot.measured, stamp_ns))
             if self._battery is not None and tick.t_ns >= next_battery_ns:
-                next_battery_ns += 1_000_000_000
+                next_battery_ns += NS_PER_S
                 self._battery.publish(battery_message(self._full_level * robot.battery, stamp_ns))
 
     def _command(

@@ -10,6 +10,8 @@ import yaml
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
+from robotctl.kernel.units import NS_PER_S
+
 MAX_TEXT: Final = 1 << 20
 MAX_DEPTH: Final = 10_000
 VOLATILE_DEPTH: Final = 1000
@@ -92,6 +94,6 @@ def _span_ns(value: object) -> int:
     sec, nsec = value.get("sec"), value.get("nsec")
     if not isinstance(sec, int) or not isinstance(nsec, int):
         return 0
-    if not 0 <= sec < _INFINITE_SEC or not 0 <= nsec < 1_000_000_000:
+    if not 0 <= sec < _INFINITE_SEC or not 0 <= nsec < NS_PER_S:
         return 0
-    return sec * 1_000_000_000 + nsec
+    return sec * NS_PER_S + nsec

@@ -17,6 +17,7 @@ from rclpy.serialization import deserialize_message
 from service_msgs.msg import ServiceEventInfo
 
 from robotctl.cdr.reader import ENCAPSULATION
+from robotctl.kernel.units import NS_PER_S
 
 BLOCKED_S: Final = 5.0
 """How long a subscriber that reads nothing may hold up a replay at full speed."""
@@ -63,7 +64,7 @@ def clock_sender(publisher: Publisher) -> Callable[[int], bool]:
     send_once = sender(publisher)
 
     def send(time_ns: int) -> bool:
-        return send_once(_CLOCK.pack(ENCAPSULATION, *divmod(time_ns, 1_000_000_000)))
+        return send_once(_CLOCK.pack(ENCAPSULATION, *divmod(time_ns, NS_PER_S)))
 
     return send
 

@@ -12,6 +12,7 @@ from robotctl.cli.commands.replay.keys import KEYS, QUIT
 from robotctl.cli.terminal.keyboard import Keyboard
 from robotctl.cli.terminal.replay_screen import Screen, screen
 from robotctl.errors import UsageError
+from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording
 from robotctl.replay.controls import carry_out
 from robotctl.replay.job import Job
@@ -33,7 +34,7 @@ def view_command(job: Job, *, quiet: bool) -> None:
         raise UsageError("--view-only cannot draw at --rate max", "give --rate a number")
     with recorded_robot(job) as (sight, span), screen(sight, quiet=quiet) as shown:
         viewer = _Viewer(job, sight, shown)
-        shown.show({"start": {"length_s": span.length_ns / 1e9}})
+        shown.show({"start": {"length_s": span.length_ns / NS_PER_S}})
         with Keyboard(viewer.suspend, viewer.resume) as keyboard:
             while not viewer.quit and (job.loop or viewer.position_ns <= span.length_ns):
                 shown.show({"progress": viewer.progress()})
@@ -58,7 +59,7 @@ class _Viewer:
     def __init__(self, job: Job, sight: Sight, screen: Screen) -> None:
         self.quit = False
         self.steering = Steering(job.rate, time.monotonic_ns, paused=job.paused)
-        self.steering.begin(time.monotonic_ns() + round(job.delay_s * 1e9))
+        self.steering.begin(time.monotonic_ns() + round(job.delay_s * NS_PER_S))
         self._was_playing = False
         self._sight = sight
         self._screen = screen
@@ -70,7 +71,7 @@ class _Viewer:
     def progress(self) -> dict[str, Any]:
         """Return position, rate and pause in the form that the player process sends."""
         schedule = self.steering.schedule
-        position_s = self.position_ns / 1e9
+        position_s = self.position_ns / NS_PER_S
         return {"position_s": position_s, "rate": schedule.rate, "paused": schedule.paused}
 
     def press(self, key: str) -> None:

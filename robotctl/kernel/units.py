@@ -1,0 +1,5 @@
+"""Units of time."""
+
+from typing import Final
+
+NS_PER_S: Final = 1_000_000_000
