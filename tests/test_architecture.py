@@ -25,7 +25,7 @@ PROTOCOL_MAY = {
     "paths",
     "trust",
     "ipc.answers",
-    "ipc.methods",
+    "ipc.method_names",
     "ipc.protocol",
     "ipc.peer",
 }
@@ -154,7 +154,7 @@ def test_only_the_ros_package_imports_ros() -> None:
 
 
 @pytest.mark.parametrize(
-    "module", ["ipc.protocol", "ipc.answers", "ipc.methods", "ipc.client", "ipc.peer"]
+    "module", ["ipc.protocol", "ipc.answers", "ipc.method_names", "ipc.client", "ipc.peer"]
 )
 def test_the_client_needs_only_the_standard_library(module: str) -> None:
     path = ROOT.joinpath(*module.split(".")).with_suffix(".py")

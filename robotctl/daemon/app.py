@@ -19,7 +19,8 @@ from robotctl.daemon.supervisor import Supervisor
 from robotctl.domains import is_deserted
 from robotctl.ipc.answers import StartSummary
 from robotctl.ipc.listener import remove_stale
-from robotctl.ipc.server import ControlServer, Identity
+from robotctl.ipc.request_handler import Identity
+from robotctl.ipc.server import ControlServer
 from robotctl.paths import chain_to, robot_state_folder, socket_path
 from robotctl.ros.session import ros_session
 

@@ -31,7 +31,7 @@ from robotctl.daemon.supervisor import Work
 from robotctl.daemon.waiting import until
 from robotctl.errors import RobotctlError
 from robotctl.ipc.advice import advice
-from robotctl.ipc.connection import Method
+from robotctl.ipc.method import Method
 from robotctl.ipc.server import ControlServer
 from robotctl.kernel.battery import full_level, is_level
 from robotctl.kernel.kernel import Kernel

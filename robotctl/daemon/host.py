@@ -14,7 +14,7 @@ from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.daemon.supervisor import Supervisor, Work
 from robotctl.ipc.answers import StartSummary
-from robotctl.ipc.connection import Method
+from robotctl.ipc.method import Method
 from robotctl.ipc.server import ControlServer
 from robotctl.ros.session import Session
 

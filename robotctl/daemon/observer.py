@@ -13,8 +13,8 @@ from robotctl.daemon.host import Host, Ready, running
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.errors import Refused
 from robotctl.ipc.answers import RobotFacts
-from robotctl.ipc.connection import Method
-from robotctl.ipc.methods import DRIVE, PATH, RESET, SET_MODE
+from robotctl.ipc.method import Method
+from robotctl.ipc.method_names import DRIVE, PATH, RESET, SET_MODE
 from robotctl.ipc.params import DriveParams, NoParams, ResetParams, SetModeParams
 from robotctl.ipc.server import ControlServer
 from robotctl.kernel.types import Event, FaultReported

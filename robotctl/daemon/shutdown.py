@@ -33,27 +33,31 @@ def told_to_end() -> asyncio.Event:
     return told
 
 
-async def stand_still(control: Control, published: Callable[[], int]) -> None:
+async def stand_still(
+    control: Control,
+    published: Callable[[], int],
+    *,
+    ramp_down_s: float = RAMP_DOWN_S,
+    now_ns: Callable[[], int] = time.monotonic_ns,
+) -> None:
     """Ramp down, or cut the command where that takes too long; then send one more zero.
 
     No motion begins any more. `published()` counts the commands that were sent: a last zero that
     fails, for want of memory or in the middleware, is sent again for LAST_ZERO_S.
     """
     detail = "the daemon is stopping"
-    control.dispatch(FaultReported(time.monotonic_ns(), Cause.DAEMON_ENDS, detail))
+    control.dispatch(FaultReported(now_ns(), Cause.DAEMON_ENDS, detail))
     for mode in (Mode.IDLE, Mode.ERROR):
         if control.state.mode is Mode.MOVING:
-            request = ModeRequested(
-                time.monotonic_ns(), control.new_request_id(), mode, "the daemon's end"
-            )
+            request = ModeRequested(now_ns(), control.new_request_id(), mode, "the daemon's end")
             try:
-                await asyncio.wait_for(control.request(request), RAMP_DOWN_S)
+                await asyncio.wait_for(control.request(request), ramp_down_s)
             except TimeoutError:
-                _log.error("not standing still after %g s", RAMP_DOWN_S)
+                _log.error("not standing still after %g s", ramp_down_s)
     sent = published()
 
     def sends_zero() -> bool:
-        control.dispatch(Tick(time.monotonic_ns()))
+        control.dispatch(Tick(now_ns()))
         return published() > sent
 
     if not await until(sends_zero, LAST_ZERO_S):

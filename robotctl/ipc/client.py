@@ -15,7 +15,7 @@ from robotctl.errors import (
     UsageError,
     error_for_exit_code,
 )
-from robotctl.ipc.methods import MethodName
+from robotctl.ipc.method_names import MethodName
 from robotctl.ipc.peer import peer_of
 from robotctl.ipc.protocol import (
     MAX_RESPONSE_BYTES,

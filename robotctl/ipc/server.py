@@ -12,19 +12,13 @@ from pathlib import Path
 from typing import Any, Self
 
 from robotctl.errors import Refused
-from robotctl.ipc.connection import (
-    DEFAULT_LIMITS,
-    Connection,
-    Identity,
-    Limits,
-    Method,
-    log_failure,
-)
+from robotctl.ipc.connection import Connection
+from robotctl.ipc.limits import DEFAULT_LIMITS, Limits
 from robotctl.ipc.listener import Listener
+from robotctl.ipc.method import Method
 from robotctl.ipc.peer import peer_of
 from robotctl.ipc.protocol import Code
-
-__all__ = ["ControlServer", "Identity", "Limits", "Method"]
+from robotctl.ipc.request_handler import Identity, log_failure
 
 _log = logging.getLogger(__name__)
 

@@ -5,9 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-import pytest
-
-from robotctl.daemon import shutdown
 from robotctl.daemon.control.dispatcher import Control
 from robotctl.daemon.control.journal_writer import Journal
 from robotctl.daemon.control.pending import Requests
@@ -167,13 +164,16 @@ async def test_a_last_zero_that_fails_is_sent_again() -> None:
     assert sent == [ZERO]
 
 
-async def test_a_ramp_that_takes_too_long_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(shutdown, "RAMP_DOWN_S", 0.01)
+async def test_a_ramp_that_takes_too_long_is_cut() -> None:
     bench = Bench(moving().kernel.params, moving().state)
     bench.do = lambda effect: bench.requests.answer(effect) if type(effect) is Reply else None
-    monkeypatch.setattr(time, "monotonic_ns", lambda: bench.control.state.tick_t_ns)
     assert bench.control.state.command != ZERO
-    await stand_still(bench.control, bench.published)  # nobody ticks
+    await stand_still(  # without ticks
+        bench.control,
+        bench.published,
+        ramp_down_s=0.01,
+        now_ns=lambda: bench.control.state.tick_t_ns or 0,
+    )
     assert bench.control.state.mode is Mode.ERROR
     assert bench.control.state.command == ZERO
     assert first_divergence(bench.entries) is None

@@ -13,15 +13,15 @@ from pathlib import Path
 import pytest
 
 from robotctl.config import RecordingParams
-from robotctl.daemon.recording import black_box
-from robotctl.daemon.recording.black_box import CUTTER, BlackBox
+from robotctl.daemon.recording.black_box import CUTTER, DEFAULT_LIMITS, BlackBox, ClipLimits
+from robotctl.kernel.units import NS_PER_S
 from robotctl.processes import start
 from robotctl.recording import Recorder
 from robotctl.recording.format.events import EventKind, RecordedEvent
 from robotctl.recording.keep.clip import Moment
 from robotctl.recording.keep.clip_job import ClipJob
 from tests.support.recordings import GID, TWIST, numbered
-from tests.support.waiting import DEADLINE_S, until
+from tests.support.waiting import DEADLINE_S, loop_until, until
 
 SAY = """
 import os, sys
@@ -31,23 +31,36 @@ def say(text):
 
 NOW = RecordedEvent(EventKind.ERROR, 0, "because")
 PARAMS = RecordingParams(clip_before_s=1.0, clip_after_s=0.0)
+WRITE = "log.write('cut\\n')"
+
+Log = Callable[[], str]
+Cutter = Callable[[str], tuple[str, ...]]
 
 
 @pytest.fixture
-def cutter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Path]:
-    """Put a program in the place of the cutter; returns the file into which it may write."""
-
-    def put(program: str) -> Path:
-        log = tmp_path / "log"
-        program = f"log = open({str(log)!r}, 'a')\n{SAY}{program}"
-        monkeypatch.setattr(black_box, "CUTTER", (sys.executable, "-c", program))
-        return log
-
-    return put
+def log(tmp_path: Path) -> Log:
+    """What programs in the place of the cutter have written so far."""
+    path = tmp_path / "log"
+    return lambda: path.read_text() if path.exists() else ""
 
 
-async def cut(*events: RecordedEvent, params: RecordingParams = PARAMS) -> None:
-    box = BlackBox(params, Path("/nowhere"))
+@pytest.fixture
+def cutter(tmp_path: Path) -> Cutter:
+    """Return the command of a Python program that takes the place of the cutter."""
+    return lambda program: (
+        sys.executable,
+        "-c",
+        f"log = open({str(tmp_path / 'log')!r}, 'a')\n{SAY}{program}",
+    )
+
+
+async def cut(
+    cutter: tuple[str, ...],
+    *events: RecordedEvent,
+    params: RecordingParams = PARAMS,
+    limits: ClipLimits = DEFAULT_LIMITS,
+) -> None:
+    box = BlackBox(params, Path("/nowhere"), cutter=cutter, limits=limits)
     for event in events:
         box.note(event)
     await box.finish()
@@ -67,86 +80,87 @@ async def cut(*events: RecordedEvent, params: RecordingParams = PARAMS) -> None:
 async def test_a_cutter_that_fails_is_told_in_the_log_and_nowhere_else(
     program: str,
     said: str,
-    cutter: Callable[[str], Path],
+    cutter: Cutter,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    cutter(program)
-    await cut(NOW)
+    await cut(cutter(program), NOW)
     assert said in caplog.text
 
 
 async def test_no_clip_is_cut_of_what_is_no_fault_or_where_it_is_switched_off(
-    cutter: Callable[[str], Path],
+    cutter: Cutter, log: Log
 ) -> None:
-    log = cutter("log.write('cut\\n')")
-    await cut(RecordedEvent(EventKind.MARK, 0, ""), RecordedEvent(EventKind.DRIVE_ENDED, 0, ""))
-    await cut(NOW, params=RecordingParams(clip_before_s=0.0))
-    assert not log.exists()
-    await cut(NOW)
-    assert log.read_text() == "cut\n"
+    kinds = (EventKind.MARK, EventKind.DRIVE_ENDED)
+    await cut(cutter(WRITE), *(RecordedEvent(kind, 0, "") for kind in kinds))
+    await cut(cutter(WRITE), NOW, params=RecordingParams(clip_before_s=0.0))
+    assert log() == ""
+    await cut(cutter(WRITE), NOW)
+    assert log() == "cut\n"
 
 
 async def test_more_than_a_few_do_not_wait_and_that_is_said(
-    cutter: Callable[[str], Path], caplog: pytest.LogCaptureFixture
+    cutter: Cutter, log: Log, caplog: pytest.LogCaptureFixture
 ) -> None:
-    log = cutter("log.write('cut\\n')")
-    await cut(*[NOW] * 20)
-    assert log.read_text().count("cut") == black_box.MAX_WAITING
-    assert caplog.text.count("there are too many") == 20 - black_box.MAX_WAITING
+    await cut(cutter(WRITE), *[NOW] * 20, limits=ClipLimits(waiting=3))
+    assert log().count("cut") == 3
+    assert caplog.text.count("there are too many") == 17
 
 
-async def test_a_life_has_a_limit_of_clips(
-    cutter: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(black_box, "MAX_CLIPS", 3)
-    log = cutter("log.write('cut\\n')")
-    box = BlackBox(PARAMS, Path("/nowhere"))
+async def test_a_life_has_a_limit_of_clips(cutter: Cutter, log: Log) -> None:
+    limits = ClipLimits(clips=3)
+    box = BlackBox(PARAMS, Path("/nowhere"), cutter=cutter(WRITE), limits=limits)
     for _ in range(5):
         box.note(NOW)
         await box.finish()
-    assert log.read_text().count("cut") == 3
+    assert log().count("cut") == 3
 
 
-async def test_each_is_cut_when_its_time_has_come_and_none_twice(
-    cutter: Callable[[str], Path],
-) -> None:
-    log = cutter("log.write('cut\\n')")
-    box = BlackBox(RecordingParams(clip_before_s=1.0, clip_after_s=600.0), Path("/nowhere"))
+async def test_each_is_cut_when_its_time_has_come_and_none_twice(cutter: Cutter, log: Log) -> None:
+    params = RecordingParams(clip_before_s=1.0, clip_after_s=600.0)
+    slept: list[float] = []
+
+    async def sleep(seconds: float) -> None:
+        slept.append(seconds)
+        if seconds > 0:
+            await asyncio.Event().wait()
+
+    box = BlackBox(
+        params, Path("/nowhere"), cutter=cutter(WRITE), now_ns=lambda: 1000 * NS_PER_S, sleep=sleep
+    )
+    box.note(RecordedEvent(EventKind.ERROR, 0, "1000 s ago"))
+    box.note(RecordedEvent(EventKind.EMERGENCY_STOP, 900 * NS_PER_S, "100 s ago"))
     running = asyncio.create_task(box.run())
-    box.note(RecordedEvent(EventKind.ERROR, 0, "long ago"))
-    await asyncio.to_thread(until, lambda: box._cutting is not None and box._cutting.done())
-    assert log.read_text() == "cut\n"
-    box.note(RecordedEvent(EventKind.EMERGENCY_STOP, time.time_ns(), "now"))
-    for _ in range(5):
-        await asyncio.sleep(0)
-    assert len(box._waiting) == 1
+    await loop_until(lambda: len(slept) == 2)
+    assert slept == [-400.0, 500.0]
+    assert log() == "cut\n"
     running.cancel()
     await asyncio.wait({running})
     await box.finish()
-    assert log.read_text() == "cut\ncut\n"
+    assert log() == "cut\ncut\n"
 
 
-async def test_a_clock_that_is_set_back_does_not_hold_up_a_clip(
-    cutter: Callable[[str], Path],
-) -> None:
-    log = cutter("log.write('cut\\n')")
-    box = BlackBox(RecordingParams(clip_before_s=1.0, clip_after_s=0.1), Path("/nowhere"))
-    in_an_hour_ns = time.time_ns() + 3600 * 10**9
-    box.note(RecordedEvent(EventKind.ERROR, in_an_hour_ns, "before the clock was set back"))
+async def test_a_clock_that_is_set_back_does_not_hold_up_a_clip(cutter: Cutter) -> None:
+    params = RecordingParams(clip_before_s=1.0, clip_after_s=0.1)
+    slept: list[float] = []
+
+    async def sleep(seconds: float) -> None:
+        slept.append(seconds)
+
+    box = BlackBox(params, Path("/nowhere"), cutter=cutter(WRITE), now_ns=lambda: 0, sleep=sleep)
+    box.note(RecordedEvent(EventKind.ERROR, 3600 * NS_PER_S, "before the clock was set back"))
     running = asyncio.create_task(box.run())
-    await asyncio.to_thread(until, lambda: log.exists() and log.read_text() == "cut\n")
+    await loop_until(lambda: bool(slept))
+    assert slept == [0.1]
     running.cancel()
     await asyncio.wait({running})
     await box.finish()
 
 
 async def test_a_cutter_that_hangs_is_ended(
-    cutter: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    cutter: Cutter, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(black_box, "END_DEADLINE_S", 0.2)
-    monkeypatch.setattr(black_box, "PATIENCE_S", 0.2)
-    cutter("import time\ntime.sleep(600)")
-    await cut(NOW, NOW)
+    limits = ClipLimits(end_s=0.2, patience_s=0.2)
+    await cut(cutter("import time\ntime.sleep(600)"), NOW, NOW, limits=limits)
     assert "its process took longer than 0 s" in caplog.text
     assert caplog.records[-1].levelno == logging.WARNING
 
@@ -169,10 +183,9 @@ def test_the_cutter_has_the_lowest_priority(tmp_path: Path) -> None:
 
 
 async def test_what_the_cutter_writes_stands_in_the_daemons_log(
-    cutter: Callable[[str], Path], capfd: pytest.CaptureFixture[str]
+    cutter: Cutter, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    cutter("print('to stdout', flush=True)\nraise SystemExit('it broke')")
-    await cut(NOW)
+    await cut(cutter("print('to stdout', flush=True)\nraise SystemExit('it broke')"), NOW)
     out, err = capfd.readouterr()
     assert out == ""
     assert err.startswith("to stdout\nit broke\n")

@@ -34,7 +34,8 @@ class World:
     """What effects reach, written down."""
 
     def __init__(self, folder: Path) -> None:
-        self.latch = Latch(folder / "emergency-stop")
+        self.latch_path = folder / "emergency-stop"
+        self.latch = Latch(self.latch_path)
         self.requests = Requests()
         self.done: list[Any] = []
         self.noted: list[RecordedEvent] = []
@@ -75,7 +76,7 @@ async def test_the_latch_remembers_why_the_robot_stopped(world: World) -> None:
 
 
 async def test_a_stop_that_could_not_be_saved_is_confirmed_with_that(world: World) -> None:
-    (world.latch._path.with_suffix(".new")).mkdir()
+    (world.latch_path.with_suffix(".new")).mkdir()
     reply = world.requests.expect_reply(1)
     world.effects.carry_out(LatchEmergencyStop("test"))
     world.effects.carry_out(REPLY)

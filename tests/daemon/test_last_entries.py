@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from robotctl.daemon.recording import folder as recordings_folder
 from robotctl.recording import Recorder, RecorderStats
 from tests.support.world import Peer, World, journal_of, read_back
 
@@ -19,17 +21,17 @@ Closed = list[RecorderStats]
 
 @pytest.fixture
 def closed(monkeypatch: pytest.MonkeyPatch) -> Closed:
-    """What each recorder said when it was closed; each takes its time for that."""
+    """What each recorder said a while after it was closed."""
     said: Closed = []
-    close = Recorder.close
 
-    def close_slowly(recorder: Recorder) -> RecorderStats:
-        recorder._closed = True
-        time.sleep(SLOW_DISK_S)
-        said.append(close(recorder))
-        return said[-1]
+    class ClosedSlowly(Recorder):
+        def close(self) -> RecorderStats:
+            super().close()
+            time.sleep(SLOW_DISK_S)
+            said.append(self.stats())
+            return said[-1]
 
-    monkeypatch.setattr(Recorder, "close", close_slowly)
+    monkeypatch.setattr(recordings_folder, "Recorder", ClosedSlowly)
     return said
 
 
@@ -56,20 +58,22 @@ def count(status: Any, topic: str) -> int:
 async def test_a_file_that_is_full_at_the_end_is_followed_by_none(
     in_process: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    close = Recorder.close
     said: Closed = []
 
-    def close_full(recorder: Recorder) -> RecorderStats:
-        """The writer thread tells of it as it writes what was queued, the loop hears it after."""
-        stats = close(recorder)
-        on_full = recorder._writer._on_full
-        assert on_full is not None
-        on_full(stats.file)
-        time.sleep(SLOW_DISK_S)
-        said.append(recorder.stats())
-        return stats
+    class FullAtEnd(Recorder):
+        def __init__(self, *given: Any, on_full: Callable[[Path], None], **options: Any) -> None:
+            super().__init__(*given, on_full=on_full, **options)
+            self.tell_full = on_full
 
-    monkeypatch.setattr(Recorder, "close", close_full)
+        def close(self) -> RecorderStats:
+            """The writer thread tells of it as it writes the rest; the loop hears it after."""
+            stats = super().close()
+            self.tell_full(stats.file)
+            time.sleep(SLOW_DISK_S)
+            said.append(self.stats())
+            return stats
+
+    monkeypatch.setattr(recordings_folder, "Recorder", FullAtEnd)
     async with in_process():
         pass
     assert [stats.dropped for stats in said] == [0]

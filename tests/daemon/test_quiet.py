@@ -20,14 +20,16 @@ async def test_the_recorder_of_a_quiet_robot_looks_seldom(
     in_process: Callable[..., AbstractAsyncContextManager[Any]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     looks = 0
-    look = Pool._look
+    loop = asyncio.get_running_loop()
+    call_later = loop.call_later
 
-    def counted(pool: Pool) -> None:
+    def counted(delay_s: float, callback: Any, *arguments: Any) -> asyncio.TimerHandle:
+        """A pool rests after each look."""
         nonlocal looks
-        looks += 1
-        look(pool)
+        looks += isinstance(getattr(callback, "__self__", None), Pool)
+        return call_later(delay_s, callback, *arguments)
 
-    monkeypatch.setattr(Pool, "_look", counted)
+    monkeypatch.setattr(loop, "call_later", counted)
     async with in_process() as daemon:
         await daemon.until(lambda status: status["recorder"]["received"] > 200)
         looks, begun = 0, time.monotonic()

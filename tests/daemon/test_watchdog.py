@@ -91,59 +91,75 @@ def test_a_stall_that_is_taken_without_a_tick_goes_on() -> None:
             assert stall_of(watchdog).stalled_s == now_ns / 1e9
 
 
+class TickingEvent(threading.Event):
+    """An end that has not come: the loop ticks each time the watchdog waits for it."""
+
+    watchdog: Watchdog
+
+    def __init__(self, only_for_s: float | None = None) -> None:
+        """`only_for_s` limits the ticks to waits of this length."""
+        super().__init__()
+        self.only_for_s = only_for_s
+        self.ticks = threading.Semaphore(0)
+
+    def wait(self, timeout: float | None = None) -> bool:
+        if self.only_for_s in (None, timeout):
+            self.watchdog.ping()
+            self.ticks.release()
+        return super().wait(timeout if self.only_for_s else 0.001)
+
+
 def test_a_loop_that_ticks_is_left_alone() -> None:
-    gate = Gate()
-    watchdog = Watchdog(5.0, gate)  # ticks may be 0.5 s apart
-    looks = threading.Semaphore(0)
-    wait = watchdog._ended.wait
-
-    def counted(timeout: float | None = None) -> bool:
-        watchdog.ping()
-        looks.release()
-        return wait(0.001)
-
-    watchdog._ended.wait = counted  # type: ignore[method-assign]
-    with watchdog:
+    gate, ended = Gate(), TickingEvent()
+    ended.watchdog = Watchdog(5.0, gate, ended=ended)  # ticks may be 0.5 s apart
+    with ended.watchdog as watchdog:
         watchdog.ping()
         for _ in range(100):
-            assert looks.acquire(timeout=DEADLINE_S)
+            assert ended.ticks.acquire(timeout=DEADLINE_S)
     assert (gate.closed, gate.zeros) == (0, 0)
 
 
-class VirtualTime:
-    """In which a loop ticks at `ticks_ms`, and the watchdog's waits take no time of ours."""
+class VirtualTime(threading.Event):
+    """The time of a loop that ticks at `ticks_ms`; a wait moves it on and takes no real time."""
+
+    watchdog: Watchdog
 
     def __init__(self, ticks_ms: list[int]) -> None:
+        super().__init__()
         self.now_ns = 0
         self.ticks_ms = ticks_ms
+        self.over = threading.Event()
 
-    def until_stalled(self, watchdog: Watchdog, timeout: float | None = None) -> bool:
+    def wait(self, timeout: float | None = None) -> bool:
         end_ns = self.now_ns + max(round((timeout or 0.0) * 1e9), 0)
         while self.ticks_ms and self.ticks_ms[0] * 1_000_000 <= end_ns:
             self.now_ns = self.ticks_ms.pop(0) * 1_000_000
-            watchdog._last = watchdog._now()
+            self.watchdog.ping()
         self.now_ns = end_ns
+        if not self.ticks_ms:
+            self.over.set()
         return not self.ticks_ms
+
+    def run(self, rate_hz: float, gate: Gate) -> None:
+        """Let a watchdog watch the ticks to their end."""
+        self.watchdog = Watchdog(rate_hz, gate, lambda: self.now_ns, self)
+        with self.watchdog:
+            self.watchdog.ping()
+            assert self.over.wait(DEADLINE_S)
 
 
 @pytest.mark.parametrize(
     ("ticks_ms", "stalled"),
     [
-        ([0, 20, 130, 150], False),  # the look that the tick at 0 asked for is at 100
-        ([0, 115, 130], False),
-        ([0, 20, 145, 165], True),
-        ([0, 125, 145], True),
+        ([20, 130, 150], False),  # the look that the tick at 0 asked for is at 100
+        ([115, 130], False),
+        ([20, 145, 165], True),
+        ([125, 145], True),
     ],
 )
 def test_every_late_tick_is_given_its_confirmation(ticks_ms: list[int], stalled: bool) -> None:
     gate = Gate()
-    virtual = VirtualTime(ticks_ms)
-    watchdog = Watchdog(50.0, gate, lambda: virtual.now_ns)
-    watchdog._ended.wait = lambda timeout=None: virtual.until_stalled(  # type: ignore[method-assign]
-        watchdog, timeout
-    )
-    with watchdog:
-        watchdog._watch()
+    VirtualTime(ticks_ms).run(50.0, gate)
     assert bool(gate.closed) == stalled
 
 
@@ -244,26 +260,22 @@ def test_a_watchdog_that_dies_is_a_fault_and_told_once() -> None:
         assert watchdog.take() is None
 
 
-@pytest.mark.parametrize(("rate_hz", "limit_s"), [(1000.0, 0.1), (50.0, 0.1), (5.0, 0.5)])
-def test_slow_ticks_are_given_their_time(rate_hz: float, limit_s: float) -> None:
-    assert Watchdog(rate_hz, Gate())._limit_ns == round(limit_s * 1e9)
+@pytest.mark.parametrize(("rate_hz", "limit_ms"), [(1000.0, 100), (50.0, 100), (5.0, 500)])
+@pytest.mark.parametrize(("late_ms", "stalled"), [(-1, False), (1, True)])
+def test_slow_ticks_are_given_their_time(
+    rate_hz: float, limit_ms: int, late_ms: int, stalled: bool
+) -> None:
+    gate = Gate()
+    tick_ms = limit_ms + round(CONFIRM_S * 1000) + late_ms
+    VirtualTime([tick_ms, tick_ms + 1]).run(rate_hz, gate)
+    assert bool(gate.closed) == stalled
 
 
 def test_a_loop_that_catches_up_after_a_pause_of_the_process_is_left_alone() -> None:
-    gate = Gate()
-    watchdog = Watchdog(50.0, gate)
-    caught_up = threading.Semaphore(0)
-    wait = watchdog._ended.wait
-
-    def paused(timeout: float | None = None) -> bool:
-        if timeout == CONFIRM_S:
-            watchdog.ping()
-            caught_up.release()
-        return wait(timeout)
-
-    watchdog._ended.wait = paused  # type: ignore[method-assign]
-    with watchdog:
+    gate, ended = Gate(), TickingEvent(only_for_s=CONFIRM_S)
+    ended.watchdog = Watchdog(50.0, gate, ended=ended)
+    with ended.watchdog as watchdog:
         watchdog.ping()
         for _ in range(3):
-            assert caught_up.acquire(timeout=DEADLINE_S)
+            assert ended.ticks.acquire(timeout=DEADLINE_S)
     assert (gate.closed, gate.zeros) == (0, 0)

@@ -14,7 +14,7 @@ from robotctl.config import Config, flat, load
 from robotctl.daemon.api.common import common_methods
 from robotctl.daemon.api.driving import DrivingMethods
 from robotctl.daemon.api.recording import recording_methods
-from robotctl.ipc.connection import Method
+from robotctl.ipc.method import Method
 from robotctl.ipc.params import HelloParams
 from robotctl.ipc.protocol import PROTOCOL_VERSION
 from robotctl.kernel.codec import to_json

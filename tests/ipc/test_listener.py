@@ -17,7 +17,8 @@ import pytest
 
 from robotctl.errors import AlreadyRunning, UsageError
 from robotctl.ipc import listener
-from robotctl.ipc.server import ControlServer, Identity
+from robotctl.ipc.request_handler import Identity
+from robotctl.ipc.server import ControlServer
 from tests.support.waiting import loop_until
 
 IDENTITY = Identity("robot", "0.1.0", 1)

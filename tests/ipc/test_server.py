@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.ipc import connection
+from robotctl.ipc import request_handler
 from robotctl.ipc.protocol import MAX_REQUEST_BYTES, Code, encode_request
 from tests.support.waiting import DEADLINE_S
 
@@ -144,7 +144,7 @@ async def test_a_bug_in_a_handler_is_logged_and_the_connection_lives(
 async def test_a_reply_over_the_limit_is_an_internal_error(
     serve: Any, connect: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(connection, "MAX_RESPONSE_BYTES", 1_000_000)
+    monkeypatch.setattr(request_handler, "MAX_RESPONSE_BYTES", 1_000_000)
     async with serve():
         peer = await connect()
         assert (await peer.call("flood"))["error"]["code"] == Code.INTERNAL_ERROR

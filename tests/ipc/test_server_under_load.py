@@ -14,9 +14,8 @@ from typing import Any
 
 import pytest
 
-from robotctl.ipc import connection
+from robotctl.ipc.limits import Limits
 from robotctl.ipc.protocol import Code, encode_request
-from robotctl.ipc.server import Limits
 from tests.support.waiting import DEADLINE_S, loop_until
 
 
@@ -70,10 +69,9 @@ async def test_a_call_ends_at_its_deadline(serve: Any, connect: Any, robot: Any)
 
 
 async def test_a_call_without_a_deadline_ends_when_its_client_leaves(
-    serve: Any, connect: Any, robot: Any, monkeypatch: pytest.MonkeyPatch
+    serve: Any, connect: Any, robot: Any
 ) -> None:
-    monkeypatch.setattr(connection, "_HANGUP_POLL_S", 0.01)
-    async with serve():
+    async with serve(Limits(hangup_poll_s=0.01)):
         peer = await connect()
         await peer.send(request("wait"))
         await robot.called.wait()
@@ -83,10 +81,9 @@ async def test_a_call_without_a_deadline_ends_when_its_client_leaves(
 
 
 async def test_a_client_that_only_closed_its_sending_half_is_answered(
-    serve: Any, connect: Any, robot: Any, monkeypatch: pytest.MonkeyPatch
+    serve: Any, connect: Any, robot: Any
 ) -> None:
-    monkeypatch.setattr(connection, "_HANGUP_POLL_S", 0.001)
-    async with serve():
+    async with serve(Limits(hangup_poll_s=0.001)):
         peer = await connect()
         await peer.send(request("wait"))
         peer.writer.write_eof()

@@ -22,8 +22,10 @@ with warnings.catch_warnings():
     warnings.simplefilter("ignore")
     import rosidl_generator_py  # noqa: F401
 
+from robotctl.ipc.method import Method
 from robotctl.ipc.params import NoParams
-from robotctl.ipc.server import ControlServer, Identity, Method
+from robotctl.ipc.request_handler import Identity
+from robotctl.ipc.server import ControlServer
 from robotctl.paths import make_private, runtime_folder, socket_path
 from robotctl.ros import AsyncioExecutor, RawTap
 from tests.support.waiting import DEADLINE_S

@@ -29,7 +29,7 @@ from robotctl.domains import reserved_domain
 from robotctl.errors import NoDaemon, RobotctlError
 from robotctl.ipc.answers import DriveAnswer, Status
 from robotctl.ipc.client import call, command_for
-from robotctl.ipc.methods import DRIVE, PATH, STATUS
+from robotctl.ipc.method_names import DRIVE, PATH, STATUS
 
 app = new_app()
 

@@ -20,7 +20,7 @@ from robotctl.cli.terminal.text import is_terminal, number, printable
 from robotctl.errors import RobotctlError, UsageError
 from robotctl.ipc.answers import DriveAnswer
 from robotctl.ipc.client import call
-from robotctl.ipc.methods import DRIVE
+from robotctl.ipc.method_names import DRIVE
 from robotctl.kernel.drive import MAX_LAPS
 from robotctl.kernel.patterns import MAX_SIZE_M, MAX_SPEED_MPS, MIN_SIZE_M, MIN_SPEED_MPS
 from robotctl.paths import DEFAULT_ROBOT

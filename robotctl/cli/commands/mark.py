@@ -15,7 +15,7 @@ from robotctl.cli.terminal.text import (
 )
 from robotctl.errors import UsageError
 from robotctl.ipc.client import call
-from robotctl.ipc.methods import MARK
+from robotctl.ipc.method_names import MARK
 from robotctl.ipc.protocol import MAX_MARK_LENGTH
 from robotctl.paths import DEFAULT_ROBOT
 

@@ -16,7 +16,7 @@ from robotctl.cli.terminal.text import (
 )
 from robotctl.ipc.answers import RecordStatus
 from robotctl.ipc.client import call
-from robotctl.ipc.methods import RECORD_SPLIT, RECORD_STATUS
+from robotctl.ipc.method_names import RECORD_SPLIT, RECORD_STATUS
 from robotctl.paths import DEFAULT_ROBOT
 
 app = new_app()

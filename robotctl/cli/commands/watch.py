@@ -13,7 +13,7 @@ from robotctl.cli.terminal.text import is_terminal
 from robotctl.errors import RobotctlError
 from robotctl.ipc.answers import Status
 from robotctl.ipc.client import call
-from robotctl.ipc.methods import STATUS
+from robotctl.ipc.method_names import STATUS
 from robotctl.paths import DEFAULT_ROBOT
 
 app = new_app()

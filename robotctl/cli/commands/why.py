@@ -27,7 +27,7 @@ from robotctl.errors import NoDaemon, Refused, RobotctlError, UnreadableFile, Us
 from robotctl.ipc.advice import advice
 from robotctl.ipc.answers import Committed
 from robotctl.ipc.client import Client
-from robotctl.ipc.methods import RECORD_COMMIT
+from robotctl.ipc.method_names import RECORD_COMMIT
 from robotctl.kernel.units import NS_PER_S
 from robotctl.paths import DEFAULT_ROBOT
 

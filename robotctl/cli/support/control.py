@@ -9,7 +9,7 @@ from robotctl.cli.terminal.screen import status_screen
 from robotctl.cli.terminal.text import json_text, printable
 from robotctl.errors import RobotctlError, UsageError
 from robotctl.ipc.client import Client, call, command_for
-from robotctl.ipc.methods import RESET, SET_MODE, STATUS, STOP
+from robotctl.ipc.method_names import RESET, SET_MODE, STATUS, STOP
 from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
 
 if TYPE_CHECKING:

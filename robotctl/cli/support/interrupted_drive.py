@@ -16,7 +16,7 @@ from robotctl.cli.support.signals import ignoring
 from robotctl.errors import Interrupted, RobotctlError
 from robotctl.ipc.answers import DriveAnswer
 from robotctl.ipc.client import call, command_for
-from robotctl.ipc.methods import END_DRIVE, SET_MODE
+from robotctl.ipc.method_names import END_DRIVE, SET_MODE
 from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
 
 LOST: Final = (signal.SIGHUP, signal.SIGTERM)

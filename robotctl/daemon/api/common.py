@@ -7,8 +7,8 @@ from typing import Any
 
 from robotctl.daemon.api.status import StatusSource
 from robotctl.ipc.answers import Status, Stopped
-from robotctl.ipc.connection import Method
-from robotctl.ipc.methods import STATUS, STOP
+from robotctl.ipc.method import Method
+from robotctl.ipc.method_names import STATUS, STOP
 from robotctl.ipc.params import NoParams
 
 

@@ -13,8 +13,8 @@ from robotctl.daemon.control.pending import UnsavedReply
 from robotctl.errors import Refused, RobotctlError, UsageError
 from robotctl.ipc.advice import advice
 from robotctl.ipc.answers import DriveAnswer, DrivenPath, ModeAnswer
-from robotctl.ipc.connection import Method
-from robotctl.ipc.methods import DRIVE, END_DRIVE, PATH, RESET, SET_MODE
+from robotctl.ipc.method import Method
+from robotctl.ipc.method_names import DRIVE, END_DRIVE, PATH, RESET, SET_MODE
 from robotctl.ipc.params import DriveParams, EndDriveParams, NoParams, ResetParams, SetModeParams
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams

@@ -9,8 +9,8 @@ from robotctl.daemon.waiting import until
 from robotctl.errors import Refused
 from robotctl.ipc.advice import advice
 from robotctl.ipc.answers import Committed, FileSplit, Marked, RecordStatus
-from robotctl.ipc.connection import Method
-from robotctl.ipc.methods import MARK, RECORD_COMMIT, RECORD_SPLIT, RECORD_STATUS
+from robotctl.ipc.method import Method
+from robotctl.ipc.method_names import MARK, RECORD_COMMIT, RECORD_SPLIT, RECORD_STATUS
 from robotctl.ipc.params import MarkParams, NoParams
 
 SPLIT_DEADLINE_S = 5.0

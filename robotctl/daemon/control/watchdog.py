@@ -64,8 +64,13 @@ class Watchdog:
     """
 
     def __init__(
-        self, rate_hz: float, gate: Gate, now_ns: Callable[[], int] = time.monotonic_ns
+        self,
+        rate_hz: float,
+        gate: Gate,
+        now_ns: Callable[[], int] = time.monotonic_ns,
+        ended: threading.Event | None = None,
     ) -> None:
+        """`ended` is set at the end of the block; the thread waits by its `wait` alone."""
         self._limit_ns = round(max(STALL_S, STALL_TICKS / rate_hz) * NS_PER_S)
         self._gate = gate
         self._now_ns = now_ns
@@ -74,7 +79,7 @@ class Watchdog:
         self._where = ""
         self._unsent = 0
         self._failure = ""
-        self._ended = threading.Event()
+        self._ended = threading.Event() if ended is None else ended
         self._thread = threading.Thread(target=self._run, name="watchdog", daemon=True)
 
     def __enter__(self) -> Self:

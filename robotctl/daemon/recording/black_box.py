@@ -6,6 +6,8 @@ import asyncio
 import logging
 import time
 from collections import deque
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,20 +24,47 @@ CUTTER = program("robotctl.recording.keep.clip_process")
 
 CLIPPED = (EventKind.EMERGENCY_STOP, EventKind.ERROR)
 
-MAX_WAITING = 8
-MAX_CLIPS = 100
-"""In one life of the daemon: whoever stops it a thousand times must not fill the disk with it."""
 
-CUT_DEADLINE_S = 20.0
-END_DEADLINE_S = 10.0
-"""For all that is still to be cut when the daemon ends."""
+@dataclass(frozen=True, slots=True)
+class ClipLimits:
+    """How many clips are cut, and how long that may take."""
+
+    waiting: int = 8
+    clips: int = 100
+    """In one life of the daemon: a thousand stops must not fill the disk."""
+
+    cut_s: float = 20.0
+    end_s: float = 10.0
+    """For all clips that are still to be cut when the daemon ends."""
+
+    patience_s: float = PATIENCE_S
+    """Added for the process, which waits for the recorder's last commit."""
+
+
+DEFAULT_LIMITS = ClipLimits()
 
 
 class BlackBox:
     """Belongs to the loop's thread. The process has the lowest priority; nothing waits for it."""
 
-    def __init__(self, params: RecordingParams, recording: Path) -> None:
-        """Clips are cut out of the folder `recording`."""
+    def __init__(
+        self,
+        params: RecordingParams,
+        recording: Path,
+        *,
+        cutter: Sequence[str] = CUTTER,
+        limits: ClipLimits = DEFAULT_LIMITS,
+        now_ns: Callable[[], int] = time.time_ns,
+        sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
+    ) -> None:
+        """`cutter` is the program that cuts clips out of the folder `recording`.
+
+        `now_ns` is the wall clock of the events.
+        """
+        self._cutter = cutter
+        self._limits = limits
+        self._now_ns = now_ns
+        self._sleep = sleep
         self._params = params
         self._recording = recording
         self._waiting: deque[RecordedEvent] = deque()
@@ -47,7 +76,7 @@ class BlackBox:
         """Have a clip cut of `event`, if it is one of those."""
         if event.kind not in CLIPPED or not self._params.clip_before_s:
             return
-        if len(self._waiting) >= MAX_WAITING or self._ordered >= MAX_CLIPS:
+        if len(self._waiting) >= self._limits.waiting or self._ordered >= self._limits.clips:
             _log.warning("no clip is cut of this %s: there are too many", event.kind.value)
             return
         self._ordered += 1
@@ -59,17 +88,17 @@ class BlackBox:
         while True:
             self._came.clear()
             while self._waiting:
-                since_s = (time.time_ns() - self._waiting[0].log_ns) / NS_PER_S
+                since_s = (self._now_ns() - self._waiting[0].log_ns) / NS_PER_S
                 after_s = self._params.clip_after_s
-                await asyncio.sleep(min(after_s - since_s, after_s))  # the clock may be set back
-                await self._cut_next(CUT_DEADLINE_S)
+                await self._sleep(min(after_s - since_s, after_s))  # the clock may be set back
+                await self._cut_next(self._limits.cut_s)
             await self._came.wait()
 
     async def finish(self) -> None:
         """Cut what is still ordered, now that nothing more is recorded."""
-        until = time.monotonic() + END_DEADLINE_S
+        until = time.monotonic() + self._limits.end_s
         if self._cutting is not None:
-            await asyncio.wait({self._cutting}, timeout=END_DEADLINE_S)
+            await asyncio.wait({self._cutting}, timeout=self._limits.end_s)
         while self._waiting and time.monotonic() < until:
             await self._cut_next(until - time.monotonic())
         for event in self._waiting:
@@ -83,35 +112,35 @@ class BlackBox:
             self._params.clip_before_s,
             self._params.clip_after_s,
         )
-        self._cutting = asyncio.get_running_loop().run_in_executor(None, _cut, job, deadline_s)
+        self._cutting = asyncio.get_running_loop().run_in_executor(None, self._cut, job, deadline_s)
         await asyncio.shield(self._cutting)
 
+    # In a thread
 
-def _cut(job: ClipJob, deadline_s: float) -> None:
-    """Let a process do it; the log says what came of it, and holds what the process wrote."""
-    what = "event" if job.moment.kind is None else job.moment.kind.value
-    try:
-        said = _result(job, deadline_s + PATIENCE_S)
-    except OSError as error:  # no process, no descriptor
-        said = {"error": str(error)}
-    if "target" in said:
-        _log.info("clip of the %s: %s", what, said["target"])
-        for sentence in said["lost"]:
-            _log.warning("it lacks something: %s", sentence)
-    else:
-        _log.warning("no clip was cut of the %s: %s", what, said["error"])
+    def _cut(self, job: ClipJob, deadline_s: float) -> None:
+        """Let a process do it; the log says what came of it, and holds what the process wrote."""
+        what = "event" if job.moment.kind is None else job.moment.kind.value
+        try:
+            said = self._result(job, deadline_s + self._limits.patience_s)
+        except OSError as error:  # no process, no descriptor
+            said = {"error": str(error)}
+        if "target" in said:
+            _log.info("clip of the %s: %s", what, said["target"])
+            for sentence in said["lost"]:
+                _log.warning("it lacks something: %s", sentence)
+        else:
+            _log.warning("no clip was cut of the %s: %s", what, said["error"])
 
-
-def _result(job: ClipJob, deadline_s: float) -> dict[str, Any]:
-    """What the process says, or in "error" why it said nothing. Raises OSError."""
-    cutter = start([*CUTTER, job.to_json()])
-    try:
-        said = cutter.hear_one(deadline_s)
-    except TimeoutError:
-        cutter.close()
-        return {"error": f"its process took longer than {deadline_s:.0f} s"}
-    except (EOFError, ValueError):
-        exit_code = cutter.close(END_DEADLINE_S)
-        return {"error": f"its process ended with {exit_code} and said nothing of it"}
-    cutter.close(END_DEADLINE_S)
-    return said
+    def _result(self, job: ClipJob, deadline_s: float) -> dict[str, Any]:
+        """What the process says, or in "error" why it said nothing. Raises OSError."""
+        cutter = start([*self._cutter, job.to_json()])
+        try:
+            said = cutter.hear_one(deadline_s)
+        except TimeoutError:
+            cutter.close()
+            return {"error": f"its process took longer than {deadline_s:.0f} s"}
+        except (EOFError, ValueError):
+            exit_code = cutter.close(self._limits.end_s)
+            return {"error": f"its process ended with {exit_code} and said nothing of it"}
+        cutter.close(self._limits.end_s)
+        return said
