@@ -11,7 +11,7 @@ from robotctl import __version__
 from robotctl.config import Config, load
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.driver import Driver
-from robotctl.daemon.host import Daemon, Host, Ready
+from robotctl.daemon.host import DaemonKind, Host, Ready
 from robotctl.daemon.observer import Observer
 from robotctl.daemon.recording.folder import remember
 from robotctl.daemon.shutdown import told_to_end
@@ -55,7 +55,7 @@ async def serve(
         for folder in (address.parent, robot_state_folder(options.robot)):
             notes += chain_to(folder).group_writable()
         host = Host(options, config, alone, supervisor, stop, session, warnings=[])
-        daemon: Daemon = Observer(host) if options.observe else Driver(host)
+        daemon: DaemonKind = Observer(host) if options.observe else Driver(host)
         session.last.push_async_callback(daemon.recorder.close)  # when nothing is received any more
         identity = Identity(options.robot, __version__, os.getpid())
         server = ControlServer(

@@ -17,12 +17,12 @@ from robotctl.daemon.api.status import StatusSource
 from robotctl.daemon.control.dispatcher import Control
 from robotctl.daemon.control.effects import Effects
 from robotctl.daemon.control.foreign_commands import ForeignCommands
+from robotctl.daemon.control.graph_watch import has_odometry_publisher, watch_graph
 from robotctl.daemon.control.inputs import Inputs
 from robotctl.daemon.control.journal_writer import Journal
 from robotctl.daemon.control.latch import Latch
-from robotctl.daemon.control.motion import Motion
-from robotctl.daemon.control.other_nodes import somebody_is_driven, watch_graph
-from robotctl.daemon.control.pending import Requests
+from robotctl.daemon.control.pending_requests import PendingRequests
+from robotctl.daemon.control.robot_report import RobotReport
 from robotctl.daemon.control.watchdog import Watchdog
 from robotctl.daemon.host import Host, Ready, running
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
@@ -94,7 +94,7 @@ class Driver:
             tap.subscribe_own(topic)
         self._velocity = VelocityPublisher(session, params.command.topic)
         self._watchdog = Watchdog(params.rate_hz, self._velocity)
-        requests = Requests()
+        requests = PendingRequests()
         self._control = Control(
             kernel,
             Journal(self.recorder.open_journal(JournalPublisher(session))),
@@ -113,11 +113,15 @@ class Driver:
             LATENCY_S if params.rate_hz >= 50.0 else MAX_COMMAND_LATENCY_S,
         )
         host.supervisor.report_to(self._control.dispatch)
-        self._motion = Motion(self._control, params)
+        self._robot_report = RobotReport(self._control, params)
         self._status = StatusSource(
-            host.options, self.recorder.report, self._motion, session.scheduling, host.warnings
+            host.options,
+            self.recorder.report,
+            self._robot_report,
+            session.scheduling,
+            host.warnings,
         )
-        self._inputs = Inputs(self._control, self._motion)
+        self._inputs = Inputs(self._control, self._robot_report)
         self._odometry = OdomSubscriber(
             session, params.odometry.topic, self._take_odometry, self._inputs.odometry_source
         )
@@ -129,7 +133,7 @@ class Driver:
             self._inputs.service_call,
             lambda text: advice(text, robot).sentence,
         )
-        self._driving = DrivingMethods(self._control, self._motion, params, robot)
+        self._driving = DrivingMethods(self._control, self._robot_report, params, robot)
 
     def methods(self) -> Mapping[str, Method[Any]]:
         """Return what the control socket offers."""
@@ -144,10 +148,12 @@ class Driver:
         self._control.journal_snapshot(time.monotonic_ns())
         sim = self._host.options.sim
         if sim is None:
-            sim = self._host.alone or not await somebody_is_driven(self._odometry, self._host.stop)
+            sim = self._host.alone or not await has_odometry_publisher(
+                self._odometry, self._host.stop
+            )
             if not sim:
                 notes = [*notes, f"no simulator: {self._odometry.topic} has a publisher already"]
-        self._motion.sim = sim
+        self._robot_report.sim = sim
         work = {**self._work(sim), "socket": server.serve}
         async with running(self._host.supervisor, work):
             with self._watchdog:
@@ -210,7 +216,7 @@ class Driver:
     def _show_mode(self, mode: Mode) -> None:
         level = self._control.state.health.battery_level
         self._modes.publish(
-            Shown(mode, level if is_level(level) else nan, self._motion.is_connected())
+            Shown(mode, level if is_level(level) else nan, self._robot_report.is_connected())
         )
 
     def _take_odometry(self, odometry: Odometry, source: int, sequence: int) -> None:
@@ -237,10 +243,13 @@ class Driver:
 
     async def _become_ready(self, notes: list[str], on_ready: Ready) -> bool:
         stop = self._host.stop
-        await until(lambda: not self._motion.missing() or stop.is_set(), READY_S)
+        await until(lambda: not self._robot_report.missing() or stop.is_set(), READY_S)
         if stop.is_set():
             return False
-        notes = [*notes, *(f"no robot to drive yet: {text}" for text in self._motion.missing())]
+        notes = [
+            *notes,
+            *(f"no robot to drive yet: {text}" for text in self._robot_report.missing()),
+        ]
         if self._host.options.drive is not None:
             notes = [*notes, await self._begin_drive()]
         on_ready(self._status.summary(notes))

@@ -41,7 +41,7 @@ class Host:
     """Each is asked at every `status`; what a part of the daemon has to say is appended here."""
 
 
-class Daemon(Protocol):
+class DaemonKind(Protocol):
     """Made of its parts, in the order of dependence; nothing is published before it is recorded."""
 
     recorder: FlightRecorder

@@ -13,7 +13,7 @@ from robotctl.daemon import command_line as command_line
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.lock import owned
 from robotctl.daemon.log.lines import log_to_stderr
-from robotctl.daemon.ready_report import Starter
+from robotctl.daemon.start_report import StartReport
 from robotctl.errors import INTERRUPTED_EXIT_CODE, RobotctlError
 from robotctl.paths import lock_path
 from robotctl.streams import open_standard_streams
@@ -29,7 +29,7 @@ def main(arguments: list[str]) -> int:
 
 def _main(arguments: list[str], notes: list[str], at_end: ExitStack) -> int:
     """As `main`; what has to be the last, after the log too, is left to `at_end`."""
-    starter = Starter(command_line.parse_ready_fd(arguments))
+    starter = StartReport(command_line.parse_ready_fd(arguments))
     _allow_many_files()
     try:
         options = command_line.parse(arguments)

@@ -22,7 +22,7 @@ from robotctl.ipc.protocol import (
     PROTOCOL_VERSION,
     Code,
     Failure,
-    Lines,
+    LineBuffer,
     ProtocolError,
     Request,
     Result,
@@ -87,7 +87,7 @@ class Client:
         self._robot = robot
         self._path = socket_path(robot)
         self._sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self._lines = Lines(MAX_RESPONSE_BYTES)
+        self._lines = LineBuffer(MAX_RESPONSE_BYTES)
         self._greeted = False
         self._last_id = _HELLO_ID
 

@@ -9,12 +9,12 @@ from contextlib import suppress
 from typing import Any
 
 from robotctl.errors import NoDaemon, RobotctlError
-from robotctl.ipc.limits import Limits
+from robotctl.ipc.client_limits import ClientLimits
 from robotctl.ipc.method import Method
 from robotctl.ipc.protocol import (
     MAX_REQUEST_BYTES,
     Code,
-    Lines,
+    LineBuffer,
     ProtocolError,
     parse_request,
 )
@@ -33,7 +33,7 @@ class Connection:
         sock: socket.socket,
         methods: Mapping[str, Method[Any]],
         identity: Identity,
-        limits: Limits,
+        limits: ClientLimits,
         *,
         over_cap: bool,
     ) -> None:
@@ -41,7 +41,7 @@ class Connection:
         self._limits = limits
         self._over_cap = over_cap
         self._handler = RequestHandler(sock, methods, identity, limits, over_cap=over_cap)
-        self._lines = Lines(MAX_REQUEST_BYTES)
+        self._lines = LineBuffer(MAX_REQUEST_BYTES)
         self._is_listening = False
 
     def is_idle(self) -> bool:

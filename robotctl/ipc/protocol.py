@@ -1,6 +1,6 @@
 """JSON-RPC 2.0, one object a line, without I/O and with the standard library alone.
 
-    bytes -> Lines.receive -> Lines.next_line -> parse_request / parse_response
+    bytes -> LineBuffer.receive -> LineBuffer.next_line -> parse_request / parse_response
     request / result / error -> encode_* -> bytes with their newline
 
 Parsing is strict: what is not exactly one well-formed message ends in ProtocolError and in no
@@ -89,7 +89,7 @@ class Failure(NamedTuple):
     data: Any
 
 
-class Lines:
+class LineBuffer:
     """Cuts a byte stream into lines of at most `limit` bytes, however the bytes arrive."""
 
     def __init__(self, limit: int) -> None:

@@ -15,7 +15,7 @@ import msgspec
 
 from robotctl.errors import Refused, RobotctlError, UsageError
 from robotctl.ipc.answers import Hello
-from robotctl.ipc.limits import Limits
+from robotctl.ipc.client_limits import ClientLimits
 from robotctl.ipc.method import Method
 from robotctl.ipc.params import HelloParams, decode
 from robotctl.ipc.protocol import (
@@ -59,7 +59,7 @@ class RequestHandler:
         sock: socket.socket,
         methods: Mapping[str, Method[Any]],
         identity: Identity,
-        limits: Limits,
+        limits: ClientLimits,
         *,
         over_cap: bool,
     ) -> None:

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any, Self
 
 from robotctl.errors import Refused
+from robotctl.ipc.client_limits import DEFAULT_LIMITS, ClientLimits
 from robotctl.ipc.connection import Connection
-from robotctl.ipc.limits import DEFAULT_LIMITS, Limits
 from robotctl.ipc.listener import Listener
 from robotctl.ipc.method import Method
 from robotctl.ipc.peer import peer_of
@@ -41,7 +41,7 @@ class ControlServer:
         methods: Mapping[str, Method[Any]],
         identity: Identity,
         *,
-        limits: Limits = DEFAULT_LIMITS,
+        limits: ClientLimits = DEFAULT_LIMITS,
         on_unreachable: Callable[[str], None] = lambda problem: None,
     ) -> None:
         """`on_unreachable(problem)` is told why no client finds us, "" when one can again."""

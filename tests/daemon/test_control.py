@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from robotctl.daemon.control.dispatcher import Control
 from robotctl.daemon.control.journal_writer import Journal
-from robotctl.daemon.control.pending import Requests
+from robotctl.daemon.control.pending_requests import PendingRequests
 from robotctl.daemon.shutdown import stand_still
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
@@ -37,7 +37,7 @@ class Bench:
         self.done: list[Effect] = []
         self.failures: list[str] = []
         self.do: Callable[[Effect], None] = self.done.append
-        self.requests = Requests()
+        self.requests = PendingRequests()
         self.control = Control(
             Kernel(params or KernelParams(), state),
             Journal(lambda serialized, seq: self.entries.append(decode(serialized))),

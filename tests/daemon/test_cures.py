@@ -12,7 +12,7 @@ from robotctl.daemon.api.recording import recording_methods
 from robotctl.daemon.api.status import StatusSource
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
-from robotctl.daemon.recording.report import RecorderReport
+from robotctl.daemon.recording.recorder_report import RecorderReport
 from robotctl.errors import Refused
 from robotctl.ipc.answers import RobotFacts
 from robotctl.ipc.params import MarkParams, NoParams

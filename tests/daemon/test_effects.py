@@ -12,7 +12,7 @@ from robotctl.daemon.control import latch_file
 from robotctl.daemon.control.effects import Effects
 from robotctl.daemon.control.latch import Latch
 from robotctl.daemon.control.latch_file import LatchedStop
-from robotctl.daemon.control.pending import Requests, UnsavedReply
+from robotctl.daemon.control.pending_requests import PendingRequests, UnsavedReply
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import (
     Cause,
@@ -36,7 +36,7 @@ class World:
     def __init__(self, folder: Path) -> None:
         self.latch_path = folder / "emergency-stop"
         self.latch = Latch(self.latch_path)
-        self.requests = Requests()
+        self.requests = PendingRequests()
         self.done: list[Any] = []
         self.noted: list[RecordedEvent] = []
         self.effects = Effects(

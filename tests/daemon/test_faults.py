@@ -19,7 +19,7 @@ from robotctl.daemon.app import serve
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.control.inputs import Inputs
 from robotctl.daemon.control.watchdog import Watchdog
-from robotctl.daemon.recording.report import RecorderReport
+from robotctl.daemon.recording.recorder_report import RecorderReport
 from robotctl.errors import Refused
 from robotctl.ipc.client import Client
 from robotctl.ipc.listener import Listener

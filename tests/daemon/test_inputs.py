@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from robotctl.daemon.control import other_nodes
+from robotctl.daemon.control import graph_watch
 from robotctl.daemon.control.foreign_commands import MAX_TOLD, NAMELESS, ForeignCommands
-from robotctl.daemon.control.other_nodes import watch_graph
+from robotctl.daemon.control.graph_watch import watch_graph
 from robotctl.kernel.types import (
     CommandListenersSeen,
     CommandPublishersSeen,
@@ -57,7 +57,7 @@ async def look_again(velocity: Velocity, times: int) -> None:
 async def test_other_publishers_are_told_when_they_come_and_when_they_go(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(other_nodes, "PUBLISHER_POLL_S", 0.0)
+    monkeypatch.setattr(graph_watch, "PUBLISHER_POLL_S", 0.0)
     velocity: Any = Velocity()
     watching = asyncio.create_task(watch_graph(velocity, velocity, velocity.dispatch))
 
@@ -76,7 +76,7 @@ async def test_other_publishers_are_told_when_they_come_and_when_they_go(
 async def test_who_takes_the_command_is_told_when_it_changes(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(other_nodes, "PUBLISHER_POLL_S", 0.0)
+    monkeypatch.setattr(graph_watch, "PUBLISHER_POLL_S", 0.0)
     velocity: Any = Velocity()
     watching = asyncio.create_task(watch_graph(velocity, velocity, velocity.dispatch))
     told: list[tuple[int, tuple[str, ...]]] = []

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from robotctl.daemon.control.inputs import Inputs
-from robotctl.daemon.control.motion import Motion
-from robotctl.daemon.recording.report import RecorderReport
+from robotctl.daemon.control.robot_report import RobotReport
+from robotctl.daemon.recording.recorder_report import RecorderReport
 from robotctl.daemon.supervisor import OUT_OF_MEMORY
 from robotctl.errors import RobotctlError
 from robotctl.kernel.patterns import PatternKind
@@ -27,7 +27,7 @@ STILL = bytes(48)
         (RecorderReport, "sample"),  # a task
         (Inputs, "odometry"),  # a callback of ROS
         (VelocityPublisher, "publish"),  # an effect of the kernel
-        (Motion, "path"),  # a request
+        (RobotReport, "path"),  # a request
     ],
 )
 async def test_without_memory_the_robot_stops_and_the_daemon_ends(

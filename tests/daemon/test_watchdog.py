@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.daemon.control.processor_time import ProcessorTime
+from robotctl.daemon.control.processor_wait import ProcessorWait
 from robotctl.daemon.control.watchdog import CONFIRM_S, SHOWN_FRAMES, Watchdog, where
 from robotctl.kernel.types import Cause, FaultReported, LoopStalled
 from tests.support.waiting import DEADLINE_S, until
@@ -171,7 +171,7 @@ def keeps_accounts() -> bool:
 
 @pytest.mark.skipif(not keeps_accounts(), reason="the kernel keeps no account of its scheduler")
 def test_a_thread_that_has_to_share_its_processor_has_waited() -> None:
-    asked = ProcessorTime()
+    asked = ProcessorWait()
     cores = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {min(cores)})  # of this thread, and of those that it starts
     try:
@@ -198,7 +198,7 @@ def test_a_stall_that_was_spent_waiting_for_a_processor_says_so(
 ) -> None:
     with Watchdog(50.0, Gate()) as watchdog:
         watchdog.ping()
-        monkeypatch.setattr(ProcessorTime, "waited_ns", lambda _: 10**12)
+        monkeypatch.setattr(ProcessorWait, "waited_ns", lambda _: 10**12)
         stall = stall_of(watchdog)
     assert re.match(r"the machine was busy: no processor for \d+\.\d\d s", stall.detail)
 

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from robotctl.errors import Refused
-from robotctl.ipc.limits import Limits
+from robotctl.ipc.client_limits import ClientLimits
 from robotctl.ipc.method import Method
 from robotctl.ipc.params import DriveParams, NoParams, ResetParams, SetModeParams
 from robotctl.ipc.protocol import encode_request
@@ -136,13 +136,13 @@ def serve(path: Path, robot: FakeRobot, unreachable: list[str]) -> type_serve:
     """A server that serves until the block ends."""
 
     @asynccontextmanager
-    async def serving(limits: Limits | None = None) -> AsyncIterator[ControlServer]:
+    async def serving(limits: ClientLimits | None = None) -> AsyncIterator[ControlServer]:
         identity = Identity("robot", "0.1.0", os.getpid())
         with ControlServer(
             path,
             robot.methods(),
             identity,
-            limits=limits or Limits(),
+            limits=limits or ClientLimits(),
             on_unreachable=unreachable.append,
         ) as server:
             task = asyncio.create_task(server.serve())

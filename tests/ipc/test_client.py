@@ -19,7 +19,7 @@ import pytest
 from robotctl.errors import NoDaemon, Refused, RobotctlError, UsageError
 from robotctl.ipc import client as client_module
 from robotctl.ipc.client import Client, call
-from robotctl.ipc.limits import Limits
+from robotctl.ipc.client_limits import ClientLimits
 
 NO_DAEMON = "no daemon for robot 'robot' (start one with: robotctl start)"
 HELLO_REPLY = {"jsonrpc": "2.0", "id": 0, "result": {"protocol": 1}}
@@ -280,7 +280,7 @@ async def test_a_wrong_parameter_arrives_as_a_usage_error(serve: Any) -> None:
 async def test_a_busy_daemon_still_takes_the_clients_emergency_stop(
     serve: Any, connect: Any, robot: Any
 ) -> None:
-    async with serve(Limits(clients=1)):
+    async with serve(ClientLimits(clients=1)):
         await connect()
         with pytest.raises(Refused, match="busy with 1 clients"):
             await asyncio.to_thread(call, "robot", "status")

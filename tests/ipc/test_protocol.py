@@ -16,7 +16,7 @@ from robotctl.ipc.protocol import (
     MAX_DEPTH,
     Code,
     Failure,
-    Lines,
+    LineBuffer,
     ProtocolError,
     Request,
     Result,
@@ -179,7 +179,7 @@ def test_only_set_mode_3_is_the_emergency_stop(params: dict[str, object], expect
 
 
 def test_a_line_over_the_limit_is_refused_before_it_is_whole() -> None:
-    lines = Lines(10)
+    lines = LineBuffer(10)
     lines.receive(b"0123456789\n0123456789")
     assert lines.next_line() == b"0123456789"
     assert lines.next_line() is None
@@ -195,7 +195,7 @@ def test_lines_are_the_same_however_the_bytes_arrive(
     sent: list[bytes], data: st.DataObject
 ) -> None:
     stream = b"".join(line + b"\n" for line in sent)
-    lines, received = Lines(100), []
+    lines, received = LineBuffer(100), []
     while stream:
         size = data.draw(st.integers(1, len(stream)))
         lines.receive(stream[:size])
@@ -207,7 +207,7 @@ def test_lines_are_the_same_however_the_bytes_arrive(
 
 def outcomes(stream: bytes, chunk: int) -> list[Request | Code]:
     """What a server makes of a stream that arrives in chunks."""
-    lines, seen = Lines(300), list[Request | Code]()
+    lines, seen = LineBuffer(300), list[Request | Code]()
     for start in range(0, len(stream), chunk):
         lines.receive(stream[start : start + chunk])
         while True:

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.ipc.limits import Limits
+from robotctl.ipc.client_limits import ClientLimits
 from robotctl.ipc.protocol import Code, encode_request
 from tests.support.waiting import DEADLINE_S, loop_until
 
@@ -38,7 +38,7 @@ def open_fds() -> int:
 
 
 async def test_half_a_request_is_closed_at_its_deadline(serve: Any, connect: Any) -> None:
-    async with serve(Limits(request_s=0.05)):
+    async with serve(ClientLimits(request_s=0.05)):
         peer = await connect(greet=False)
         await peer.send(HELLO[:-5])
         assert (await peer.reply())["error"]["code"] == Code.TIMEOUT
@@ -48,7 +48,7 @@ async def test_half_a_request_is_closed_at_its_deadline(serve: Any, connect: Any
 async def test_a_client_that_takes_no_reply_does_not_hold_up_others(
     serve: Any, connect: Any, path: Path
 ) -> None:
-    async with serve(Limits(write_s=0.05)):
+    async with serve(ClientLimits(write_s=0.05)):
         fds = open_fds()
         with socket.socket(socket.AF_UNIX) as slow:
             slow.connect(str(path))
@@ -71,7 +71,7 @@ async def test_a_call_ends_at_its_deadline(serve: Any, connect: Any, robot: Any)
 async def test_a_call_without_a_deadline_ends_when_its_client_leaves(
     serve: Any, connect: Any, robot: Any
 ) -> None:
-    async with serve(Limits(hangup_poll_s=0.01)):
+    async with serve(ClientLimits(hangup_poll_s=0.01)):
         peer = await connect()
         await peer.send(request("wait"))
         await robot.called.wait()
@@ -83,7 +83,7 @@ async def test_a_call_without_a_deadline_ends_when_its_client_leaves(
 async def test_a_client_that_only_closed_its_sending_half_is_answered(
     serve: Any, connect: Any, robot: Any
 ) -> None:
-    async with serve(Limits(hangup_poll_s=0.001)):
+    async with serve(ClientLimits(hangup_poll_s=0.001)):
         peer = await connect()
         await peer.send(request("wait"))
         peer.writer.write_eof()
@@ -137,7 +137,7 @@ async def test_the_loop_turns_between_two_requests_of_one_client(
 
 
 async def test_a_client_over_the_cap_is_told_busy(serve: Any, connect: Any) -> None:
-    async with serve(Limits(clients=1)):
+    async with serve(ClientLimits(clients=1)):
         first, second = await connect(), await connect()
         reply = await second.call("status")
         assert reply["error"]["code"] == Code.BUSY
@@ -150,7 +150,7 @@ async def test_a_client_over_the_cap_is_told_busy(serve: Any, connect: Any) -> N
 async def test_a_client_over_the_cap_may_still_stop_the_robot(
     lines: list[bytes], serve: Any, connect: Any, robot: Any
 ) -> None:
-    async with serve(Limits(clients=1)):
+    async with serve(ClientLimits(clients=1)):
         await connect()
         peer = await connect(greet=False)
         await peer.send(*lines)
@@ -162,7 +162,7 @@ async def test_a_client_over_the_cap_may_still_stop_the_robot(
 async def test_a_silent_client_over_the_cap_loses_its_place_at_its_deadline(
     serve: Any, connect: Any
 ) -> None:
-    async with serve(Limits(clients=1, overflow=1, overflow_request_s=0.05)):
+    async with serve(ClientLimits(clients=1, overflow=1, overflow_request_s=0.05)):
         await connect()
         silent = await connect(greet=False)
         assert (await silent.reply())["error"]["code"] == Code.TIMEOUT
@@ -172,7 +172,7 @@ async def test_a_silent_client_over_the_cap_loses_its_place_at_its_deadline(
 async def test_the_oldest_silent_client_over_the_cap_makes_room_for_the_next(
     serve: Any, connect: Any
 ) -> None:
-    async with serve(Limits(clients=1, overflow=2, overflow_request_s=DEADLINE_S)):
+    async with serve(ClientLimits(clients=1, overflow=2, overflow_request_s=DEADLINE_S)):
         await connect()
         silent, half = await connect(greet=False), await connect(greet=False)
         await half.send(ESTOP[:-5])
@@ -196,7 +196,7 @@ async def test_a_request_that_is_being_answered_keeps_its_place(
         return await stop(params)
 
     robot.set_mode = stop_slowly
-    async with serve(Limits(clients=1, overflow=1)):
+    async with serve(ClientLimits(clients=1, overflow=1)):
         await connect()
         first = await connect(greet=False)
         await first.send(ESTOP)
@@ -252,7 +252,7 @@ async def test_without_a_free_descriptor_an_idle_connection_makes_room(
 
     accepted: list[tuple[socket.socket, Any]] = []
     monkeypatch.setattr(socket.socket, "accept", fail_until_closed)
-    async with serve(Limits(clients=1, overflow_request_s=DEADLINE_S)):
+    async with serve(ClientLimits(clients=1, overflow_request_s=DEADLINE_S)):
         await connect()
         idle = await connect(greet=False)
         stopping = await connect(greet=False)
@@ -263,7 +263,7 @@ async def test_without_a_free_descriptor_an_idle_connection_makes_room(
 
 
 async def test_a_place_is_free_again_when_its_client_leaves(serve: Any, connect: Any) -> None:
-    async with serve(Limits(clients=1)):
+    async with serve(ClientLimits(clients=1)):
         fds = open_fds()
         first = await connect()
         first.writer.close()
@@ -302,7 +302,7 @@ async def test_1000_clients_at_once_are_all_answered_or_told_busy(
                 busy += last.get("error", {}).get("code") == Code.BUSY
                 client.close()
         assert answered + busy == count
-        assert answered >= Limits().clients
+        assert answered >= ClientLimits().clients
     await loop_until(lambda: open_fds() == fds)
 
 

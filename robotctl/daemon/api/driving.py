@@ -8,8 +8,8 @@ from math import isfinite
 from typing import Any
 
 from robotctl.daemon.control.dispatcher import Control
-from robotctl.daemon.control.motion import Motion
-from robotctl.daemon.control.pending import UnsavedReply
+from robotctl.daemon.control.pending_requests import UnsavedReply
+from robotctl.daemon.control.robot_report import RobotReport
 from robotctl.errors import Refused, RobotctlError, UsageError
 from robotctl.ipc.advice import advice
 from robotctl.ipc.answers import DriveAnswer, DrivenPath, ModeAnswer
@@ -39,13 +39,13 @@ class DrivingMethods:
     def __init__(
         self,
         control: Control,
-        motion: Motion,
+        robot_report: RobotReport,
         params: KernelParams,
         robot: str = DEFAULT_ROBOT,
     ) -> None:
         self._robot = robot
         self._control = control
-        self._motion = motion
+        self._robot_report = robot_report
         self._params = params
 
     def table(self) -> dict[str, Method[Any]]:
@@ -77,7 +77,7 @@ class DrivingMethods:
         )
 
     async def _get_path(self, _: NoParams) -> DrivenPath:
-        return self._motion.path()
+        return self._robot_report.path()
 
     async def _set_mode(self, params: SetModeParams) -> ModeAnswer:
         if params.mode not in list(Mode):

@@ -9,7 +9,7 @@ from typing import Protocol
 
 from robotctl import __version__
 from robotctl.daemon.command_line import DaemonOptions
-from robotctl.daemon.recording.report import RecorderReport
+from robotctl.daemon.recording.recorder_report import RecorderReport
 from robotctl.domains import discovery_range, is_on_this_machine_only
 from robotctl.ipc.advice import advice
 from robotctl.ipc.answers import RobotFacts, StartSummary, Status

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from robotctl.daemon.control.journal_writer import Journal
-from robotctl.daemon.control.pending import Requests
+from robotctl.daemon.control.pending_requests import PendingRequests
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.state import State
 from robotctl.kernel.types import (
@@ -40,7 +40,7 @@ class Control:
         kernel: Kernel,
         journal: Journal,
         carry_out: Callable[[Effect], None],
-        requests: Requests,
+        requests: PendingRequests,
         on_failure: Callable[[Exception, str], None],
         urgent: Callable[[], Event | None] = lambda: None,
     ) -> None:

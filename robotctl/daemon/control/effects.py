@@ -9,7 +9,7 @@ from functools import partial
 from typing import assert_never
 
 from robotctl.daemon.control.latch import Latch
-from robotctl.daemon.control.pending import Requests, UnsavedReply
+from robotctl.daemon.control.pending_requests import PendingRequests, UnsavedReply
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import (
     Cause,
@@ -39,7 +39,7 @@ class Effects:
         show_mode: Callable[[Mode], None],
         note: Callable[[RecordedEvent], None],
         latch: Latch,
-        requests: Requests,
+        requests: PendingRequests,
     ) -> None:
         self._publish_twist = publish_twist
         self._show_mode = show_mode

@@ -6,7 +6,7 @@ import asyncio
 import time
 
 from robotctl.daemon.control.dispatcher import Control
-from robotctl.daemon.control.motion import Motion
+from robotctl.daemon.control.robot_report import RobotReport
 from robotctl.kernel.types import (
     BatteryReceived,
     Cause,
@@ -22,16 +22,16 @@ from robotctl.kernel.types import (
 class Inputs:
     """Every method belongs to the loop's thread."""
 
-    def __init__(self, control: Control, motion: Motion) -> None:
+    def __init__(self, control: Control, robot_report: RobotReport) -> None:
         self._control = control
-        self._motion = motion
+        self._robot_report = robot_report
 
     def odometry(self, odometry: Odometry, source: int, sequence: int) -> None:
         """Take a measurement of where the robot is, by the publisher with this number."""
         self._control.dispatch(OdomReceived(time.monotonic_ns(), odometry, source, sequence))
         state = self._control.state
         if state.drive is not None and state.health.odometry is odometry:  # it was not dropped
-            self._motion.drove_to(odometry.pose)
+            self._robot_report.drove_to(odometry.pose)
 
     def odometry_source(self, source: int, gid: str, name: str) -> None:
         """Take note of a publisher of odometry that was not heard before."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from types import FrameType
 from typing import Protocol, Self
 
-from robotctl.daemon.control.processor_time import ProcessorTime, pressure
+from robotctl.daemon.control.processor_wait import ProcessorWait, pressure
 from robotctl.kernel.types import Cause, FaultReported, LoopStalled
 from robotctl.kernel.units import NS_PER_S
 
@@ -47,7 +47,7 @@ class Gate(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Turn:
+class LoopTick:
     """When the loop turned, and how long its thread had waited for a processor until then."""
 
     t_ns: int
@@ -74,7 +74,7 @@ class Watchdog:
         self._limit_ns = round(max(STALL_S, STALL_TICKS / rate_hz) * NS_PER_S)
         self._gate = gate
         self._now_ns = now_ns
-        self._last = Turn(0, 0)
+        self._last = LoopTick(0, 0)
         self._holding = False
         self._where = ""
         self._unsent = 0
@@ -84,7 +84,7 @@ class Watchdog:
 
     def __enter__(self) -> Self:
         self._watched = threading.get_ident()
-        self._processor = ProcessorTime()
+        self._processor = ProcessorWait()
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -168,8 +168,8 @@ class Watchdog:
         except Exception:  # noqa: BLE001 - the next zero may pass; the thread must live
             self._unsent += 1
 
-    def _now(self) -> Turn:
-        return Turn(self._now_ns(), self._processor.waited_ns())
+    def _now(self) -> LoopTick:
+        return LoopTick(self._now_ns(), self._processor.waited_ns())
 
 
 def where(frame: FrameType | None) -> str:

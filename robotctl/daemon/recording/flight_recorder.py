@@ -14,9 +14,9 @@ from shutil import rmtree
 from robotctl.config import Config
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.recording.black_box import BlackBox
+from robotctl.daemon.recording.call_in_loop import in_loop
 from robotctl.daemon.recording.folder import open_recorder, retention_policy
-from robotctl.daemon.recording.loop_calls import in_loop
-from robotctl.daemon.recording.report import RecorderReport
+from robotctl.daemon.recording.recorder_report import RecorderReport
 from robotctl.daemon.recording.tidier import Tidier
 from robotctl.daemon.supervisor import Work
 from robotctl.recording import RecorderStats, Topic

@@ -24,7 +24,7 @@ LOOKS_PER_INSPECTION = 5
 """How often the subscriptions are inspected though their number is the same."""
 
 
-async def somebody_is_driven(odometry: OdomSubscriber, stop: asyncio.Event) -> bool:
+async def has_odometry_publisher(odometry: OdomSubscriber, stop: asyncio.Event) -> bool:
     """Listen for a robot that publishes odometry already; end early when told to stop."""
     await until(lambda: odometry.count_publishers() > 0 or stop.is_set(), DISCOVERY_S)
     return odometry.count_publishers() > 0

@@ -6,16 +6,16 @@ from typing import Any
 
 import pytest
 
-from robotctl.daemon.control import motion
-from robotctl.daemon.control.motion import MIN_STEP_M, Motion
+from robotctl.daemon.control import robot_report
+from robotctl.daemon.control.robot_report import MIN_STEP_M, RobotReport
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.params import KernelParams
 from robotctl.testing.kernels import Bench, moving
 
 
-def of(bench: Bench) -> Motion:
+def of(bench: Bench) -> RobotReport:
     control: Any = bench  # `state` is all of it that is looked at
-    return Motion(control, KernelParams())
+    return RobotReport(control, KernelParams())
 
 
 def test_a_robot_that_stands_leaves_one_point() -> None:
@@ -28,7 +28,7 @@ def test_a_robot_that_stands_leaves_one_point() -> None:
 
 
 def test_of_a_long_way_every_second_point_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(motion, "MAX_DRIVEN_POSES", 10)
+    monkeypatch.setattr(robot_report, "MAX_DRIVEN_POSES", 10)
     seen = of(moving())
     for number in range(1, 101):
         seen.drove_to(Pose(float(number), 0.0, 0.0))

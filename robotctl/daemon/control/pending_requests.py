@@ -17,7 +17,7 @@ class UnsavedReply(Reply):
 T = TypeVar("T", Reply, DriveEnded)
 
 
-class Requests:
+class PendingRequests:
     """Futures by request id; used in the loop's thread only."""
 
     def __init__(self) -> None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class ClientLimits:
     """How much one client, and all clients together, may use of the daemon."""
 
     clients: int = 64
@@ -27,4 +27,4 @@ class Limits:
     """Period of the check, in a call without a deadline, that the client is still connected."""
 
 
-DEFAULT_LIMITS = Limits()
+DEFAULT_LIMITS = ClientLimits()

@@ -12,7 +12,7 @@ LINE_BYTES: Final = 128
 _PRESSURE = "/proc/pressure/cpu"
 
 
-class ProcessorTime:
+class ProcessorWait:
     """Account of the thread that makes this object; asked from any thread, until `close`.
 
     The file is opened here, once: later there may be no free descriptor.

@@ -31,7 +31,7 @@ _EXPECTED = (Cause.ODOMETRY_LOST, Cause.BATTERY_UNKNOWN, Cause.COMMAND_UNHEARD)
 """What refuses a drive while the robot is not there."""
 
 
-class Motion:
+class RobotReport:
     """Looks at the kernel's state; `sim` says whether the robot is simulated."""
 
     def __init__(self, control: Control, params: KernelParams) -> None:

@@ -18,7 +18,7 @@ _log = logging.getLogger("robotctl")
 _STDOUT = 1
 
 
-class Starter:
+class StartReport:
     """A process that waits for one line on `ready_fd`; None: whoever has stdout and stderr."""
 
     def __init__(self, ready_fd: int | None) -> None:
