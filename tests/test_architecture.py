@@ -6,7 +6,7 @@ import ast
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -35,17 +35,20 @@ def modules(package: str) -> list[Path]:
     return sorted((ROOT / package).rglob("*.py"))
 
 
-def imports(path: Path) -> Iterator[str]:
-    """Yield the full name of every module that the file imports, also within functions."""
+@cache
+def imports(path: Path) -> tuple[str, ...]:
+    """Return the full name of every module that the file imports, also within functions."""
+    found: list[str] = []
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            found += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: a relative import"
             assert node.module is not None
             for alias in node.names:
                 inner = f"{node.module}.{alias.name}"
-                yield inner if source_of(inner) else node.module
+                found.append(inner if source_of(inner) else node.module)
+    return tuple(found)
 
 
 def source_of(name: str) -> Path | None:
@@ -69,6 +72,7 @@ def is_ros(name: str) -> bool:
     return name in ROS_MODULES or name.endswith(MESSAGE_SUFFIXES)
 
 
+@cache
 def rooms() -> dict[str, set[str]]:
     """Return the table of the page: each room, and what it may import of the others."""
     layout = PAGE.read_text(encoding="utf-8").split("## Layout", 1)[1].split("\n## ", 1)[0]
@@ -80,11 +84,13 @@ def is_within(module: str, room: str) -> bool:
     return module == room or module.startswith(f"{room}.")
 
 
+@cache
 def room_of(module: str) -> str:
     """Return the narrowest room of the page that holds the module."""
     return max((room for room in rooms() if is_within(module, room)), key=len, default="")
 
 
+@cache
 def own_modules() -> dict[str, Path]:
     """Return every module below robotctl, named without that."""
     paths = {".".join(path.relative_to(ROOT).with_suffix("").parts): path for path in modules("")}
