@@ -18,7 +18,34 @@ from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recorder, RecorderOptions, Topic
 from robotctl.recording.format.journal import TYPE_NAME, JournalEntry, decode, encode
 from robotctl.rerun.closed_loop import closed_loop
-from tests.support.recordings import GID, ODOMETRY, START_NS, TWIST
+
+START_NS = 1_700_000_000_000_000_000
+"""Time of the clock at which recordings begin."""
+
+GID = b"publisher-number"
+"""The publisher of everything that is recorded."""
+
+QOS = """\
+- history: keep_last
+  depth: 10
+  reliability: reliable
+  durability: volatile
+  deadline:
+    sec: 9223372036
+    nsec: 854775807
+  lifespan:
+    sec: 9223372036
+    nsec: 854775807
+  liveliness: automatic
+  liveliness_lease_duration:
+    sec: 9223372036
+    nsec: 854775807
+  avoid_ros_namespace_conventions: false
+"""
+"""The quality of service that every recorded publisher offers."""
+
+TWIST = Topic("/cmd_vel", "geometry_msgs/msg/Twist", "Vector3 linear\n", "RIHS01_ab", QOS)
+ODOMETRY = Topic("/odom", "nav_msgs/msg/Odometry", "Header header\n", "RIHS01_cd", QOS)
 
 BEGIN_NS = 5_000_000_000
 """Steady time at which drives begin."""

@@ -13,7 +13,8 @@ import pytest
 from robotctl.paths import recordings_note_path
 from robotctl.recording import Recorder, read_info
 from robotctl.recording.format.events import EventKind, RecordedEvent
-from tests.support.recordings import START_NS, TWIST, number_of, read_strictly, write_numbered
+from robotctl.testing.drives import START_NS, TWIST
+from tests.support.recordings import number_of, read_strictly, write_numbered
 
 Cli = Callable[..., Any]
 

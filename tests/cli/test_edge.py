@@ -21,7 +21,8 @@ from robotctl.cli import registry
 from robotctl.cli.registry import COMMANDS as OURS
 from robotctl.cli.support import control
 from robotctl.recording import Recorder
-from tests.support.recordings import TWIST, write_numbered
+from robotctl.testing.drives import TWIST
+from tests.support.recordings import write_numbered
 
 COMMANDS = [*OURS, "record status", "record split", "recordings keep", "recordings unkeep"]
 

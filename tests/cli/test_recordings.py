@@ -12,7 +12,8 @@ import pytest
 from robotctl.paths import recordings_note_path
 from robotctl.recording import Recorder, Topic
 from robotctl.recording.format.events import EventKind, RecordedEvent
-from tests.support.recordings import START_NS, TWIST, read_strictly, write_numbered
+from robotctl.testing.drives import START_NS, TWIST
+from tests.support.recordings import read_strictly, write_numbered
 
 Cli = Callable[..., Any]
 

@@ -20,7 +20,8 @@ from robotctl.recording import Recorder
 from robotctl.recording.format.events import EventKind, RecordedEvent
 from robotctl.recording.keep.clip import Moment
 from robotctl.recording.keep.clip_job import ClipJob
-from tests.support.recordings import GID, TWIST, numbered
+from robotctl.testing.drives import GID, TWIST
+from tests.support.recordings import numbered
 from tests.support.waiting import DEADLINE_S, loop_until, until
 
 SAY = """

@@ -13,7 +13,8 @@ from typing import Any
 import pytest
 
 from robotctl.recording import Recorder, read_info
-from tests.support.recordings import TWIST, write_numbered
+from robotctl.testing.drives import TWIST
+from tests.support.recordings import write_numbered
 from tests.support.waiting import until
 from tests.support.world import World
 

@@ -20,8 +20,9 @@ from robotctl.recording.keep.clip_job import ClipJob, make_clip
 from robotctl.recording.keep.recover import recover
 from robotctl.recording.keep.recover_folder import recover_folder
 from robotctl.recording.keep.repair import repair
+from robotctl.testing.drives import START_NS, TWIST
 from tests.support.numbered_files import foreign
-from tests.support.recordings import START_NS, TWIST, write_numbered
+from tests.support.recordings import write_numbered
 
 PRIVATE = {"file": 0o600, "folder": 0o700}
 SHARED = {"file": 0o640, "folder": 0o750}

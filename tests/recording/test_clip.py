@@ -20,9 +20,9 @@ from robotctl.recording.format.journal import EntryKind, JournalEntry, decode, e
 from robotctl.recording.keep.clip import Clip, Moment, cut_clip
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
-from robotctl.testing.drives import BEGIN_NS, JOURNAL, Written, drive
+from robotctl.testing.drives import BEGIN_NS, GID, JOURNAL, QOS, START_NS, TWIST, Written, drive
 from tests.support.bags import LATCHED, STRING, VOLATILE, Line, text, write_bag
-from tests.support.recordings import GID, QOS, START_NS, TWIST, read_strictly
+from tests.support.recordings import read_strictly
 from tests.support.waiting import until, until_longer
 
 DURATION_S = 40.0

@@ -15,7 +15,8 @@ from robotctl.recording.keep import clip_job
 from robotctl.recording.keep.clip import Moment
 from robotctl.recording.keep.clip_job import ClipJob, make_clip, remaining_s
 from robotctl.recording.keep.listing import list_recording
-from tests.support.recordings import GID, TWIST, numbered, read_strictly
+from robotctl.testing.drives import GID, TWIST
+from tests.support.recordings import numbered, read_strictly
 
 
 def test_what_comes_after_the_event_is_waited_for(

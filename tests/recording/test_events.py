@@ -11,7 +11,8 @@ from robotctl.recording import Recorder, read_info
 from robotctl.recording.format.events import EventKind, RecordedEvent, events_in
 from robotctl.recording.format.identity import EVENT_RECORD
 from robotctl.recording.write import bag_writer
-from tests.support.recordings import START_NS, TWIST, read_strictly, write_numbered
+from robotctl.testing.drives import START_NS, TWIST
+from tests.support.recordings import read_strictly, write_numbered
 from tests.support.waiting import until
 
 EVENTS = (

@@ -11,7 +11,7 @@ from robotctl.errors import UnreadableFile
 from robotctl.recording import Recorder, RecorderOptions, Recording, Topic
 from robotctl.recording.format.journal import TYPE_NAME, EntryKind, JournalEntry, encode
 from robotctl.recording.read.journal_reader import journal_topic, read_journal
-from tests.support.recordings import GID, START_NS, TWIST
+from robotctl.testing.drives import GID, START_NS, TWIST
 
 
 def record(folder: Path, robot: str, topics: dict[str, Iterable[int]]) -> Path:

@@ -10,9 +10,10 @@ from robotctl.recording import Recorder
 from robotctl.recording.format.events import EventKind, RecordedEvent
 from robotctl.recording.keep.catalog import set_kept
 from robotctl.recording.keep.listing import ListedRecording, list_recordings
+from robotctl.testing.drives import START_NS, TWIST
 from tests.support.bags import TWIST as TWIST_TYPE
 from tests.support.bags import Line, twist, write_bag
-from tests.support.recordings import START_NS, TWIST, write_numbered
+from tests.support.recordings import write_numbered
 
 
 def record(folder: Path, *events: RecordedEvent) -> Recorder:

@@ -13,7 +13,8 @@ from robotctl.recording import Recorder, RecorderOptions, RecorderState
 from robotctl.recording.write.buffer import LargeMessage, PackBuffer
 from robotctl.recording.write.chunk_encoder import ChunkEncoder
 from robotctl.recording.write.writer_thread import Drain
-from tests.support.recordings import TWIST, read_strictly, record_without_memory, write_numbered
+from robotctl.testing.drives import TWIST
+from tests.support.recordings import read_strictly, record_without_memory, write_numbered
 from tests.support.waiting import until
 
 CHUNK_BYTES = 4096

@@ -30,17 +30,8 @@ from robotctl.recording.disk.thread_priority import SLICE_NS
 from robotctl.recording.write import bag_writer
 from robotctl.recording.write import recorder as recorder_module
 from robotctl.recording.write.writer_thread import NICE
-from tests.support.recordings import (
-    GID,
-    ODOMETRY,
-    QOS,
-    START_NS,
-    TWIST,
-    Stored,
-    numbered,
-    read_strictly,
-    write_numbered,
-)
+from robotctl.testing.drives import GID, ODOMETRY, QOS, START_NS, TWIST
+from tests.support.recordings import Stored, numbered, read_strictly, write_numbered
 from tests.support.waiting import until
 
 OpenRecorder = Callable[..., Recorder]

@@ -33,9 +33,9 @@ from robotctl.recording.format.records import MESSAGE_HEAD
 from robotctl.recording.format.topics import TopicAccount
 from robotctl.recording.write.bag_writer import BagWriter
 from robotctl.recording.write.buffer import PackBuffer
+from robotctl.testing.drives import TWIST
 from robotctl.testing.faults import FailingFile, GatedFile, VolatileFile
 from tests.support.recordings import (
-    TWIST,
     number_of,
     numbered,
     read_strictly,

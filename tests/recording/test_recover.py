@@ -17,15 +17,9 @@ from robotctl.errors import Refused, UnreadableFile
 from robotctl.recording import Recorder, RecorderOptions, read_info, read_messages
 from robotctl.recording.format.events import EventKind, RecordedEvent
 from robotctl.recording.keep.recover import recover
+from robotctl.testing.drives import START_NS, TWIST
 from robotctl.testing.faults import FailingFile, mutated, record_boundaries
-from tests.support.recordings import (
-    START_NS,
-    TWIST,
-    number_of,
-    numbered,
-    read_strictly,
-    write_numbered,
-)
+from tests.support.recordings import number_of, numbered, read_strictly, write_numbered
 
 SAMPLES = Path(__file__).parents[3] / "shared" / "samples" / "rosbag2"
 needs_samples = pytest.mark.skipif(not SAMPLES.is_dir(), reason=f"no sample bags at {SAMPLES}")

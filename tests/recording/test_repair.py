@@ -25,7 +25,8 @@ from robotctl.recording.keep.unfinished_commit import find_unfinished_commit
 from robotctl.recording.read.file_index import FileIndex, read_record_head
 from robotctl.recording.read.indexing import index_of
 from robotctl.recording.read.mcap_input import InputFile
-from tests.support.recordings import TWIST, numbered, read_strictly, write_numbered
+from robotctl.testing.drives import TWIST
+from tests.support.recordings import numbered, read_strictly, write_numbered
 from tests.support.waiting import until
 
 

@@ -15,7 +15,8 @@ from robotctl.recording.keep.clip import Moment
 from robotctl.recording.keep.clip_job import ClipJob, make_clip
 from robotctl.recording.keep.retention import DAY_S, RetentionPolicy, enforce
 from robotctl.recording.keep.tidy_job import TidyJob, tidy
-from tests.support.recordings import TWIST, read_strictly, write_numbered
+from robotctl.testing.drives import TWIST
+from tests.support.recordings import read_strictly, write_numbered
 from tests.support.waiting import until, until_longer
 
 NOW_S = 2_000_000_000.0

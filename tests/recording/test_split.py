@@ -26,17 +26,9 @@ from robotctl.recording import (
 from robotctl.recording.disk.storage import DiskFile, is_being_written
 from robotctl.recording.format.ledger_record import read_ledger
 from robotctl.recording.write import bag_writer
+from robotctl.testing.drives import GID, ODOMETRY, QOS, START_NS, TWIST
 from robotctl.testing.faults import FailingFile, GatedFile
-from tests.support.recordings import (
-    GID,
-    ODOMETRY,
-    QOS,
-    START_NS,
-    TWIST,
-    number_of,
-    read_strictly,
-    write_numbered,
-)
+from tests.support.recordings import number_of, read_strictly, write_numbered
 from tests.support.waiting import until, until_longer
 
 LATCHED = Topic(

@@ -14,10 +14,10 @@ from robotctl.recording.keep.listing import list_recording
 from robotctl.recording.keep.recover import recover
 from robotctl.recording.keep.recover_folder import recover_folder
 from robotctl.recording.read.journal_reader import read_journal
-from robotctl.testing.drives import drive, record
+from robotctl.testing.drives import TWIST, drive, record
 from robotctl.testing.faults import FailingFile, chunks_of
 from tests.support.numbered_files import recorded, salvaged
-from tests.support.recordings import TWIST, write_numbered
+from tests.support.recordings import write_numbered
 
 
 def recorded_twice(folder: Path) -> tuple[Path, bytes]:

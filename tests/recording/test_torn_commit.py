@@ -29,8 +29,9 @@ from robotctl.recording.keep.repair import repair
 from robotctl.recording.read.mcap_input import RECORD_HEAD, parse, walk_records
 from robotctl.recording.write.buffer import pack
 from robotctl.recording.write.recording_file import RecordingFile
+from robotctl.testing.drives import ODOMETRY, TWIST
 from robotctl.testing.faults import PAGE, FailingFile
-from tests.support.recordings import ODOMETRY, TWIST, numbered, read_strictly
+from tests.support.recordings import numbered, read_strictly
 
 COMMITS = 12
 LARGE = 40_000

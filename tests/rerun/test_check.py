@@ -28,13 +28,15 @@ from robotctl.rerun.whatif import what_if
 from robotctl.rerun.why import explain
 from robotctl.testing.drives import (
     BEGIN_NS,
+    GID,
     JOURNAL,
+    START_NS,
+    TWIST,
     Written,
     drive,
     drive_requested,
     record,
 )
-from tests.support.recordings import GID, START_NS, TWIST
 from tests.support.waiting import until
 
 

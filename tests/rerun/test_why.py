@@ -25,8 +25,7 @@ from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
 from robotctl.rerun.incident import Incident, IncidentKind, find_incident
 from robotctl.rerun.why import explain
-from robotctl.testing.drives import BEGIN_NS, drive, drive_requested, record
-from tests.support.recordings import START_NS
+from robotctl.testing.drives import BEGIN_NS, START_NS, drive, drive_requested, record
 
 
 def at(seconds: float) -> int:

@@ -9,7 +9,8 @@ from typing import Any
 from mcap.writer import Writer
 
 from robotctl.recording import Message, Recorder, RecorderOptions, read_messages
-from tests.support.recordings import START_NS, TWIST, numbered, write_numbered
+from robotctl.testing.drives import START_NS, TWIST
+from tests.support.recordings import numbered, write_numbered
 
 CHUNK_BYTES = 1024
 

@@ -15,29 +15,7 @@ from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 
 from robotctl.recording import Compression, Recorder, RecorderOptions
-from robotctl.recording.format.topics import Topic
-
-START_NS = 1_700_000_000_000_000_000
-GID = b"publisher-number"
-QOS = """\
-- history: keep_last
-  depth: 10
-  reliability: reliable
-  durability: volatile
-  deadline:
-    sec: 9223372036
-    nsec: 854775807
-  lifespan:
-    sec: 9223372036
-    nsec: 854775807
-  liveliness: automatic
-  liveliness_lease_duration:
-    sec: 9223372036
-    nsec: 854775807
-  avoid_ros_namespace_conventions: false
-"""
-TWIST = Topic("/cmd_vel", "geometry_msgs/msg/Twist", "Vector3 linear\n", "RIHS01_ab", QOS)
-ODOMETRY = Topic("/odom", "nav_msgs/msg/Odometry", "Header header\n", "RIHS01_cd", QOS)
+from robotctl.testing.drives import GID, START_NS, TWIST
 
 
 class Stored(NamedTuple):
