@@ -131,7 +131,7 @@ class Driver:
             session,
             robot,
             self._inputs.service_call,
-            lambda text: advice(text, robot).sentence,
+            lambda reply: advice(reply.message, reply.remedies, robot).sentence,
         )
         self._driving = DrivingMethods(self._control, self._robot_report, params, robot)
 
@@ -264,4 +264,4 @@ class Driver:
                 time.monotonic_ns(), request_id, pattern, 0, False, "robotctl start --drive"
             )
         )
-        return reply.message
+        return advice(reply.message, reply.remedies, self._host.options.robot).sentence

@@ -17,6 +17,7 @@ from robotctl.ipc.method import Method
 from robotctl.ipc.method_names import DRIVE, PATH, RESET, SET_MODE
 from robotctl.ipc.params import DriveParams, NoParams, ResetParams, SetModeParams
 from robotctl.ipc.server import ControlServer
+from robotctl.kernel.remedies import Remedy
 from robotctl.kernel.types import Event, FaultReported
 
 _log = logging.getLogger(__name__)
@@ -75,6 +76,10 @@ class Observer:
             "stalls": None,
             "odometry_dropped": None,
         }
+
+    def remedies(self) -> tuple[Remedy, ...]:
+        """Return nothing: the mode is unknown."""
+        return ()
 
     def warnings(self) -> Iterator[str]:
         """Say what failed in the daemon itself."""

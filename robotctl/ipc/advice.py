@@ -1,44 +1,93 @@
-"""What the kernel says, as the operator of one robot reads it.
+"""Texts about one robot: what is wrong, what to do, and the commands that do it.
 
-The kernel knows no robot's name, and its texts are journaled: they are the same for every robot.
+The kernel knows no robot's name and no command: what it decides on holds remedies as data.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from typing import NamedTuple
 
 from robotctl.ipc.client import command_for
-from robotctl.kernel.safety import RULES
+from robotctl.kernel.remedies import Remedy
 
-_CURES = sorted({rule.cure for rule in RULES}, key=len, reverse=True)
-_THEN_RESET = ", then robotctl reset"
-
-_COMMAND = re.compile(r"\brobotctl (logs|reset|set-mode idle|start|status|stop)\b(?! \(uid )")
-"""A command in a cure; what requesters call themselves goes on with their uid."""
+_COMMAND = re.compile(
+    r"\brobotctl (logs|reset|set-mode idle|start|status|stop)\b(?! \(uid | --robot )"
+)
+"""A command in a text without a robot; the name of a requester is followed by its uid."""
 
 
 class Advice(NamedTuple):
-    """What is wrong, and what to do: "" where the text gives no rule's cure at its end."""
+    """What is wrong, and what to do about it; `cure` is "" where there is no remedy."""
 
     cause: str
     cure: str
 
     @property
     def sentence(self) -> str:
-        """Both in one line."""
+        """Cause and cure in one line."""
         return f"{self.cause}: {self.cure}" if self.cure else self.cause
 
 
-def advice(text: str, robot: str) -> Advice:
-    """Return a text of the kernel with its cure told once, and with commands for this robot."""
-    for rule_cure in _CURES:
-        for cure in (rule_cure + _THEN_RESET, rule_cure):
-            if text.endswith(f": {cure}"):
-                cause = text.removesuffix(f": {cure}").replace(f": {rule_cure}", "")
-                return Advice(cause, _for_robot(cure, robot))
-    return Advice(_for_robot(text, robot), "")
+def advice(text: str, remedies: Iterable[Remedy], robot: str) -> Advice:
+    """Return a text of the kernel and its remedies as the operator of `robot` reads them."""
+    cure = ", then ".join(cure_of(remedy, robot) for remedy in remedies)
+    return Advice(for_robot(text, robot), cure)
 
 
-def _for_robot(text: str, robot: str) -> str:
+def for_robot(text: str, robot: str) -> str:
+    """Return the text with `--robot` after each command in it, where `robot` needs that."""
     return _COMMAND.sub(lambda match: command_for(robot, match[1]), text)
+
+
+def cure_of(remedy: Remedy, robot: str) -> str:
+    """Return what to do, with commands that work for `robot` when they are pasted."""
+    logs, reset = command_for(robot, "logs"), command_for(robot, "reset")
+    start, stop = command_for(robot, "start"), command_for(robot, "stop")
+    match remedy:
+        case Remedy.RELEASE_STOP:
+            return f"release it: {reset}"
+        case Remedy.CLEAR_ERROR:
+            return f"clear it: {reset}"
+        case Remedy.RESET:
+            return reset
+        case Remedy.STOP_FIRST:
+            return f"stop it first ({command_for(robot, 'set-mode idle')})"
+        case Remedy.STOP_OR_REPLACE:
+            return f"{cure_of(Remedy.STOP_FIRST, robot)}, or use --replace"
+        case Remedy.CHARGE_BATTERY:
+            return "charge the battery"
+        case Remedy.CHECK_BATTERY_TOPIC:
+            return (
+                "check the battery topic, set battery.scale to 100 for a gauge that counts in "
+                'percent, or battery.topic to "" for a robot without a battery'
+            )
+        case Remedy.READ_LOG_AND_RESTART:
+            return f"see {logs}, then restart: {stop}, {start}"
+        case Remedy.RESTART:
+            return f"restart after that: {stop}, {start}"
+        case Remedy.RESTORE_SOCKET_FOLDER:
+            return "give the control socket its folder back"
+        case Remedy.START_DAEMON:
+            return f"start it again: {start}"
+        case Remedy.FREE_PROCESSOR:
+            return f"free the processor, or see {logs} for what held it up"
+        case Remedy.FREE_PROCESSOR_OR_LOWER_RATE:
+            return f"free the processor, lower rate_hz, or see {logs} for what held it up"
+        case Remedy.CHECK_ODOMETRY_SOURCE:
+            return "check the odometry source"
+        case Remedy.CHECK_ODOMETRY_IS_PUBLISHED:
+            status = command_for(robot, "status")
+            return f"check that the robot publishes odometry ({status} lists the topics)"
+        case Remedy.STOP_ONE_ODOMETRY_PUBLISHER:
+            return "stop one of the two publishers"
+        case Remedy.CHECK_WHEELS:
+            return "check wheels and odometry, or lower the speed"
+        case Remedy.STOP_COMMAND_PUBLISHER:
+            return "stop the other publisher"
+        case Remedy.START_BASE:
+            return (
+                "start the robot's base, and check command.topic: "
+                "robotctl sends geometry_msgs/msg/Twist"
+            )

@@ -20,12 +20,15 @@ from robotctl.kernel.odometry import (
 )
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.patterns import Pattern
+from robotctl.kernel.remedies import Remedy
 from robotctl.kernel.safety import (
     FAULT_TRIGGERS,
     RULE_OF,
     Finding,
     failed_start_condition,
     raised,
+    remedies_for,
+    remedies_to_move,
     uncleared,
 )
 from robotctl.kernel.state import State
@@ -282,7 +285,7 @@ class Kernel:
         transition = TRANSITIONS[mode, trigger]
         match transition.guard:
             case Guard.NEVER:
-                self._refuse(request_id, self._refusal(trigger))
+                self._refuse_here(request_id, trigger)
             case Guard.CAUSE_GONE:
                 self._release(t_ns, request_id, trigger, reason)
             case Guard.RAMP_DOWN:
@@ -310,17 +313,17 @@ class Kernel:
     def _request_drive(self, event: DriveRequested) -> None:
         state = self.state
         refusal = event.pattern.refusal() or _laps_refusal(event.laps)
+        remedies: tuple[Remedy, ...] = ()
         if not refusal:
             if TRANSITIONS[state.mode, Trigger.REQUEST_MOVING].guard is Guard.NEVER:
-                refusal = self._refusal(Trigger.REQUEST_MOVING)
-            elif state.phase is Phase.STOPPING:
+                self._refuse_here(event.request_id, Trigger.REQUEST_MOVING)
+                return
+            if state.phase is Phase.STOPPING:
                 refusal = STOPPING_REFUSAL
             elif state.mode is Mode.MOVING and not event.replace:
-                refusal = (
-                    "the robot is MOVING: stop it first (robotctl set-mode idle), or use --replace"
-                )
+                refusal, remedies = "the robot is MOVING", (Remedy.STOP_OR_REPLACE,)
         if refusal:
-            self._refuse(event.request_id, refusal)
+            self._refuse(event.request_id, refusal, remedies)
             return
         reason = f"requested by {event.source}"
         self._start(event.t_ns, event.request_id, event.pattern, event.laps, reason)
@@ -328,10 +331,11 @@ class Kernel:
     def _start(self, t_ns: int, request_id: int, pattern: Pattern, laps: int, reason: str) -> None:
         self._notice_gap(t_ns)
         finding = failed_start_condition(self.state.health, self.params, t_ns)
-        odometry = self.state.health.odometry
-        if finding is not None or odometry is None:
-            self._refuse(request_id, finding.text if finding else "no odometry")
+        if finding is not None:
+            self._refuse(request_id, finding.detail, finding.remedies)
             return
+        odometry = self.state.health.odometry
+        assert odometry is not None, "a rule refuses to start without odometry"
         self._end_drive("replaced by another drive")
         previous, command = self.state.mode, self.state.command
         # A drive that replaces another begins at the speed that the robot has.
@@ -368,7 +372,8 @@ class Kernel:
         # Not released either is what a second fault would stop again in the same moment.
         finding = finding or raised(Mode.IDLE, state.health, self.params, t_ns)
         if finding is not None:
-            self._refuse(request_id, f"the cause of {state.mode.name} is not gone: {finding.text}")
+            refusal = f"the cause of {state.mode.name} is not gone: {finding.detail}"
+            self._refuse(request_id, refusal, finding.remedies)
             return
         released = state.mode
         self._stand(trigger, reason, None)
@@ -378,15 +383,15 @@ class Kernel:
         else:
             self._accept(request_id, "Mode changed to IDLE")
 
-    def _refusal(self, trigger: Trigger) -> str:
+    def _refuse_here(self, request_id: int, trigger: Trigger) -> None:
+        """Refuse what the table of modes does not allow in this mode."""
         state = self.state
         if state.mode is Mode.MOVING:
-            return "the robot is MOVING: stop it first (robotctl set-mode idle)"
-        cure = RULE_OF[state.cause].cure if state.cause else "release it: robotctl reset"
-        if "robotctl reset" not in cure:
-            cure = f"{cure}, then robotctl reset"
+            self._refuse(request_id, "the robot is MOVING", (Remedy.STOP_FIRST,))
+            return
         asked = trigger.value.removeprefix("request ")
-        return f"{asked} is refused in {state.mode.name} ({state.reason}): {cure}"
+        refusal = f"{asked} is refused in {state.mode.name} ({state.reason})"
+        self._refuse(request_id, refusal, remedies_to_move(state.cause or Cause.OPERATOR_STOP))
 
     # What changes the mode
 
@@ -396,8 +401,7 @@ class Kernel:
             self._stop_for(finding)
 
     def _stop_for(self, finding: Finding) -> None:
-        rule = finding.rule
-        self._stand(FAULT_TRIGGERS[rule.action], finding.text, rule.cause)
+        self._stand(FAULT_TRIGGERS[finding.rule.action], finding.detail, finding.cause)
 
     def _stand(self, trigger: Trigger, reason: str, cause: Cause | None) -> None:
         """Go where `trigger` leads, with the command exactly zero, and say so."""
@@ -420,20 +424,23 @@ class Kernel:
             stop_reason="",
             waiting=(),
         )
-        self._effects.append(ModeChanged(previous, target, reason))
-        self._end_drive(reason, completed and target is Mode.IDLE)
+        self._effects.append(ModeChanged(previous, target, reason, cause))
+        self._end_drive(reason, cause, completed=completed and target is Mode.IDLE)
         for request_id in waiting:
             if target is Mode.IDLE:
                 self._accept(request_id, "Mode changed to IDLE")
             else:
-                self._refuse(request_id, f"the mode became {target.name}: {reason}")
+                refusal = f"the mode became {target.name}: {reason}"
+                self._refuse(request_id, refusal, remedies_for(cause))
 
-    def _end_drive(self, reason: str, completed: bool = False) -> None:
+    def _end_drive(
+        self, reason: str, cause: Cause | None = None, *, completed: bool = False
+    ) -> None:
         state = self.state
         if state.drive is None:
             return
         self._effects.append(
-            DriveEnded(state.drive.request_id, completed, reason, state.drive.report())
+            DriveEnded(state.drive.request_id, completed, reason, state.drive.report(), cause)
         )
         health = replace(state.health, path_error_m=0.0)
         self.state = replace(state, drive=None, health=health, stop_reason="")
@@ -441,8 +448,8 @@ class Kernel:
     def _accept(self, request_id: int, message: str) -> None:
         self._effects.append(Reply(request_id, True, message, self.state.mode))
 
-    def _refuse(self, request_id: int, message: str) -> None:
-        self._effects.append(Reply(request_id, False, message, self.state.mode))
+    def _refuse(self, request_id: int, message: str, remedies: tuple[Remedy, ...] = ()) -> None:
+        self._effects.append(Reply(request_id, False, message, self.state.mode, remedies))
 
 
 def _laps_refusal(laps: int) -> str:

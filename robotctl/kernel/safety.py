@@ -15,6 +15,7 @@ from robotctl.kernel.battery import is_level
 from robotctl.kernel.health import Health
 from robotctl.kernel.modes import Mode, Trigger
 from robotctl.kernel.params import KernelParams
+from robotctl.kernel.remedies import RESETTING, Remedy
 from robotctl.kernel.types import Cause
 from robotctl.kernel.units import NS_PER_S
 
@@ -162,7 +163,7 @@ class Rule:
     raised_in: frozenset[Mode]
     present: Check
     hindrance: Check
-    cure: str
+    remedy: Remedy
 
 
 _MOVING = frozenset({Mode.MOVING})
@@ -170,38 +171,32 @@ _ALWAYS = frozenset({Mode.IDLE, Mode.MOVING})
 _NEVER: frozenset[Mode] = frozenset()
 
 
-def _rule(cause: Cause, action: Mode, raised_in: frozenset[Mode], check: Check, cure: str) -> Rule:
-    return Rule(cause, action, raised_in, check, check, cure)
+def _rule(
+    cause: Cause, action: Mode, raised_in: frozenset[Mode], check: Check, remedy: Remedy
+) -> Rule:
+    return Rule(cause, action, raised_in, check, check, remedy)
 
 
 _REPORTED: tuple[Rule, ...] = tuple(
-    _rule(cause, Mode.ERROR, raised_in, _reported(cause), cure)
-    for cause, raised_in, cure in (
-        (
-            Cause.TASK_DIED,
-            _ALWAYS,
-            "see robotctl logs, then restart: robotctl stop, robotctl start",
-        ),
-        (
-            Cause.RECORDER_FAILED,
-            _ALWAYS,
-            "restart after that: robotctl stop, robotctl start",
-        ),
-        (Cause.UNREACHABLE, _ALWAYS, "give the control socket its folder back"),
-        (Cause.DAEMON_ENDS, _NEVER, "start it again: robotctl start"),
+    _rule(cause, Mode.ERROR, raised_in, _reported(cause), remedy)
+    for cause, raised_in, remedy in (
+        (Cause.TASK_DIED, _ALWAYS, Remedy.READ_LOG_AND_RESTART),
+        (Cause.RECORDER_FAILED, _ALWAYS, Remedy.RESTART),
+        (Cause.UNREACHABLE, _ALWAYS, Remedy.RESTORE_SOCKET_FOLDER),
+        (Cause.DAEMON_ENDS, _NEVER, Remedy.START_DAEMON),
     )
 )
 """What the kernel is told, and cannot know by itself."""
 
 RULES: tuple[Rule, ...] = (
-    _rule(Cause.OPERATOR_STOP, Mode.EMERGENCY_STOP, _NEVER, _healthy, "release it: robotctl reset"),
+    _rule(Cause.OPERATOR_STOP, Mode.EMERGENCY_STOP, _NEVER, _healthy, Remedy.RELEASE_STOP),
     Rule(
         Cause.BATTERY_LOW,
         Mode.EMERGENCY_STOP,
         _MOVING,
         _battery_at_stop,
         _battery_before_clear,
-        "charge the battery",
+        Remedy.CHARGE_BATTERY,
     ),
     *_REPORTED,
     _rule(
@@ -209,73 +204,72 @@ RULES: tuple[Rule, ...] = (
         Mode.ERROR,
         _MOVING,
         _healthy,
-        "free the processor, or see robotctl logs for what held it up",
+        Remedy.FREE_PROCESSOR,
     ),
     _rule(
         Cause.TICK_OVERRUN,
         Mode.ERROR,
         _MOVING,
         _tick_overrun,
-        "free the processor, lower rate_hz, or see robotctl logs for what held it up",
+        Remedy.FREE_PROCESSOR_OR_LOWER_RATE,
     ),
     _rule(
         Cause.ODOMETRY_WRONG,
         Mode.ERROR,
         _MOVING,
         _odometry_wrong,
-        "check the odometry source",
+        Remedy.CHECK_ODOMETRY_SOURCE,
     ),
     _rule(
         Cause.ODOMETRY_LOST,
         Mode.ERROR,
         _MOVING,
         _odometry_lost,
-        "check that the robot publishes odometry (robotctl status lists the topics)",
+        Remedy.CHECK_ODOMETRY_IS_PUBLISHED,
     ),
     _rule(
         Cause.ODOMETRY_CONTRADICTED,
         Mode.ERROR,
         _MOVING,
         _odometry_contradicted,
-        "stop one of the two publishers",
+        Remedy.STOP_ONE_ODOMETRY_PUBLISHER,
     ),
     _rule(
         Cause.SECOND_ODOMETRY,
         Mode.ERROR,
         _NEVER,
         _second_odometry,
-        "stop one of the two publishers",
+        Remedy.STOP_ONE_ODOMETRY_PUBLISHER,
     ),
     _rule(
         Cause.TRACKING_LOST,
         Mode.ERROR,
         _MOVING,
         _tracking_lost,
-        "check wheels and odometry, or lower the speed",
+        Remedy.CHECK_WHEELS,
     ),
     _rule(
         Cause.FOREIGN_PUBLISHER,
         Mode.ERROR,
         _MOVING,
         _foreign_publisher,
-        "stop the other publisher",
+        Remedy.STOP_COMMAND_PUBLISHER,
     ),
     _rule(
         Cause.COMMAND_UNHEARD,
         Mode.ERROR,
         _NEVER,
         _command_unheard,
-        "start the robot's base, and check command.topic: robotctl sends geometry_msgs/msg/Twist",
+        Remedy.START_BASE,
     ),
     _rule(
         Cause.BATTERY_UNKNOWN,
         Mode.ERROR,
         _MOVING,
         _battery_unknown,
-        "check the battery topic, set battery.scale to 100 for a gauge that counts in percent, "
-        'or battery.topic to "" for a robot without a battery',
+        Remedy.CHECK_BATTERY_TOPIC,
     ),
-    _rule(Cause.OPERATOR_ERROR, Mode.ERROR, _NEVER, _healthy, "clear it: robotctl reset"),
+    _rule(Cause.OPERATOR_ERROR, Mode.ERROR, _NEVER, _healthy, Remedy.CLEAR_ERROR),
 )
 """Every cause, the most severe first."""
 
@@ -294,9 +288,14 @@ class Finding:
     detail: str
 
     @property
-    def text(self) -> str:
-        """What is wrong and what to do, in one line."""
-        return f"{self.detail}: {self.rule.cure}"
+    def cause(self) -> Cause:
+        """The cause that the rule is about."""
+        return self.rule.cause
+
+    @property
+    def remedies(self) -> tuple[Remedy, ...]:
+        """What the operator can do about it."""
+        return (self.rule.remedy,)
 
 
 _RULES_IN: tuple[tuple[Rule, ...], ...] = tuple(
@@ -328,6 +327,17 @@ def _first_present(
         if detail:
             return Finding(rule, detail)
     return None
+
+
+def remedies_for(cause: Cause | None) -> tuple[Remedy, ...]:
+    """Return what the operator can do about the cause of a mode, () where there is no cause."""
+    return () if cause is None else (RULE_OF[cause].remedy,)
+
+
+def remedies_to_move(cause: Cause) -> tuple[Remedy, ...]:
+    """Return what must be done in ERROR or EMERGENCY_STOP before the robot can move again."""
+    remedy = RULE_OF[cause].remedy
+    return (remedy,) if remedy in RESETTING else (remedy, Remedy.RESET)
 
 
 def uncleared(cause: Cause, health: Health, params: KernelParams, t_ns: int) -> Finding | None:

@@ -11,6 +11,7 @@ from enum import Enum
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.patterns import Pattern
+from robotctl.kernel.remedies import Remedy
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,11 +231,12 @@ class PublishTwist:
 
 @dataclass(frozen=True, slots=True)
 class ModeChanged:
-    """The mode is now another one."""
+    """The mode changed; `cause` is why it is ERROR or EMERGENCY_STOP now."""
 
     previous: Mode
     mode: Mode
     reason: str
+    cause: Cause | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,12 +254,13 @@ class ReleaseEmergencyStop:
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """The one answer to a request."""
+    """The one answer to a request; `remedies` is what to do, in order, about a refusal."""
 
     request_id: int
     ok: bool
     message: str
     mode: Mode
+    remedies: tuple[Remedy, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -277,12 +280,16 @@ class DriveReport:
 
 @dataclass(frozen=True, slots=True)
 class DriveEnded:
-    """The drive that `request_id` began is over; `completed` means all its laps were driven."""
+    """The drive that `request_id` began is over; `completed` means all its laps were driven.
+
+    `cause` is why the robot had to stop, None where a request or the last lap ended the drive.
+    """
 
     request_id: int
     completed: bool
     reason: str
     report: DriveReport
+    cause: Cause | None = None
 
 
 Decision = PublishTwist | ModeChanged | LatchEmergencyStop | ReleaseEmergencyStop | Reply

@@ -10,7 +10,8 @@ from typing import assert_never
 from robotctl.config import Config, flat
 from robotctl.kernel.modes import REQUESTS, TRANSITIONS, Guard, Mode, Trigger
 from robotctl.kernel.params import KernelParams
-from robotctl.kernel.safety import RULE_OF, Rule, failed_start_condition, uncleared
+from robotctl.kernel.remedies import Remedy
+from robotctl.kernel.safety import RULE_OF, Rule, failed_start_condition, remedies_for, uncleared
 from robotctl.kernel.state import State
 from robotctl.kernel.types import (
     Cause,
@@ -45,9 +46,13 @@ _MEASURES: Mapping[Cause, tuple[str, ...]] = MappingProxyType(
 
 @dataclass(frozen=True, slots=True)
 class Why:
-    """The chain of an incident, in sentences; empty where there is nothing to say."""
+    """The chain of an incident, in sentences; empty where there is nothing to say.
+
+    `remedies` is what the operator was told to do; a recording of 0.1.0 holds that in `what`.
+    """
 
     what: str
+    remedies: tuple[Remedy, ...]
     came_in: str
     known: str
     rule: str
@@ -60,6 +65,7 @@ def explain(incident: Incident) -> Why:
     """Say why."""
     return Why(
         what=_what(incident),
+        remedies=_remedies(incident),
         came_in=_came_in(incident),
         known=_known(incident),
         rule=_rule(incident),
@@ -94,6 +100,15 @@ def _what(incident: Incident) -> str:
             return f"{effect.previous.name} -> {effect.mode.name}: {effect.reason}"
     refused = _refusal(incident)
     return f"refused: {refused.message}" if refused else ""
+
+
+def _remedies(incident: Incident) -> tuple[Remedy, ...]:
+    for effect in incident.effects:
+        if isinstance(effect, ModeChanged) and incident.kind is IncidentKind.FAULT:
+            return remedies_for(effect.cause)
+        if isinstance(effect, Reply) and not effect.ok:
+            return effect.remedies
+    return ()
 
 
 def _refusal(incident: Incident) -> Reply | None:

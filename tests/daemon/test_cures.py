@@ -45,7 +45,9 @@ async def test_a_failed_recorder_tells_the_cure_for_its_robot(report: RecorderRe
 
 def test_the_notes_of_a_start_tell_the_cure_for_its_robot(report: RecorderReport) -> None:
     robot: Any = SimpleNamespace(
-        facts=lambda: dict.fromkeys(RobotFacts.__required_keys__), warnings=lambda: iter(())
+        facts=lambda: dict.fromkeys(RobotFacts.__required_keys__),
+        remedies=lambda: (),
+        warnings=lambda: iter(()),
     )
     options = DaemonOptions("r2", None, Path(), None, None, 0)
     source = StatusSource(options, report, robot, "", [])

@@ -8,6 +8,7 @@ import pytest
 
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import BatteryParams, BatteryScale, KernelParams
+from robotctl.kernel.remedies import Remedy
 from robotctl.kernel.types import Cause
 from robotctl.testing.kernels import Bench, ready, start, stopped_by
 
@@ -16,11 +17,11 @@ def bench_of(scale: BatteryScale) -> Bench:
     return ready(replace(KernelParams(), battery=BatteryParams(scale=scale)))
 
 
-def test_a_level_beyond_the_scale_is_refused_as_it_came_with_the_cure() -> None:
+def test_a_level_beyond_the_scale_is_refused_as_it_came_with_its_remedy() -> None:
     bench = bench_of(BatteryScale.ONE)
     bench.battery(87.4)
     assert "the battery reports 87.4, not 0 to 1" in start(bench)
-    assert "battery.scale" in start(bench)
+    assert bench.replies[-1].remedies == (Remedy.CHECK_BATTERY_TOPIC,)
 
 
 @pytest.mark.parametrize("scale", [BatteryScale.PERCENT, BatteryScale.AUTO])

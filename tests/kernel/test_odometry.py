@@ -10,6 +10,8 @@ import pytest
 from robotctl.kernel.geometry import ORIGIN, Pose
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.patterns import MIN_SIZE_M, Pattern, PatternKind
+from robotctl.kernel.remedies import Remedy
+from robotctl.kernel.safety import remedies_for
 from robotctl.kernel.types import (
     ZERO,
     Cause,
@@ -70,7 +72,7 @@ def test_odometry_that_cannot_be_true_means_zero_within_its_timeout_and_one_tick
         bench.tick()
     assert stopped_by(bench, Cause.ODOMETRY_WRONG, Mode.ERROR)
     assert bench.t_ns - last_ns <= 500_000_000 + TICK_NS
-    assert "check the odometry source" in bench.state.reason
+    assert remedies_for(bench.state.cause) == (Remedy.CHECK_ODOMETRY_SOURCE,)
 
 
 @pytest.mark.parametrize("lie", LIES)

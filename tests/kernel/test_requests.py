@@ -12,6 +12,7 @@ from robotctl.kernel.kernel import MAX_WAITING, Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.patterns import Pattern, PatternKind
+from robotctl.kernel.remedies import RESETTING, Remedy
 from robotctl.kernel.state import latched
 from robotctl.kernel.types import (
     ZERO,
@@ -88,7 +89,7 @@ def test_a_latched_stop_outlives_the_process() -> None:
     assert stopped.mode is Mode.EMERGENCY_STOP
     bench.request(Mode.MOVING)
     assert not bench.replies[-1].ok
-    assert "robotctl reset" in bench.replies[-1].message
+    assert bench.replies[-1].remedies == (Remedy.RELEASE_STOP,)
     reset(bench)
     assert bench.state.mode is Mode.IDLE
 
@@ -158,7 +159,7 @@ def test_a_drive_is_replaced_only_on_request() -> None:
     before = bench.state
     bench.drive(CIRCLE)
     assert not bench.replies[-1].ok
-    assert "--replace" in bench.replies[-1].message
+    assert bench.replies[-1].remedies == (Remedy.STOP_OR_REPLACE,)
     assert bench.state == before
     effects = bench.drive(CIRCLE, replacing=True)
     assert kinds(effects) == [DriveEnded, Reply]
@@ -183,7 +184,7 @@ def test_no_drive_leads_out_of_a_stop(mode: Mode) -> None:
     bench = in_mode(mode)
     bench.drive(CIRCLE, replacing=True)
     assert not bench.replies[-1].ok
-    assert "robotctl reset" in bench.replies[-1].message
+    assert not RESETTING.isdisjoint(bench.replies[-1].remedies)
     assert bench.state.mode is mode
 
 

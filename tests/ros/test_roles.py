@@ -333,7 +333,7 @@ async def test_a_call_is_answered_with_what_was_decided(
         asked.append((requested, source))
         return replied(Reply(1, False, "because", Mode.EMERGENCY_STOP))
 
-    ModeService(session, "r2", refuse, str.upper)
+    ModeService(session, "r2", refuse, lambda reply: reply.message.upper())
     client = node.create_client(SetMode, "/r2/set_mode")
     await executor.wait_for_service(client, timeout_s=20.0)
     answer = await executor.call(client, SetMode.Request(requested_mode=200), timeout_s=20.0)

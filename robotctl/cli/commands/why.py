@@ -24,7 +24,7 @@ from robotctl.cli.support.time_argument import is_offset, parse_moment
 from robotctl.cli.terminal.progress import Progress, progress_bar
 from robotctl.cli.terminal.text import row, short_path
 from robotctl.errors import NoDaemon, Refused, RobotctlError, UnreadableFile, UsageError
-from robotctl.ipc.advice import advice
+from robotctl.ipc.advice import advice, cure_of, for_robot
 from robotctl.ipc.answers import Committed
 from robotctl.ipc.client import Client
 from robotctl.ipc.method_names import RECORD_COMMIT
@@ -201,14 +201,14 @@ def why_lines(found: Found) -> Iterator[str]:
 
     incident, robot = found.incident, robot_of(found.path) or DEFAULT_ROBOT
     told = explain(incident)
-    yield from row(f"{_clock(incident)}  ", advice(told.what, robot).sentence)
+    yield from row(f"{_clock(incident)}  ", advice(told.what, told.remedies, robot).sentence)
     rows = (
         ("came in", told.came_in),
         ("known", told.known),
         ("rule", told.rule),
         ("asked for", told.asked),
         *(("went out" if not i else "", text) for i, text in enumerate(told.went_out)),
-        ("since", advice(told.since, robot).sentence),
+        ("since", for_robot(told.since, robot)),
         ("then", _later(found)),
         *(("missing", sentence) for sentence in found.missing),
     )
@@ -246,17 +246,17 @@ def as_object(found: Found) -> dict[str, Any]:
         "mode_before": incident.before.mode.name if incident.before else None,
         "mode": incident.after.mode.name if incident.after else None,
         "cause": rule.cause.value if rule else None,
-        "cure": advice(rule.cure, robot).sentence if rule else None,
+        "cure": cure_of(rule.remedy, robot) if rule else None,
         "zero_after_ms": sent_ms,
         "event": text_of(incident.event),
         "effects": [text_of(effect) for effect in incident.effects],
-        "what": advice(told.what, robot).sentence,
+        "what": advice(told.what, told.remedies, robot).sentence,
         "came_in": told.came_in,
         "known": told.known,
         "rule": told.rule,
         "asked": told.asked,
         "went_out": list(told.went_out),
-        "since": advice(told.since, robot).sentence,
+        "since": for_robot(told.since, robot),
         "missing": list(found.missing),
     }
 

@@ -19,6 +19,7 @@ from robotctl.ipc.params import DriveParams, EndDriveParams, NoParams, ResetPara
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.patterns import Pattern, PatternKind
+from robotctl.kernel.safety import remedies_for
 from robotctl.kernel.types import DriveEnded, DriveRequested, ModeRequested, Reply, ResetRequested
 from robotctl.paths import DEFAULT_ROBOT
 
@@ -128,7 +129,8 @@ class DrivingMethods:
         result = _drive_answer(ended, mode)
         if not (ended.completed if event.laps else mode is Mode.IDLE):
             text = f"the drive ended after {ended.report.laps} laps: {ended.reason}"
-            raise Refused(*advice(text, self._robot), answer=result)
+            remedies = remedies_for(ended.cause)
+            raise Refused(*advice(text, remedies, self._robot), answer=result)
         return result
 
     async def _end_drive(self, params: EndDriveParams) -> ModeAnswer:
@@ -160,9 +162,9 @@ class DrivingMethods:
 
     def _answer(self, reply: Reply) -> ModeAnswer:
         if isinstance(reply, UnsavedReply):
-            raise RobotctlError(*advice(reply.message, self._robot))
+            raise RobotctlError(*advice(reply.message, reply.remedies, self._robot))
         if not reply.ok:
-            raise Refused(*advice(reply.message, self._robot))
+            raise Refused(*advice(reply.message, reply.remedies, self._robot))
         return {"message": reply.message, "mode": reply.mode.name}
 
 

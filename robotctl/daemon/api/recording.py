@@ -7,7 +7,7 @@ from typing import Any
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.daemon.waiting import until
 from robotctl.errors import Refused
-from robotctl.ipc.advice import advice
+from robotctl.ipc.advice import for_robot
 from robotctl.ipc.answers import Committed, FileSplit, Marked, RecordStatus
 from robotctl.ipc.method import Method
 from robotctl.ipc.method_names import MARK, RECORD_COMMIT, RECORD_SPLIT, RECORD_STATUS
@@ -24,12 +24,12 @@ def recording_methods(recorder: FlightRecorder, robot: str) -> dict[str, Method[
     """Return `record_status`, `record_commit`, `record_split` and `mark`; cures name `robot`."""
 
     def failure() -> str:
-        return advice(recorder.failure, robot).sentence
+        return for_robot(recorder.failure, robot)
 
     async def status(_: NoParams) -> RecordStatus:
         return {
             **recorder.report.facts(),
-            "warnings": [advice(text, robot).sentence for text in recorder.report.warnings()],
+            "warnings": [for_robot(text, robot) for text in recorder.report.warnings()],
         }
 
     async def commit(_: NoParams) -> Committed:

@@ -11,8 +11,9 @@ from robotctl import __version__
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.recording.recorder_report import RecorderReport
 from robotctl.domains import discovery_range, is_on_this_machine_only
-from robotctl.ipc.advice import advice
+from robotctl.ipc.advice import advice, for_robot
 from robotctl.ipc.answers import RobotFacts, StartSummary, Status
+from robotctl.kernel.remedies import Remedy
 from robotctl.paths import log_path, socket_path
 
 PartWarning = Callable[[], str]
@@ -24,6 +25,9 @@ class RobotView(Protocol):
 
     def facts(self) -> RobotFacts:
         """Return the robot's part of the status."""
+
+    def remedies(self) -> tuple[Remedy, ...]:
+        """Return what the operator can do about the mode."""
 
     def warnings(self) -> Iterator[str]:
         """Say what is wrong, a sentence each."""
@@ -51,14 +55,15 @@ class StatusSource:
         """Return the object of `robotctl status --json`."""
         robot, facts = self._options.robot, self._robot.facts()
         if facts["mode_reason"]:
-            facts["mode_reason"] = advice(facts["mode_reason"], robot).sentence
+            told = advice(facts["mode_reason"], self._robot.remedies(), robot)
+            facts["mode_reason"] = told.sentence
         return {
             "robot": robot,
             "version": __version__,
             "pid": os.getpid(),
             **facts,
             **self._recording.facts(),
-            "warnings": [advice(warning, robot).sentence for warning in self._warnings()],
+            "warnings": [for_robot(warning, robot) for warning in self._warnings()],
             "domain_id": self._options.domain_id,
             "discovery_range": discovery_range(),
             "scheduling": self._scheduling,
@@ -80,7 +85,7 @@ class StatusSource:
             "pid": status["pid"],
             "recording": status["recorder"]["file"],
             "log": str(log_path(self._options.robot)),
-            "notes": [advice(note, self._options.robot).sentence for note in notes],
+            "notes": [for_robot(note, self._options.robot) for note in notes],
         }
 
     def _warnings(self) -> Iterator[str]:

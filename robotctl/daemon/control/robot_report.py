@@ -11,7 +11,8 @@ from robotctl.kernel.battery import is_level
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.health import Health
 from robotctl.kernel.params import KernelParams
-from robotctl.kernel.safety import FOREIGN_COMMAND_S, RULE_OF
+from robotctl.kernel.remedies import Remedy
+from robotctl.kernel.safety import FOREIGN_COMMAND_S, RULE_OF, remedies_for
 from robotctl.kernel.types import Cause
 from robotctl.kernel.units import NS_PER_S
 
@@ -99,6 +100,10 @@ class RobotReport:
             "stalls": state.health.stalls.count,
             "odometry_dropped": state.health.odometry_sources.dropped,
         }
+
+    def remedies(self) -> tuple[Remedy, ...]:
+        """Return what the operator can do about the mode."""
+        return remedies_for(self._control.state.cause)
 
     def warnings(self) -> Iterator[str]:
         """Say what is wrong with the robot, or could be."""

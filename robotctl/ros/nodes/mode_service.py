@@ -6,6 +6,7 @@ from asyncio import Future
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import nan
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -63,11 +64,11 @@ class ModeService:
         session: Session,
         robot: str,
         request: Callable[[int, str], Future[Reply]],
-        say: Callable[[str], str] = str,
+        say: Callable[[Reply], str] = attrgetter("message"),
     ) -> None:
         """`request(mode number, source)` is called for each request, and returns at once.
 
-        `say` makes of the kernel's text what the caller reads.
+        `say` returns the text of a reply that the caller reads.
         """
         self._request = request
         self._say = say
@@ -111,7 +112,7 @@ class ModeService:
 
     async def _answer_stop(self, reply: Future[Reply], response: Any) -> Any:
         done = await reply
-        response.success, response.message = done.ok, self._say(done.message)
+        response.success, response.message = done.ok, self._say(done)
         return response
 
     def _set_mode(self, request: Any, response: Any) -> Any:
@@ -125,7 +126,7 @@ class ModeService:
 
     async def _answer_mode(self, reply: Future[Reply], response: Any) -> Any:
         done = await reply
-        response.success, response.message = done.ok, self._say(done.message)
+        response.success, response.message = done.ok, self._say(done)
         response.current_mode = done.mode.value
         return response
 

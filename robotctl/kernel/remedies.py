@@ -1,0 +1,36 @@
+"""What an operator can do when the robot may not move.
+
+A remedy is data; `robotctl.ipc.advice` makes the text of it, with the commands for one robot.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+
+
+class Remedy(Enum):
+    """One thing to do."""
+
+    RELEASE_STOP = "release the emergency stop"
+    CLEAR_ERROR = "clear the error"
+    RESET = "reset"
+    STOP_FIRST = "stop first"
+    STOP_OR_REPLACE = "stop first or replace the drive"
+    CHARGE_BATTERY = "charge the battery"
+    CHECK_BATTERY_TOPIC = "check the battery topic"
+    READ_LOG_AND_RESTART = "read the log and restart"
+    RESTART = "restart"
+    RESTORE_SOCKET_FOLDER = "restore the socket folder"
+    START_DAEMON = "start the daemon"
+    FREE_PROCESSOR = "free the processor"
+    FREE_PROCESSOR_OR_LOWER_RATE = "free the processor or lower the rate"
+    CHECK_ODOMETRY_SOURCE = "check the odometry source"
+    CHECK_ODOMETRY_IS_PUBLISHED = "check that odometry is published"
+    STOP_ONE_ODOMETRY_PUBLISHER = "stop one odometry publisher"
+    CHECK_WHEELS = "check the wheels"
+    STOP_COMMAND_PUBLISHER = "stop the other command publisher"
+    START_BASE = "start the base"
+
+
+RESETTING = frozenset({Remedy.RELEASE_STOP, Remedy.CLEAR_ERROR, Remedy.RESET})
+"""The remedies that are a reset themselves: no further one is needed after them."""
