@@ -19,6 +19,8 @@ SHARED_FOLDER = Path("/tmp")
 
 RUNTIME_VARIABLE = "XDG_RUNTIME_DIR"
 STATE_VARIABLE = "XDG_STATE_HOME"
+ROBOT_VARIABLE = "ROBOTCTL_ROBOT"
+"""The default of `--robot`, as an environment variable."""
 
 _ROBOT_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 

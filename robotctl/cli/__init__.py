@@ -1,1 +1,1 @@
-"""The command line: asks the daemon over its socket and shows the answer."""
+"""The command line: it sends requests to the daemon's socket and prints the answers."""

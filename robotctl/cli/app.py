@@ -1,6 +1,7 @@
-"""The console script: one command line in, one exit code out, every error mapped here.
+"""The console script: runs one command line and maps every error to an exit code.
 
-Imports stand where an interruption of them is caught: half of a quick command's time is theirs.
+Imports are inside the `try`, because they take half of a quick command's time and Ctrl-C may
+interrupt them.
 """
 
 from __future__ import annotations
@@ -12,21 +13,21 @@ from robotctl.streams import open_standard_streams
 
 
 def main() -> None:
-    """Entry point of `robotctl`."""
+    """Run the command line of this process, and exit."""
     open_standard_streams()
     sys.exit(run(sys.argv[1:]))
 
 
 def run(arguments: list[str]) -> int:
-    """Carry out one command line and return the exit code of its process."""
+    """Run one command line, and return the exit code."""
     debug = "--debug" in arguments
     arguments = [argument for argument in arguments if argument != "--debug"]
-    as_json = _wants_json(arguments)  # a parser takes the list apart
-    # A process may be started with either closed.
+    as_json = _wants_json(arguments)  # before a parser consumes the list
+    # They are None in a process that was started with them closed.
     sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):  # a path may hold what the terminal cannot show
+        if hasattr(stream, "reconfigure"):  # a path may contain characters that the terminal lacks
             stream.reconfigure(errors="backslashreplace")
     try:
         from robotctl.cli import quick
@@ -39,11 +40,11 @@ def run(arguments: list[str]) -> int:
 
             dispatch(arguments or ["--help"])
         sys.stdout.flush()
-    except BrokenPipeError:  # the reader of our output has seen enough
+    except BrokenPipeError:  # the reader of our output has closed it
         from robotctl.cli.support.failure import drop_output
 
         drop_output(sys.stdout)
-    except (Exception, KeyboardInterrupt) as error:  # no traceback unless it was asked for
+    except (Exception, KeyboardInterrupt) as error:  # a traceback only with --debug
         if debug and not isinstance(error, KeyboardInterrupt):
             raise
         from robotctl.cli.support.failure import report
@@ -53,6 +54,6 @@ def run(arguments: list[str]) -> int:
 
 
 def _wants_json(arguments: list[str]) -> bool:
-    """Whether stdout is read by a machine, also where the rest of the line makes no sense."""
+    """Return whether --json was given, even if the rest of the line cannot be parsed."""
     options = arguments[: arguments.index("--")] if "--" in arguments else arguments
     return "--json" in options

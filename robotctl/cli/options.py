@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from typer.core import TyperGroup
 
-from robotctl.cli.quick import ROBOT_VARIABLE
+from robotctl.paths import ROBOT_VARIABLE
 
 Robot = Annotated[
     str,
@@ -17,7 +17,7 @@ Robot = Annotated[
         metavar="NAME",
         envvar=ROBOT_VARIABLE,
         show_envvar=True,
-        help="The robot's name; any but 'robot' is its ROS namespace, too.",
+        help="Name of the robot; unless it is 'robot', also its ROS namespace.",
     ),
 ]
 
@@ -35,7 +35,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print one line of JSON, for 
 
 
 def new_app(group: type[TyperGroup] = TyperGroup) -> typer.Typer:
-    """An app of plain text: rich would cost every help screen 60 ms."""
+    """Return a typer app without rich, which would add 60 ms to every help screen."""
     return typer.Typer(
         cls=group,
         add_completion=False,

@@ -1,8 +1,9 @@
-"""The commands that must not wait for an option parser.
+"""The commands that run without an option parser.
 
-An emergency stop, and a script that asks for the status ten times a second, should not pay 40 ms
-for importing typer. What is spelt plainly is carried out at once; everything else, a misspelling
-or `--help` among it, is left to typer, which declares the same commands in full.
+An emergency stop, or a script that polls the status ten times a second, should not wait 40 ms for
+the import of typer. `match` accepts plain spellings only; everything else, such as `--help` or a
+misspelling, goes to typer. The modules of the same names in `commands` declare these commands for
+typer, with their help, and `support.quick_actions` carries them out in both cases.
 """
 
 from __future__ import annotations
@@ -11,21 +12,19 @@ import os
 from collections.abc import Callable
 from functools import partial
 
-from robotctl.cli.support import control
-from robotctl.paths import DEFAULT_ROBOT
-
-ROBOT_VARIABLE = "ROBOTCTL_ROBOT"
+from robotctl.cli.support import quick_actions
+from robotctl.paths import DEFAULT_ROBOT, ROBOT_VARIABLE
 
 _WITHOUT_ARGUMENT: dict[str, Callable[[str, bool], None]] = {
-    "status": control.status,
-    "estop": control.estop,
-    "reset": control.reset,
-    "stop": control.stop,
+    "status": quick_actions.status,
+    "estop": quick_actions.estop,
+    "reset": quick_actions.reset,
+    "stop": quick_actions.stop,
 }
 
 
 def match(arguments: list[str]) -> Callable[[], None] | None:
-    """The command that the arguments plainly spell, ready to be called, or None."""
+    """Return the call that the arguments spell, or None if typer has to parse them."""
     robot = os.environ.get(ROBOT_VARIABLE) or DEFAULT_ROBOT
     as_json = False
     words: list[str] = []
@@ -43,7 +42,7 @@ def match(arguments: list[str]) -> Callable[[], None] | None:
         return None
     match words:
         case ["set-mode", mode]:
-            return partial(control.set_mode, mode, robot, as_json)
+            return partial(quick_actions.set_mode, mode, robot, as_json)
         case [name] if name in _WITHOUT_ARGUMENT:
             return partial(_WITHOUT_ARGUMENT[name], robot, as_json)
     return None

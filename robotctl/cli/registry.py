@@ -1,4 +1,4 @@
-"""The typer application. A command's module is imported when it is called, or for the help."""
+"""The typer application; a command's module is imported only when it is needed."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ SECTIONS = {
     "The robot": ("drive", "set-mode", "estop", "reset"),
     "Recordings": (*("record", "mark", "recordings", "info", "clip", "recover", "replay", "why"),),
 }
-"""The sections of the help, and the commands of each; `commands/` has a module for each."""
+"""The sections of the help, with their commands; each command is a module of `commands`."""
 
 COMMANDS = tuple(name for names in SECTIONS.values() for name in names)
 
 
 class LazyGroup(TyperGroup):
-    """Builds no command but the one that is asked for."""
+    """A group that imports only the command that is called."""
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """Every command, in the order of the help."""
+        """Return every command, in the order of the help."""
         return list(COMMANDS)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """The commands in their sections, each with the first sentence of its help."""
+        """Write the commands in their sections, each with the first sentence of its help."""
         width = max(map(len, COMMANDS))
         for title, names in SECTIONS.items():
             commands = [self.get_command(ctx, name) for name in names]
@@ -44,7 +44,7 @@ class LazyGroup(TyperGroup):
                 )
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """The command of that name, or None; an unknown name loads all, for a suggestion."""
+        """Return the command of that name, or None; an unknown name loads all, for a suggestion."""
         if cmd_name not in COMMANDS:
             self.commands = {name: self.get_command(ctx, name) for name in COMMANDS}
             return None
@@ -81,10 +81,10 @@ def root(
 
 
 def dispatch(arguments: list[str]) -> None:
-    """Parse and carry out one command line.
+    """Parse and run one command line.
 
     Raises:
-        UsageError: What typer says against it, with the help to look at.
+        UsageError: typer could not parse it; the error names the help to read.
     """
     command = typer.main.get_command(app)
     try:
@@ -94,7 +94,7 @@ def dispatch(arguments: list[str]) -> None:
         if leaving.exit_code:
             raise
     except Exception as error:
-        # typer's usage errors share no public base over its versions, but this method.
+        # typer's usage errors have no public base class in all its versions, only this method.
         describe = getattr(error, "format_message", None)
         if describe is None:
             raise

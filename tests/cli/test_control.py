@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from robotctl import processes
-from robotctl.cli.support import control, interrupted_drive
+from robotctl.cli.support import interrupted_drive, quick_actions
 from robotctl.cli.support.background import Background
 from robotctl.ipc.answers import DriveAnswer, Status
 from robotctl.ipc.client import Client, call
@@ -74,7 +74,7 @@ def test_status_json_is_one_line_with_the_stable_keys(
 def test_a_mode_is_taken_in_any_case_with_dash_or_underscore_or_as_a_number(
     text: str, number: int
 ) -> None:
-    assert control.mode_number(text) == number
+    assert quick_actions.mode_number(text) == number
 
 
 def test_set_mode_answers_as_the_service_does(daemon: None, cli: Callable[..., Any]) -> None:
@@ -118,7 +118,7 @@ def test_a_daemon_that_does_not_end_is_named(
     pid = call("robot", "status")["pid"]
     ran = cli("stop")
     assert ran.exit_code == 1
-    assert f"(pid {pid}) still runs after 30 s: end it with kill -9 {pid}" in ran.err
+    assert f"(pid {pid}) is still running after 30 s: end it with kill -9 {pid}" in ran.err
 
 
 def test_drive_starts_and_is_not_replaced_by_accident(
@@ -228,7 +228,7 @@ def test_a_second_ctrl_c_straight_after_the_first_is_the_emergency_stop_and_a_th
     driving.start()
     monkeypatch.setattr(interrupted_drive, "_say", lambda _: signal.raise_signal(signal.SIGINT))
     monkeypatch.setattr(interrupted_drive, "call", interrupted_call)
-    assert "EMERGENCY_STOP" in str(interrupted_drive.stopped("robot", driving))
+    assert "EMERGENCY_STOP" in str(interrupted_drive.stop_drive("robot", driving))
     assert mode() == "EMERGENCY_STOP"
 
 
@@ -278,5 +278,5 @@ def test_another_robots_hints_name_it(cli: Callable[..., Any]) -> None:
 
 def test_the_command_line_knows_the_modes_of_the_kernel() -> None:
     names = {mode.name.lower().replace("_", "-"): mode.value for mode in Mode}
-    assert names == control.MODES
+    assert names == quick_actions.MODES
     assert Mode.EMERGENCY_STOP == EMERGENCY_STOP_MODE

@@ -142,7 +142,7 @@ def test_signals_during_the_clean_up_leave_no_daemon_behind(
         signal.raise_signal(number)
         stop(robot)
 
-    def interrupted_lap(robot: str, *, quiet: bool) -> demo.Outcome:
+    def interrupted_lap(robot: str, *, quiet: bool) -> demo.DemoResult:
         if early:
             signal.raise_signal(number)
         return lap(robot, quiet=quiet)

@@ -19,7 +19,7 @@ from typer.main import get_command
 import robotctl
 from robotctl.cli import registry
 from robotctl.cli.registry import COMMANDS as OURS
-from robotctl.cli.support import control
+from robotctl.cli.support import quick_actions
 from robotctl.recording import Recorder
 from robotctl.testing.drives import TWIST
 from tests.support.recordings import write_numbered
@@ -163,7 +163,7 @@ def test_a_bug_and_ctrl_c_are_answered_in_json_too(
         def fail(*_: object, raised: BaseException = raised) -> None:
             raise raised
 
-        monkeypatch.setattr(control, "call", fail)
+        monkeypatch.setattr(quick_actions, "call", fail)
         ran = cli("status", "--json")
         assert ran.exit_code == exit_code
         error = json.loads(ran.out)["error"]
@@ -197,7 +197,7 @@ def test_an_error_of_the_file_system_names_the_path(
     def fail(*_: object) -> None:
         raise PermissionError(errno.EACCES, "Permission denied", "/root/x")
 
-    monkeypatch.setattr(control, "call", fail)
+    monkeypatch.setattr(quick_actions, "call", fail)
     assert cli("status").err == "robotctl: /root/x: Permission denied\n"
 
 
@@ -215,7 +215,7 @@ def test_a_bug_is_one_sentence_that_says_how_to_see_more(
     def fail(*_: object) -> None:
         raise ZeroDivisionError("a bug")
 
-    monkeypatch.setattr(control, "call", fail)
+    monkeypatch.setattr(quick_actions, "call", fail)
     ran = cli("status")
     assert ran.exit_code == 1
     assert ran.err == (

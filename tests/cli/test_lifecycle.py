@@ -52,7 +52,7 @@ def test_a_latched_stop_is_shown_with_its_release(
 ) -> None:
     monkeypatch.setenv("FAKE_MODE", "EMERGENCY_STOP")
     out = cli("start", "--robot", "r2").out
-    assert "still latched from before; release it with: robotctl reset --robot r2" in out
+    assert "the emergency stop is still latched; release it with: robotctl reset --robot r2" in out
 
 
 def test_the_options_reach_the_daemon(cli: Callable[..., Any]) -> None:
@@ -74,7 +74,7 @@ def test_the_daemon_outlives_its_terminal(daemon: None) -> None:
         ("refuse", 2, "robotctl: robot.yaml: speed: nan is not allowed\n"),
         ("run-already", 5, "robotctl: robot 'robot' is already running (pid 4711)\n"),
         ("crash", 1, "ended with exit code 1 before it was ready: ZeroDivisionError: a bug"),
-        ("garbage", 1, "ended with exit code 3 before it was ready: it wrote nothing"),
+        ("garbage", 1, "ended with exit code 3 before it was ready: its log is empty"),
     ],
 )
 def test_a_failed_start_says_why_and_leaves_nothing_running(

@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from robotctl.cli import quick, registry
-from robotctl.cli.support import control
+from robotctl.cli.support import quick_actions
 from robotctl.errors import UsageError
 
 NAMES = ["status", "set_mode", "estop", "reset", "stop"]
@@ -50,7 +50,7 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
         def record(*arguments: Any, name: str = name) -> None:
             seen.append((name, *arguments))
 
-        monkeypatch.setattr(control, name, record)
+        monkeypatch.setattr(quick_actions, name, record)
         if name in quick._WITHOUT_ARGUMENT:
             monkeypatch.setitem(quick._WITHOUT_ARGUMENT, name, record)
     return seen

@@ -77,14 +77,14 @@ def test_another_folder_may_be_named(library: Path, cli: Cli, tmp_path: Path) ->
     assert "mine" in cli("recordings", "--recordings", str(tmp_path / "elsewhere")).out
     ran = cli("recordings", "--recordings", str(tmp_path / "nowhere"))
     assert (ran.exit_code, ran.out) == (2, "")
-    assert "there is no such folder" in ran.err
+    assert "no such folder" in ran.err
 
 
 def test_without_any_daemon_ever_it_is_the_folder_here(cli: Cli) -> None:
     ran = cli("recordings")
     assert (ran.exit_code, ran.out) == (
         0,
-        "no recordings in recordings (begin one: robotctl start)\n",
+        "no recordings in recordings (start one: robotctl start)\n",
     )
     assert json.loads(cli("recordings", "--json").out)["recordings"] == []
     record(Path("recordings") / "mine")
@@ -118,7 +118,9 @@ def test_an_option_before_keep_is_refused_and_nothing_is_changed(
     for option in (("--recordings", str(tmp_path)), ("--robot", "r2"), ("--json",)):
         ran = cli("recordings", *option, command, "last")
         assert ran.exit_code == 2
-        told = f"{option[0]} stands before {command}: give it after: robotctl recordings {command}"
+        told = (
+            f"{option[0]} is given before {command}: give it after: robotctl recordings {command}"
+        )
         assert told in ran.err
     assert not list(library.glob("*/keep"))
 
@@ -140,7 +142,7 @@ def test_keep_and_unkeep_answer_machines(library: Path, cli: Cli) -> None:
 
 def test_an_empty_list_names_the_start_of_the_robot_that_was_asked_for(cli: Cli) -> None:
     out = cli("recordings", "--robot", "r2").out
-    assert out == "no recordings in recordings (begin one: robotctl start --robot r2)\n"
+    assert out == "no recordings in recordings (start one: robotctl start --robot r2)\n"
 
 
 def test_info_takes_a_name_and_last(library: Path, cli: Cli) -> None:
@@ -212,7 +214,7 @@ def test_a_whole_file_is_recovered_without_loss(cli: Cli, tmp_path: Path) -> Non
     file = record(tmp_path / "run")
     ran = cli("recover", str(file))
     assert (ran.exit_code, ran.err) == (0, "")
-    assert "100 messages are saved, nothing is lost" in ran.out
+    assert "100 messages saved, nothing lost" in ran.out
     assert len(read_strictly(tmp_path / "run_0_recovered.mcap")) == 100
 
 
@@ -222,7 +224,7 @@ def test_what_is_lost_is_said_and_is_the_exit_code(cli: Cli, tmp_path: Path) -> 
     out = tmp_path / "out.mcap"
     ran = cli("recover", str(file), "-o", str(out), "--json")
     assert ran.exit_code == 8
-    assert ran.err.startswith(f"robotctl: not all of {file} could be saved: ")
+    assert ran.err.startswith(f"robotctl: {file} could not be saved completely: ")
     found = json.loads(ran.out)
     assert (found["target"], found["messages"]) == (str(out), 100)
     assert found["lost"]

@@ -78,7 +78,7 @@ def test_an_option_that_says_how_to_play_is_refused(
     record(Path("run"), written)
     ran = cli("replay", "run", *mode, "--rate", "2")
     assert ran.exit_code == 2
-    assert "--rate: says how to play" in ran.err
+    assert "--rate is only for playing" in ran.err
 
 
 def test_other_files_in_a_glob_are_skipped(cli: Cli, written: list[Written]) -> None:

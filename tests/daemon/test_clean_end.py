@@ -43,7 +43,7 @@ def test_an_emergency_stop_is_left_by_reset_only(world: World) -> None:
     assert "robotctl reset" in refused.err
     world.ok("stop")
     # after a stop
-    assert "still latched from before" in world.ok("start", "--sim")
+    assert "the emergency stop is still latched" in world.ok("start", "--sim")
     assert world.status()["mode"] == "EMERGENCY_STOP"
     # after a kill
     world.kill(pid_of(world))

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from robotctl.cli.terminal.picture import write_png
+from robotctl.cli.terminal.path_picture import write_png
 from robotctl.config import Config, with_setting
 from robotctl.daemon.recording.folder import open_recorder
 from robotctl.recording import Recorder

@@ -1,1 +1,1 @@
-"""The commands, each in a file that is named like it."""
+"""The commands, each in a module or package with its name."""

@@ -1,4 +1,4 @@
-"""clip: what happened around an event, as a file that stands alone."""
+"""clip: cut the part of a recording around an event into its own file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from robotctl.cli.options import Json, new_app
 from robotctl.cli.support.answer import tell
 from robotctl.cli.support.recording_paths import (
     RecordedBy,
-    Recordings,
+    RecordingsFolder,
     find_recording,
     recordings_folder,
     recordings_of,
@@ -35,8 +35,8 @@ app = new_app()
 MAX_SECONDS = 86_400.0
 
 
-class Event(StrEnum):
-    """What a clip can be about; the values are those of EventKind."""
+class ClipEvent(StrEnum):
+    """The events to clip; the values are those of `EventKind`, whose import is slow."""
 
     ESTOP = "estop"
     ERROR = "error"
@@ -54,7 +54,7 @@ def clip(
         ),
     ] = None,
     event: Annotated[
-        Event | None,
+        ClipEvent | None,
         typer.Option(metavar="KIND", help="The last estop, error or mark [default: any of them]."),
     ] = None,
     at: Annotated[
@@ -71,14 +71,14 @@ def clip(
             "--output", "-o", metavar="OUT", help="What to write [default: in RECORDING/clips]."
         ),
     ] = None,
-    folder: Recordings = None,
+    folder: RecordingsFolder = None,
     robot: RecordedBy = None,
     as_json: Json = False,
 ) -> None:
-    """Cut what happened around an event into a file that stands alone.
+    """Cut the part of a recording around an event into its own file.
 
-    Of any recording, also one that goes on. The clip opens wherever recordings do, and can be
-    checked by replay --check: latched messages and the journal are repeated from before.
+    Works on any recording, also the current one. The clip is a complete recording, for example
+    for replay --check: it begins with the latched messages and a snapshot of the journal.
 
     \b
     Examples:
@@ -97,26 +97,32 @@ def clip(
     job = ClipJob(source.path, about, before, after, output)
     wait_s = remaining_s(job, source)
     if wait_s > 1.0 and not as_json:
-        print(f"robotctl: waiting {wait_s:.0f} s for what comes after it", file=sys.stderr)
+        print(f"robotctl: waiting {wait_s:.0f} s for the end of the clip", file=sys.stderr)
     with progress_bar("cutting", quiet=as_json) as on_progress:
         made = make_clip(job, on_progress)
     error = None
     if made.lost:
-        error = RecoveredWithLoss(f"not all of it could be read: {'; '.join(made.lost)}")
+        error = RecoveredWithLoss(
+            f"the recording could not be read completely: {'; '.join(made.lost)}"
+        )
     tell(_as_object(source.path, made), _lines(made), as_json=as_json, error=error)
 
 
 def _find(
-    file: str | None, event: Event | None, at: str | None, robot: str | None, folder: Path | None
+    file: str | None,
+    event: ClipEvent | None,
+    at: str | None,
+    robot: str | None,
+    folder: Path | None,
 ) -> tuple[ListedRecording, Moment]:
-    """The recording and the moment that are meant. Raises Refused where there is none."""
+    """Return the recording and the moment to clip; raise Refused if there is none."""
     from robotctl.recording.keep.listing import list_recording
     from robotctl.recording.read.files import recording_files
 
     if file is None:
         candidates = recordings_of(robot, recordings_folder(robot, folder))
         if not candidates:
-            find_recording("last", robot, folder)  # which says what is missing
+            find_recording("last", robot, folder)  # raises Refused with the reason
     else:
         candidates = [find_recording(file, robot, folder)]
     for path in candidates:
@@ -124,7 +130,7 @@ def _find(
             listed = list_recording(path)
         except OSError as error:
             if file is not None:
-                recording_files(path)  # says what is wrong with it
+                recording_files(path)  # raises the reason if it can tell
                 raise UnreadableFile(f"{path} cannot be read: {error.strerror}") from error
             continue
         found = _moment(listed, event, at)
@@ -135,17 +141,19 @@ def _find(
         raise Refused(f"{where} the time {at}", "see: robotctl recordings", sentence=IN_PARENTHESES)
     what = "no emergency stop, error or mark" if event is None else f"no event {event.value!r}"
     where = "any recording" if file is None else str(candidates[0])
-    raise Refused(f"there is {what} in {where}", "any time: --at", sentence=IN_PARENTHESES)
+    raise Refused(
+        f"there is {what} in {where}", "see: robotctl clip --help", sentence=IN_PARENTHESES
+    )
 
 
-def _moment(listed: ListedRecording, event: Event | None, at: str | None) -> Moment | None:
+def _moment(listed: ListedRecording, event: ClipEvent | None, at: str | None) -> Moment | None:
     from robotctl.recording.keep.clip import Moment
 
     if at is not None:
         at_ns = parse_moment(at, listed.start_ns, listed.end_ns)
         held = listed.start_ns <= at_ns <= listed.end_ns
         return Moment(at_ns) if held else None
-    wanted = set(Event) if event is None else {event}
+    wanted = set(ClipEvent) if event is None else {event}
     events = [each for each in listed.events if each.kind.value in wanted]
     return Moment.of(max(events, key=lambda each: each.log_ns)) if events else None
 

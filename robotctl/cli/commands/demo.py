@@ -1,4 +1,4 @@
-"""demo: everything once, with a simulated robot of its own."""
+"""demo: one recorded lap with a simulated robot."""
 
 from __future__ import annotations
 
@@ -19,11 +19,19 @@ from robotctl.cli.commands.drive import tracking_lines
 from robotctl.cli.commands.watch import POLL_S, polled_until, show
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.support.background import Background
-from robotctl.cli.support.control import source, stop_daemon
 from robotctl.cli.support.launch import INTERRUPTIONS, StartOptions, launch
+from robotctl.cli.support.quick_actions import request_source, stop_daemon
 from robotctl.cli.support.signals import ignoring, interrupted_by
-from robotctl.cli.terminal.picture import Path2D, braille, write_png
-from robotctl.cli.terminal.text import is_terminal, json_text, number, printable, short_path, size
+from robotctl.cli.terminal.path_picture import Path2D, braille, write_png
+from robotctl.cli.terminal.text import (
+    can_show_braille,
+    is_terminal,
+    json_text,
+    number,
+    printable,
+    short_path,
+    size,
+)
 from robotctl.cli.terminal.topic_table import TopicTable
 from robotctl.domains import reserved_domain
 from robotctl.errors import NoDaemon, RobotctlError
@@ -38,26 +46,26 @@ CONFIG = Path(__file__).with_name("demo.yaml")
 SIDE_M = 1.0
 
 SENSORS_DEADLINE_S = 20.0
-"""For the simulator's first odometry and battery: a second, and ROS discovery under load."""
+"""How long the first odometry and battery may take; usually a second, more under load."""
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
-    """What the demo has seen, of the drive and of the daemon just before its end."""
+class DemoResult:
+    """The drive, the daemon's status at its end, and both paths."""
 
     drive: DriveAnswer
     status: Status
-    wanted: Path2D
+    reference: Path2D
     driven: Path2D
 
     @property
     def folder(self) -> Path:
-        """The recording's folder."""
+        """The folder of the recording."""
         return Path(self.status["recorder"]["file"]).parent
 
     @property
     def missing_messages(self) -> int:
-        """Messages that were sent and are not in the recording."""
+        """The number of messages that were sent but not recorded."""
         recorder = self.status["recorder"]
         return int(recorder["lost"]) + int(recorder["dropped"])
 
@@ -74,8 +82,8 @@ def demo(
 ) -> None:
     """Drive a simulated robot around a square and show the recording.
 
-    Takes a robot name and a ROS domain of its own, so no running daemon is touched. Needs less
-    than a minute; Ctrl-C ends it early and leaves a valid recording.
+    Uses its own robot name and ROS domain, so it does not affect running daemons. Takes less than
+    a minute; Ctrl-C ends it early and leaves a valid recording.
 
     \b
     Examples:
@@ -90,18 +98,18 @@ def demo(
         if not as_json:
             print(f"starting a simulated robot: {robot}, ROS domain {domain_id}", flush=True)
         with _daemon(options, keep=keep):
-            outcome = _drive_one_lap(robot, quiet=as_json)
-    png = outcome.folder / "path.png"
-    write_png(png, outcome.wanted, outcome.driven, _title(robot, outcome.drive))
+            result = _drive_one_lap(robot, quiet=as_json)
+    png = result.folder / "path.png"
+    write_png(png, result.reference, result.driven, _title(robot, result.drive))
     if as_json:
-        print(json_text(_as_object(robot, outcome, png)))
+        print(json_text(_as_object(robot, result, png)))
     else:
-        print("\n".join(_report(robot, outcome, png, keep=keep)))
+        print("\n".join(_report(robot, result, png, keep=keep)))
 
 
 @contextmanager
 def _daemon(options: StartOptions, *, keep: bool) -> Iterator[None]:
-    """A daemon that ends with the block, unless it is to be kept and nothing went wrong."""
+    """Run a daemon during the block; with `keep`, it continues after a block without error."""
     with interrupted_by(INTERRUPTIONS):
         try:
             for note in launch(options).get("notes") or []:
@@ -119,13 +127,13 @@ def _daemon(options: StartOptions, *, keep: bool) -> Iterator[None]:
             raise
 
 
-def _drive_one_lap(robot: str, *, quiet: bool) -> Outcome:
+def _drive_one_lap(robot: str, *, quiet: bool) -> DemoResult:
     params = {
         "pattern": "square",
         "side_m": SIDE_M,
         "laps": 1,
         "wait": True,
-        "source": source("demo"),
+        "source": request_source("demo"),
     }
     _wait_for_sensors(robot)
     drive: Background[DriveAnswer] = Background(
@@ -136,11 +144,11 @@ def _drive_one_lap(robot: str, *, quiet: bool) -> Outcome:
         show(polled_until(drive, robot))
     result = drive.result()
     path = call(robot, PATH)
-    return Outcome(result, call(robot, STATUS), path["reference"], path["driven"])
+    return DemoResult(result, call(robot, STATUS), path["reference"], path["driven"])
 
 
 def _wait_for_sensors(robot: str) -> None:
-    """Return when the robot knows where it is and how full its battery is."""
+    """Wait until the daemon knows the robot's pose and battery level; raise RobotctlError."""
     until = time.monotonic() + SENSORS_DEADLINE_S
     while time.monotonic() < until:
         status = call(robot, STATUS)
@@ -154,7 +162,7 @@ def _wait_for_sensors(robot: str) -> None:
 
 
 def _recording_of(robot: str) -> str | None:
-    """The file that the robot's daemon writes; None where there is no daemon."""
+    """Return the file that the robot's daemon writes, or None if there is no daemon."""
     try:
         return short_path(call(robot, STATUS)["recorder"]["file"])
     except NoDaemon:
@@ -166,46 +174,46 @@ def _stop_if_running(robot: str) -> None:
         stop_daemon(robot)
 
 
-def _as_object(robot: str, outcome: Outcome, png: Path) -> dict[str, Any]:
+def _as_object(robot: str, result: DemoResult, png: Path) -> dict[str, Any]:
     from robotctl.recording import read_info
 
-    topics = read_info(outcome.folder).topics
+    topics = read_info(result.folder).topics
     return {
         "robot": robot,
-        "recording": str(outcome.folder),
+        "recording": str(result.folder),
         "picture": str(png),
         "messages": {topic.name: topic.message_count for topic in topics},
-        "lost": outcome.missing_messages,
-        **outcome.drive,
+        "lost": result.missing_messages,
+        **result.drive,
     }
 
 
-def _report(robot: str, outcome: Outcome, png: Path, *, keep: bool) -> Iterator[str]:
+def _report(robot: str, result: DemoResult, png: Path, *, keep: bool) -> Iterator[str]:
     from robotctl.recording import read_info
 
-    found = read_info(outcome.folder)
-    folder = short_path(outcome.folder)
+    found = read_info(result.folder)
+    folder = short_path(result.folder)
     yield f"\n  recording   {folder} ({size(found.size_bytes)})"
     yield f"  picture     {short_path(png)}"
-    yield f"  messages    {found.message_count}, {outcome.missing_messages} lost"
-    yield from tracking_lines(outcome.drive)
+    yield f"  messages    {found.message_count}, {result.missing_messages} lost"
+    yield from tracking_lines(result.drive)
     heard = [topic for topic in found.topics if topic.message_count]
     table = TopicTable((topic.name, topic.type_name) for topic in heard)
     yield f"\n{table.header}"
     for topic in heard:
         yield table.row(topic.name, topic.type_name, topic.message_count, topic.rate_hz)
     if len(heard) < len(found.topics):
-        yield f"  and {len(found.topics) - len(heard)} more without a message"
-    if "utf" in (sys.stdout.encoding or "").lower():
+        yield f"  and {len(found.topics) - len(heard)} more without messages"
+    if can_show_braille():
         colour = is_terminal() and not os.environ.get("NO_COLOR")
-        yield "\n  driven (line) over wanted (dots)"
-        yield from braille(outcome.wanted, outcome.driven, colour=colour)
+        yield "\n  driven path (line) and reference path (dots)"
+        yield from braille(result.reference, result.driven, colour=colour)
     yield "\nnext:"
     yield from (f"  {command}" for command in _next_commands(robot, folder, keep=keep))
 
 
 def _next_commands(robot: str, folder: str, *, keep: bool) -> list[str]:
-    """Three commands, ready to paste."""
+    """Return three commands to continue with, ready to paste."""
     recording = shlex.quote(folder)
     if keep:
         return [

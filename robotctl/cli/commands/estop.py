@@ -1,9 +1,9 @@
-"""estop: stop at once and latch. `control` carries it out."""
+"""estop: options and help; `quick_actions.estop` carries it out."""
 
 from __future__ import annotations
 
 from robotctl.cli.options import Json, Robot, new_app
-from robotctl.cli.support import control
+from robotctl.cli.support import quick_actions
 from robotctl.paths import DEFAULT_ROBOT
 
 app = new_app()
@@ -13,12 +13,12 @@ app = new_app()
 def estop(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
     """Stop at once and latch EMERGENCY_STOP.
 
-    A software stop, not a safety-rated one. It outlives the daemon and a reboot, until
-    robotctl reset.
+    This is a software stop, not a safety-rated one. It stays latched over restarts and reboots,
+    until robotctl reset.
 
     \b
     Examples:
       robotctl estop
       robotctl estop --robot r2
     """
-    control.estop(robot, as_json)
+    quick_actions.estop(robot, as_json)

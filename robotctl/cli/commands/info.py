@@ -1,4 +1,4 @@
-"""info: what a recording holds."""
+"""info: show the contents of a recording."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import typer
 
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.support.answer import tell
-from robotctl.cli.support.recording_paths import RecordedBy, Recordings, find_recording
+from robotctl.cli.support.recording_paths import RecordedBy, RecordingsFolder, find_recording
 from robotctl.cli.terminal.text import duration, moment, printable, short_path, size
 from robotctl.cli.terminal.topic_table import TopicTable
 from robotctl.errors import UnreadableFile
@@ -29,8 +29,8 @@ _POLICIES = {
     "durability": {"1": "transient_local", "2": "volatile"},
     "history": {"1": "keep_last", "2": "keep_all", "3": "unknown"},
 }
-"""With the numbers that rosbag2 wrote before version 9 of its metadata (rmw/types.h). The history
-is unknown where DDS did not tell it to the recorder."""
+"""The names of the numbers that rosbag2 wrote before version 9 of its metadata (rmw/types.h). The
+history is unknown if DDS did not report it to the recorder."""
 
 _ENTRY = re.compile(r"^ *(reliability|durability|history|depth): *(\w+)", re.MULTILINE)
 
@@ -43,14 +43,14 @@ def info(
             metavar="FILE", help="An MCAP file, a recording's folder or name, or `last`."
         ),
     ],
-    folder: Recordings = None,
+    folder: RecordingsFolder = None,
     robot: RecordedBy = None,
     as_json: Json = False,
 ) -> None:
-    """Show what a recording holds: topics, counts, rates, QoS, events.
+    """Show the contents of a recording: topics, counts, rates, QoS, events.
 
-    Reads any MCAP file. Of a damaged one it shows what can be read, says what is missing, and
-    exits with 6.
+    Reads any MCAP file. For a damaged one it shows what can be read, names what is missing, and
+    exits with code 6.
 
     \b
     Examples:
@@ -72,13 +72,13 @@ def info(
 
 
 def as_object(found: RecordingInfo) -> dict[str, Any]:
-    """The object of `info --json`; times in nanoseconds since the epoch, or seconds."""
+    """Return the object of `info --json`; times in nanoseconds since the epoch, or seconds."""
     from robotctl.recording.format.events import EventKind
     from robotctl.recording.format.identity import EVENT_RECORD, LEDGER_RECORD
     from robotctl.recording.format.ledger_record import read_ledger
     from robotctl.recording.format.rosbag2 import METADATA_RECORD
 
-    told_elsewhere = (METADATA_RECORD, LEDGER_RECORD, EVENT_RECORD)
+    shown_elsewhere = (METADATA_RECORD, LEDGER_RECORD, EVENT_RECORD)
     return {
         "path": str(found.path),
         "files": [str(path) for path in found.files],
@@ -108,7 +108,7 @@ def as_object(found: RecordingInfo) -> dict[str, Any]:
         ],
         "ledger": read_ledger(found.metadata),
         "metadata": {
-            name: values for name, values in found.metadata.items() if name not in told_elsewhere
+            name: values for name, values in found.metadata.items() if name not in shown_elsewhere
         },
         "missing": list(found.missing),
     }
@@ -140,7 +140,7 @@ def info_screen(found: RecordingInfo) -> Iterator[str]:
 
 
 def event_lines(events: Sequence[RecordedEvent]) -> Iterator[str]:
-    """A table of the last events; nothing where there are none."""
+    """Yield a table of the last events, or nothing if there are none."""
     if events:
         yield ""
         earlier = len(events) - MAX_EVENTS_SHOWN
@@ -150,9 +150,10 @@ def event_lines(events: Sequence[RecordedEvent]) -> Iterator[str]:
 
 
 def qos_text(offered: str) -> str:
-    """The QoS that a topic's publishers offered, in words; "" where the file does not say.
+    """Return the QoS that a topic's publishers offered, in words; "" if the file has none.
 
-    rosbag2 writes a flat list in block style; a YAML parser would be at the mercy of the file.
+    rosbag2 writes a flat list in block style. It is read without a YAML parser, because the file
+    may be hostile.
     """
     profiles = (
         dict(_ENTRY.findall(part)) for part in re.split(r"^- ", offered, flags=re.MULTILINE)

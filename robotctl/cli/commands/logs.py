@@ -1,4 +1,4 @@
-"""logs: what the background daemon has written to its log."""
+"""logs: print the log of the background daemon."""
 
 from __future__ import annotations
 
@@ -27,12 +27,13 @@ _FOLLOW_POLL_S = 0.2
 def logs(
     robot: Robot = DEFAULT_ROBOT,
     follow: Annotated[
-        bool, typer.Option("--follow", "-f", help="Go on with what is written, until Ctrl-C.")
+        bool,
+        typer.Option("--follow", "-f", help="Print new lines, too, until Ctrl-C."),
     ] = False,
 ) -> None:
     """Print the log of the background daemon.
 
-    The log of the run before lies beside it, as daemon.log.1.
+    The log of the previous run is beside it, as daemon.log.1.
 
     \b
     Examples:
@@ -42,14 +43,14 @@ def logs(
     chain_to(path.parent).check()
     if not path.exists():
         raise NoDaemon(
-            f"no log of robot {robot!r}: it has not been started in the background ({path})"
+            f"no log of robot {robot!r}: no daemon was started in the background ({path})"
         )
     for line in _lines(path, follow=follow):
         print(printable(without_colours(line)), flush=follow)
 
 
 def _lines(path: Path, *, follow: bool) -> Iterator[str]:
-    """The lines of a file; with `follow`, those that are yet to come, also of its successor."""
+    """Yield the lines of the log; with `follow`, wait for more, also after a restart."""
     while True:
         with TextIOWrapper(open_regular(path), errors="replace") as log:
             line = ""
@@ -68,5 +69,5 @@ def _lines(path: Path, *, follow: bool) -> Iterator[str]:
 
 
 def _is_replaced(path: Path, log: TextIO) -> bool:
-    """Whether another file has the path now: the next start's log."""
+    """Return whether the next start has put another file at the path."""
     return path.exists() and not os.path.samestat(path.stat(), os.fstat(log.fileno()))

@@ -1,4 +1,4 @@
-"""mark: name this moment in the recording."""
+"""mark: mark this moment in the recording."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from robotctl.cli.options import Json, Robot, new_app
-from robotctl.cli.support.control import source
+from robotctl.cli.support.quick_actions import request_source
 from robotctl.cli.terminal.text import (
     json_text,
     moment,
@@ -24,14 +24,14 @@ app = new_app()
 
 @app.command()
 def mark(
-    text: Annotated[str, typer.Argument(metavar="TEXT", help="What to find again, on one line.")],
+    text: Annotated[str, typer.Argument(metavar="TEXT", help="A name for it, on one line.")],
     robot: Robot = DEFAULT_ROBOT,
     as_json: Json = False,
 ) -> None:
     """Mark this moment in the recording.
 
-    The mark is published on robotctl/marks, too; robotctl clip --event mark cuts out what happened
-    around it.
+    The mark is also published on robotctl/marks. To cut a clip around it, use
+    robotctl clip --event mark.
 
     \b
     Examples:
@@ -40,7 +40,7 @@ def mark(
     text = text.strip()
     if not 0 < len(text) <= MAX_MARK_LENGTH:
         raise UsageError(f"a mark has 1 to {MAX_MARK_LENGTH} characters, not {len(text)}")
-    answer = call(robot, MARK, {"text": text, "source": source("mark")})
+    answer = call(robot, MARK, {"text": text, "source": request_source("mark")})
     if as_json:
         print(json_text(answer))
     else:

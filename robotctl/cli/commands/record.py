@@ -1,4 +1,4 @@
-"""record: the recording that goes on."""
+"""record: look after the current recording."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ app.add_typer(group, name="record")
 SPLIT_DEADLINE_S = 15.0
 
 _COUNTS = {"received": 8, "written": 8, "queued": 6, "dropped": 7, "lost": 6, "unseen": 6}
-"""What is counted of each topic, and the width of its column."""
+"""The counts of a topic, and the widths of their columns."""
 
 _MIN_NAME_WIDTH = 24
 
@@ -35,7 +35,7 @@ _COUNT_HEADER = " ".join(f"{title:>{width}}" for title, width in _COUNTS.items()
 
 @group.callback()
 def record() -> None:
-    """Look after the recording that goes on: status, split.
+    """Look after the current recording: status, split.
 
     \b
     Examples:
@@ -46,10 +46,10 @@ def record() -> None:
 
 @group.command()
 def status(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
-    """Show what of each topic was received, written and lost.
+    """Show how many messages of each topic were received, written and lost.
 
-    received = written + queued + dropped; lost were sent between messages that arrived, unseen
-    before the first that did.
+    received = written + queued + dropped. Messages that never arrived are counted as lost if they
+    were sent after the first one that arrived, and as unseen if before it.
 
     \b
     Examples:
@@ -62,7 +62,7 @@ def status(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
 
 @group.command()
 def split(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
-    """Finish the current file, and go on in the next one without a gap.
+    """Finish the current file and continue in the next one, without a gap.
 
     \b
     Examples:
@@ -73,7 +73,7 @@ def split(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
 
 
 def status_lines(answer: RecordStatus) -> Iterator[str]:
-    """The lines of `robotctl record status`."""
+    """Yield the lines of `robotctl record status`, from its object in `--json`."""
     recorder = answer["recorder"]
     written = size(recorder.get("bytes") or 0)
     yield f"{printable(recorder.get('state'))}: {short_path(recorder.get('file'))}, {written}"

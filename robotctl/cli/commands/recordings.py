@@ -1,4 +1,4 @@
-"""recordings: what was recorded, and what of it is kept."""
+"""recordings: list recordings, and keep them from being removed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from robotctl.cli.support.answer import tell
 from robotctl.cli.support.given_options import given_options
 from robotctl.cli.support.recording_paths import (
     RecordedBy,
-    Recordings,
+    RecordingsFolder,
     find_recording,
     recordings_folder,
     robot_of,
@@ -53,14 +53,15 @@ _OTHER_COLUMNS_WIDTH = 54
 @group.callback(invoke_without_command=True)
 def recordings(
     context: typer.Context,
-    folder: Recordings = None,
+    folder: RecordingsFolder = None,
     robot: RecordedBy = None,
     as_json: Json = False,
 ) -> None:
-    """List recordings with length, laps and the worst that happened.
+    """List recordings with duration, laps and the worst event.
 
-    Those in ./recordings or, where it holds none, those of the running or last daemon. The oldest
-    are removed when a daemon starts (see recording.max_total_gb), except those marked with keep.
+    Lists ./recordings or, if that has none, the folder of the running or last daemon. A daemon
+    that starts removes the oldest recordings (see recording.max_total_gb), except those marked
+    with keep.
 
     \b
     Examples:
@@ -94,39 +95,39 @@ def recordings(
 
 @group.command()
 def keep(
-    name: Name, folder: Recordings = None, robot: RecordedBy = None, as_json: Json = False
+    name: Name, folder: RecordingsFolder = None, robot: RecordedBy = None, as_json: Json = False
 ) -> None:
-    """Never remove a recording, whatever its age.
+    """Never remove this recording, at any age.
 
     \b
     Examples:
       robotctl recordings keep last
     """
     path = _set_kept(name, folder, robot, kept=True)
-    told = f"{printable(path.name)} is kept, whatever its age"
+    told = f"{printable(path.name)} is kept at any age"
     tell({"path": str(path), "kept": True}, [told], as_json=as_json)
 
 
 @group.command()
 def unkeep(
-    name: Name, folder: Recordings = None, robot: RecordedBy = None, as_json: Json = False
+    name: Name, folder: RecordingsFolder = None, robot: RecordedBy = None, as_json: Json = False
 ) -> None:
-    """Let a recording be removed again when its time has come.
+    """Let this recording be removed again when it is old.
 
     \b
     Examples:
       robotctl recordings unkeep robot_20260101_120000
     """
     path = _set_kept(name, folder, robot, kept=False)
-    told = f"{printable(path.name)} is removed again when its time has come"
+    told = f"{printable(path.name)} may be removed again when it is old"
     tell({"path": str(path), "kept": False}, [told], as_json=as_json)
 
 
 def _refuse_options_before(context: typer.Context, command: str) -> None:
-    """Raise UsageError for an option of the list that stands before `command`."""
+    """Raise UsageError for an option of the list that was given before `command`."""
     for option in given_options(context).values():
         raise UsageError(
-            f"{option} stands before {command}",
+            f"{option} is given before {command}",
             f"give it after: robotctl recordings {command} NAME {option} ...",
         )
 
@@ -137,7 +138,7 @@ def _set_kept(name: str, folder: Path | None, robot: str | None, *, kept: bool) 
     path = find_recording(name, robot, folder)
     if not path.is_dir():
         raise Refused(
-            f"{path} is no recording's folder",
+            f"{path} is not the folder of a recording",
             "see: robotctl recordings",
             sentence=IN_PARENTHESES,
         )
@@ -170,7 +171,7 @@ def _as_object(each: ListedRecording) -> dict[str, Any]:
 def _screen(place: Path, found: Sequence[ListedRecording], robot: str) -> Iterator[str]:
     if not found:
         start = command_for(robot, "start")
-        yield f"no recordings in {short_path(place)} (begin one: {start})"
+        yield f"no recordings in {short_path(place)} (start one: {start})"
         return
     yield f"{short_path(place)}: {size(sum(each.size_bytes for each in found))}"
     names = (each.path.name for each in found)
@@ -186,7 +187,7 @@ def _screen(place: Path, found: Sequence[ListedRecording], robot: str) -> Iterat
             f"{worst:5} {', '.join(_remarks(each))}"
         ).rstrip()
     if any(each.damage for each in found):
-        yield "damaged ones: robotctl recover NAME saves what can be read"
+        yield "for damaged ones, robotctl recover NAME saves what can be read"
 
 
 def _remarks(each: ListedRecording) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""recover: what can be saved of a broken recording."""
+"""recover: copy the readable part of a broken recording into a new one."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import typer
 
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.support.answer import tell
-from robotctl.cli.support.recording_paths import RecordedBy, Recordings, find_recording
+from robotctl.cli.support.recording_paths import RecordedBy, RecordingsFolder, find_recording
 from robotctl.cli.terminal.progress import progress_bar
 from robotctl.cli.terminal.text import short_path
 from robotctl.errors import RecoveredWithLoss
@@ -32,14 +32,14 @@ def recover(
             "--output", "-o", metavar="OUT", help="What to write [default: FILE_recovered]."
         ),
     ] = None,
-    folder: Recordings = None,
+    folder: RecordingsFolder = None,
     robot: RecordedBy = None,
     as_json: Json = False,
 ) -> None:
     """Save what can be read of a broken recording into a new one.
 
-    Of any writer. Nothing is overwritten. Exits with 0 where nothing is lost, 8 where something
-    is, and 6 where nothing can be read.
+    Reads MCAP files of any program, and overwrites nothing. The exit code is 0 if nothing is lost,
+    8 if something is lost, and 6 if nothing can be read.
 
     \b
     Examples:
@@ -56,16 +56,21 @@ def recover(
         salvage = work(source, target, on_progress=on_progress)
     error = None
     if salvage.lost:
-        error = RecoveredWithLoss(f"not all of {source} could be saved: {'; '.join(salvage.lost)}")
+        error = RecoveredWithLoss(
+            f"{source} could not be saved completely: {'; '.join(salvage.lost)}"
+        )
     tell(_as_object(source, salvage), _lines(salvage), as_json=as_json, error=error)
 
 
 def _beside(source: Path) -> Path:
-    """Where to save to: never into the folder of a bag, where it would be taken for a part."""
+    """Return the default target: beside the source, but outside a rosbag2 folder.
+
+    Within that folder it would be taken for a part of the bag.
+    """
     folder = source.parent
     if (folder / "metadata.yaml").exists():
         folder = folder.parent
-    plain = Path(source.name.removesuffix(".zstd"))  # a copy is not compressed as a whole
+    plain = Path(source.name.removesuffix(".zstd"))  # the copy is not compressed as a file
     return folder / f"{plain.stem}_recovered{plain.suffix}"
 
 
@@ -83,5 +88,5 @@ def _lines(salvage: RecoveryReport) -> Iterator[str]:
     what = f"{salvage.message_count} messages"
     if salvage.attachment_count:
         what += f" and {salvage.attachment_count} attachments"
-    rest = "" if salvage.lost else ", nothing is lost"
-    yield f"{short_path(salvage.target)}: {what} are saved{rest}"
+    rest = "" if salvage.lost else ", nothing lost"
+    yield f"{short_path(salvage.target)}: {what} saved{rest}"

@@ -1,9 +1,9 @@
-"""reset: release the emergency stop or an error. `control` carries it out."""
+"""reset: options and help; `quick_actions.reset` carries it out."""
 
 from __future__ import annotations
 
 from robotctl.cli.options import Json, Robot, new_app
-from robotctl.cli.support import control
+from robotctl.cli.support import quick_actions
 from robotctl.paths import DEFAULT_ROBOT
 
 app = new_app()
@@ -13,10 +13,10 @@ app = new_app()
 def reset(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
     """Release EMERGENCY_STOP or ERROR to IDLE; nothing moves yet.
 
-    Refused, with exit code 4, as long as the cause is there.
+    Refused, with exit code 4, while the cause persists.
 
     \b
     Examples:
       robotctl reset
     """
-    control.reset(robot, as_json)
+    quick_actions.reset(robot, as_json)

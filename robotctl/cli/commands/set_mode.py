@@ -1,4 +1,4 @@
-"""set-mode: ask for a mode. `control` carries it out."""
+"""set-mode: options and help; `quick_actions.set_mode` carries it out."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from robotctl.cli.options import Json, Robot, new_app
-from robotctl.cli.support import control
+from robotctl.cli.support import quick_actions
 from robotctl.paths import DEFAULT_ROBOT
 
 app = new_app()
@@ -26,7 +26,7 @@ def set_mode(
 ) -> None:
     """Ask for a mode; `moving` drives the configured pattern.
 
-    A refusal names the condition that does not hold, and exits with 4.
+    A refusal names the condition that does not hold and exits with code 4.
 
     \b
     Examples:
@@ -34,4 +34,4 @@ def set_mode(
       robotctl set-mode EMERGENCY_STOP
       robotctl set-mode 0
     """
-    control.set_mode(mode, robot, as_json)
+    quick_actions.set_mode(mode, robot, as_json)

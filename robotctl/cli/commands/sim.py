@@ -1,4 +1,4 @@
-"""sim: the simulated robot alone."""
+"""sim: run only the simulated robot."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ def sim(
 ) -> None:
     """Run the simulated robot in a process of its own, until Ctrl-C.
 
-    A daemon that is started afterwards finds it and drives it as a real robot. If that daemon
-    dies, the robot stops by its own command timeout.
+    A daemon that is started afterwards finds it and drives it like a real robot. If that daemon
+    dies, the simulated robot stops by its own command timeout.
 
     \b
     Examples:

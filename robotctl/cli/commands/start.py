@@ -1,4 +1,4 @@
-"""start: the daemon, in the background or in this terminal."""
+"""start: start the daemon, in the background or in this terminal."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from typing import Annotated
 import typer
 
 from robotctl import __version__
-from robotctl.cli.commands.drive import Pattern
 from robotctl.cli.options import ConfigFile, DomainId, Json, Robot, new_app
 from robotctl.cli.support.launch import INTERRUPTIONS, StartOptions, launch
 from robotctl.cli.support.signals import interrupted_by
-from robotctl.cli.terminal.screen import mode_text
+from robotctl.cli.terminal.status_screen import mode_text
 from robotctl.cli.terminal.text import json_text, printable, short_path
 from robotctl.errors import UsageError
 from robotctl.ipc.answers import StartSummary
 from robotctl.ipc.client import command_for
+from robotctl.kernel.patterns import PatternKind
 from robotctl.paths import DEFAULT_ROBOT, check_robot_name
 
 app = new_app()
@@ -33,29 +33,27 @@ def start(
         Path | None, typer.Option(metavar="DIR", help="Where to record [default: ./recordings].")
     ] = None,
     drive: Annotated[
-        Pattern | None, typer.Option(metavar="PATTERN", help="Start moving at once.")
+        PatternKind | None, typer.Option(metavar="PATTERN", help="Drive this pattern at once.")
     ] = None,
     sim: Annotated[
         bool | None,
         typer.Option(
             "--sim/--no-sim",
-            help="Force or leave out the simulated robot; without either it "
-            "starts unless somebody publishes odometry already.",
+            help="With or without the simulated robot [default: simulate, unless "
+            "odometry is already published].",
         ),
     ] = None,
     observe: Annotated[
         bool,
-        typer.Option(
-            "--observe", help="Only record, beside anybody's stack: no command, no mode, no robot."
-        ),
+        typer.Option("--observe", help="Only record: publish no commands and control no robot."),
     ] = False,
     include: Annotated[
         list[str] | None,
-        typer.Option(metavar="PATTERN", help="Record only these topics; may be repeated."),
+        typer.Option(metavar="PATTERN", help="Record only these topics; repeatable."),
     ] = None,
     exclude: Annotated[
         list[str] | None,
-        typer.Option(metavar="PATTERN", help="Do not record these topics; may be repeated."),
+        typer.Option(metavar="PATTERN", help="Do not record these topics; repeatable."),
     ] = None,
     domain_id: DomainId = None,
     foreground: Annotated[
@@ -65,11 +63,11 @@ def start(
 ) -> None:
     """Start the daemon and return when it is ready.
 
-    It records every topic from the first message on. Nothing moves before you say so.
+    It records every topic from the first message on. The robot does not move until you ask for it.
 
-    A PATTERN is a topic (/scan), a glob (/camera/*) or a type
-    (type:sensor_msgs/msg/Image); several may stand between commas. What proves a drive
-    is always recorded: command, odometry, robot status and journal.
+    To record, a PATTERN is a topic (/scan), a glob (/camera/*) or a type
+    (type:sensor_msgs/msg/Image), or several separated by commas. Command, odometry, robot status
+    and journal are always recorded: `why` and `replay --check` need them.
 
     \b
     Examples:
@@ -81,7 +79,7 @@ def start(
       robotctl start --exclude '/camera/*,type:sensor_msgs/msg/PointCloud2'
     """
     if foreground and as_json:
-        raise UsageError("--foreground with --json", "leave --json out: READY is JSON anyway")
+        raise UsageError("--foreground with --json", "leave --json out: the output is JSON anyway")
     options = StartOptions(
         robot=check_robot_name(robot),
         config=config,
@@ -106,7 +104,7 @@ def start(
 
 
 def summary(ready: StartSummary) -> Iterator[str]:
-    """What a daemon that has just become ready says of itself."""
+    """Yield the lines about a daemon that has just become ready, from its report."""
     robot = printable(ready.get("robot"))
     yield f"robotctl {__version__}: robot {robot} is ready"
     yield f"  mode        {mode_text(ready)}"
@@ -120,4 +118,4 @@ def summary(ready: StartSummary) -> Iterator[str]:
     yield f"  pid         {ready.get('pid')}"
     yield from (f"note: {printable(note)}" for note in ready.get("notes") or [])
     if ready.get("mode") == "EMERGENCY_STOP":
-        yield f"still latched from before; release it with: {command_for(robot, 'reset')}"
+        yield f"the emergency stop is still latched; release it with: {command_for(robot, 'reset')}"

@@ -1,9 +1,9 @@
-"""status: one screen about the daemon and its robot. `control` carries it out."""
+"""status: options and help; `quick_actions.status` carries it out."""
 
 from __future__ import annotations
 
 from robotctl.cli.options import Json, Robot, new_app
-from robotctl.cli.support import control
+from robotctl.cli.support import quick_actions
 from robotctl.paths import DEFAULT_ROBOT
 
 app = new_app()
@@ -18,4 +18,4 @@ def status(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
       robotctl status
       robotctl status --json | jq .mode
     """
-    control.status(robot, as_json)
+    quick_actions.status(robot, as_json)

@@ -1,9 +1,9 @@
-"""stop: the robot stands, the recording is closed, the daemon ends."""
+"""stop: options and help; `quick_actions.stop` carries it out."""
 
 from __future__ import annotations
 
 from robotctl.cli.options import Json, Robot, new_app
-from robotctl.cli.support import control
+from robotctl.cli.support import quick_actions
 from robotctl.paths import DEFAULT_ROBOT
 
 app = new_app()
@@ -13,10 +13,10 @@ app = new_app()
 def stop(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
     """Stop the robot, close the recording and end the daemon.
 
-    Returns when the process is gone.
+    Returns when the process has ended.
 
     \b
     Examples:
       robotctl stop
     """
-    control.stop(robot, as_json)
+    quick_actions.stop(robot, as_json)

@@ -1,4 +1,4 @@
-"""watch: the live view of a running daemon."""
+"""watch: show the status of a running daemon, live."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ app = new_app()
 
 POLL_S = 0.1
 LINE_S = 1.0
-"""Without a terminal: a log file gets a line a second, not ten."""
+"""The period without a terminal, so that a log file gets one line per second."""
 
 
 @app.command()
 def watch(robot: Robot = DEFAULT_ROBOT) -> None:
     """Watch mode, pose, speed, battery, recorder and topics, live.
 
-    Ends with Ctrl-C, or with the daemon. Through a pipe it prints a line a second.
+    Ends with Ctrl-C or with the daemon. Without a terminal it prints one line per second.
 
     \b
     Examples:
@@ -38,7 +38,11 @@ def watch(robot: Robot = DEFAULT_ROBOT) -> None:
 
 
 def polled(robot: str) -> Iterator[Status]:
-    """The daemon's status, as often as it can be shown; ends with NoDaemon when the daemon does."""
+    """Yield the daemon's status, as often as it is shown, until the daemon ends.
+
+    Raises:
+        NoDaemon: The daemon has ended.
+    """
     period_s = POLL_S if is_terminal() else LINE_S
     while True:
         yield call(robot, STATUS)
@@ -46,9 +50,9 @@ def polled(robot: str) -> Iterator[Status]:
 
 
 def polled_until(working: Background[Any], robot: str) -> Iterator[Status]:
-    """The daemon's status until the work is done; nothing of work that is done at once.
+    """Yield the daemon's status until the work is done; nothing if it is done at once.
 
-    A poll that fails is left out: the work itself says how it ends.
+    Failed polls are skipped, because the work itself reports how it ended.
     """
     period_s = POLL_S if is_terminal() else LINE_S
     working.join(POLL_S)
@@ -63,7 +67,7 @@ def polled_until(working: Background[Any], robot: str) -> Iterator[Status]:
 
 
 def show(statuses: Iterator[Status]) -> None:
-    """Draw each status over the one before, or print a line each where there is no terminal."""
+    """Draw each status over the previous one, or print a line for each without a terminal."""
     if not is_terminal():
         for row, status in enumerate(statuses):
             if row == 0:

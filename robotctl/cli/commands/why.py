@@ -1,4 +1,4 @@
-"""why: the chain that led to the last stop, refusal or fault."""
+"""why: say what led to the last stop, refusal or fault."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from robotctl.cli.support.answer import tell
 from robotctl.cli.support.recording_paths import (
     LAST,
     RecordedBy,
-    Recordings,
+    RecordingsFolder,
     find_recording,
     recordings_of,
     robot_of,
@@ -37,15 +37,15 @@ if TYPE_CHECKING:
 app = new_app()
 
 MAX_RECORDINGS = 20
-"""How many are searched, the newest first: each journal is read whole, seconds for an hour."""
+"""How many recordings are searched; reading a journal takes seconds per recorded hour."""
 
 COMMIT_DEADLINE_S = 8.0
-"""Above the daemon's own deadline for it, so that its answer says what the disk did not take."""
+"""Longer than the daemon's own deadline, so that its answer names what was not written."""
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
-    """An incident, the recording that holds it, and the later ones in which nothing happened."""
+class FoundIncident:
+    """An incident, its recording, and the later recordings without an incident."""
 
     path: Path
     incident: Incident
@@ -59,25 +59,25 @@ def why(
         str | None,
         typer.Argument(
             metavar="[FILE]",
-            help="An MCAP file, a recording's folder or name, or `last` [default: the running "
-            "daemon's, or the last, or one before that].",
+            help="An MCAP file, a recording's folder or name, or `last` [default: the current "
+            "recording, or the last one, or an earlier one].",
         ),
     ] = None,
     at: Annotated[
         str | None,
         typer.Option(
-            metavar="T", help="What is nearest to it: seconds into the recording, 12:03:04, a date."
+            metavar="T", help="Explain what happened next to T: seconds into it, 12:03:04, a date."
         ),
     ] = None,
-    folder: Recordings = None,
+    folder: RecordingsFolder = None,
     robot: RecordedBy = None,
     as_json: Json = False,
 ) -> None:
     """Say why the robot was stopped last, or why a request was refused.
 
-    From the journal of a recording; needs neither ROS nor a daemon. A running daemon is asked to
-    write down first what it knows. Where nothing happened in the last recording, those of the
-    robot before it are searched.
+    Reads the journal of a recording; needs neither ROS nor a daemon. If a daemon is running, it
+    first writes all pending messages to its recording. If nothing happened in the last recording,
+    the earlier ones of the robot are searched.
 
     \b
     Examples:
@@ -99,7 +99,7 @@ def why(
 def _paths(
     file: str | None, robot: str | None, folder: Path | None, missing: list[str]
 ) -> list[Path]:
-    """Return the recordings to search, the newest first; a live one holds all that is known."""
+    """Return the recordings to search, newest first; a running daemon has committed its own."""
     newest = asked = None
     if file is None and folder is None:
         asked = robot or DEFAULT_ROBOT
@@ -118,11 +118,11 @@ def _paths(
 
 
 def _committed(robot: str, missing: list[str]) -> Path | None:
-    """Have the robot's daemon write down what it knows, and return its recording's folder."""
+    """Let the robot's daemon commit its recording, and return the folder; None without a daemon."""
     try:
         with Client(robot) as client:
             answer = _commit(client, missing)
-    except (NoDaemon, Refused, UsageError):  # nobody listens; or no robot's name
+    except (NoDaemon, Refused, UsageError):  # no daemon, or not a valid robot name
         return None
     return None if answer is None else Path(answer["file"]).parent
 
@@ -131,22 +131,23 @@ def _commit(client: Client, missing: list[str]) -> Committed | None:
     try:
         answer = client.call(RECORD_COMMIT, deadline_s=COMMIT_DEADLINE_S)
     except RobotctlError as error:  # busy, stuck, ending, or of another version
-        missing.append(f"what the daemon has not written yet: {error}")
+        missing.append(f"the messages that the daemon has not written yet: {error}")
         return None
     if answer["uncommitted"]:
         reason = answer["failure"] or "the disk is too slow"
-        missing.append(f"{answer['uncommitted']} messages that are not written: {reason}")
+        missing.append(f"{answer['uncommitted']} messages that are not written yet: {reason}")
     return answer
 
 
 def _at(paths: Sequence[Path], at: str, missing: list[str]) -> tuple[Path, int]:
     """Return the recording to search for the time `at`, and that time [ns].
 
-    It is the newest that holds the time, else the newest that begins before it, else the newest;
-    `at` in seconds is into the newest. What cannot be read is passed over and told to `missing`.
+    It is the newest recording that contains the time, else the newest that begins before it, else
+    the newest. Seconds count from the start of the newest. Recordings that cannot be read are
+    skipped and added to `missing`.
 
     Raises:
-        UnreadableFile: None can be read.
+        UnreadableFile: No recording can be read.
     """
     from robotctl.recording import read_info
 
@@ -173,8 +174,8 @@ def _at(paths: Sequence[Path], at: str, missing: list[str]) -> tuple[Path, int]:
 
 def _find(
     paths: Sequence[Path], at_ns: int | None, missing: list[str], on_progress: Progress
-) -> Found:
-    """Return the last incident, or the one nearest to `at_ns`; raises Refused if there is none."""
+) -> FoundIncident:
+    """Return the last incident, or the one nearest to `at_ns`; raise Refused if there is none."""
     from robotctl.rerun.incident import find_incident
 
     later: list[Path] = []
@@ -188,15 +189,15 @@ def _find(
             continue
         missing += searched.missing
         if searched.incident is not None:
-            return Found(path, searched.incident, later, missing)
+            return FoundIncident(path, searched.incident, later, missing)
         later.append(path)
     before = "" if len(paths) == 1 else f" and {len(paths) - 1} before it"
     but = f" (but {'; '.join(missing)})" if missing else ""
     raise Refused(f"{paths[0]}{before}: the robot was not stopped, and nothing was refused{but}")
 
 
-def why_lines(found: Found) -> Iterator[str]:
-    """Yield the sentences, as operators read them."""
+def why_lines(found: FoundIncident) -> Iterator[str]:
+    """Yield the lines of the explanation."""
     from robotctl.rerun.why import explain
 
     incident, robot = found.incident, robot_of(found.path) or DEFAULT_ROBOT
@@ -219,7 +220,7 @@ def why_lines(found: Found) -> Iterator[str]:
     yield f"  {'recorded in':12}{short_path(found.path)}, {after_s:.3f} s after its beginning"
 
 
-def _later(found: Found) -> str:
+def _later(found: FoundIncident) -> str:
     count = len(found.later)
     if not count:
         return ""
@@ -227,7 +228,7 @@ def _later(found: Found) -> str:
     return f"{what} without a stop or a refusal, up to {short_path(found.later[0])}"
 
 
-def as_object(found: Found) -> dict[str, Any]:
+def as_object(found: FoundIncident) -> dict[str, Any]:
     """Return the object of `why --json`; times in seconds, milliseconds and ns since the epoch."""
     from robotctl.rerun.journal_values import text_of
     from robotctl.rerun.why import explain, rule_of
@@ -262,10 +263,10 @@ def as_object(found: Found) -> dict[str, Any]:
 
 
 def _clock(incident: Incident) -> str:
-    """The time of day, to the millisecond."""
+    """Return the time of day of the incident, with milliseconds."""
     seconds, rest_ns = divmod(incident.log_ns, NS_PER_S)
     try:
         day = time.strftime("%H:%M:%S", time.localtime(seconds))
-    except (OverflowError, ValueError, OSError):  # a file may claim anything
+    except (OverflowError, ValueError, OSError):  # the file may contain any number
         return f"{incident.log_ns} ns"
     return f"{day}.{rest_ns // 10**6:03}"

@@ -1,4 +1,4 @@
-"""What a command answers: an object for machines, or lines for people."""
+"""Print the answer of a command: an object for machines, or lines for people."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ def tell(
     as_json: bool,
     error: RobotctlError | None = None,
 ) -> None:
-    """Print the answer, as one line of JSON or as lines of text, then raise `error`.
+    """Print the answer, as one line of JSON or as lines of text, then raise `error` if given.
 
-    An error that `--json` shows takes the answer with it: stdout gets one object in all. The error
-    is raised also where the reader of stdout has gone: its exit code is the result.
+    With `as_json`, the error carries the answer, so that stdout gets a single object. The error is
+    raised even if the reader of stdout has closed it, because it determines the exit code.
     """
     if error is not None and as_json:
         error.answer = answer

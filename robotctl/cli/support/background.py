@@ -1,4 +1,4 @@
-"""A call beside the main thread, which a Ctrl-C may interrupt at any instant."""
+"""A call in a thread, while the main thread may be interrupted by Ctrl-C at any time."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ T = TypeVar("T")
 
 
 class Background(threading.Thread, Generic[T]):
-    """Carries out `work`, from `start` on, in a thread that does not outlive the process.
+    """A thread that runs `work` and keeps its result; it does not outlive the process.
 
-    Not a future: whoever is interrupted while it asks one for its state may leave the lock taken
-    that the thread needs to end.
+    It is not a future: if Ctrl-C interrupts a call of a future, the future's lock may stay taken,
+    and the thread, which needs that lock, never ends.
     """
 
     def __init__(self, work: Callable[[], T]) -> None:
@@ -24,15 +24,15 @@ class Background(threading.Thread, Generic[T]):
         self._raised: BaseException | None = None
 
     def run(self) -> None:
-        """Keep what the work returns or raises."""
+        """Run the work, and keep what it returns or raises."""
         try:
             self._returned = self._work()
-        except BaseException as error:  # noqa: BLE001 - raised again where the result is asked for
+        except BaseException as error:  # noqa: BLE001 - `result` raises it again
             self._raised = error
         self.is_done = True
 
     def result(self) -> T:
-        """Wait for what the work returned; raises what it raised."""
+        """Wait for the work, then return what it returned or raise what it raised."""
         self.join()
         if self._raised is not None:
             raise self._raised

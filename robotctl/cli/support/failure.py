@@ -1,4 +1,4 @@
-"""What a command failed of, whatever was raised: one sentence, one object, one exit code."""
+"""Report why a command failed: one sentence, one JSON object, one exit code."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from robotctl.errors import IN_PARENTHESES, Interrupted, RobotctlError, UsageErr
 
 
 def report(error: BaseException, *, as_json: bool) -> int:
-    """Show why a command failed, and return the exit code of its process.
+    """Print why a command failed, and return the exit code of its process.
 
-    People get a sentence on stderr. With `as_json`, stdout gets one object as well: what was found
-    all the same, and `error`.
+    The sentence for people goes to stderr. With `as_json`, stdout gets one object as well: the
+    partial answer, and `error`.
     """
     failure = _as_robotctl_error(error)
     if as_json:
@@ -32,7 +32,10 @@ def report(error: BaseException, *, as_json: bool) -> int:
 
 
 def drop_output(stream: TextIO) -> None:
-    """Discard what `stream` still holds: Python writes it again at exit, and fails with 120."""
+    """Discard what `stream` has buffered.
+
+    Otherwise Python would try to write it again at exit, and exit with 120.
+    """
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 

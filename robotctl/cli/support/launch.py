@@ -1,4 +1,4 @@
-"""Starts a daemon in the background and waits until it says that it is ready."""
+"""Start a daemon in the background, and wait until it is ready."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ from robotctl.processes import Child, program, start
 DAEMON = program("robotctl.daemon")
 
 READY_DEADLINE_S = 60.0
-"""From process start to READY: 2 s on a PC; a loaded single-board computer is given its time."""
+"""From process start to READY; a PC needs 2 s, a loaded single-board computer far more."""
 
 END_DEADLINE_S = 10.0
-"""For a daemon that did not become ready to leave by itself."""
+"""How long a daemon that did not become ready may take to exit."""
 
 INTERRUPTIONS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""What may end a command from outside, and must not leave half a daemon behind."""
+"""The signals that end a command and must not leave a half-started daemon behind."""
 
 _TOO_SLOW = {"error": f"the daemon was not ready within {READY_DEADLINE_S:g} s"}
 
 
 @dataclass(frozen=True, slots=True)
 class StartOptions:
-    """What `robotctl start` passes on to the daemon; None leaves the choice to it."""
+    """The options that `robotctl start` passes to the daemon; None means the daemon's default."""
 
     robot: str
     config: Path | None = None
@@ -51,7 +51,7 @@ class StartOptions:
     exclude: tuple[str, ...] = ()
 
     def command(self) -> list[str]:
-        """The daemon's command line."""
+        """Return the daemon's command line."""
         command = [*DAEMON, "--robot", self.robot]
         for name in ("config", "recordings", "drive", "domain_id"):
             value = getattr(self, name)
@@ -69,18 +69,18 @@ class StartOptions:
 def launch(
     options: StartOptions, tell: Callable[[StartSummary], None] = lambda ready: None
 ) -> StartSummary:
-    """Start a daemon in a session of its own and return what it says when it is ready.
+    """Start a daemon in its own session, and return what it reports when it is ready.
 
-    Until `tell(that)` has returned, an interruption ends the daemon: none runs that nobody was
-    told of.
+    The report is passed to `tell` first. If a signal interrupts this before `tell` has returned,
+    the daemon is ended, so that no daemon runs without the user knowing.
 
     Raises:
-        RobotctlError: The daemon's reason not to start, with its exit code.
+        RobotctlError: The daemon did not start; the error has its reason and exit code.
     """
     log = _log_of(options.robot)
-    # Under a name of its own until it is clear that no other daemon writes to the robot's log.
+    # A name of its own, until it is clear that no other daemon writes to the robot's log.
     own_log = log.with_name(f"{log.name}.{os.getpid()}")
-    # Between the child's birth and the try, a Ctrl-C would leave it behind.
+    # A Ctrl-C between the start of the child and the `try` would leave the child behind.
     unblocked = signal.pthread_sigmask(signal.SIG_BLOCK, INTERRUPTIONS)
     try:
         daemon = start(options.command(), option="--ready-fd", log=own_log)
@@ -97,11 +97,11 @@ def launch(
             daemon.leave()
             return summary
         failure = _failure(options.robot, daemon, said, own_log)
-    except BaseException:  # Ctrl-C among them: nothing is left running half-started
+    except BaseException:  # also Ctrl-C: no half-started daemon stays behind
         _end(daemon, patiently=False)
         own_log.unlink(missing_ok=True)
         raise
-    if isinstance(failure, AlreadyRunning | UsageError):  # no other words of it are in the log
+    if isinstance(failure, AlreadyRunning | UsageError):  # its log holds nothing else
         own_log.unlink(missing_ok=True)
     else:
         _put_in_place(own_log, log)
@@ -109,29 +109,29 @@ def launch(
 
 
 def _put_in_place(own_log: Path, log: Path) -> None:
-    """Make it the robot's log; the log of the run before stays beside it."""
+    """Make `own_log` the robot's log, and keep the previous log beside it."""
     with suppress(FileNotFoundError):
         log.replace(log.with_name(f"{log.name}.1"))
     own_log.replace(log)
 
 
 def _log_of(robot: str) -> Path:
-    """The daemon's log, in a folder that is there."""
+    """Return the path of the daemon's log, and create its folder."""
     try:
         log = log_path(robot)
         make_private(log.parent)
     except (OSError, RuntimeError) as error:  # a home that cannot be written, or no home at all
         why = f"{error.strerror}: {error.filename}" if isinstance(error, OSError) else error
         raise UsageError(
-            f"there is no folder for the log: {why}",
-            "set XDG_STATE_HOME to one of yours",
+            f"the folder for the log cannot be created: {why}",
+            "set XDG_STATE_HOME to a folder of yours",
             sentence=IN_PARENTHESES,
         ) from error
     return log
 
 
 def _said_when_ready(daemon: Child) -> dict[str, Any]:
-    """The one thing that the daemon says; {} where it ended without it, or said something else."""
+    """Return the daemon's report, or {} if it ended without one or sent something else."""
     try:
         return daemon.hear_one(READY_DEADLINE_S)
     except TimeoutError:
@@ -141,21 +141,21 @@ def _said_when_ready(daemon: Child) -> dict[str, Any]:
 
 
 def _failure(robot: str, daemon: Child, said: dict[str, Any], log: Path) -> RobotctlError:
-    """Why the daemon did not start: in its own words, or else the last ones in its log."""
+    """Return why the daemon did not start, from its report or else from the end of its log."""
     ended = _end(daemon, patiently=said != _TOO_SLOW)
     if "error" in said:
         exit_code = said.get("exit_code", RobotctlError.exit_code)
         return error_for_exit_code(exit_code, str(said["error"]), said)
     see = command_for(robot, "logs")
     lines = log.read_text(errors="replace").split("\n") if log.exists() else []
-    last = next((line.strip() for line in reversed(lines) if line.strip()), "it wrote nothing")
+    last = next((line.strip() for line in reversed(lines) if line.strip()), "its log is empty")
     return RobotctlError(
         f"the daemon {ended} before it was ready: {last}", f"see: {see}", sentence=IN_PARENTHESES
     )
 
 
 def _end(daemon: Child, *, patiently: bool) -> str:
-    """Reap our child, by force where it does not leave; returns how it ended."""
+    """Wait for the daemon, kill it if it does not exit, and return how it ended."""
     if not (patiently and daemon.wait(END_DEADLINE_S) is not None):
         daemon.kill(signal.SIGTERM)
     exit_code = daemon.close(END_DEADLINE_S)

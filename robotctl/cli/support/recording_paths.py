@@ -1,4 +1,4 @@
-"""Where recordings are: in a folder that is named, in the one at hand, or in a daemon's."""
+"""Find recordings: in a given folder, in ./recordings, or where a daemon records."""
 
 from __future__ import annotations
 
@@ -10,21 +10,26 @@ from typing import Annotated
 
 import typer
 
-from robotctl.cli.quick import ROBOT_VARIABLE
 from robotctl.errors import IN_PARENTHESES, Refused, UsageError
 from robotctl.ipc.client import command_for
-from robotctl.paths import DEFAULT_ROBOT, chain_to, recordings_note_path, state_folder
+from robotctl.paths import (
+    DEFAULT_ROBOT,
+    ROBOT_VARIABLE,
+    chain_to,
+    recordings_note_path,
+    state_folder,
+)
 from robotctl.regular_file import open_regular
 
 LAST = "last"
 
 _NAME = re.compile(r"(.+)_(\d{8}_\d{6})(?:-(\d+))?")
-"""ROBOT_DATE_TIME, with a number where several began in the same second."""
+"""ROBOT_DATE_TIME, with a number if several were started in the same second."""
 
 MAX_PATH_BYTES = 4096
-"""PATH_MAX of Linux: no folder of recordings has a longer path."""
+"""PATH_MAX of Linux."""
 
-Recordings = Annotated[
+RecordingsFolder = Annotated[
     Path | None,
     typer.Option(
         "--recordings",
@@ -47,17 +52,18 @@ RecordedBy = Annotated[
 
 
 def recordings_folder(robot: str | None, given: Path | None) -> Path:
-    """Return the folder that was given, else ./recordings, else that of a daemon.
+    """Return the folder `given`, else ./recordings, else the folder of the last daemon.
 
-    ./recordings counts where it holds a recording (of `robot`, unless that is None). The daemon is
-    the one of `robot`, or of any robot, that was started last.
+    ./recordings is taken if it holds a recording (of `robot`, unless that is None). The last daemon
+    is the one of `robot`, or of any robot, that was started last.
 
     Raises:
-        UsageError: `given` is no folder, or another user could have named the daemon's.
+        UsageError: `given` is not a folder, or another user could have changed the note that
+            names the daemon's folder.
     """
     if given is not None:
         if not given.is_dir():
-            raise UsageError(f"--recordings {given}: there is no such folder")
+            raise UsageError(f"--recordings {given}: no such folder")
         return given
     here = Path("recordings")
     if not recordings_of(robot, here):
@@ -68,15 +74,15 @@ def recordings_folder(robot: str | None, given: Path | None) -> Path:
 
 
 def find_recording(name: str, robot: str | None, given: Path | None = None) -> Path:
-    """Return the recording that is meant: a path, a name in the folder of recordings, or `last`.
+    """Return the path of a recording: a path, a name in the folder of recordings, or `last`.
 
-    A name that leads nowhere is returned as it is, so that whatever opens it can say so.
+    A name that is not found is returned as it is; opening it then fails with the reason.
 
     Raises:
-        Refused: There is no last one.
+        Refused: `name` is `last`, and there is no recording.
     """
     path = Path(name)
-    if os.path.exists(name):  # and is no error where that may not be known
+    if os.path.exists(name):  # unlike Path.exists, False if permission is denied
         return path
     folder = recordings_folder(robot, given)
     if name == LAST:
@@ -85,7 +91,7 @@ def find_recording(name: str, robot: str | None, given: Path | None = None) -> P
             whose = "" if robot is None else f" of robot {robot!r}"
             raise Refused(
                 f"no recording{whose} in {folder}",
-                f"begin one: {command_for(robot or DEFAULT_ROBOT, 'start')}",
+                f"start one: {command_for(robot or DEFAULT_ROBOT, 'start')}",
                 sentence=IN_PARENTHESES,
             )
         return newest[0]
@@ -93,9 +99,10 @@ def find_recording(name: str, robot: str | None, given: Path | None = None) -> P
 
 
 def recordings_of(robot: str | None, folder: Path) -> list[Path]:
-    """Return the recordings in `folder`, of one robot or of any, the newest first by their names.
+    """Return the recordings of `robot`, or of any robot, in `folder`, newest first.
 
-    A recording is a folder with the name that a daemon gives it.
+    A recording is a folder whose name has the form that a daemon gives it; the name also holds the
+    time.
     """
     try:
         found = [(_NAME.fullmatch(path.name), path) for path in folder.iterdir()]
@@ -110,15 +117,15 @@ def recordings_of(robot: str | None, folder: Path) -> list[Path]:
 
 
 def robot_of(recording: Path) -> str | None:
-    """Return the robot that the name of a recording names; None where it names none."""
+    """Return the robot in the name of a recording, or None if the name has another form."""
     match = _NAME.fullmatch(recording.name)
     return match[1] if match else None
 
 
 def _noted_folders(robot: str | None) -> Iterator[Path]:
-    """Yield where the robot's daemons have recorded, or those of any robot, the last one first.
+    """Yield the folders that the daemons of `robot`, or of any robot, recorded to, latest first.
 
-    Raises UsageError if another user could have named one of them.
+    Raises UsageError if another user could have changed a note that names one of them.
     """
     note = recordings_note_path(robot or DEFAULT_ROBOT)
     notes = [note]

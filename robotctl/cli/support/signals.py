@@ -1,4 +1,4 @@
-"""Signals that end a command from outside."""
+"""Signals that end a command."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from types import FrameType
 
 @contextmanager
 def interrupted_by(numbers: Iterable[signal.Signals]) -> Iterator[None]:
-    """Let signals that would end this process and leave the daemon behind act as Ctrl-C does.
+    """Let signals that would end this process raise KeyboardInterrupt, as Ctrl-C does.
 
-    After the first of them the others are ignored until the end of the block: a closing terminal
-    sends several, and what the first one begins must be carried out.
+    After the first of them the others are ignored until the end of the block: a terminal that
+    closes sends several, and the reaction to the first must be completed.
     """
     previous = {
         number: signal.getsignal(number)
@@ -38,7 +38,7 @@ def interrupted_by(numbers: Iterable[signal.Signals]) -> Iterator[None]:
 
 @contextmanager
 def ignoring(numbers: Iterable[signal.Signals]) -> Iterator[None]:
-    """Ignore signals during a step that must be carried out."""
+    """Ignore signals during a step that must be completed."""
     previous = {number: signal.signal(number, _ignore) for number in numbers}
     try:
         yield
@@ -48,4 +48,8 @@ def ignoring(numbers: Iterable[signal.Signals]) -> Iterator[None]:
 
 
 def _ignore(number: int, frame: FrameType | None) -> None:
-    """Not SIG_IGN: Python complains of a signal that came just before, and children inherit it."""
+    """Do nothing.
+
+    SIG_IGN would be inherited by children, and Python reports an error for a signal that arrived
+    just before it was set.
+    """

@@ -1,4 +1,4 @@
-"""A time of a recording as people give it."""
+"""Times within a recording, as users type them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ MAX_SECONDS = 366 * 86_400.0
 
 
 def is_offset(text: str) -> bool:
-    """Whether a time is given as seconds into a recording."""
+    """Return whether a time is given as seconds into a recording."""
     try:
         float(text)
     except ValueError:
@@ -21,10 +21,13 @@ def is_offset(text: str) -> bool:
 
 
 def parse_moment(text: str, start_ns: int, end_ns: int) -> int:
-    """Return nanoseconds since the epoch, in a recording from `start_ns` to `end_ns`.
+    """Return a time in a recording from `start_ns` to `end_ns`, as nanoseconds since the epoch.
 
-    A time of day is that of the day on which the recording begins, or of the next day where it
-    lies in the recording only then. Raises UsageError.
+    A time of day belongs to the day on which the recording begins, or to the next day if only that
+    lies within the recording.
+
+    Raises:
+        UsageError: The text is not a time.
     """
     if is_offset(text):
         seconds = float(text)
@@ -39,7 +42,7 @@ def parse_moment(text: str, start_ns: int, end_ns: int) -> int:
         if next_ns is not None and same_ns is not None:
             return next_ns if same_ns < start_ns and next_ns <= end_ns else same_ns
     raise UsageError(
-        f"--at {text}",
+        f"--at {text} is not a time",
         "give seconds into the recording, a time such as 12:03:04, "
         "or a date such as 2026-01-01T12:03:04",
     )

@@ -1,1 +1,1 @@
-"""What is drawn in a terminal."""
+"""Text, tables and pictures for the terminal."""

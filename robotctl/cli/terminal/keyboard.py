@@ -1,4 +1,4 @@
-"""Single keys from the terminal, which gets its own settings back on every way out."""
+"""Read single keys from the terminal, and restore its settings in every case."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from typing import Any, Self
 from robotctl.cli.terminal.text import is_terminal
 
 _LOCAL_FLAGS = 3
-"""Their place in what tcgetattr returns."""
+"""The index of the local flags in the list that tcgetattr returns."""
 
 
 class Keyboard:
-    """While the block lasts keys come one by one and unseen; Ctrl-C and Ctrl-Z do what they do.
+    """A context in which keys arrive one by one and without echo; Ctrl-C and Ctrl-Z still work.
 
-    A Ctrl-Z takes effect in `read`, never in the midst of what is being drawn: `suspend` is called
-    before the process stops, and `resume` when it goes on. Without a terminal, and in the
-    background of a shell, there are no keys.
+    Ctrl-Z takes effect in `read`, never while something is drawn: `suspend` is called before the
+    process stops, and `resume` when it continues. Without a terminal, and in the background of a
+    shell, there are no keys.
     """
 
     def __init__(self, suspend: Callable[[], object], resume: Callable[[], object]) -> None:
@@ -34,7 +34,7 @@ class Keyboard:
         self._previous: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> Self:
-        """Take the keys over."""
+        """Turn off echo and line mode, and handle Ctrl-Z."""
         if self._file >= 0 and is_terminal():
             self._stop_asked = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
             self._previous = {
@@ -45,7 +45,7 @@ class Keyboard:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Give them back."""
+        """Restore the settings and the signal handlers."""
         for number, handler in self._previous.items():
             signal.signal(number, handler)
         self._give_back()
@@ -55,12 +55,12 @@ class Keyboard:
 
     @property
     def sources(self) -> list[int]:
-        """What to wait for: the terminal and a Ctrl-Z, or nothing where there is no terminal."""
+        """The descriptors to wait for: keys and Ctrl-Z; empty without a terminal."""
         keys = [] if self._saved is None else [self._file]
         return keys if self._stop_asked < 0 else [*keys, self._stop_asked]
 
     def read(self) -> str:
-        """The keys that were pressed; call it when a source is ready."""
+        """Return the keys that were pressed; call it when one of `sources` is readable."""
         ready, _, _ = select.select(self.sources, [], [], 0.0)
         if self._stop_asked in ready:
             os.eventfd_read(self._stop_asked)
@@ -86,10 +86,10 @@ class Keyboard:
         self._suspend()
         self._give_back()
         signal.signal(signal.SIGTSTP, signal.SIG_DFL)
-        os.kill(os.getpid(), signal.SIGTSTP)  # stands here until the shell lets it go on
+        os.kill(os.getpid(), signal.SIGTSTP)  # returns when the shell continues the process
         signal.signal(signal.SIGTSTP, self._ask_to_stop)
         self._take()
         self._resume()
 
     def _go_on(self, number: int, frame: FrameType | None) -> None:
-        self._take()  # it may have gone on in the background before
+        self._take()  # it may have run in the background until now

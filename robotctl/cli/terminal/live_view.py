@@ -10,7 +10,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from robotctl.cli.terminal.screen import (
+from robotctl.cli.terminal.status_screen import (
     battery_text,
     is_observer,
     mode_text,
@@ -27,11 +27,11 @@ _MODE_STYLES = {
     "EMERGENCY_STOP": "bold white on red",
 }
 _MAX_TOPICS = 12
-"""So that the view stays within a terminal of 24 lines."""
+"""Keeps the view within a terminal of 24 lines."""
 
 
 def live_view(status: Status) -> RenderableType:
-    """Mode, pose, speed, battery, recorder and topics in one panel."""
+    """Return mode, pose, speed, battery, recorder and topics in one panel."""
     facts = Table.grid(padding=(0, 2))
     facts.add_column(style="dim")
     facts.add_column()
@@ -49,7 +49,7 @@ def live_view(status: Status) -> RenderableType:
 
 
 def coloured_mode(status: Mapping[str, Any]) -> Text:
-    """The mode in its colour, with phase and reason."""
+    """Return the mode in its colour, with phase and reason."""
     mode = mode_text(status)
     text = Text(mode, style=_MODE_STYLES.get(mode, "bold"))
     if status.get("phase"):

@@ -1,4 +1,4 @@
-"""A bar for work that may take long."""
+"""A progress bar for work that may take long."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from contextlib import contextmanager
 from robotctl.cli.terminal.text import is_terminal
 
 Progress = Callable[[int, int], None]
-"""Is told how much is done, and how much there is in all."""
+"""Receives how much is done, and the total."""
 
 
 @contextmanager
 def progress_bar(label: str, *, quiet: bool) -> Iterator[Progress]:
-    """Draws what it is told as a bar, on a terminal only, and removes it at the end."""
+    """Yield a function that draws the progress on a terminal; remove the bar at the end."""
     if quiet or not is_terminal():
         yield lambda done, total: None
         return

@@ -1,4 +1,4 @@
-"""What is seen of a replay: notes and a bar while it plays, and the robot with --view."""
+"""The screen of a replay: notes and a bar while it plays, and the robot with --view."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ if TYPE_CHECKING:
 KEYS = "space pause   n next message   + - rate   q quit"
 _BAR_WIDTH = 78
 LINE_S = 1.0
-"""Without a terminal --view prints a line a second."""
+"""The period of the lines that --view prints without a terminal."""
 
 
 class Screen(Protocol):
-    """Shows what the player says."""
+    """Shows the reports of the player."""
 
     def show(self, said: dict[str, Any]) -> None:
-        """A note, or how far the replay is."""
+        """Show a report: a note, the start, or the progress."""
 
     def suspend(self) -> None:
-        """Leave the terminal to others for a while."""
+        """Stop drawing while other programs use the terminal."""
 
     def resume(self) -> None:
-        """Take it again."""
+        """Draw again."""
 
 
 @contextmanager
 def screen(sight: Sight | None, *, quiet: bool) -> Iterator[Screen]:
-    """A bar where there is a terminal, else notes; nothing where it is to be quiet."""
+    """Yield a screen that draws a bar on a terminal, prints notes without one, or is quiet."""
     if quiet:
         yield _Nothing()
     elif is_terminal():
@@ -62,7 +62,7 @@ class _Nothing:
 
 
 class _Notes(_Nothing):
-    """Prints notes and, with a sight, a line a second."""
+    """Prints notes and, with a sight, one line per second."""
 
     def __init__(self, sight: Sight | None) -> None:
         self._sight = sight
@@ -84,12 +84,12 @@ class _Notes(_Nothing):
 
 
 class _Bar:
-    """Draws over itself; notes stay above it."""
+    """Draws a bar that updates in place, below the notes."""
 
     def __init__(self, sight: Sight | None) -> None:
         from rich.live import Live
 
-        # Nobody else prints meanwhile, and a redirected stdout does not tell its encoding.
+        # Nothing else prints meanwhile, and a redirected stdout would hide its encoding.
         self._live = Live(
             auto_refresh=False, transient=True, redirect_stdout=False, redirect_stderr=False
         )
@@ -140,7 +140,7 @@ class _Bar:
 
 
 def bar_text(progress: dict[str, Any], position_s: float, length_s: float) -> str:
-    """Time, rate and what is behind, in words."""
+    """Return position, rate, pause and delay of a replay as one line."""
     rate = progress["rate"]
     parts = [
         f"{position_s:.1f} of {duration(length_s)}",

@@ -1,4 +1,4 @@
-"""What came of a replay, in lines."""
+"""The summary of a replay, as text."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from robotctl.cli.terminal.text import printable
 
 
 def summary_lines(summary: dict[str, Any]) -> Iterator[str]:
-    """What came of a replay, from the object of `replay --json`."""
+    """Yield the summary of a replay, from its object in `--json`."""
     domain, names = summary["domain_id"], summary["prefix"]
-    where = f"below {names}" if names else "under the original names"
+    where = f"with the prefix {names}" if names else "under the original names"
     yield f"  sent        {summary['sent']} messages in ROS domain {domain}, {where}"
     if summary["failed"]:
-        yield f"  not sent    {summary['failed']} messages, which the middleware did not take"
+        yield f"  not sent    {summary['failed']} messages, refused by the middleware"
     for topic, count in summary["withheld"].items():
         yield f"  withheld    {printable(topic)}, {count} messages"
     for topic, reason in summary["skipped"].items():

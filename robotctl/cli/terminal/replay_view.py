@@ -1,8 +1,6 @@
-"""What the recorded robot does, drawn while its recording is played."""
+"""The recorded robot, drawn while its recording is played."""
 
 from __future__ import annotations
-
-import sys
 
 from rich.console import Group, RenderableType
 from rich.panel import Panel
@@ -10,17 +8,17 @@ from rich.table import Table
 from rich.text import Text
 
 from robotctl.cli.terminal.live_view import coloured_mode
-from robotctl.cli.terminal.picture import braille
-from robotctl.cli.terminal.screen import pose_text, velocity_text
-from robotctl.cli.terminal.text import columns, number, printable
+from robotctl.cli.terminal.path_picture import braille
+from robotctl.cli.terminal.status_screen import pose_text, velocity_text
+from robotctl.cli.terminal.text import can_show_braille, columns, number, printable
 from robotctl.replay.recorded_robot import Sight
 
 _PATH_ROWS = 12
-"""So that the view and the bar stay within a terminal of 24 lines."""
+"""Keeps the view and the bar within a terminal of 24 lines."""
 
 
 def recorded_view(sight: Sight) -> RenderableType:
-    """Mode, pose and velocity of the recorded robot, and the path it has taken."""
+    """Return mode, pose, velocity and driven path of the recorded robot in one panel."""
     status = sight.status()
     facts = Table.grid(padding=(0, 2))
     facts.add_column(style="dim")
@@ -29,13 +27,13 @@ def recorded_view(sight: Sight) -> RenderableType:
     facts.add_row("pose", Text(pose_text(status)))
     facts.add_row("velocity", Text(velocity_text(status)))
     parts: list[RenderableType] = [facts]
-    if sight.path and "utf" in (sys.stdout.encoding or "").lower():
+    if sight.path and can_show_braille():
         parts += [Text(), Text("\n".join(braille([], sight.path, rows=_PATH_ROWS)), no_wrap=True)]
     return Panel(Group(*parts), title="recorded", title_align="left", width=columns())
 
 
 def recorded_line(sight: Sight) -> str:
-    """The same on one line, for where nothing can be drawn."""
+    """Return mode, pose and velocity of the recorded robot on one line."""
     status = sight.status()
     pose, velocity = status["pose"] or {}, status["velocity"] or {}
     fields = (

@@ -1,11 +1,11 @@
-"""The status as a row of a table, for where no live view can be drawn."""
+"""The status as one row of a table, for output without a terminal."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
-from robotctl.cli.terminal.screen import is_observer
+from robotctl.cli.terminal.status_screen import is_observer
 from robotctl.cli.terminal.text import number, printable
 from robotctl.ipc.answers import Status
 
@@ -16,7 +16,7 @@ HEADER = _ROW.format(
 
 
 def status_line(status: Status) -> str:
-    """Mode, pose, speed, battery and recorder in the columns of HEADER; `-` is unknown."""
+    """Return mode, pose, speed, battery and recorder in the columns of HEADER; `-` is unknown."""
     pose: Mapping[str, Any] = status["pose"] or {}
     velocity: Mapping[str, Any] = status["velocity"] or {}
     recorder = status["recorder"]

@@ -1,4 +1,4 @@
-"""Text for a terminal: nothing that comes from a file or a daemon may steer it."""
+"""Text for a terminal: escaped, so that no file or daemon can send it control sequences."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from robotctl.printable import printable as printable
 COLUMNS = 80
 
 UNLIMITED = 1 << 20
-"""In a pipe or a file: nothing is cut or wrapped, so that others can search and cut lines."""
+"""The width without a terminal: lines are neither cut nor wrapped, for other programs."""
 
 _LAST_MOMENT_NS = 253_402_300_800 * NS_PER_S
 """The end of the year 9999."""
 
 
 def json_text(value: object) -> str:
-    """One line of JSON, in ASCII: no control character survives."""
+    """Return the value as one line of JSON, in ASCII and without control characters."""
     return json.dumps(value)
 
 
 def elided(text: object, width: int) -> str:
-    """`text` in at most `width` columns, cut in the middle, where names differ least."""
+    """Return `text` in at most `width` columns, cut in the middle, where names differ least."""
     line = printable(text)
     if len(line) <= width:
         return line
@@ -36,7 +36,7 @@ def elided(text: object, width: int) -> str:
 
 
 def row(label: str, text: object) -> Iterator[str]:
-    """Text beside its label, wrapped into a column of its own."""
+    """Yield the lines of a text beside its label, wrapped into its own column."""
     line, width = printable(text), columns() - len(label)
     if len(line) <= width:
         yield f"{label}{line}"
@@ -49,7 +49,7 @@ def row(label: str, text: object) -> Iterator[str]:
 
 
 def short_path(path: object) -> str:
-    """A path relative to the working directory where it lies below it."""
+    """Return a path, relative if it is below the working directory."""
     text = str(path)
     try:
         relative = os.path.relpath(text)
@@ -59,13 +59,13 @@ def short_path(path: object) -> str:
 
 
 def columns() -> int:
-    """Return how wide a line may be: at most 80 columns on a terminal, UNLIMITED elsewhere."""
+    """Return the maximum line width: at most 80 columns on a terminal, else UNLIMITED."""
     wide = _terminal_columns()
     return UNLIMITED if wide is None else min(wide or COLUMNS, COLUMNS)
 
 
 def _terminal_columns() -> int | None:
-    """Return the columns of the terminal, 0 where it does not know them; None without one."""
+    """Return the columns of the terminal, 0 if it does not know them, None without a terminal."""
     try:
         return os.get_terminal_size(sys.stdout.fileno()).columns
     except (OSError, ValueError):
@@ -73,18 +73,23 @@ def _terminal_columns() -> int | None:
 
 
 def column_width(texts: Iterable[object], *, at_least: int, at_most: int) -> int:
-    """Return how wide a column is that shows these texts, within the limits."""
+    """Return the width of a column for these texts, within the limits."""
     longest = max((len(printable(text)) for text in texts), default=0)
     return min(max(longest, at_least), at_most)
 
 
 def is_terminal() -> bool:
-    """Whether our output goes to a terminal that can be drawn on."""
+    """Return whether stdout is a terminal that can be drawn on."""
     return sys.stdout.isatty() and os.environ.get("TERM") != "dumb"
 
 
+def can_show_braille() -> bool:
+    """Return whether stdout has an encoding with braille characters."""
+    return "utf" in (sys.stdout.encoding or "").lower()
+
+
 def size(count: float) -> str:
-    """Bytes as people read them, in powers of ten."""
+    """Return a number of bytes for people, in decimal units."""
     for unit in ("B", "kB", "MB"):
         if count < 1000:
             return f"{count:.0f} {unit}" if unit == "B" else f"{count:.1f} {unit}"
@@ -93,7 +98,7 @@ def size(count: float) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Seconds as people read them."""
+    """Return a number of seconds for people."""
     whole = int(seconds)
     if whole < 60:
         return f"{seconds:.1f} s"
@@ -103,13 +108,13 @@ def duration(seconds: float) -> str:
 
 
 def moment(time_ns: int) -> str:
-    """A time since the epoch as a clock in this place shows it."""
-    if time_ns > _LAST_MOMENT_NS:  # a file may claim anything
+    """Return a time since the epoch as local date and time."""
+    if time_ns > _LAST_MOMENT_NS:  # a file may contain any number
         return f"{time_ns} ns"
     seconds = time.localtime(time_ns // NS_PER_S)
     return time.strftime("%Y-%m-%d %H:%M:%S %z", seconds)
 
 
 def number(value: Any, form: str) -> str:
-    """A number in the given format, or `unknown` where there is none."""
+    """Return a number in the given format, or `unknown` for anything else."""
     return format(value, form) if isinstance(value, int | float) else "unknown"

@@ -1,4 +1,4 @@
-"""Topics with type, count and rate: as wide as a terminal allows, whole in a pipe."""
+"""A table of topics with type, count and rate; without a terminal nothing is cut."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ _INDENT_AND_GAPS = 5
 
 
 class TopicTable:
-    """Header and rows of the same widths; on a terminal the types get what the names leave."""
+    """A table whose columns fit its topics; on a terminal, types get the rest."""
 
     def __init__(self, topics: Iterable[tuple[object, object]]) -> None:
-        """`topics` are the names and types that the rows will show."""
+        """Fit the columns to `topics`, the names and types of the rows."""
         shown = [(name, _short(type_name)) for name, type_name in topics]
         both = columns() - _INDENT_AND_GAPS - _COUNT_WIDTH - _RATE_WIDTH
         names, types = ([each[part] for each in shown] for part in (0, 1))
@@ -25,7 +25,7 @@ class TopicTable:
 
     @property
     def header(self) -> str:
-        """The line above the rows."""
+        """The header line."""
         return self._line("topic", "type", "count", "Hz")
 
     def row(self, name: object, type_name: object, count: object, rate_hz: object) -> str:
@@ -44,5 +44,5 @@ class TopicTable:
 
 
 def _short(type_name: object) -> str:
-    """The type without `/msg`, so that it fits."""
+    """Return the type without `/msg`."""
     return str(type_name).replace("/msg/", "/")

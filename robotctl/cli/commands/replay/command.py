@@ -37,64 +37,65 @@ def replay(
         typer.Argument(metavar="FILE", help="An MCAP file, a recording's folder or name, or last."),
     ],
     rate: Annotated[
-        str, typer.Option(metavar="X", help="Times the original speed; max: as fast as can be.")
+        str,
+        typer.Option(metavar="X", help="Times the original speed, or max."),
     ] = "1",
     topics: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="Only these topics; repeatable.")
     ] = None,
     regex: Annotated[
-        str, typer.Option(metavar="RE", help="Topics with this in their name, beside --topics.")
+        str, typer.Option(metavar="RE", help="Topics whose name matches, in addition to --topics.")
     ] = "",
     exclude: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="Not these topics; repeatable.")
+        list[str] | None, typer.Option(metavar="NAME", help="Leave out these topics; repeatable.")
     ] = None,
     remap: Annotated[
         list[str] | None,
         typer.Option(metavar="OLD:=NEW", help="Publish a topic as another; repeatable."),
     ] = None,
     start_offset: Annotated[
-        float, typer.Option(metavar="S", help="Begin so many seconds into the recording.")
+        float, typer.Option(metavar="S", help="Start S seconds into the recording.")
     ] = 0.0,
     play_duration: Annotated[
         float | None,
-        typer.Option("--duration", metavar="S", help="Play so many recorded seconds."),
+        typer.Option("--duration", metavar="S", help="Play S seconds of the recording."),
     ] = None,
     check: Annotated[
-        bool, typer.Option("--check", help="Decide again instead, and compare; needs no ROS.")
+        bool, typer.Option("--check", help="Re-run the decisions and compare; needs no ROS.")
     ] = False,
     what_if: Annotated[
         list[str] | None,
-        typer.Option(metavar="KEY=VALUE", help="Decide again with another parameter; repeatable."),
+        typer.Option(metavar="KEY=VALUE", help="Re-run the decisions with a parameter changed."),
     ] = None,
     resim: Annotated[
-        bool, typer.Option("--resim", help="Drive again with a simulated robot that reacts.")
+        bool, typer.Option("--resim", help="Re-run the drive with a simulated robot.")
     ] = False,
     delay: Annotated[float, typer.Option(metavar="S", help="Wait before the first message.")] = 0.0,
-    loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
-    paused: Annotated[bool, typer.Option("--paused", help="Begin paused.")] = False,
+    loop: Annotated[bool, typer.Option("--loop", help="Start again at the end.")] = False,
+    paused: Annotated[bool, typer.Option("--paused", help="Start paused.")] = False,
     clock: Annotated[
         float | None, typer.Option(metavar="HZ", help="Publish the recorded time as /clock.")
     ] = None,
     wait_for: Annotated[
         int,
-        typer.Option(metavar="N", min=0, help="Send nothing before so many subscribers are there."),
+        typer.Option(metavar="N", min=0, help="Send nothing before N subscribers have matched."),
     ] = 0,
     service_requests: Annotated[
         bool,
-        typer.Option("--publish-service-requests", help="Send recorded service requests as calls."),
+        typer.Option("--publish-service-requests", help="Call services with recorded requests."),
     ] = False,
     read_ahead: Annotated[
         int | None,
         typer.Option(metavar="N", min=1, max=MAX_READ_AHEAD, help="Messages to read ahead."),
     ] = None,
     with_view: Annotated[
-        bool, typer.Option("--view", help="Draw the recorded robot meanwhile.")
+        bool, typer.Option("--view", help="Draw the recorded robot while playing.")
     ] = False,
     view_only: Annotated[
-        bool, typer.Option("--view-only", help="Draw the recorded robot; nothing goes to ROS.")
+        bool, typer.Option("--view-only", help="Draw the recorded robot; publish nothing.")
     ] = False,
     original_names: Annotated[
-        bool, typer.Option("--original-names", help="Not below /replay beside a daemon.")
+        bool, typer.Option("--original-names", help="Leave out the prefix /replay beside a daemon.")
     ] = False,
     force_types: Annotated[
         bool, typer.Option("--force-types", help="Play types whose definition has changed.")
@@ -111,11 +112,11 @@ def replay(
 ) -> None:
     """Publish a recording to ROS with its original timing.
 
-    While a daemon runs in the same ROS domain, everything goes below /replay; --original-names
-    does without, unless the robot is moving. Under the original names, velocity commands and
-    service requests are withheld unless --topics names them.
+    While a daemon runs in the same ROS domain, all topics get the prefix /replay;
+    --original-names leaves it out, unless the robot is moving. Under the original names, velocity
+    commands and service requests are withheld unless --topics names them.
 
-    Keys: space pauses, n sends the next message, + and - change the rate, q ends.
+    Keys: space pauses, n sends the next message, + and - change the rate, q quits.
 
     \b
     Examples:
@@ -133,7 +134,7 @@ def replay(
             "--force-types plays types that have changed"
         )
     if check and (what_if or resim):
-        raise UsageError("--check takes the recorded parameters", "leave --what-if and --resim out")
+        raise UsageError("--check uses the recorded parameters", "leave --what-if and --resim out")
     daemon_robot = check_robot_name(robot or DEFAULT_ROBOT)
     if check or what_if or resim:
         _refuse_playing_options(context)
@@ -201,11 +202,11 @@ def replay(
 
 
 def _refuse_playing_options(context: typer.Context) -> None:
-    """Raise UsageError for an option that only says how to play."""
+    """Raise UsageError for an option that only affects playing."""
     for name, spelling in given_options(context).items():
         if name not in _OPTIONS_OF_RERUNS:
             raise UsageError(
-                f"{spelling}: says how to play; leave it out with --check, --what-if and --resim"
+                f"{spelling} is only for playing; leave it out with --check, --what-if and --resim"
             )
 
 
@@ -213,8 +214,8 @@ def _only(files: list[Path]) -> Path:
     """Return the one recording to play; raise UsageError for several."""
     if len(files) > 1:
         raise UsageError(
-            f"{len(files)} recordings: one at a time is played "
-            "(several files of one recording: give their folder)"
+            f"{len(files)} recordings were given, but only one can be played "
+            "(for several files of one recording, give their folder)"
         )
     return files[0]
 

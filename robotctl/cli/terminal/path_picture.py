@@ -1,4 +1,4 @@
-"""The driven path over the wanted one, in braille for the terminal and as a PNG."""
+"""A picture of the driven path over the reference path, in braille characters or as a PNG."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ Point = Sequence[float]
 Path2D = Sequence[Point]
 
 _MIN_SPAN_M = 0.1
-"""A robot that did not move is shown as a point in a picture of this size."""
+"""The size of the picture of a robot that did not move."""
 
 _BRAILLE = 0x2800
 _DOTS = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
 """The bit of each dot of a braille cell, by column and row (Unicode, Braille Patterns)."""
 
-_WANTED_EVERY = 3
-"""The wanted path is dotted, so that both can be told apart without colour."""
+_REFERENCE_EVERY = 3
+"""The reference path is dotted, so that it differs from the driven one without colour."""
 
-_DRIVEN_COLOUR, _WANTED_COLOUR, _PLAIN = "\x1b[32m", "\x1b[34m", "\x1b[0m"
+_DRIVEN_COLOUR, _REFERENCE_COLOUR, _PLAIN = "\x1b[32m", "\x1b[34m", "\x1b[0m"
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,7 @@ class Bounds:
 
     @classmethod
     def around(cls, *paths: Path2D) -> Bounds:
-        """The rectangle around every finite point of the paths."""
+        """Return the rectangle around every finite point of the paths."""
         points = [(x, y) for path in paths for x, y in finite(path)] or [(0.0, 0.0)]
         left, right = _spread([x for x, _ in points])
         bottom, top = _spread([y for _, y in points])
@@ -52,13 +52,15 @@ class Bounds:
 
     @property
     def span(self) -> float:
-        """The longer side."""
+        """The longer side, in metres."""
         return max(self.right - self.left, self.top - self.bottom)
 
 
-def braille(wanted: Path2D, driven: Path2D, *, rows: int = 18, colour: bool = False) -> list[str]:
-    """The picture as lines of text, with axes in metres; the axes have the same scale."""
-    bounds = Bounds.around(wanted, driven)
+def braille(
+    reference: Path2D, driven: Path2D, *, rows: int = 18, colour: bool = False
+) -> list[str]:
+    """Return the picture as lines of text, with axes in metres and of equal scale."""
+    bounds = Bounds.around(reference, driven)
     dots_per_m = (rows * 4 - 1) / bounds.span
     across = int((bounds.right - bounds.left) * dots_per_m) // 2 + 1
     down = int((bounds.top - bounds.bottom) * dots_per_m) // 4 + 1
@@ -71,8 +73,8 @@ def braille(wanted: Path2D, driven: Path2D, *, rows: int = 18, colour: bool = Fa
 
     cells: dict[tuple[int, int], int] = {}
     driven_cells = set()
-    for index, (x, y) in enumerate(_dots(place(wanted))):
-        if index % _WANTED_EVERY == 0:
+    for index, (x, y) in enumerate(_dots(place(reference))):
+        if index % _REFERENCE_EVERY == 0:
             _set(cells, x, y)
     for x, y in _dots(place(driven)):
         driven_cells.add(_set(cells, x, y))
@@ -81,7 +83,7 @@ def braille(wanted: Path2D, driven: Path2D, *, rows: int = 18, colour: bool = Fa
         character = chr(_BRAILLE + cells[column, row]) if (column, row) in cells else " "
         if not colour or character == " ":
             return character
-        chosen = _DRIVEN_COLOUR if (column, row) in driven_cells else _WANTED_COLOUR
+        chosen = _DRIVEN_COLOUR if (column, row) in driven_cells else _REFERENCE_COLOUR
         return f"{chosen}{character}{_PLAIN}"
 
     labels = {0: f"{bounds.top:.2f}", down - 1: f"{bounds.bottom:.2f}"}
@@ -96,17 +98,18 @@ def braille(wanted: Path2D, driven: Path2D, *, rows: int = 18, colour: bool = Fa
     return [*lines, axis, f"{'':9}{left}{gap}{right}   {scale}"]
 
 
-def write_png(file: Path, wanted: Path2D, driven: Path2D, title: str) -> None:
-    """Write the picture, antialiased and with equal axes, readable as its folder is.
+def write_png(file: Path, reference: Path2D, driven: Path2D, title: str) -> None:
+    """Write the picture as a PNG, with axes of equal scale and the access rights of its folder.
 
-    Raises OSError.
+    Raises:
+        OSError: The file cannot be written.
     """
     from PIL import Image, ImageDraw
 
     canvas = Image.new("RGB", (_Plot.SIZE * _Plot.FINE,) * 2, "white")
-    plot = _Plot(ImageDraw.Draw(canvas), Bounds.around(wanted, driven))
+    plot = _Plot(ImageDraw.Draw(canvas), Bounds.around(reference, driven))
     plot.axes(title)
-    plot.path(wanted, "#9db8d9", 6, "wanted", 0)
+    plot.path(reference, "#9db8d9", 6, "reference", 0)
     plot.path(driven, "#d1481f", 2, "driven", 1)
     with open(open_private(file, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), "wb") as stream:
         canvas.resize((_Plot.SIZE,) * 2, Image.Resampling.LANCZOS).save(stream, "PNG")
@@ -114,12 +117,12 @@ def write_png(file: Path, wanted: Path2D, driven: Path2D, title: str) -> None:
 
 
 def finite(path: Path2D) -> list[tuple[float, float]]:
-    """The points of a path that can be drawn."""
+    """Return the points of a path that can be drawn."""
     return [(x, y) for x, y in path if math.isfinite(x) and math.isfinite(y)]
 
 
 class _Plot:
-    """Draws in metres on a canvas that is `FINE` times as large as the picture."""
+    """A canvas `FINE` times as large as the picture, for drawing in metres."""
 
     SIZE = 800
     FINE = 4
@@ -136,7 +139,7 @@ class _Plot:
         self._top = (bounds.bottom + bounds.top + self._span) / 2
 
     def axes(self, title: str) -> None:
-        """A frame with a grid, its numbers in metres, and the title."""
+        """Draw a frame, a grid with numbers in metres, and the title."""
         low, high = self.MARGIN, self.SIZE - self.MARGIN
         for x in _ticks(self._left, self._left + self._span):
             at = self._x(x)
@@ -153,7 +156,7 @@ class _Plot:
         self._text(low, low - 8, "y [m]", "rs")
 
     def path(self, points: Path2D, colour: str, width: int, name: str, entry: int) -> None:
-        """A path, and its entry in the legend."""
+        """Draw a path, and its entry in the legend."""
         line = [(self._x(x), self._y(y)) for x, y in finite(points)]
         if line:
             self._line(line, colour, width)
@@ -177,14 +180,14 @@ class _Plot:
 
 
 def _spread(values: list[float]) -> tuple[float, float]:
-    """The smallest and the largest value, at least _MIN_SPAN_M apart."""
+    """Return the smallest and the largest value, at least _MIN_SPAN_M apart."""
     low, high = min(values), max(values)
     missing = max(0.0, _MIN_SPAN_M - (high - low)) / 2
     return low - missing, high + missing
 
 
 def _dots(points: list[tuple[int, int]]) -> Iterator[tuple[int, int]]:
-    """Every dot on the way along the points, once a step."""
+    """Yield every dot on the lines between the points."""
     for (x0, y0), (x1, y1) in pairwise(points):
         steps = max(abs(x1 - x0), abs(y1 - y0))
         for step in range(steps):
@@ -200,7 +203,7 @@ def _set(cells: dict[tuple[int, int], int], x: int, y: int) -> tuple[int, int]:
 
 
 def _ticks(low: float, high: float) -> list[float]:
-    """Round numbers between two, four to ten of them."""
+    """Return four to ten round numbers between two numbers."""
     rough = (high - low) / 8
     magnitude = 10.0 ** math.floor(math.log10(rough))
     step = next(m for m in (1, 2, 5, 10) if m * magnitude >= rough) * magnitude

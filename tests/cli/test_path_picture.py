@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.cli.terminal.picture import Bounds, Path2D, braille, write_png
+from robotctl.cli.terminal.path_picture import Bounds, Path2D, braille, write_png
 
 SQUARE: Path2D = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0), (0.0, 0.0)]
 NAN = float("nan")

@@ -1,4 +1,4 @@
-"""The status as one screen of plain text, 80 columns wide."""
+"""The status of a daemon as one screen of plain text, 80 columns wide."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ if TYPE_CHECKING:
 
 _LABEL_WIDTH = 10
 
-OBSERVING = "observing (records, drives nothing)"
+OBSERVING = "observing (only records)"
 
 
-def status_screen(status: Status) -> Iterator[str]:
-    """The lines of `robotctl status`, from the object of `status --json`."""
+def status_screen_lines(status: Status) -> Iterator[str]:
+    """Yield the lines of `robotctl status`, from the object of `status --json`."""
     yield headline(status)
     if status.get("mode_reason"):
         yield from row(f"  {'reason':{_LABEL_WIDTH}} ", status["mode_reason"])
@@ -34,24 +34,24 @@ def status_screen(status: Status) -> Iterator[str]:
 
 
 def headline(status: Status) -> str:
-    """Which robot is in which mode."""
+    """Return the name of the robot, its mode and phase."""
     phase = status.get("phase")
     suffix = f" ({printable(phase)})" if phase else ""
     return f"{printable(status.get('robot'))}: {mode_text(status)}{suffix}"
 
 
 def mode_text(status: Mapping[str, Any]) -> str:
-    """The mode; an observer has none."""
+    """Return the mode, or OBSERVING for a daemon that only records."""
     return OBSERVING if is_observer(status) else printable(status.get("mode"))
 
 
 def is_observer(status: Mapping[str, Any]) -> bool:
-    """Whether the daemon only records, and knows nothing of a robot."""
+    """Return whether the daemon only records and controls no robot."""
     return "mode" in status and status["mode"] is None
 
 
 def status_rows(status: Status) -> Iterator[tuple[str, str]]:
-    """Label and text of everything but the reason and the topics; a path is never wrapped."""
+    """Yield label and text of each row but the reason and the topics; paths are not wrapped."""
     if not is_observer(status):
         yield "pose", pose_text(status)
         yield "velocity", velocity_text(status)
@@ -73,7 +73,7 @@ def status_rows(status: Status) -> Iterator[tuple[str, str]]:
 
 
 def pose_text(status: Mapping[str, Any]) -> str:
-    """Where the robot is, in its odometry frame."""
+    """Return the pose of the robot in its odometry frame."""
     pose = status.get("pose")
     if not pose:
         return "unknown (no odometry yet)"
@@ -82,13 +82,13 @@ def pose_text(status: Mapping[str, Any]) -> str:
 
 
 def velocity_text(status: Mapping[str, Any]) -> str:
-    """How fast the robot is, as measured."""
+    """Return the measured velocity of the robot."""
     velocity = status.get("velocity") or {}
     linear, angular = (number(velocity.get(key), "+.3f") for key in ("linear", "angular"))
     return f"{linear} m/s   {angular} rad/s"
 
 
 def battery_text(status: Status) -> str:
-    """The battery's charge in percent."""
+    """Return the battery level in percent."""
     battery = status.get("battery")
     return "unknown" if battery is None else f"{number(battery, '.0%')}".replace("%", " %")

@@ -1,11 +1,14 @@
-"""What status, set-mode, estop, reset and stop do, without typer: see `quick`."""
+"""What status, set-mode, estop, reset and stop do.
+
+`quick` and the typer commands of the same names call these functions; none of them needs typer.
+"""
 
 from __future__ import annotations
 
 import os
 from typing import TYPE_CHECKING
 
-from robotctl.cli.terminal.screen import status_screen
+from robotctl.cli.terminal.status_screen import status_screen_lines
 from robotctl.cli.terminal.text import json_text, printable
 from robotctl.errors import RobotctlError, UsageError
 from robotctl.ipc.client import Client, call, command_for
@@ -18,40 +21,44 @@ if TYPE_CHECKING:
 MODES = {"idle": 0, "moving": 1, "error": 2, "emergency-stop": EMERGENCY_STOP_MODE}
 
 STOP_DEADLINE_S = 30.0
-"""For the process to be gone: it ramps down, writes the rest of the recording and syncs it."""
+"""How long the daemon may take to ramp down, write the rest of the recording and sync it."""
 
 
 def status(robot: str, as_json: bool) -> None:
     """Print the daemon's status, as a screen of text or one line of JSON."""
     answer = call(robot, STATUS)
-    print(json_text(answer) if as_json else "\n".join(status_screen(answer)))
+    print(json_text(answer) if as_json else "\n".join(status_screen_lines(answer)))
 
 
 def set_mode(mode: str, robot: str, as_json: bool) -> None:
-    """Ask for a mode by name or number; raises UsageError with the valid ones."""
+    """Request a mode by name or number.
+
+    Raises:
+        UsageError: There is no such mode.
+    """
     number = mode_number(mode)
-    _show(call(robot, SET_MODE, {"mode": number, "source": source("set-mode")}), as_json)
+    _show(call(robot, SET_MODE, {"mode": number, "source": request_source("set-mode")}), as_json)
 
 
 def estop(robot: str, as_json: bool) -> None:
     """Latch the emergency stop."""
-    params = {"mode": EMERGENCY_STOP_MODE, "source": source("estop")}
+    params = {"mode": EMERGENCY_STOP_MODE, "source": request_source("estop")}
     answer = call(robot, SET_MODE, params)
     _show(answer, as_json, hint=f"release it with: {command_for(robot, 'reset')}")
 
 
 def reset(robot: str, as_json: bool) -> None:
     """Release ERROR or EMERGENCY_STOP to IDLE."""
-    _show(call(robot, RESET, {"source": source("reset")}), as_json)
+    _show(call(robot, RESET, {"source": request_source("reset")}), as_json)
 
 
 def stop(robot: str, as_json: bool) -> None:
-    """End the daemon, and return when its process is gone."""
+    """End the daemon, and return when its process has ended."""
     _show(stop_daemon(robot), as_json)
 
 
 def stop_daemon(robot: str) -> Stopped:
-    """Ask the daemon to end, and return its answer when its process is gone."""
+    """Ask the daemon to end, and return its answer when its process has ended."""
     from robotctl.processes import readable_within, watched
 
     with Client(robot) as client, watched(client.daemon_pid) as process:
@@ -59,14 +66,18 @@ def stop_daemon(robot: str) -> Stopped:
         if process is not None and not readable_within(process, STOP_DEADLINE_S):
             pid = client.daemon_pid
             raise RobotctlError(
-                f"the daemon (pid {pid}) still runs after {STOP_DEADLINE_S:g} s: "
+                f"the daemon (pid {pid}) is still running after {STOP_DEADLINE_S:g} s: "
                 f"end it with kill -9 {pid}; its recording stays readable"
             )
     return answer
 
 
 def mode_number(text: str) -> int:
-    """The number of a mode that is given by name, in any case, with - or _, or as 0 to 3."""
+    """Return the number of a mode given by name, in any case, with - or _, or as 0 to 3.
+
+    Raises:
+        UsageError: There is no such mode.
+    """
     name = text.strip().lower().replace("_", "-")
     if name in MODES:
         return MODES[name]
@@ -75,8 +86,8 @@ def mode_number(text: str) -> int:
     raise UsageError(f"no mode {text!r}", f"use {', '.join(MODES)}, or 0 to {max(MODES.values())}")
 
 
-def source(command: str) -> str:
-    """Who asks, for the daemon's log and journal."""
+def request_source(command: str) -> str:
+    """Return the name of the requester, for the daemon's log and journal."""
     return f"robotctl {command} (uid {os.getuid()}, pid {os.getpid()})"
 
 
