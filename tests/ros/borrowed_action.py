@@ -32,7 +32,8 @@ def _pointer(capsule: Any) -> int:
     api.PyCapsule_GetName.argtypes = [ctypes.py_object]
     api.PyCapsule_GetPointer.restype = ctypes.c_void_p
     api.PyCapsule_GetPointer.argtypes = [ctypes.py_object, ctypes.c_char_p]
-    return api.PyCapsule_GetPointer(capsule, api.PyCapsule_GetName(capsule))
+    address: int = api.PyCapsule_GetPointer(capsule, api.PyCapsule_GetName(capsule))
+    return address
 
 
 def _capsule(address: int | None) -> Any:
@@ -54,8 +55,8 @@ def _travels_as(carrier: Any) -> type:
         _DESTROY_ROS_MESSAGE = meta._DESTROY_ROS_MESSAGE
 
         def __new__(cls, name: str, bases: tuple[type, ...], body: dict[str, Any]) -> Any:
-            own = type(f"Metaclass_{name}", (Travelling,), {})
-            made = type.__new__(own, name, bases, body)
+            own: Any = type(f"Metaclass_{name}", (Travelling,), {})
+            made: Any = type.__new__(own, name, bases, body)
             from_py = _FROM_PY(lambda message, memory: real_from_py(message.pack(), memory))
             to_py = _TO_PY(lambda memory: made.unpack(real_to_py(memory)))
             _kept.extend((from_py, to_py))
@@ -73,7 +74,7 @@ class Number:
         self.value = value
 
 
-class GoalRequest(metaclass=_travels_as(AddDiagnostics.Request)):
+class GoalRequest(metaclass=_travels_as(AddDiagnostics.Request)):  # type: ignore[metaclass]
     def __init__(self) -> None:
         self.goal_id = UUID()
         self.goal = Number()
@@ -91,7 +92,7 @@ class GoalRequest(metaclass=_travels_as(AddDiagnostics.Request)):
         return made
 
 
-class GoalReply(metaclass=_travels_as(AddDiagnostics.Response)):
+class GoalReply(metaclass=_travels_as(AddDiagnostics.Response)):  # type: ignore[metaclass]
     def __init__(self) -> None:
         self.accepted = False
         self.stamp = Time()
@@ -109,7 +110,7 @@ class GoalReply(metaclass=_travels_as(AddDiagnostics.Response)):
         return made
 
 
-class ResultRequest(metaclass=_travels_as(AddDiagnostics.Request)):
+class ResultRequest(metaclass=_travels_as(AddDiagnostics.Request)):  # type: ignore[metaclass]
     def __init__(self) -> None:
         self.goal_id = UUID()
 
@@ -123,7 +124,7 @@ class ResultRequest(metaclass=_travels_as(AddDiagnostics.Request)):
         return made
 
 
-class ResultReply(metaclass=_travels_as(AddDiagnostics.Response)):
+class ResultReply(metaclass=_travels_as(AddDiagnostics.Response)):  # type: ignore[metaclass]
     def __init__(self) -> None:
         self.status = 0
         self.result = Number()
@@ -141,7 +142,7 @@ class ResultReply(metaclass=_travels_as(AddDiagnostics.Response)):
         return made
 
 
-class FeedbackMessage(metaclass=_travels_as(String)):
+class FeedbackMessage(metaclass=_travels_as(String)):  # type: ignore[metaclass]
     def __init__(self) -> None:
         self.goal_id = UUID()
         self.feedback = Number()

@@ -8,20 +8,21 @@ from typing import Any
 
 import rclpy
 from action_msgs.msg import GoalStatus
-from borrowed_action import Count
 from rcl_interfaces.srv import GetParameters, SetParameters
-from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
+from rclpy.action.client import ActionClient
+from rclpy.action.server import ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.duration import Duration
 from rclpy.executors import MultiThreadedExecutor
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import UInt64
 from std_srvs.srv import SetBool
 
+from tests.ros.borrowed_action import Count
 from tests.support.lines import obey
+from tests.support.rclpy_types import Node
 from tests.support.waiting import DEADLINE_S, until
 
 
@@ -138,7 +139,7 @@ class Peer:
 
     def call(self, service: str, data: bool, times: int = 1) -> list[Any]:
         """Call SetBool so many times, one after the other."""
-        client = self.node.create_client(SetBool, service, callback_group=self.group)
+        client: Any = self.node.create_client(SetBool, service, callback_group=self.group)
         assert client.wait_for_service(DEADLINE_S)
         replies = [client.call(SetBool.Request(data=data), DEADLINE_S) for _ in range(times)]
         self.node.destroy_client(client)
@@ -146,7 +147,7 @@ class Peer:
 
     def get_parameter(self, node: str, name: str) -> Any:
         """Read an integer parameter of another node."""
-        client = self.node.create_client(GetParameters, f"{node}/get_parameters")
+        client: Any = self.node.create_client(GetParameters, f"{node}/get_parameters")
         assert client.wait_for_service(DEADLINE_S)
         reply = client.call(GetParameters.Request(names=[name]), DEADLINE_S)
         self.node.destroy_client(client)
@@ -154,12 +155,12 @@ class Peer:
 
     def set_parameter(self, node: str, name: str, value: Any) -> bool:
         """Set a parameter of another node."""
-        client = self.node.create_client(SetParameters, f"{node}/set_parameters")
+        client: Any = self.node.create_client(SetParameters, f"{node}/set_parameters")
         assert client.wait_for_service(DEADLINE_S)
         message = Parameter(name, value=value).to_parameter_msg()
         reply = client.call(SetParameters.Request(parameters=[message]), DEADLINE_S)
         self.node.destroy_client(client)
-        return reply.results[0].successful
+        return bool(reply.results[0].successful)
 
     # Actions.
 

@@ -8,7 +8,8 @@ from types import ModuleType
 from typing import Any
 
 import pytest
-from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
+from rclpy.action.client import ActionClient
+from rclpy.action.server import ActionServer, CancelResponse, GoalResponse
 from rclpy.node import Node
 
 from robotctl.ros import AsyncioExecutor

@@ -9,12 +9,13 @@ from types import ModuleType
 from typing import Any
 
 import pytest
-from rclpy.action import ActionServer
-from rclpy.node import Node
+from rclpy.action.server import ActionServer
 from std_msgs.msg import UInt64
 from std_srvs.srv import SetBool
 
 from robotctl.ros import AsyncioExecutor, RawTap
+from tests.support.open_executor import sources_of
+from tests.support.rclpy_types import Node
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 Peer = Callable[..., Awaitable[Any]]
@@ -103,7 +104,7 @@ async def test_entities_destroyed_with_something_pending_disturb_nothing(
     node.create_timer(0.002, lambda: alive.append(1))
     publisher = node.create_publisher(UInt64, topic, 100)
     for _ in range(30):
-        group = [
+        group: list[tuple[Any, Callable[..., object]]] = [
             (
                 node.create_subscription(UInt64, topic, lambda m: None, 10),
                 node.destroy_subscription,
@@ -137,4 +138,4 @@ async def test_entities_destroyed_with_something_pending_disturb_nothing(
             destroy()
     count = len(alive)
     await until(lambda: len(alive) >= count + 3)
-    await until(lambda: len(executor._attachments.sources) < 20)
+    await until(lambda: len(sources_of(executor)) < 20)

@@ -9,12 +9,13 @@ from typing import Any
 
 import pytest
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.node import Node
 from std_msgs.msg import UInt64
 from std_srvs.srv import SetBool
 
 from robotctl.ros import AsyncioExecutor, RawTap
 from robotctl.ros.executor import RclCallFailed
+from tests.support.open_executor import sources_of
+from tests.support.rclpy_types import Node
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 Peer = Callable[..., Awaitable[Any]]
@@ -78,7 +79,11 @@ async def test_an_exception_in_any_callback_reaches_the_handler_and_the_next_one
         later.call_async(SetBool.Request())
         guard.trigger()
         await peer("open", topic=topic)
-        await until(lambda count=count: all(times(kind) >= count for kind in kinds[:-1]))
+
+        def are_reported(count: int = count) -> bool:
+            return all(times(kind) >= count for kind in kinds[:-1])
+
+        await until(are_reported)
         await until(lambda: times("MATCHED"))
     assert {text for text, _ in reported} == {"no"}
 
@@ -151,7 +156,7 @@ async def test_a_failing_take_is_reported_and_tried_again_later(
         tap = RawTap(lambda data, *_: tapped.append(data))
         raw = node.create_subscription(UInt64, topic, tap, 10, raw=True)
         await asyncio.sleep(0)
-        sources: Any = executor._attachments.sources
+        sources: Any = sources_of(executor)
         takers = {each: sources[each]._taker for each in (typed, raw)}
 
         def fail(*_: Any) -> None:
@@ -161,7 +166,7 @@ async def test_a_failing_take_is_reported_and_tried_again_later(
             sources[each]._taker = SimpleNamespace(take=fail, close=taker.close, info=taker.info)
         node.create_publisher(UInt64, topic, 10).publish(UInt64(data=3))
         await until(lambda: len(told) >= 4)
-        assert got == tapped == []
+        assert (got, tapped) == ([], [])
         for each, taker in takers.items():
             sources[each]._taker = taker
         await until(lambda: got == [3] and len(tapped) == 1)

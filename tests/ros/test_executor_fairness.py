@@ -8,12 +8,13 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 import pytest
-from rclpy.node import Node
 from std_msgs.msg import UInt64
 from std_srvs.srv import SetBool
 
 from robotctl.ros import AsyncioExecutor, RawTap, Ticker
-from robotctl.ros.executor.runtime import SHORTEST_SLICE_NS, SLICE_NS, TURN_NS
+from robotctl.ros.executor.time_limits import SHORTEST_SLICE_NS, SLICE_NS, TURN_NS
+from tests.support.open_executor import runtime_of
+from tests.support.rclpy_types import Node
 from tests.support.waiting import DEADLINE_S
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
@@ -82,7 +83,7 @@ async def test_a_flood_delays_neither_a_service_nor_the_tick_by_its_backlog(
 async def test_many_flooded_entities_share_one_turn(
     executor: AsyncioExecutor, node: Node, topic: str, until: Until
 ) -> None:
-    runtime = executor._runtime
+    runtime = runtime_of(executor)
     floods = 10
     got = [0] * floods
     slices: set[int] = set()

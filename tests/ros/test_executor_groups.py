@@ -11,11 +11,12 @@ from rclpy.callback_groups import (
     MutuallyExclusiveCallbackGroup,
     ReentrantCallbackGroup,
 )
-from rclpy.node import Node
 from std_msgs.msg import UInt64
 from std_srvs.srv import SetBool
 
 from robotctl.ros import AsyncioExecutor
+from tests.support.open_executor import runtime_of
+from tests.support.rclpy_types import Node
 from tests.support.waiting import DEADLINE_S
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
@@ -241,5 +242,5 @@ async def test_a_parked_entity_may_be_destroyed(
     node.destroy_subscription(parked)
     await asyncio.sleep(0)
     release.set()
-    await until(lambda: not executor._runtime.tasks)
+    await until(lambda: not runtime_of(executor).tasks)
     assert got == [7]

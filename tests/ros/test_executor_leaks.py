@@ -11,12 +11,12 @@ from subprocess import CompletedProcess
 from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.node import Node
 from std_msgs.msg import UInt64
 
 from robotctl.ros import AsyncioExecutor, RawTap
 from tests.support.descriptors import loop_descriptors
 from tests.support.entities import populate
+from tests.support.rclpy_types import Node
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 RunPython = Callable[..., CompletedProcess[str]]
@@ -143,7 +143,11 @@ async def test_churn_of_subscriptions_under_traffic_loses_no_message_of_the_othe
             node.create_subscription(UInt64, topic, RawTap(lambda *_: None), 10, raw=True),
         ]
         seen = len(got)
-        await until(lambda seen=seen: len(got) > seen)
+
+        def has_more(seen: int = seen) -> bool:
+            return len(got) > seen
+
+        await until(has_more)
         for subscription in batch:
             node.destroy_subscription(subscription)
         if round_number == 5:

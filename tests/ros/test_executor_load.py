@@ -5,18 +5,19 @@ from __future__ import annotations
 import asyncio
 import os
 import threading
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Coroutine
 from typing import Any
 
 import pytest
-from rclpy.node import Node
 from std_msgs.msg import UInt64
 from std_srvs.srv import SetBool
 
 from robotctl.ros import AsyncioExecutor, RawTap, Ticker
+from tests.support.open_executor import sources_of
+from tests.support.rclpy_types import Node
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
-Peer = Callable[..., Awaitable[Any]]
+Peer = Callable[..., Coroutine[Any, Any, Any]]
 
 
 async def test_a_tap_sees_every_sequence_number_of_a_fast_publisher(
@@ -115,5 +116,5 @@ async def test_churn_of_subscriptions_under_a_foreign_flood(
                 node.destroy_subscription(subscription)
     finally:
         await peer("calm", topic=topic)
-    await until(lambda: not [s for s in executor._attachments.sources.values() if topic in s.where])
+    await until(lambda: not [s for s in sources_of(executor).values() if topic in s.where])
     assert got

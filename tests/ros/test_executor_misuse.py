@@ -8,13 +8,14 @@ from typing import Any
 
 import pytest
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.task import Future
 from std_msgs.msg import UInt64
 from std_srvs.srv import SetBool
 
 from robotctl.ros import AsyncioExecutor
 from tests.support.entities import populate
+from tests.support.open_executor import sources_of
+from tests.support.rclpy_types import Node
 from tests.support.waiting import DEADLINE_S
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
@@ -23,7 +24,8 @@ Until = Callable[[Callable[[], object]], Awaitable[None]]
 async def test_a_node_added_twice_answers_false(executor: AsyncioExecutor, node: Node) -> None:
     assert executor.add_node(node) is False
     assert executor.get_nodes() == [node]
-    assert node.executor is executor
+    attached: Any = node.executor
+    assert attached is executor
 
 
 async def test_a_node_of_another_live_executor_is_refused(
@@ -50,7 +52,7 @@ async def test_a_removed_node_is_left_alone_and_may_come_back(
     node.create_subscription(UInt64, topic, lambda m: got.append(m.data), 10)
     publisher = node.create_publisher(UInt64, topic, 10)
     executor.remove_node(node)
-    assert executor._attachments.sources == {}
+    assert sources_of(executor) == {}
     executor.remove_node(node)
     publisher.publish(UInt64(data=1))
     await asyncio.sleep(0.02)
@@ -68,9 +70,7 @@ async def test_a_destroyed_node_leaves_the_executor(
     await asyncio.sleep(0.01)
     short_lived.destroy_node()
     await until(lambda: short_lived not in executor.get_nodes())
-    assert not [
-        source for source in executor._attachments.sources.values() if "short_lived" in source.where
-    ]
+    assert not [source for source in sources_of(executor).values() if "short_lived" in source.where]
 
 
 async def test_a_closed_executor_says_that_it_is_closed(

@@ -47,7 +47,7 @@ async def test_a_platform_without_eventfd_is_refused(
 async def test_a_32_bit_platform_is_refused(
     context: Any, unproven: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rcl.ctypes, "sizeof", lambda _: 4)
+    monkeypatch.setattr(ctypes, "sizeof", lambda _: 4)
     with pytest.raises(UnsupportedPlatform, match="needs a 64-bit Python"):
         await open_and_close(context)
 
@@ -84,8 +84,9 @@ def test_a_ros_without_the_function_is_named() -> None:
     class Newer(Enum):
         SIGNAL = ("librcl.so", "rcl_no_such_function")
 
+    newer: Any = Newer.SIGNAL
     with pytest.raises(UnsupportedPlatform, match="this ROS has no rcl_no_such_function"):
-        rcl.watch(Newer.SIGNAL, 0, 0)
+        rcl.watch(newer, 0, 0)
 
 
 NO_FILES = """

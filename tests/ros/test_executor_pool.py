@@ -11,7 +11,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import UInt64
@@ -20,6 +19,8 @@ from robotctl.ros import AsyncioExecutor, RawTap
 from robotctl.ros.executor import pool as pool_module
 from robotctl.ros.executor.pool import Pool
 from robotctl.ros.executor.sources.subscriptions import affordable_rest_s
+from tests.support.open_executor import sources_of
+from tests.support.rclpy_types import Node
 from tests.support.waiting import DEADLINE_S
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
@@ -51,13 +52,13 @@ async def test_a_tap_takes_what_collected_in_one_look(
     )
     publisher = node.create_publisher(UInt64, topic, 1000)
     await asyncio.sleep(0.01)
-    (source,) = (s for s in executor._attachments.sources.values() if "tap" in s.where)
+    (source,) = (s for s in sources_of(executor).values() if "tap" in s.where)
     looks = 0
     look = source.look
 
     def counted() -> bool:
         nonlocal looks
-        left = look()
+        left: bool = look()
         looks += not left  # what is left at the end of a slice is looked at in the next
         return left
 
@@ -72,7 +73,7 @@ async def test_a_tap_takes_what_collected_in_one_look(
 
 
 def test_a_flooded_pool_rests_for_less_until_it_is_calm(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = SimpleNamespace(now_ns=10**9, monotonic_ns=lambda: clock.now_ns)
+    clock: Any = SimpleNamespace(now_ns=10**9, monotonic_ns=lambda: clock.now_ns)
     monkeypatch.setattr(pool_module, "time", clock)
     rests: list[float] = []
 
@@ -149,7 +150,7 @@ async def test_a_tap_without_latency_is_looked_at_for_every_message(
     subscription = node.create_subscription(UInt64, topic, tap, 1000, raw=True)
     node.create_publisher(UInt64, topic, 10).publish(UInt64())
     await until(lambda: got)
-    assert executor._attachments.sources[subscription].pool is None
+    assert sources_of(executor)[subscription].pool is None
 
 
 async def test_taps_that_get_nothing_do_not_turn_the_loop(
@@ -175,7 +176,7 @@ async def test_a_flooded_subscription_collects_until_it_is_calm_and_loses_nothin
     subscription = node.create_subscription(UInt64, topic, lambda m: got.append(m.data), 10_000)
     publisher = node.create_publisher(UInt64, topic, 10_000)
     await asyncio.sleep(0)
-    source: Any = executor._attachments.sources[subscription]
+    source: Any = sources_of(executor)[subscription]
     sent = 0
 
     async def publish(pause_s: float) -> None:
@@ -204,7 +205,7 @@ async def test_a_subscription_whose_queue_is_short_never_collects(
     subscription = node.create_subscription(UInt64, topic, lambda m: got.append(m.data), 10)
     publisher = node.create_publisher(UInt64, topic, 10)
     await asyncio.sleep(0)
-    source: Any = executor._attachments.sources[subscription]
+    source: Any = sources_of(executor)[subscription]
     async with asyncio.timeout(DEADLINE_S):
         while len(got) < 500:
             publisher.publish(UInt64(data=len(got)))
@@ -238,7 +239,7 @@ async def test_taps_may_be_destroyed_and_created_in_the_sink_of_another(
     got: list[int] = []
     subscriptions: list[Any] = []
 
-    def replace_all(*_: Any) -> None:
+    def replace_all(*message: Any) -> None:
         # Descriptor numbers come free and are used again in the midst of the pool's round.
         for subscription in subscriptions[1:]:
             node.destroy_subscription(subscription)

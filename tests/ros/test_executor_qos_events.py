@@ -9,11 +9,12 @@ from typing import Any
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.qos import QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import UInt64
 
 from robotctl.ros import AsyncioExecutor
+from tests.support.open_executor import sources_of
+from tests.support.rclpy_types import Node
 from tests.support.waiting import until as wait_until
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
@@ -26,7 +27,7 @@ def reliable(depth: int) -> QoSProfile:
 
 
 async def meet_incompatible(
-    node: Node, peer: Peer, topic: str, callback: Callable[[Any], object]
+    node: Node, peer: Peer, topic: str, callback: Callable[[Any], None]
 ) -> None:
     """Want reliably what the other process then offers as best effort."""
     callbacks = SubscriptionEventCallbacks(incompatible_qos=callback)
@@ -38,9 +39,11 @@ async def test_matched_events_come_when_the_other_side_appears_and_goes(
     executor: AsyncioExecutor, node: Node, peer: Peer, topic: str, until: Until
 ) -> None:
     seen: list[tuple[int, int]] = []
-    callbacks = SubscriptionEventCallbacks(
-        matched=lambda event: seen.append((event.current_count, event.current_count_change))
-    )
+
+    def tell(event: Any) -> None:
+        seen.append((event.current_count, event.current_count_change))
+
+    callbacks = SubscriptionEventCallbacks(matched=tell)
     node.create_subscription(UInt64, topic, lambda _: None, 10, event_callbacks=callbacks)
     await peer("offer", topic=topic)
     await until(lambda: seen == [(1, 1)])
@@ -52,8 +55,12 @@ async def test_a_match_from_before_the_node_was_added_is_told_once(
     context: Any, node: Node, peer: Peer, topic: str, until: Until
 ) -> None:
     seen: list[int] = []
+
+    def tell(event: Any) -> None:
+        seen.append(event.current_count)
+
     await peer("listen", topic=topic)
-    callbacks = PublisherEventCallbacks(matched=lambda event: seen.append(event.current_count))
+    callbacks = PublisherEventCallbacks(matched=tell)
     publisher = node.create_publisher(UInt64, topic, 10, event_callbacks=callbacks)
     await until(publisher.get_subscription_count)
     reference: list[int] = []
@@ -90,16 +97,21 @@ async def test_what_an_executor_of_rclpy_has_told_is_not_told_again(
     context: Any, node: Node, peer: Peer, topic: str, until: Until
 ) -> None:
     seen: list[tuple[int, int, int]] = []
-    callbacks = PublisherEventCallbacks(
-        matched=lambda event: seen.append(
-            (event.total_count, event.total_count_change, event.current_count_change)
-        )
-    )
+
+    def tell(event: Any) -> None:
+        seen.append((event.total_count, event.total_count_change, event.current_count_change))
+
+    callbacks = PublisherEventCallbacks(matched=tell)
     node.create_publisher(UInt64, topic, 10, event_callbacks=callbacks)
     await peer("listen", topic=topic)
     theirs = SingleThreadedExecutor(context=context)
     theirs.add_node(node)
-    await asyncio.to_thread(wait_until, lambda: theirs.spin_once(timeout_sec=0.01) or seen)
+
+    def tells() -> bool:
+        theirs.spin_once(timeout_sec=0.01)
+        return bool(seen)
+
+    await asyncio.to_thread(wait_until, tells)
     theirs.remove_node(node)
     theirs.shutdown()
     assert seen == [(1, 1, 1)]
@@ -128,9 +140,7 @@ async def test_an_event_announced_after_it_was_taken_is_not_told_again(
     await meet_incompatible(node, peer, topic, tell)
     await until(lambda: seen == [1])
     (announced,) = (
-        source
-        for source in executor._attachments.sources.values()
-        if source.entity.callback is tell
+        source for source in sources_of(executor).values() if source.entity.callback is tell
     )
     announced.resume()
     reference: list[int] = []
@@ -144,9 +154,11 @@ async def test_a_missed_deadline_is_told(
 ) -> None:
     seen: list[int] = []
     qos = QoSProfile(depth=10, deadline=Duration(nanoseconds=50_000_000))
-    callbacks = SubscriptionEventCallbacks(
-        deadline=lambda event: seen.append(event.total_count_change)
-    )
+
+    def tell(event: Any) -> None:
+        seen.append(event.total_count_change)
+
+    callbacks = SubscriptionEventCallbacks(deadline=tell)
     node.create_subscription(UInt64, topic, lambda _: None, qos, event_callbacks=callbacks)
     await peer("offer", topic=topic, deadline_s=0.05)
     await peer("publish", topic=topic, values=[1])
@@ -167,7 +179,5 @@ async def test_message_lost_events_are_watched_without_inventing_any(
     await feed(subscription, [1, 2, 3])
     await until(lambda: got == [1, 2, 3])
     assert seen == []
-    paths = [
-        source.path for source in executor._attachments.sources.values() if "LOST" in source.where
-    ]
+    paths = [source.path for source in sources_of(executor).values() if "LOST" in source.where]
     assert paths == ["eventfd"]

@@ -230,8 +230,8 @@ async def test_a_shutdown_that_follows_its_signal_with_a_delay_is_noticed(
     )
     context = new_context()
     async with asyncio.timeout(DEADLINE_S), AsyncioExecutor(context) as executor:
-        signals: Any = executor._wait_set._signals
-        signals.trigger()
+        wait_set: Any = executor._wait_set
+        wait_set._signals.trigger()
         await asyncio.sleep(0.05)
         assert not executor._is_shutdown
         with context.handle:

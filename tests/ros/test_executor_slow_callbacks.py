@@ -9,11 +9,12 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 import pytest
-from rclpy.node import Node
 from std_msgs.msg import UInt64
 from std_srvs.srv import SetBool
 
 from robotctl.ros import AsyncioExecutor, RawTap
+from tests.support.open_executor import runtime_of
+from tests.support.rclpy_types import Node
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 
@@ -72,7 +73,7 @@ async def test_a_callback_that_blocks_again_and_again_is_not_named_every_time(
     node.create_timer(0.001, hog)
     await until(lambda: len(called) >= 3)
     assert len(named_ms(caplog, "hog")) == 1
-    monkeypatch.setattr(executor._runtime.slow, "_quiet_until_ns", {})
+    monkeypatch.setattr(runtime_of(executor).slow, "_quiet_until_ns", {})
     await until(lambda: len(named_ms(caplog, "hog")) == 2)
     assert "times since the last warning" in caplog.text
 

@@ -7,12 +7,12 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 import pytest
-from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import UInt64
 
 from robotctl.ros import AsyncioExecutor, RawTap
 from robotctl.ros.executor import rcl
+from tests.support.rclpy_types import Node
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 Peer = Callable[..., Awaitable[Any]]

@@ -7,11 +7,11 @@ from collections.abc import Awaitable, Callable, Iterator
 from typing import Any
 
 import pytest
-from rclpy.node import Node
 from rclpy.waitable import NumberOfEntities, Waitable
 from std_msgs.msg import UInt64
 
 from robotctl.ros import AsyncioExecutor
+from tests.support.rclpy_types import Node
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 
@@ -45,7 +45,7 @@ class ForeignWaitable(Waitable):
     """A Waitable as a package outside rclpy would write it: around a subscription."""
 
     def __init__(self, node: Node, topic: str) -> None:
-        super().__init__(node.default_callback_group)
+        super().__init__(node.default_callback_group)  # type: ignore[no-untyped-call]
         self.subscription = node.create_subscription(UInt64, topic, lambda _: None, 10)
         node._subscriptions.remove(self.subscription)
         self.index: int | None = None
@@ -80,7 +80,8 @@ def waitable(node: Node, topic: str) -> Iterator[ForeignWaitable]:
     node.add_waitable(made)
     yield made
     node.remove_waitable(made)
-    for handler in made.subscription.event_handlers:
+    handlers: Any = made.subscription.event_handlers
+    for handler in handlers:
         node.remove_waitable(handler)
     made.subscription.destroy()
 
@@ -96,7 +97,11 @@ async def test_a_foreign_waitable_is_waited_for_taken_and_executed(
     publisher = node.create_publisher(UInt64, f"{topic}/foreign", 10)
     for value in (1, 2, 3):
         publisher.publish(UInt64(data=value))
-        await until(lambda value=value: foreign.executed == list(range(1, value + 1)))
+
+        def is_executed(value: int = value) -> bool:
+            return foreign.executed == list(range(1, value + 1))
+
+        await until(is_executed)
 
 
 async def test_a_foreign_waitable_parked_behind_its_group_does_not_turn_the_loop(

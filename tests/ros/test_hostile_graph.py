@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import sys
+import threading
 import time
 from collections.abc import Awaitable, Callable, Iterator
 from typing import Any
@@ -162,7 +163,11 @@ async def test_a_type_that_takes_long_to_load_delays_neither_the_others_nor_the_
 async def test_a_topic_that_goes_before_its_type_is_loaded_is_named_once(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(type_loader, "load_type", lambda _: time.sleep(0.2) or "")
+    def load_slowly(_: str) -> str:
+        time.sleep(0.2)
+        return ""
+
+    monkeypatch.setattr(type_loader, "load_type", load_slowly)
     looking = Tap(FakeSession(), lambda topic: print)  # type: ignore[arg-type]
     for names in (["/brief", "/short"], [], []):
         found = {name: [publisher("std_msgs/msg/String")] for name in names}
@@ -181,7 +186,7 @@ async def test_a_thread_that_cannot_be_started_is_a_reason(monkeypatch: pytest.M
     def refuse(_: Any) -> None:
         raise RuntimeError("can't start new thread")
 
-    monkeypatch.setattr(type_loader.threading.Thread, "start", refuse)
+    monkeypatch.setattr(threading.Thread, "start", refuse)
     loader = TypeLoader()
     assert loader.problem("std_msgs/msg/String") == "cannot be loaded (can't start new thread)"
 

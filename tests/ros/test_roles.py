@@ -143,7 +143,12 @@ async def test_odometry_of_any_quality_of_service_is_taken(
     await until(lambda: measured)
     ((odometry, source, sequence),) = measured
     assert (source, sequence) == (1, 1)
-    await until(lambda: subscriber.find_names() or sources[-1][2])
+
+    def is_named() -> bool:
+        subscriber.find_names()
+        return sources[-1][2] != ""
+
+    await until(is_named)
     assert [(number, len(gid)) for number, gid, _ in sources] == len(sources) * [(1, 32)]
     assert sources[-1][2] == "/tested"
     assert odometry.pose.theta == pytest.approx(0.5)
@@ -168,8 +173,13 @@ async def test_publishers_of_odometry_are_told_apart_and_numbered(
     turns = []
     for publisher in (publishers[0], publishers[1], publishers[0]):
         heard.clear()
+
         # Again and again: what a best-effort subscription misses while it is found is lost.
-        await until(lambda publisher=publisher: publisher.publish(OdometryMessage()) or heard)
+        def is_heard(publisher: Any = publisher) -> bool:
+            publisher.publish(OdometryMessage())
+            return bool(heard)
+
+        await until(is_heard)
         turns.append(heard[-1])
     assert turns == [1, 2, 1]
     assert set(sources) == {1, 2}
@@ -191,13 +201,14 @@ async def test_bytes_that_are_no_message_fail_nothing(
     odometry = node.create_publisher(OdometryMessage, "/r2/odom", 10)
     battery = node.create_publisher(BatteryState, "/r2/battery_state", 10)
 
-    def publish() -> None:
+    def are_taken() -> bool:
         odometry.publish(data)
         odometry.publish(OdometryMessage())
         battery.publish(data)
         battery.publish(BatteryState(percentage=0.5))
+        return poses.count(0.0) > 1 and levels.count(0.5) > 1
 
-    await until(lambda: publish() or (poses.count(0.0) > 1 and levels.count(0.5) > 1))
+    await until(are_taken)
     assert all(math.isnan(x) or x == 0.0 for x in poses)
 
 

@@ -69,7 +69,11 @@ async def test_a_topic_that_vanishes_and_comes_back_is_taken_again(
         published = publisher(other, topic)
         await until(published.get_subscription_count)
         published.publish(number(value))
-        await until(lambda value=value: taken.values(topic)[-1:] == [value])
+
+        def is_taken(value: int = value) -> bool:
+            return bool(taken.values(topic)[-1:] == [value])
+
+        await until(is_taken)
         other.destroy_publisher(published)
     sequences = [message[3] for message in taken.messages[topic]]
     assert sequences == [1, 1]
@@ -154,7 +158,7 @@ async def test_hidden_topics_are_taken_but_for_the_executors_own(
 async def test_the_feedback_and_the_status_of_an_action_are_taken(
     taken: Any, node: Any, topic: str, until: Until, borrowed_action: ModuleType
 ) -> None:
-    from rclpy.action import ActionServer
+    from rclpy.action.server import ActionServer
 
     server = ActionServer(node, borrowed_action.Count, topic, lambda handle: None)
     feedback, status = f"{topic}/_action/feedback", f"{topic}/_action/status"
@@ -192,10 +196,11 @@ async def test_the_events_of_a_service_are_taken_with_a_schema_that_decodes_them
     assert described.type_hash == str(info.topic_type_hash)
     store = get_typestore(Stores.EMPTY)
     store.register(get_types_from_msg(described.definition, described.type_name))
-    asked, answered = (
+    taken_events: list[Any] = [
         store.deserialize_cdr(message[0], "robot_controller/srv/msg/SetMode_Event")
         for message in taken.messages[events]
-    )
+    ]
+    asked, answered = taken_events
     assert (asked.info.event_type, asked.request[0].requested_mode) == (1, 3)
     assert (answered.info.event_type, answered.response[0].message) == (2, "because")
 

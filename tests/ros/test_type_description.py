@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -38,7 +38,7 @@ FIELDS = [
 ]
 
 
-def described(fields: list[tuple[str, dict[str, Any], str]]) -> list[dict[str, Any]]:
+def described(fields: Sequence[tuple[str, Any, str]]) -> list[dict[str, Any]]:
     blank = {"capacity": 0, "string_capacity": 0, "nested_type_name": ""}
     return [{"name": name, "type": blank | kind} for name, kind, _ in fields]
 
