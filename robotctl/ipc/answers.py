@@ -51,7 +51,16 @@ class RobotFacts(TypedDict):
     odometry_dropped: int | None
 
 
-class TopicAnswer(TypedDict):
+class CountsAnswer(TypedDict):
+    """What became of the received messages of a topic, or of all topics."""
+
+    written: int
+    queued: int
+    dropped: int
+    lost: int
+
+
+class TopicAnswer(CountsAnswer):
     """One recorded topic of one type."""
 
     name: str
@@ -61,24 +70,16 @@ class TopicAnswer(TypedDict):
     rate: float
     """Messages per second."""
     bytes: int
-    written: int
-    queued: int
-    dropped: int
-    lost: int
     unseen: int
 
 
-class RecorderAnswer(TypedDict):
+class RecorderAnswer(CountsAnswer):
     """The recorder's state and counts: received = written + queued + dropped."""
 
     state: str
     file: str
     bytes: int
     received: int
-    written: int
-    queued: int
-    dropped: int
-    lost: int
 
 
 class RecordingFacts(TypedDict):

@@ -17,9 +17,9 @@ from robotctl.daemon.recording.topic_rates import (
     HEAVY_WINDOW_S,
     HeavyTopics,
     RateMeter,
-    by_topic,
 )
 from robotctl.recording import RecorderState, RecorderStats, TopicStats
+from robotctl.recording.format.message_counts import total
 from robotctl.ros.nodes.diagnostics_publisher import Level
 
 S = 1_000_000_000
@@ -28,7 +28,7 @@ HEAVY = round(1.2 * HEAVY_BYTES_PER_S)
 
 
 def topic(name: str = "/scan", type_name: str = "t", **counts: Any) -> TopicStats:
-    return replace(TopicStats(name, type_name, 0, 0, 0, 0, 0, 0, 0, 0), **counts)
+    return replace(TopicStats(name=name, type_name=type_name), **counts)
 
 
 def recorder(*topics: TopicStats, failure: str = "") -> RecorderStats:
@@ -36,13 +36,7 @@ def recorder(*topics: TopicStats, failure: str = "") -> RecorderStats:
         state=RecorderState.FAILED if failure else RecorderState.RECORDING,
         file=Path("/data/run_0.mcap"),
         bytes=1,
-        received=sum(each.received for each in topics),
-        written=sum(each.written for each in topics),
-        queued=0,
-        dropped=sum(each.dropped for each in topics),
-        lost=sum(each.lost for each in topics),
-        unseen=0,
-        not_repeated=0,
+        **total(topics),
         no_memory=0,
         failure=failure,
         warning="",
@@ -123,25 +117,6 @@ def test_what_is_found_was_above_the_limit_over_its_window(steps: list[int]) -> 
         sizes.append(sizes[-1] + step)
     means = [(sizes[t] - sizes[t - WINDOW]) / WINDOW for t in range(WINDOW, len(sizes))]
     assert any(rates_of(sizes)) == any(mean > HEAVY_BYTES_PER_S for mean in means)
-
-
-# One topic
-
-
-def test_a_topic_that_was_recorded_anew_is_one_topic_unless_its_type_changed() -> None:
-    channels = [
-        topic("/b", received=3, written=2, queued=1, bytes=30),
-        topic("/a", received=1),
-        topic("/b", received=4, written=4, lost=2, bytes=40),
-        topic("/b", "other", received=5),
-    ]
-    merged = by_topic(channels)
-    assert [(each.name, each.type_name, each.received) for each in merged] == [
-        ("/a", "t", 1),
-        ("/b", "other", 5),
-        ("/b", "t", 7),
-    ]
-    assert merged[2] == topic("/b", received=7, written=6, queued=1, lost=2, bytes=70)
 
 
 # The diagnosis

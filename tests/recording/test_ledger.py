@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from typing import Any
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -10,7 +11,8 @@ from hypothesis import strategies as st
 from robotctl.recording.format.identity import LEDGER_RECORD
 from robotctl.recording.format.ledger import MAX_PUBLISHERS, SequenceLedger
 from robotctl.recording.format.ledger_record import ledger_values, read_ledger
-from robotctl.recording.format.topics import Topic, TopicAccount, TopicStats
+from robotctl.recording.format.message_counts import COUNTERS, total
+from robotctl.recording.format.topics import Topic, TopicAccount, TopicStats, by_topic
 
 
 def feed(ledger: SequenceLedger, gid: bytes, *sequences: int) -> None:
@@ -88,15 +90,38 @@ def test_lost_is_exactly_what_lies_between_the_received_ones(
         assert ledger.lost == received[-1] - received[0] + 1 - len(received)
 
 
-def test_the_record_adds_up_all_channels_of_a_topic() -> None:
-    def stats(type_name: str, received: int) -> TopicStats:
-        return TopicAccount(Topic("/scan", type_name), received=received).stats()
+def stats(name: str, type_name: str, **counts: Any) -> TopicStats:
+    return TopicStats(name=name, type_name=type_name, **counts)
 
-    values = ledger_values([stats("a/msg/A", 1), stats("b/msg/B", 10), stats("b/msg/B", 100)])
-    told = read_ledger({LEDGER_RECORD: values})
+
+def test_a_topic_that_was_recorded_anew_is_one_topic_unless_its_type_changed() -> None:
+    channels = [
+        stats("/b", "t", received=3, written=2, queued=1, bytes=30),
+        stats("/a", "t", received=1),
+        stats("/b", "t", received=4, written=4, lost=2, bytes=40),
+        stats("/b", "other", received=5),
+    ]
+    assert by_topic(channels) == [
+        stats("/b", "t", received=7, written=6, queued=1, lost=2, bytes=70),
+        stats("/a", "t", received=1),
+        stats("/b", "other", received=5),
+    ]
+
+
+def test_every_counter_is_summed_and_recorded() -> None:
+    numbers = {name: 10 + each for each, name in enumerate(COUNTERS)}
+    (twice,) = by_topic([stats("/a", "t", **numbers), stats("/a", "t", **numbers)])
+    assert total([twice]) == {name: 2 * number for name, number in numbers.items()}
+    told = read_ledger({LEDGER_RECORD: ledger_values([twice])})
+    assert told == {"/a": {**total([twice]), "bytes": 0}}
+
+
+def test_the_record_names_the_second_type_of_a_topic() -> None:
+    topics = [stats("/scan", "a/msg/A", received=1), stats("/scan", "b/msg/B", received=10)]
+    told = read_ledger({LEDGER_RECORD: ledger_values(topics)})
     assert {name: counts["received"] for name, counts in told.items()} == {
         "/scan": 1,
-        "/scan (b/msg/B)": 110,
+        "/scan (b/msg/B)": 10,
     }
 
 

@@ -14,7 +14,7 @@ from robotctl.cli.terminal.text import (
     short_path,
     size,
 )
-from robotctl.ipc.answers import RecordStatus
+from robotctl.ipc.answers import CountsAnswer, RecordStatus
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import RECORD_SPLIT, RECORD_STATUS
 from robotctl.paths import DEFAULT_ROBOT
@@ -25,8 +25,10 @@ app.add_typer(group, name="record")
 
 SPLIT_DEADLINE_S = 15.0
 
-_COUNTS = {"received": 8, "written": 8, "queued": 6, "dropped": 7, "lost": 6, "unseen": 6}
-"""The counts of a topic, and the widths of their columns."""
+_COUNTS = {
+    name: max(len(name), 6) for name in ("received", *CountsAnswer.__annotations__, "unseen")
+}
+"""The counters of a topic, and the widths of their columns."""
 
 _MIN_NAME_WIDTH = 24
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from robotctl.daemon.recording.topic_rates import by_topic
-from robotctl.recording import RecorderState, RecorderStats, TopicStats
+from robotctl.recording import RecorderState, RecorderStats
+from robotctl.recording.format.message_counts import COUNTERS, MessageCounts
+from robotctl.recording.format.topics import by_topic
 from robotctl.ros.nodes.diagnostics_publisher import Diagnosis, Level
 
 MAX_TOPICS = 100
@@ -28,12 +29,12 @@ def diagnose(stats: RecorderStats, warnings: Sequence[str]) -> Diagnosis:
 def _values(stats: RecorderStats) -> Iterator[tuple[str, str]]:
     yield "state", stats.state.value
     yield "file", str(stats.file)
-    for name in ("bytes", "received", "written", "queued", "dropped", "lost", "unseen"):
+    for name in ("bytes", *COUNTERS):
         yield name, str(getattr(stats, name))
     lacking = [topic for topic in by_topic(stats.topics) if topic.dropped or topic.lost]
-    lacking.sort(key=lambda topic: -topic.dropped - topic.lost)
+    lacking.sort(key=lambda topic: (-topic.dropped - topic.lost, topic.name))
     yield from ((topic.name, _lacking(topic)) for topic in lacking[:MAX_TOPICS])
 
 
-def _lacking(counts: RecorderStats | TopicStats) -> str:
+def _lacking(counts: MessageCounts) -> str:
     return f"{counts.dropped} messages dropped, {counts.lost} lost on their way here"

@@ -7,9 +7,11 @@ import time
 from collections.abc import Iterator, Sequence
 
 from robotctl.daemon.recording.loss_diagnosis import diagnose
-from robotctl.daemon.recording.topic_rates import HeavyTopics, RateMeter, by_topic
-from robotctl.ipc.answers import RecordingFacts
+from robotctl.daemon.recording.topic_rates import HeavyTopics, RateMeter
+from robotctl.ipc.answers import CountsAnswer, RecordingFacts
 from robotctl.recording import Recorder
+from robotctl.recording.format.message_counts import MessageCounts
+from robotctl.recording.format.topics import by_topic
 from robotctl.recording.write.topic_filter import TopicFilter
 from robotctl.ros.nodes.diagnostics_publisher import DiagnosticsPublisher
 from robotctl.ros.tap.tap import Tap
@@ -52,23 +54,17 @@ class RecorderReport:
                     "count": topic.received,
                     "rate": self._rates.rate((topic.name, topic.type_name)),
                     "bytes": topic.bytes,
-                    "written": topic.written,
-                    "queued": topic.queued,
-                    "dropped": topic.dropped,
-                    "lost": topic.lost,
+                    **_counts(topic),
                     "unseen": topic.unseen,
                 }
-                for topic in by_topic(stats.topics)
+                for topic in sorted(by_topic(stats.topics), key=lambda t: (t.name, t.type_name))
             ],
             "recorder": {
                 "state": stats.state.value,
                 "file": str(stats.file),
                 "bytes": stats.bytes,
                 "received": stats.received,
-                "written": stats.written,
-                "queued": stats.queued,
-                "dropped": stats.dropped,
-                "lost": stats.lost,
+                **_counts(stats),
             },
         }
 
@@ -121,3 +117,12 @@ class RecorderReport:
             if topic not in self._logged:
                 self._logged.add(topic)
                 _log.warning("%s", warning)
+
+
+def _counts(counts: MessageCounts) -> CountsAnswer:
+    return {
+        "written": counts.written,
+        "queued": counts.queued,
+        "dropped": counts.dropped,
+        "lost": counts.lost,
+    }

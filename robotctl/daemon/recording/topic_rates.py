@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from collections.abc import Mapping
 
 from robotctl.kernel.units import NS_PER_S
-from robotctl.recording import TopicStats
 
 HEAVY_BYTES_PER_S = 5e6
 HEAVY_WINDOW_S = 5.0
@@ -66,17 +64,3 @@ class HeavyTopics:
             for topic, rate in rates.items()
             if rate > HEAVY_BYTES_PER_S * (CALM_SHARE if topic in self.rates else 1.0)
         }
-
-
-def by_topic(channels: Iterable[TopicStats]) -> list[TopicStats]:
-    """Return one entry a topic and type, by name: a topic that comes back may be recorded anew."""
-    found: dict[TopicKey, TopicStats] = {}
-    for channel in channels:
-        key = channel.name, channel.type_name
-        found[key] = _sum(found[key], channel) if key in found else channel
-    return [found[key] for key in sorted(found)]
-
-
-def _sum(one: TopicStats, other: TopicStats) -> TopicStats:
-    counts = ("received", "written", "queued", "dropped", "lost", "unseen", "bytes", "not_repeated")
-    return replace(one, **{name: getattr(one, name) + getattr(other, name) for name in counts})

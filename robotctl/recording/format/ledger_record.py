@@ -3,26 +3,22 @@
 from __future__ import annotations
 
 import json
-from collections import Counter
 from collections.abc import Iterable, Mapping
 
 from robotctl.recording.format.identity import LEDGER_RECORD
-from robotctl.recording.format.topics import TopicStats
+from robotctl.recording.format.message_counts import COUNTERS
+from robotctl.recording.format.topics import TopicStats, by_topic
 
-_COUNTS = ("received", "written", "queued", "dropped", "lost", "unseen", "bytes", "not_repeated")
+_COUNTS = (*COUNTERS, "bytes")
 
 
 def ledger_values(topics: Iterable[TopicStats]) -> dict[str, str]:
     """The ledger as the values of a metadata record."""
-    totals: dict[tuple[str, str], Counter[str]] = {}
-    for stats in topics:
-        counts = totals.setdefault((stats.name, stats.type_name), Counter())
-        counts.update({count: getattr(stats, count) for count in _COUNTS})
     ledger: dict[str, str] = {}
-    for (topic, type_name), counts in totals.items():
+    for stats in by_topic(topics):
         # A topic is recorded with a second type where a node publishes one.
-        name = f"{topic} ({type_name})" if topic in ledger else topic
-        ledger[name] = json.dumps(counts)
+        name = f"{stats.name} ({stats.type_name})" if stats.name in ledger else stats.name
+        ledger[name] = json.dumps({count: getattr(stats, count) for count in _COUNTS})
     return ledger
 
 

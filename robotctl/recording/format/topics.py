@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from robotctl.recording.disk.storage import Buffer
 from robotctl.recording.format.ledger import SequenceLedger
+from robotctl.recording.format.message_counts import MessageCounts, total
 
 MAX_TIME_NS = 2**64 - 1
 MAX_SEQUENCE = 2**32 - 1
@@ -53,25 +54,26 @@ class LatchedMessage(NamedTuple):
     sequence: int
 
 
-@dataclass(frozen=True, slots=True)
-class TopicStats:
-    """The loss ledger of one topic, in messages; `bytes` counts the data of received messages.
-
-    received = written + queued + dropped. `lost` were sent between messages that we received;
-    `unseen` were sent before the first one received of their publisher.
-    """
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TopicStats(MessageCounts):
+    """The counts of one topic; `bytes` counts the data of received messages."""
 
     name: str
     type_name: str
-    received: int
-    written: int
-    queued: int
-    dropped: int
-    lost: int
-    unseen: int
-    bytes: int
-    not_repeated: int
-    """Latched messages that later files lack at their beginning: no memory, or no room there."""
+    bytes: int = 0
+
+
+def by_topic(channels: Iterable[TopicStats]) -> list[TopicStats]:
+    """Return one entry for each topic and type, in their order: several channels may share it."""
+    groups: dict[tuple[str, str], list[TopicStats]] = {}
+    for channel in channels:
+        groups.setdefault((channel.name, channel.type_name), []).append(channel)
+    return [
+        TopicStats(
+            name=name, type_name=type_name, bytes=sum(each.bytes for each in group), **total(group)
+        )
+        for (name, type_name), group in groups.items()
+    ]
 
 
 @dataclass(slots=True)

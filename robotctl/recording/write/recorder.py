@@ -17,6 +17,7 @@ from mcap.opcode import Opcode
 from robotctl.errors import Refused
 from robotctl.recording.disk.storage import Buffer
 from robotctl.recording.format.events import RecordedEvent
+from robotctl.recording.format.message_counts import total
 from robotctl.recording.format.records import MESSAGE_FIELDS_BYTES, MESSAGE_HEAD
 from robotctl.recording.format.topics import (
     MAX_PACKERS,
@@ -156,13 +157,7 @@ class Recorder:
             state=self._state(),
             file=self._writer.path,
             bytes=self._writer.size,
-            received=sum(topic.received for topic in topics),
-            written=sum(topic.written for topic in topics),
-            queued=sum(topic.queued for topic in topics),
-            dropped=sum(topic.dropped for topic in topics),
-            lost=sum(topic.lost for topic in topics),
-            unseen=sum(topic.unseen for topic in topics),
-            not_repeated=sum(topic.not_repeated for topic in topics),
+            **total(topics),
             no_memory=self._no_memory + self._drain.no_memory,
             failure=self._drain.failure,
             warning=self._writer.warning,

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
+from robotctl.recording.format.message_counts import MessageCounts
 from robotctl.recording.format.topics import TopicStats
 
 
@@ -17,26 +18,17 @@ class RecorderState(StrEnum):
     CLOSED = "closed"
 
 
-@dataclass(frozen=True, slots=True)
-class RecorderStats:
-    """The recorder at one instant.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecorderStats(MessageCounts):
+    """The recorder at one instant; the counts are the sums over `topics`.
 
-    `file` is the current file, `bytes` what all files have on disk; the counts are the sums over
-    `topics`. Of the dropped messages, `no_memory` found no memory.
-    `not_repeated` latched messages are recorded once and not repeated in later files, for there is
-    no room for them. `failure` and `warning` are sentences, empty where all is well.
+    `file` is the current file, `bytes` the size of all files on disk. Of the dropped messages,
+    `no_memory` found no memory. `failure` and `warning` are sentences, empty where all is well.
     """
 
     state: RecorderState
     file: Path
     bytes: int
-    received: int
-    written: int
-    queued: int
-    dropped: int
-    lost: int
-    unseen: int
-    not_repeated: int
     no_memory: int
     failure: str
     warning: str

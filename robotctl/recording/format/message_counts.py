@@ -1,0 +1,34 @@
+"""The counters of the loss ledger, listed here and nowhere else."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
+from typing import Final
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MessageCounts:
+    """What became of messages: received = written + queued + dropped."""
+
+    received: int = 0
+    written: int = 0
+    queued: int = 0
+    dropped: int = 0
+    lost: int = 0
+    """Sent between two messages that were received: gaps in a publisher's sequence numbers."""
+
+    unseen: int = 0
+    """Sent by a publisher before the first of its messages that was received."""
+
+    not_repeated: int = 0
+    """Latched messages that later files lack at their beginning: no memory, or no room there."""
+
+
+COUNTERS: Final = tuple(field.name for field in fields(MessageCounts))
+
+
+def total(counts: Iterable[MessageCounts]) -> dict[str, int]:
+    """Return the sum of each counter, by its name."""
+    each = list(counts)
+    return {name: sum(getattr(one, name) for one in each) for name in COUNTERS}
