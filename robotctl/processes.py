@@ -1,10 +1,10 @@
 """The one way to start another process of robotctl; standard library only.
 
-    python -P -m robotctl.MODULE ARGUMENTS --say-fd 3
+    python -P -m robotctl.MODULE ARGUMENTS --report-fd 3
 
-The child says one JSON object a line on a pipe of its own, and obeys lines on its stdin where it is
-told to obey. Its stdout is no channel: libraries print there when they like (Fast DDS complains of
-lock files), so stdout and stderr go where a user reads them.
+The child sends reports, one JSON object per line, through a pipe of its own. It may also receive
+lines on its stdin. Reports do not use stdout, because libraries print there (Fast DDS warns about
+lock files); stdout and stderr go where a user reads them.
 """
 
 from __future__ import annotations
@@ -21,99 +21,111 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
-SAY_OPTION: Final = "--say-fd"
+REPORT_OPTION: Final = "--report-fd"
 
 CHILD_FD: Final = 3
 """The number of the pipe in the child, the first after stdin, stdout and stderr."""
 
 _FIRST_FREE_FD: Final = 10
-"""Our ends lie above the numbers that a child is given: no step of its start overwrites one, not
-even in a process that was itself started without stdin, stdout and stderr."""
+"""The lowest number for our ends of the pipes. It is above the descriptors of the child, so that
+nothing overwrites our ends, even in a process that was started without stdin, stdout and stderr."""
 
 _PIECE_BYTES: Final = 1 << 16
 _REAP_POLL_S: Final = 0.01
 
 
 def program(module: str) -> tuple[str, ...]:
-    """The command that runs a module with this Python.
+    """Return the command that runs a module with this Python.
 
-    -P: a file in the working directory is not imported in place of a library.
+    With -P, a file in the working directory is not imported in place of a library.
     """
     return (sys.executable, "-P", "-m", module)
 
 
-class Lines:
-    """Cuts what comes in pieces into lines; the rest waits for the next piece."""
+class LineSplitter:
+    """Splits a stream of pieces into lines; an incomplete line waits for the next piece."""
 
     def __init__(self) -> None:
         self._rest = b""
 
     def feed(self, piece: bytes) -> list[bytes]:
-        """The lines that the piece ends."""
+        """Return the lines that this piece completes."""
         *whole, self._rest = (self._rest + piece).split(b"\n")
         return whole
 
 
 class Child:
-    """A process that was started here. Only `kill` may be called beside another thread's call,
-    and not beside `close`."""
+    """A process that `start` has started.
 
-    def __init__(self, pid: int, said: int, orders: int | None) -> None:
+    Use it from one thread. Only `kill` may be called from another thread, but not during `close`.
+    """
+
+    def __init__(self, pid: int, reports: int, stdin: int | None) -> None:
         self.pid = pid
-        self._said = said
-        self._orders = orders
-        self._lines = Lines()
+        self._reports = reports
+        self._stdin = stdin
+        self._lines = LineSplitter()
         self._exit_code: int | None = None
 
     def fileno(self) -> int:
-        """The descriptor that becomes readable when the child says something or ends."""
-        return self._said
+        """Return the descriptor that becomes readable when the child sends a report or ends."""
+        return self._reports
 
     @property
-    def obeys(self) -> bool:
-        """Whether it can still be told something."""
-        return self._orders is not None
+    def has_stdin(self) -> bool:
+        """Whether its stdin is a pipe that is still open."""
+        return self._stdin is not None
 
-    def tell(self, line: bytes) -> None:
-        """Write a line to its stdin; dropped after `hang_up`. Raises BrokenPipeError."""
-        if self._orders is not None:
-            _write(self._orders, line)
-
-    def hang_up(self) -> None:
-        """End its stdin, which asks it to end."""
-        if self._orders is not None:
-            os.close(self._orders)
-            self._orders = None
-
-    def hear(self, seconds: float | None = None) -> list[dict[str, Any]]:
-        """What it says next; empty where that is not yet a whole line.
+    def send(self, line: bytes) -> None:
+        """Write a line to its stdin; after `close_stdin`, drop it.
 
         Raises:
-            TimeoutError: It said nothing within `seconds`.
-            EOFError: It says nothing more.
-            ValueError: It said something else than JSON objects.
+            BrokenPipeError: The child has closed its stdin.
         """
-        if seconds is not None and not readable_within(self._said, seconds):
+        if self._stdin is not None:
+            _write(self._stdin, line)
+
+    def close_stdin(self) -> None:
+        """Close its stdin, which asks the child to end."""
+        if self._stdin is not None:
+            os.close(self._stdin)
+            self._stdin = None
+
+    def receive(self, seconds: float | None = None) -> list[dict[str, Any]]:
+        """Return the next reports; empty if the next line is not complete yet.
+
+        Raises:
+            TimeoutError: No data arrived within `seconds`.
+            EOFError: The child has closed the pipe.
+            ValueError: A line is not a JSON object.
+        """
+        if seconds is not None and not readable_within(self._reports, seconds):
             raise TimeoutError
-        piece = os.read(self._said, _PIECE_BYTES)
+        piece = os.read(self._reports, _PIECE_BYTES)
         if not piece:
             raise EOFError
         return [_decoded(line) for line in self._lines.feed(piece)]
 
-    def hear_one(self, seconds: float) -> dict[str, Any]:
-        """The first thing that it says. Raises as `hear` does."""
+    def receive_one(self, seconds: float) -> dict[str, Any]:
+        """Return the first report.
+
+        Raises:
+            TimeoutError: No report arrived within `seconds`.
+            EOFError: The child has closed the pipe.
+            ValueError: The line is not a JSON object.
+        """
         until = time.monotonic() + seconds
-        while not (said := self.hear(until - time.monotonic())):
+        while not (report := self.receive(until - time.monotonic())):
             pass
-        return said[0]
+        return report[0]
 
     def kill(self, number: int = signal.SIGKILL) -> None:
-        """Send it a signal, unless it has been waited for."""
+        """Send it a signal, unless its exit code is already known."""
         if self._exit_code is None:
             os.kill(self.pid, number)
 
     def wait(self, seconds: float) -> int | None:
-        """Its exit code, negative for the signal that ended it; None while it runs on."""
+        """Wait for its exit code: negative for a signal, None if it is still running."""
         until = time.monotonic() + seconds
         while self._exit_code is None:
             pid, status = os.waitpid(self.pid, os.WNOHANG)
@@ -125,14 +137,14 @@ class Child:
                 time.sleep(_REAP_POLL_S)
         return self._exit_code
 
-    def leave(self) -> None:
-        """Close the pipes, and let it run on."""
-        self.hang_up()
-        os.close(self._said)
+    def detach(self) -> None:
+        """Close the pipes, and let the process continue."""
+        self.close_stdin()
+        os.close(self._reports)
 
     def close(self, patience_s: float = 0.0) -> int:
-        """Close the pipes and reap it, by force after `patience_s`; returns its exit code."""
-        self.leave()
+        """Close the pipes, kill the process after `patience_s`, and return its exit code."""
+        self.detach()
         exit_code = self.wait(patience_s)
         while exit_code is None:
             self.kill()
@@ -143,42 +155,42 @@ class Child:
 def start(
     command: Sequence[str],
     *,
-    option: str = SAY_OPTION,
-    obeys: bool = False,
+    option: str = REPORT_OPTION,
+    with_stdin: bool = False,
     log: Path | None = None,
 ) -> Child:
-    """Start `command`, which is told by `option` which descriptor is the pipe to speak on.
+    """Start `command`; `option` passes it the number of the descriptor for its reports.
 
-    Its stdout and stderr go to `log`, and it then leaves our session, outlives us and inherits no
-    descriptor of our caller; without a log both go to our stderr, and it has a process group of its
-    own: a Ctrl-C in our terminal is ours to pass on. Its stdin is a pipe where it `obeys`, else
-    /dev/null.
+    With a `log`, its stdout and stderr go there; it runs in its own session, outlives this process
+    and inherits no other descriptors. Without a log, both go to our stderr; it has its own process
+    group, so that Ctrl-C in the terminal reaches only this process. Its stdin is a pipe if
+    `with_stdin`, else /dev/null.
     """
     ours: list[int] = []
     theirs: list[int] = []
     if log is not None:
-        _keep_descriptors()
+        _stop_inheritance()
     try:
-        said, speaking = _pipe()
-        ours.append(said)
-        theirs.append(speaking)
-        orders = None
-        if obeys:
-            listening, orders = _pipe()
-            ours.append(orders)
-            theirs.append(listening)
-            stdin: tuple[Any, ...] = (os.POSIX_SPAWN_DUP2, listening, 0)
+        reports, reporting = _pipe()
+        ours.append(reports)
+        theirs.append(reporting)
+        our_stdin = None
+        if with_stdin:
+            their_stdin, our_stdin = _pipe()
+            ours.append(our_stdin)
+            theirs.append(their_stdin)
+            stdin_action: tuple[Any, ...] = (os.POSIX_SPAWN_DUP2, their_stdin, 0)
         else:
-            stdin = (os.POSIX_SPAWN_OPEN, 0, os.devnull, os.O_RDONLY, 0)
+            stdin_action = (os.POSIX_SPAWN_OPEN, 0, os.devnull, os.O_RDONLY, 0)
         pid = os.posix_spawn(
             command[0],
             [*command, option, str(CHILD_FD)],
             os.environ,
             file_actions=[
-                stdin,
+                stdin_action,
                 _output(log),
                 (os.POSIX_SPAWN_DUP2, 1, 2),
-                (os.POSIX_SPAWN_DUP2, speaking, CHILD_FD),
+                (os.POSIX_SPAWN_DUP2, reporting, CHILD_FD),
             ],
             **({"setpgroup": 0} if log is None else {"setsid": True}),
             setsigmask=[],
@@ -188,35 +200,40 @@ def start(
     finally:
         for descriptor in (*theirs, *ours):
             os.close(descriptor)
-    return Child(pid, said, orders)
+    return Child(pid, reports, our_stdin)
 
 
-def say_fd(arguments: Sequence[str]) -> int:
-    """In a child, the descriptor to speak on; call it after any restart of the process.
+def report_fd(arguments: Sequence[str]) -> int:
+    """Return, in a child, the descriptor for reports; call it after any restart of the process.
 
-    Raises SystemExit where it was started by hand.
+    Raises:
+        SystemExit: The process was not started by robotctl.
     """
     *_, option, text = ("", "", *arguments)
-    if option != SAY_OPTION or not text.isdecimal():
-        raise SystemExit(f"this is started by robotctl, with {SAY_OPTION}")
+    if option != REPORT_OPTION or not text.isdecimal():
+        raise SystemExit(f"this is started by robotctl, with {REPORT_OPTION}")
     os.set_inheritable(int(text), False)
     return int(text)
 
 
-def say(descriptor: int, said: dict[str, Any]) -> None:
-    """Write a line for the process that started this one. Raises BrokenPipeError."""
-    _write(descriptor, f"{json.dumps(said)}\n".encode())
+def send_report(descriptor: int, report: dict[str, Any]) -> None:
+    """Send a report to the process that started this one.
+
+    Raises:
+        BrokenPipeError: That process has closed the pipe.
+    """
+    _write(descriptor, f"{json.dumps(report)}\n".encode())
 
 
 @contextmanager
-def watched(pid: int) -> Iterator[int | None]:
-    """A descriptor that becomes readable when the process ends; None where it is out of sight.
+def pidfd_of(pid: int) -> Iterator[int | None]:
+    """Open a descriptor that becomes readable when the process ends; None if it cannot be opened.
 
-    Taken before the process is asked to end: afterwards its pid may be another's.
+    Open it before the process is asked to end, because afterwards another process may get its pid.
     """
     try:
         descriptor = os.pidfd_open(pid)
-    except OSError:  # gone already, or in another pid namespace
+    except OSError:  # it has ended, or is in another pid namespace
         yield None
         return
     try:
@@ -226,18 +243,18 @@ def watched(pid: int) -> Iterator[int | None]:
 
 
 def readable_within(descriptor: int, seconds: float) -> bool:
-    """Wait until a descriptor can be read, for at most so long."""
+    """Wait until the descriptor is readable, and return whether it is."""
     poll = select.poll()
     poll.register(descriptor, select.POLLIN)
     return bool(poll.poll(max(0, int(seconds * 1000))))
 
 
-def _keep_descriptors() -> None:
-    """Let no child inherit what we inherited: a lock or a pipe of the shell would stay open."""
+def _stop_inheritance() -> None:
+    """Keep inherited descriptors from the child: a lock or pipe of the shell would stay open."""
     with suppress(OSError):  # no /proc
         for descriptor in map(int, os.listdir("/proc/self/fd")):
             if descriptor > 2:
-                with suppress(OSError):  # closed meanwhile, as the one that listed them
+                with suppress(OSError):  # closed meanwhile, like the descriptor of the listing
                     os.set_inheritable(descriptor, False)
 
 
@@ -252,7 +269,7 @@ def _output(log: Path | None) -> tuple[Any, ...]:
 
 
 def _pipe() -> tuple[int, int]:
-    """A pipe whose ends no other child inherits."""
+    """Return the read and write ends of a pipe that other children do not inherit."""
     ends = os.pipe()
     try:
         reading = fcntl.fcntl(ends[0], fcntl.F_DUPFD_CLOEXEC, _FIRST_FREE_FD)
@@ -267,13 +284,13 @@ def _pipe() -> tuple[int, int]:
 
 
 def _write(descriptor: int, line: bytes) -> None:
-    """Write all of it: a signal may cut a write to a pipe short."""
+    """Write the whole line; a signal may interrupt a write to a pipe."""
     while line:
         line = line[os.write(descriptor, line) :]
 
 
 def _decoded(line: bytes) -> dict[str, Any]:
-    said = json.loads(line)
-    if not isinstance(said, dict):
+    report = json.loads(line)
+    if not isinstance(report, dict):
         raise ValueError(f"not a JSON object: {line[:80]!r}")
-    return said
+    return report

@@ -1,4 +1,4 @@
-"""Another process of robotctl is heard on a pipe of its own, whatever libraries print in it."""
+"""Child processes report through their own pipe, independent of what libraries print."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ import pytest
 from robotctl.config import RecordingParams
 from robotctl.daemon.recording import black_box
 from robotctl.daemon.recording.black_box import BlackBox
-from robotctl.processes import Child, Lines, program, readable_within, start
+from robotctl.processes import Child, LineSplitter, program, readable_within, start
 from robotctl.recording import read_info
 from robotctl.recording.format.events import EventKind, RecordedEvent
 from robotctl.rerun.check_many import check_recordings
@@ -30,8 +30,8 @@ ROBOTCTL = (sys.executable, "-c", "from robotctl.cli.app import main; main()")
 SAY = """
 import os, sys
 sys.path.insert(0, os.getcwd())
-from robotctl.processes import say, say_fd
-fd = say_fd(sys.argv)
+from robotctl.processes import send_report, report_fd
+fd = report_fd(sys.argv)
 """
 
 NOISE = """
@@ -40,7 +40,7 @@ if any(name in sys.orig_argv for name in {modules}):
     for fd in (1, 2):
         os.write(fd, b'[RTPS_TRANSPORT_SHM Error] Failed fastrtps_port7412\\n{{"x": 1}}\\n')
 """
-"""Prints as Fast DDS does, before the process says anything, and what looks like our lines too."""
+"""Prints as Fast DDS does, before the process reports, and also lines that look like reports."""
 
 CHECKER = "robotctl.rerun.check_process"
 CUTTER = "robotctl.recording.keep.clip_process"
@@ -58,17 +58,17 @@ def child(code: str, *arguments: str, **options: object) -> Iterator[Child]:
 
 
 def all_of(process: Child) -> list[dict[str, Any]]:
-    """What it says until its end."""
+    """Return all reports until the process ends."""
     heard: list[dict[str, Any]] = []
     with suppress(EOFError):
         while True:
-            heard += process.hear(DEADLINE_S)
+            heard += process.receive(DEADLINE_S)
     return heard
 
 
 @pytest.fixture
 def noisy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Let each child print to stdout and stderr when it starts, in a folder that is returned."""
+    """Let each child print to stdout and stderr when it starts; return the folder for it."""
     modules = [
         "robotctl.replay",
         "robotctl.rerun.check_process",
@@ -123,60 +123,62 @@ async def test_a_clip_whose_process_prints_is_heard(
 # The pipe
 
 
-def test_what_a_child_says_arrives_whole_and_in_order() -> None:
-    code = "for n in range(3): say(fd, {'n': n, 'x': 'y' * 300_000})"
+def test_reports_arrive_complete_and_in_order() -> None:
+    code = "for n in range(3): send_report(fd, {'n': n, 'x': 'y' * 300_000})"
     with child(code) as process:
         heard = all_of(process)
         assert [(each["n"], len(each["x"])) for each in heard] == [(n, 300_000) for n in range(3)]
         assert process.close(DEADLINE_S) == 0
 
 
-def test_a_child_obeys_until_we_hang_up() -> None:
-    with child("for line in sys.stdin: say(fd, {'told': line})", obeys=True) as process:
-        process.tell(b"a\n")
-        process.tell(b"b\n")
-        process.hang_up()
-        assert not process.obeys
-        process.tell(b"too late\n")
+def test_a_child_reads_lines_until_its_stdin_is_closed() -> None:
+    with child(
+        "for line in sys.stdin: send_report(fd, {'told': line})", with_stdin=True
+    ) as process:
+        process.send(b"a\n")
+        process.send(b"b\n")
+        process.close_stdin()
+        assert not process.has_stdin
+        process.send(b"too late\n")
         assert all_of(process) == [{"told": "a\n"}, {"told": "b\n"}]
 
 
 def test_silence_is_given_up_at_the_deadline() -> None:
-    with child("sys.stdin.read()", obeys=True) as process:
+    with child("sys.stdin.read()", with_stdin=True) as process:
         with pytest.raises(TimeoutError):
-            process.hear_one(0.05)
+            process.receive_one(0.05)
         assert process.wait(0.0) is None
 
 
 @pytest.mark.parametrize("line", ["not json", "[1]", '"text"'])
 def test_what_is_no_object_is_an_error(line: str) -> None:
     with child(f"os.write(fd, {line!r}.encode() + b'\\n')") as process, pytest.raises(ValueError):  # noqa: PT011
-        process.hear_one(DEADLINE_S)
+        process.receive_one(DEADLINE_S)
 
 
 @pytest.mark.parametrize("position", [0, 1])
 def test_the_end_of_one_child_is_seen_while_another_runs(position: int) -> None:
-    wait = "say(fd, {})\nsys.stdin.read()"
-    with child(wait, obeys=True) as first, child(wait, obeys=True) as second:
+    wait = "send_report(fd, {})\nsys.stdin.read()"
+    with child(wait, with_stdin=True) as first, child(wait, with_stdin=True) as second:
         children = [first, second]
         for each in children:
-            assert each.hear_one(DEADLINE_S) == {}
-        children[position].hang_up()
+            assert each.receive_one(DEADLINE_S) == {}
+        children[position].close_stdin()
         with pytest.raises(EOFError):
-            children[position].hear(DEADLINE_S)
+            children[position].receive(DEADLINE_S)
         assert children[1 - position].wait(0.0) is None
 
 
 def test_the_end_of_a_child_is_seen_while_a_grandchild_runs() -> None:
     code = (
         "import subprocess\n"
-        "say(fd, {'pid': subprocess.Popen(['sleep', '600'], close_fds=False).pid})"
+        "send_report(fd, {'pid': subprocess.Popen(['sleep', '600'], close_fds=False).pid})"
     )
     with child(code) as process:
-        pid = process.hear_one(DEADLINE_S)["pid"]
+        pid = process.receive_one(DEADLINE_S)["pid"]
         try:
             with pytest.raises(EOFError):
-                process.hear(DEADLINE_S)
+                process.receive(DEADLINE_S)
         finally:
             os.kill(pid, signal.SIGKILL)
 
@@ -185,21 +187,23 @@ def test_the_end_of_a_child_is_seen_while_a_grandchild_runs() -> None:
 
 
 def test_a_child_that_does_not_leave_is_killed() -> None:
-    with child("import time\nsay(fd, {})\nwhile True: time.sleep(600)", obeys=True) as process:
-        process.hear_one(DEADLINE_S)
+    with child(
+        "import time\nsend_report(fd, {})\nwhile True: time.sleep(600)", with_stdin=True
+    ) as process:
+        process.receive_one(DEADLINE_S)
         assert process.close(0.05) == -signal.SIGKILL
 
 
 def test_a_child_has_a_process_group_and_default_signals_of_its_own() -> None:
     code = (
         "import signal\n"
-        "say(fd, {'group': os.getpgrp(), 'session': os.getsid(0), 'pid': os.getpid(),"
+        "send_report(fd, {'group': os.getpgrp(), 'session': os.getsid(0), 'pid': os.getpid(),"
         " 'blocked': [int(n) for n in signal.pthread_sigmask(signal.SIG_BLOCK, [])]})"
     )
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
     try:
         with child(code) as process:
-            said = process.hear_one(DEADLINE_S)
+            said = process.receive_one(DEADLINE_S)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
     assert said["group"] == said["pid"] == process.pid
@@ -207,10 +211,13 @@ def test_a_child_has_a_process_group_and_default_signals_of_its_own() -> None:
     assert said["blocked"] == []
 
 
-def test_with_a_log_a_child_leaves_our_session_and_writes_there(tmp_path: Path) -> None:
-    code = "print('printed', flush=True)\nos.write(2, b'complained')\nsay(fd, {'s': os.getsid(0)})"
+def test_with_a_log_a_child_has_its_own_session_and_writes_there(tmp_path: Path) -> None:
+    code = (
+        "print('printed', flush=True)\nos.write(2, b'complained')\n"
+        "send_report(fd, {'s': os.getsid(0)})"
+    )
     with child(code, log=tmp_path / "log") as process:
-        assert process.hear_one(DEADLINE_S) == {"s": process.pid}
+        assert process.receive_one(DEADLINE_S) == {"s": process.pid}
         process.close(DEADLINE_S)
     assert (tmp_path / "log").read_text() == "printed\ncomplained"
     assert (tmp_path / "log").stat().st_mode & 0o077 == 0
@@ -220,10 +227,12 @@ def test_a_child_that_outlives_us_inherits_no_descriptor_of_our_caller(tmp_path:
     reading, writing = os.pipe()
     try:
         os.set_inheritable(writing, True)
-        with child("say(fd, {})\nos.read(0, 1)", log=tmp_path / "log", obeys=True) as process:
+        with child(
+            "send_report(fd, {})\nos.read(0, 1)", log=tmp_path / "log", with_stdin=True
+        ) as process:
             os.close(writing)
             writing = -1
-            process.hear_one(DEADLINE_S)
+            process.receive_one(DEADLINE_S)
             assert readable_within(reading, 0), "the child holds the other end"
     finally:
         os.close(reading)
@@ -236,11 +245,11 @@ def test_a_program_that_was_started_without_stdin_stdout_and_stderr_starts_child
         "import os, sys\n"
         "for fd in (0, 1, 2): os.close(fd)\n"
         "from robotctl.processes import start\n"
-        "script = 'from robotctl.processes import say, say_fd; import sys;'\n"
-        "script += 'sys.stdin.read(); say(say_fd(sys.argv), {})'\n"
-        "child = start([sys.executable, '-c', script], obeys=True)\n"
-        "child.hang_up()\n"
-        "raise SystemExit(7 if child.hear_one(30.0) == {} else 1)\n"
+        "script = 'from robotctl.processes import send_report, report_fd; import sys;'\n"
+        "script += 'sys.stdin.read(); send_report(report_fd(sys.argv), {})'\n"
+        "child = start([sys.executable, '-c', script], with_stdin=True)\n"
+        "child.close_stdin()\n"
+        "raise SystemExit(7 if child.receive_one(30.0) == {} else 1)\n"
     )
     assert subprocess.run([sys.executable, "-c", code], timeout=2 * DEADLINE_S).returncode == 7
 
@@ -248,19 +257,19 @@ def test_a_program_that_was_started_without_stdin_stdout_and_stderr_starts_child
 def test_a_program_that_cannot_be_started_leaves_no_descriptor_behind() -> None:
     before = os.listdir("/proc/self/fd")
     with pytest.raises(FileNotFoundError):
-        start(["/nowhere/python"], obeys=True)
+        start(["/nowhere/python"], with_stdin=True)
     assert os.listdir("/proc/self/fd") == before
 
 
 @pytest.mark.parametrize("module", [CHECKER, CUTTER])
-def test_a_child_that_is_started_by_hand_says_so(module: str) -> None:
+def test_a_child_that_is_started_by_hand_reports_it(module: str) -> None:
     ran = subprocess.run([*program(module), "{}"], capture_output=True, text=True, timeout=60)
     assert (ran.returncode, ran.stdout) == (1, "")
-    assert ran.stderr == "this is started by robotctl, with --say-fd\n"
+    assert ran.stderr == "this is started by robotctl, with --report-fd\n"
 
 
 def test_lines_come_out_of_pieces() -> None:
-    lines = Lines()
+    lines = LineSplitter()
     assert [lines.feed(piece) for piece in (b"a", b"b\nc\n", b"", b"d\n")] == [
         [],
         [b"ab", b"c"],

@@ -24,7 +24,7 @@ READ_AHEAD = 1000
 
 def play_with_robotctl(file: Path, domain_id: int) -> list[int]:
     """The player's own process, with a note of the time before each message is handed over."""
-    from robotctl.processes import SAY_OPTION
+    from robotctl.processes import REPORT_OPTION
     from robotctl.replay import __main__ as process
     from robotctl.replay.job import Job
     from robotctl.ros.playback.playback import ReplaySession
@@ -47,7 +47,7 @@ def play_with_robotctl(file: Path, domain_id: int) -> list[int]:
     os.dup2(read_fd, 0)
     sys.stdin = io.TextIOWrapper(os.fdopen(os.dup(0), "rb"))
     with open(os.devnull, "wb") as progress:
-        if code := process.main([SAY_OPTION, str(progress.fileno())]):
+        if code := process.main([REPORT_OPTION, str(progress.fileno())]):
             raise SystemExit(f"the replay ended with exit code {code}")
     return stamps
 

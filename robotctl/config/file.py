@@ -16,7 +16,7 @@ from pathlib import Path
 from reprlib import repr as short_repr
 from typing import Any
 
-from robotctl.config.params import Config
+from robotctl.config.schema import Config
 from robotctl.config.settings import check_together, with_setting
 from robotctl.errors import ConfigError
 from robotctl.regular_file import open_regular

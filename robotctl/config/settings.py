@@ -11,7 +11,7 @@ from functools import cache
 from reprlib import repr as short_repr
 from typing import Any, get_type_hints
 
-from robotctl.config.params import Config
+from robotctl.config.schema import Config
 from robotctl.config.values import checked_value, not_allowed
 from robotctl.errors import ConfigError
 from robotctl.kernel.params import KernelParams

@@ -1,4 +1,4 @@
-"""`python -m robotctl.replay --say-fd N`: plays the job on stdin, and tells on N how it goes.
+"""`python -m robotctl.replay --report-fd N`: plays the job on stdin, and tells on N how it goes.
 
 One line of JSON each: {"note"}, {"waiting"}, {"start"}, {"progress"}, {"summary"}, and {"error",
 "exit_code"} with the error's details. Further lines on stdin control the replay
@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from robotctl import environment
 from robotctl.errors import RobotctlError
-from robotctl.processes import Lines, say, say_fd
+from robotctl.processes import LineSplitter, report_fd, send_report
 from robotctl.replay.job import Job
 from robotctl.replay.other_daemons import domain_of
 
@@ -39,7 +39,7 @@ def main(arguments: list[str]) -> int:
 def _main(arguments: list[str], at_end: ExitStack) -> int:
     """As `main`; what has to be the last is left to `at_end`."""
     note = environment.prepare()
-    tell = partial(_tell, say_fd(arguments))
+    tell = partial(_tell, report_fd(arguments))
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     lines = _lines()
     job = Job.from_json(next(lines, b"").decode())
@@ -85,7 +85,7 @@ def _play(job: Job, lines: Iterator[bytes], tell: Tell, at_end: ExitStack) -> No
 
 def _lines() -> Iterator[bytes]:
     """The lines of stdin; not buffered: a thread that waits in a buffer hinders the exit."""
-    lines = Lines()
+    lines = LineSplitter()
     while piece := os.read(sys.stdin.fileno(), 1 << 16):
         yield from lines.feed(piece)
 
@@ -98,7 +98,7 @@ def _tell(descriptor: int, said: dict[str, Any]) -> None:
     if "progress" in said and not select.select([], [descriptor], [], 0)[1]:
         return
     with suppress(BrokenPipeError):
-        say(descriptor, said)
+        send_report(descriptor, said)
 
 
 if __name__ == "__main__":

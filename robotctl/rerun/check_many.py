@@ -77,9 +77,9 @@ class _Worker:
         if child is None:
             return
         try:
-            child.tell(f"{json.dumps(str(path))}\n".encode())
+            child.send(f"{json.dumps(str(path))}\n".encode())
             while True:
-                for said in child.hear():
+                for said in child.receive():
                     yield said
                     if "report" in said:
                         return
@@ -106,5 +106,5 @@ class _Worker:
         """The process, None once it is to end."""
         with self._lock:
             if self._child is None and not self._ended:
-                self._child = start(WORKER, obeys=True)
+                self._child = start(WORKER, with_stdin=True)
             return self._child

@@ -1,4 +1,4 @@
-"""`python -m robotctl.rerun.check_process --say-fd N`: checks the recordings named on stdin.
+"""`python -m robotctl.rerun.check_process --report-fd N`: checks the recordings named on stdin.
 
 A line of JSON each: a path comes on stdin, then {"progress"} and at its end {"report"} leave on N.
 The end of stdin ends it: it never outlives the process that asked.
@@ -12,7 +12,7 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-from robotctl.processes import say, say_fd
+from robotctl.processes import report_fd, send_report
 from robotctl.rerun.check import check_recording
 
 PROGRESS_PERIOD_S = 0.1
@@ -20,7 +20,7 @@ PROGRESS_PERIOD_S = 0.1
 
 def main() -> None:
     """Check until stdin ends."""
-    descriptor = say_fd(sys.argv)
+    descriptor = report_fd(sys.argv)
     for line in sys.stdin:
         told = time.monotonic()
 
@@ -28,9 +28,9 @@ def main() -> None:
             nonlocal told
             if time.monotonic() - told > PROGRESS_PERIOD_S:
                 told = time.monotonic()
-                say(descriptor, {"progress": done / total})
+                send_report(descriptor, {"progress": done / total})
 
-        say(
+        send_report(
             descriptor,
             {"report": check_recording(Path(json.loads(line)), tell_progress).as_object()},
         )

@@ -104,7 +104,7 @@ def test_estop_says_how_to_release_it_and_a_refusal_exits_with_4(
 
 
 def test_stop_returns_when_the_process_is_gone(daemon: None, cli: Callable[..., Any]) -> None:
-    with Client("robot") as client, processes.watched(client.daemon_pid) as watched:
+    with Client("robot") as client, processes.pidfd_of(client.daemon_pid) as watched:
         assert watched is not None
         assert cli("stop").exit_code == 0
         assert processes.readable_within(watched, 0)

@@ -176,7 +176,7 @@ def test_the_cutter_has_the_lowest_priority(tmp_path: Path) -> None:
         now_ns = time.time_ns()
         recorder.write(recorder.add_topic(TWIST), numbered(1), now_ns, now_ns, 1, GID)
         recorder.close()
-        said = cutter.hear_one(DEADLINE_S)
+        said = cutter.receive_one(DEADLINE_S)
     finally:
         recorder.close()
         cutter.close()

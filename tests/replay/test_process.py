@@ -26,7 +26,7 @@ class Playing:
     """The process, spoken to as the command line does."""
 
     def __init__(self, job: Job) -> None:
-        self._child = start(PLAYER, obeys=True)
+        self._child = start(PLAYER, with_stdin=True)
         self.write(f"{job.to_json()}\n".encode())
 
     def urgent_threads(self) -> int:
@@ -43,11 +43,11 @@ class Playing:
 
     def end(self) -> tuple[int, dict[str, Any]]:
         """End its stdin; returns exit code and summary."""
-        self._child.hang_up()
+        self._child.close_stdin()
         summary: dict[str, Any] = {}
         with suppress(EOFError):
             while True:
-                for said in self._child.hear(DEADLINE_S):
+                for said in self._child.receive(DEADLINE_S):
                     summary = said.get("summary", summary)
         return self._child.wait(DEADLINE_S) or 0, summary
 
@@ -55,7 +55,7 @@ class Playing:
         self._child.close(DEADLINE_S)
 
     def write(self, data: bytes) -> None:
-        self._child.tell(data)
+        self._child.send(data)
 
 
 @pytest.fixture

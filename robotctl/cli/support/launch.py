@@ -94,7 +94,7 @@ def launch(
             _put_in_place(own_log, log)
             summary = cast(StartSummary, said)
             tell(summary)
-            daemon.leave()
+            daemon.detach()
             return summary
         failure = _failure(options.robot, daemon, said, own_log)
     except BaseException:  # also Ctrl-C: no half-started daemon stays behind
@@ -133,7 +133,7 @@ def _log_of(robot: str) -> Path:
 def _said_when_ready(daemon: Child) -> dict[str, Any]:
     """Return the daemon's report, or {} if it ended without one or sent something else."""
     try:
-        return daemon.hear_one(READY_DEADLINE_S)
+        return daemon.receive_one(READY_DEADLINE_S)
     except TimeoutError:
         return _TOO_SLOW
     except (EOFError, ValueError):

@@ -59,9 +59,9 @@ def stop(robot: str, as_json: bool) -> None:
 
 def stop_daemon(robot: str) -> Stopped:
     """Ask the daemon to end, and return its answer when its process has ended."""
-    from robotctl.processes import readable_within, watched
+    from robotctl.processes import pidfd_of, readable_within
 
-    with Client(robot) as client, watched(client.daemon_pid) as process:
+    with Client(robot) as client, pidfd_of(client.daemon_pid) as process:
         answer = client.call(STOP)
         if process is not None and not readable_within(process, STOP_DEADLINE_S):
             pid = client.daemon_pid

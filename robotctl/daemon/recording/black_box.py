@@ -135,7 +135,7 @@ class BlackBox:
         """What the process says, or in "error" why it said nothing. Raises OSError."""
         cutter = start([*self._cutter, job.to_json()])
         try:
-            said = cutter.hear_one(deadline_s)
+            said = cutter.receive_one(deadline_s)
         except TimeoutError:
             cutter.close()
             return {"error": f"its process took longer than {deadline_s:.0f} s"}

@@ -99,7 +99,7 @@ async def _heard(child: Child) -> AsyncGenerator[dict[str, Any]]:
             await readable.wait()
             readable.clear()
             try:
-                said = child.hear()
+                said = child.receive()
             except EOFError:
                 return
             for each in said:

@@ -1,4 +1,4 @@
-"""`python -m robotctl.recording JOB --say-fd N`: cuts one clip at the lowest priority.
+"""`python -m robotctl.recording JOB --report-fd N`: cuts one clip at the lowest priority.
 
 JOB is the JSON object of a ClipJob. One line of JSON on N: {"target", "lost"} or {"error"}.
 """
@@ -11,19 +11,19 @@ import sys
 os.nice(19)  # before anything is imported: somebody controls a robot on this machine
 
 from robotctl.errors import RobotctlError  # noqa: E402
-from robotctl.processes import say, say_fd  # noqa: E402
+from robotctl.processes import report_fd, send_report  # noqa: E402
 from robotctl.recording.keep.clip_job import ClipJob, make_clip  # noqa: E402
 
 
 def main(arguments: list[str]) -> int:
     """Cut the clip and return the exit code."""
-    descriptor = say_fd(arguments)
+    descriptor = report_fd(arguments)
     try:
         made = make_clip(ClipJob.from_json(arguments[0]))
     except RobotctlError as error:
-        say(descriptor, {"error": str(error)})
+        send_report(descriptor, {"error": str(error)})
         return error.exit_code
-    say(descriptor, {"target": str(made.target), "lost": list(made.lost)})
+    send_report(descriptor, {"target": str(made.target), "lost": list(made.lost)})
     return 0
 
 

@@ -46,10 +46,10 @@ def play_in_process(
         KeyboardInterrupt: Ctrl-C was pressed a second time.
     """
     report = PlayerReport()
-    child = start(PLAYER, obeys=True)
+    child = start(PLAYER, with_stdin=True)
     try:
         with suppress(BrokenPipeError):  # it has ended; the loop below notices
-            child.tell(f"{job.to_json()}\n".encode())
+            child.send(f"{job.to_json()}\n".encode())
         with open_screen() as screen:
             player = _Player(child, report, screen)
             with Keyboard(player.suspend, player.resume) as keyboard:
@@ -60,7 +60,7 @@ def play_in_process(
                         if report.interrupted:
                             raise
                         report.interrupted = True
-                        child.hang_up()
+                        child.close_stdin()
     finally:
         exit_code = child.close(END_DEADLINE_S)
     if not (report.summary or report.error or report.interrupted):
@@ -84,12 +84,12 @@ class _Player:
     def wait_for_input(self, keyboard: Keyboard) -> None:
         """Wait for the player or the keyboard, and handle what comes."""
         child = self._child
-        patience_s = None if child.obeys else END_DEADLINE_S
+        patience_s = None if child.has_stdin else END_DEADLINE_S
         ready, _, _ = select.select([child.fileno(), *keyboard.sources], [], [], patience_s)
         self._report.ended = not ready
         if child.fileno() in ready:
             try:
-                for said in child.hear():
+                for said in child.receive():
                     self._hear(said)
             except EOFError:
                 self._report.ended = True
@@ -119,10 +119,10 @@ class _Player:
 
     def _press(self, key: str) -> None:
         if key == QUIT:
-            self._child.hang_up()
+            self._child.close_stdin()
         elif key in KEYS:
             self._send(KEYS[key])
 
     def _send(self, command: Command) -> None:
         with suppress(BrokenPipeError):  # it has ended; `wait_for_input` notices
-            self._child.tell(command.line())
+            self._child.send(command.line())
