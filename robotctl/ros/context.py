@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-calls=False
 """A process's part in a ROS domain, of which nothing remains on the disk."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-calls=False
 """One rclpy context with its executor, from `async with` to the end, signals left to the owner."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-calls=False
 """A kill between any two writes of a commit leaves a file that every reader opens."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-calls=False
 """What is read from bytes and written as bytes is what rclpy makes of them."""
 
 from __future__ import annotations

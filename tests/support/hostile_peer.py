@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-calls=False
 """A program that does not validate: publishers with any bytes as names, past rcl."""
 
 from __future__ import annotations

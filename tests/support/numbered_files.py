@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-calls=False
 """Files of numbered messages in small chunks, ours and others': to be damaged and read back."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-calls=False
 """Somebody else on the graph: plain rclpy in a process of its own, told what to do line by line."""
 
 from __future__ import annotations

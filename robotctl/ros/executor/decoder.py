@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-calls=False
 """Serialized messages to rclpy's message objects, by a function that is written for each type.
 
 rclpy makes a message by calling the constructors of all its parts, which make defaults, and then

@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-calls=False
 """The one bridge from rclpy's Future to asyncio.
 
 `rclpy.task.Future.__await__` is a bare `yield`: awaited in an asyncio task it turns the loop at

@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-calls=False
 """Waiting until everybody in a ROS domain is discovered."""
 
 from __future__ import annotations

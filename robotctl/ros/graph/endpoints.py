@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-calls=False
 """Who publishes what in the domain, whatever bytes others have put into their names."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-calls=False
 """Quality of service: what our publishers offer, what our subscriptions ask for."""
 
 from __future__ import annotations

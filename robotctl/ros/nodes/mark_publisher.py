@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-calls=False
 """Markers on ROS: what somebody wants to find again in the recording, as text."""
 
 from __future__ import annotations

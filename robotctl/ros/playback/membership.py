@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-calls=False
 """Taking part in a ROS domain, before anything is published there."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-calls=False
 """What a replay needs of ROS: publishers for serialized messages, and a look at the graph."""
 
 from __future__ import annotations

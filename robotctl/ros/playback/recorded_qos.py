@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-calls=False
 """From the QoS that a recording says its publishers offered to the one that its replay offers."""
 
 from __future__ import annotations

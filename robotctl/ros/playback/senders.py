@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-calls=False
 """What sends the messages of a replay: through a publisher, as a service call, or as /clock."""
 
 from __future__ import annotations

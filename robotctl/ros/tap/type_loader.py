@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-calls=False
 """Loads the types of foreign topics beside the loop: each takes tens of milliseconds."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-calls=False
 """What has no callback in rcl and is waited for in the wait-set thread."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-calls=False
 """The slow path: one thread waits in a wait set for what has no callback in rcl.
 
 That is guard conditions and foreign Waitables. The thread only waits; taking and executing
