@@ -163,7 +163,7 @@ async def test_a_failing_take_is_reported_and_tried_again_later(
             raise RclCallFailed("cannot take")
 
         for each, taker in takers.items():
-            sources[each]._taker = SimpleNamespace(take=fail, close=taker.close, info=taker.info)
+            sources[each]._taker = SimpleNamespace(take=fail, free=taker.free, info=taker.info)
         node.create_publisher(UInt64, topic, 10).publish(UInt64(data=3))
         await until(lambda: len(told) >= 4)
         assert (got, tapped) == ([], [])

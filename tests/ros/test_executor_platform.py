@@ -13,13 +13,13 @@ from typing import Any
 import pytest
 
 from robotctl.ros import AsyncioExecutor
-from robotctl.ros.executor import UnsupportedPlatform, rcl
+from robotctl.ros.executor import UnsupportedPlatform, announcements, serialized_taker
 from tests.support.waiting import DEADLINE_S
 
 
 @pytest.fixture
 def unproven(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("robotctl.ros.executor.self_test._proven", False)
+    monkeypatch.setattr("robotctl.ros.executor.self_test._passed", False)
 
 
 async def open_and_close(context: Any) -> None:
@@ -33,7 +33,7 @@ async def test_the_path_is_proven_by_a_message_before_the_executor_opens(
     await open_and_close(context)
     from robotctl.ros.executor import self_test
 
-    assert self_test._proven
+    assert self_test._passed
 
 
 async def test_a_platform_without_eventfd_is_refused(
@@ -56,7 +56,7 @@ async def test_a_middleware_without_callbacks_is_refused(
     context: Any, unproven: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     unsupported = 3
-    monkeypatch.setattr(rcl, "_setter", lambda _: lambda *_: unsupported)
+    monkeypatch.setattr(announcements, "_setter", lambda _: lambda *_: unsupported)
     with pytest.raises(UnsupportedPlatform, match="set RMW_IMPLEMENTATION=rmw_fastrtps_cpp"):
         await open_and_close(context)
 
@@ -65,8 +65,8 @@ async def test_a_middleware_whose_callback_never_comes_is_refused(
     context: Any, unproven: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     harmless = ctypes.cast(ctypes.CDLL(None).getpid, ctypes.c_void_p).value
-    monkeypatch.setattr(rcl, "_eventfd_write", lambda: harmless)
-    monkeypatch.setattr("robotctl.ros.executor.self_test.PROOF_TIMEOUT_S", 0.1)
+    monkeypatch.setattr(announcements, "_eventfd_write", lambda: harmless)
+    monkeypatch.setattr("robotctl.ros.executor.self_test.TIMEOUT_S", 0.1)
     with pytest.raises(UnsupportedPlatform, match="did not announce a message to itself"):
         await open_and_close(context)
 
@@ -75,7 +75,7 @@ async def test_message_structures_of_another_ros_are_refused(
     context: Any, unproven: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # As if there were a field less at the front.
-    monkeypatch.setattr(rcl, "_MESSAGE_INFO", struct.Struct("@8xqqQQQ8s"))
+    monkeypatch.setattr(serialized_taker, "_MESSAGE_INFO", struct.Struct("@8xqqQQQ8s"))
     with pytest.raises(UnsupportedPlatform, match="not those of ROS 2 Jazzy"):
         await open_and_close(context)
 
@@ -86,7 +86,7 @@ def test_a_ros_without_the_function_is_named() -> None:
 
     newer: Any = Newer.SIGNAL
     with pytest.raises(UnsupportedPlatform, match="this ROS has no rcl_no_such_function"):
-        rcl.watch(newer, 0, 0)
+        announcements.watch(newer, 0, 0)
 
 
 NO_FILES = """

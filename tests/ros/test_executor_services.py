@@ -90,7 +90,7 @@ async def test_a_call_that_nobody_answers_ends_at_its_deadline_and_is_forgotten(
     with pytest.raises(TimeoutError, match=f"no response from service {topic} within 0.05 s"):
         await executor.call(client, SetBool.Request(), timeout_s=0.05)
     assert client._pending_requests == {}
-    with pytest.raises(TimeoutError, match=f"nobody serves {topic} within 0.05 s"):
+    with pytest.raises(TimeoutError, match=f"no server for {topic} within 0.05 s"):
         await executor.wait_for_service(client, timeout_s=0.05)
 
 

@@ -20,6 +20,7 @@ from std_srvs.srv import SetBool
 from robotctl.ros import AsyncioExecutor
 from tests.support.descriptors import loop_descriptors
 from tests.support.entities import populate
+from tests.support.open_executor import engine_of
 from tests.support.waiting import DEADLINE_S
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
@@ -114,7 +115,7 @@ async def test_leaving_the_block_cancels_async_callbacks_and_waits_for_their_cle
 async def test_an_executor_that_is_shut_down_while_it_opens_lets_go_of_everything(
     context: Any, node: Node, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("robotctl.ros.executor.self_test._proven", False)
+    monkeypatch.setattr("robotctl.ros.executor.self_test._passed", False)
     before = (loop_descriptors(), threading.active_count(), Future.__await__)
     executor = AsyncioExecutor(context)
     executor.add_node(node)
@@ -225,12 +226,12 @@ async def test_a_shutdown_that_follows_its_signal_with_a_delay_is_noticed(
     # As rclpy's own handler of SIGTERM does it: wake the executors, then shut the context down
     # in C++, where no callback tells Python.
     monkeypatch.setattr(
-        "robotctl.ros.executor.executor.get_current_signal_handlers_options",
+        "robotctl.ros.executor.engine.get_current_signal_handlers_options",
         lambda: SignalHandlerOptions.ALL,
     )
     context = new_context()
     async with asyncio.timeout(DEADLINE_S), AsyncioExecutor(context) as executor:
-        wait_set: Any = executor._wait_set
+        wait_set: Any = engine_of(executor)._wait_set
         wait_set._signals.trigger()
         await asyncio.sleep(0.05)
         assert not executor._is_shutdown

@@ -11,7 +11,7 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import UInt64
 
 from robotctl.ros import AsyncioExecutor, RawTap
-from robotctl.ros.executor import rcl
+from robotctl.ros.executor import announcements
 from tests.support.rclpy_types import Node
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
@@ -124,8 +124,8 @@ async def test_messages_from_before_the_node_was_added_are_delivered(
     announced: bool,
 ) -> None:
     if not announced:  # another middleware might announce only what comes after the callback is set
-        monkeypatch.setattr(rcl, "watch", lambda *_: None)
-        monkeypatch.setattr(rcl, "unwatch", lambda *_: None)
+        monkeypatch.setattr(announcements, "watch", lambda *_: None)
+        monkeypatch.setattr(announcements, "unwatch", lambda *_: None)
     got: list[int] = []
     subscription = node.create_subscription(UInt64, topic, lambda m: got.append(m.data), 100)
     await feed(subscription, [1, 2, 3])

@@ -8,10 +8,11 @@ from typing import Any
 
 import pytest
 
-from robotctl.ros.executor import RawTap, rcl
+from robotctl.ros.executor import RawTap, serialized_taker
+from robotctl.ros.executor.serialized_taker import SerializedTaker
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
-LARGE = rcl.LARGE_BYTES + 1
+LARGE = serialized_taker.LARGE_BYTES + 1
 
 
 def large(value: int) -> Any:
@@ -55,11 +56,11 @@ async def test_a_buffer_that_does_not_fit_the_budget_is_given_back_at_once(
 ) -> None:
     from std_msgs.msg import UInt8MultiArray
 
-    monkeypatch.setattr(rcl, "KEPT_BYTES", rcl.SerializedTaker._kept_by_all + LARGE * 2)
+    monkeypatch.setattr(serialized_taker, "KEPT_BYTES", SerializedTaker._kept_by_all + LARGE * 2)
     topics = [f"{topic}_{number}" for number in range(4)]
     heard: list[int] = []
     taps = [RawTap(lambda data, *_: heard.append(len(data))) for _ in topics]
-    kept_before = rcl.SerializedTaker._kept_by_all
+    kept_before = SerializedTaker._kept_by_all
     subscriptions = [
         node.create_subscription(UInt8MultiArray, name, tap, 10, raw=True)
         for name, tap in zip(topics, taps, strict=True)
@@ -69,7 +70,7 @@ async def test_a_buffer_that_does_not_fit_the_budget_is_given_back_at_once(
     for publisher in publishers:
         publisher.publish(large(0))
     await until(lambda: len(heard) == len(topics))
-    assert kept_before < rcl.SerializedTaker._kept_by_all <= rcl.KEPT_BYTES
+    assert kept_before < SerializedTaker._kept_by_all <= serialized_taker.KEPT_BYTES
     for subscription in subscriptions:
         node.destroy_subscription(subscription)
-    await until(lambda: rcl.SerializedTaker._kept_by_all == kept_before)
+    await until(lambda: SerializedTaker._kept_by_all == kept_before)

@@ -1,5 +1,5 @@
 # mypy: disallow-untyped-calls=False
-"""One real message through the ctypes path, before anything depends on it."""
+"""Sends one real message through the ctypes path, before anything depends on it."""
 
 from __future__ import annotations
 
@@ -13,33 +13,34 @@ from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.qos import QoSProfile
 from rclpy.type_support import check_for_type_support
 
-from robotctl.ros.executor import rcl
+from robotctl.ros.executor import announcements
+from robotctl.ros.executor.announcements import Announcement
 from robotctl.ros.executor.errors import UnsupportedPlatform
-from robotctl.ros.executor.rcl import Signal
+from robotctl.ros.executor.serialized_taker import SerializedTaker, TakenMessage
 
-PROOF_TIMEOUT_S = 5.0
+TIMEOUT_S = 5.0
 
 TOPIC_PREFIX = "/_asyncio_executor_proof_"
-"""Of the topic over which a process proves its path to itself; the pid follows."""
+"""Prefix of the topic on which a process tests its path; its process id follows."""
 
 _SENT = Time(sec=0x01020304, nanosec=0x05060708)
 _CDR = bytes.fromhex("00010000 04030201 08070605")
 
-_proven = False
+_passed = False
 
 
-async def prove(context: Context) -> None:
-    """Send one message to ourselves and see eventfd, bytes and message info arrive as expected.
+async def check_announcements(context: Context) -> None:
+    """Check that a message of our own is announced, and taken with the expected bytes and info.
 
-    Once a process: platform, middleware and the layout of its structures do not change later.
+    Once per process: platform, middleware and the layout of its structures do not change later.
 
     Raises:
-        UnsupportedPlatform: something on the path does not behave; the text says what.
+        UnsupportedPlatform: A step of the path does not work; the text says which.
     """
-    global _proven
-    if _proven:
+    global _passed
+    if _passed:
         return
-    rcl.check_platform()
+    announcements.check_platform()
     check_for_type_support(Time)
     topic = f"{TOPIC_PREFIX}{os.getpid()}"
     qos = QoSProfile(depth=1).get_c_qos_profile()
@@ -52,7 +53,7 @@ async def prove(context: Context) -> None:
         entities.callback(subscription.destroy_when_not_in_use)
         await _until_announced(subscription, publisher)
         _check_take(subscription)
-    _proven = True
+    _passed = True
 
 
 async def _until_announced(subscription: _rclpy.Subscription, publisher: _rclpy.Publisher) -> None:
@@ -65,35 +66,35 @@ async def _until_announced(subscription: _rclpy.Subscription, publisher: _rclpy.
 
     fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
     try:
-        rcl.watch(Signal.MESSAGE, subscription.pointer, fd)
+        announcements.watch(Announcement.MESSAGE, subscription.pointer, fd)
         loop.add_reader(fd, announce)
-        async with asyncio.timeout(PROOF_TIMEOUT_S):
-            # Until the two have found each other, what is published is lost.
-            while not publisher.get_subscription_count():  # noqa: ASYNC110 - nothing announces it
+        async with asyncio.timeout(TIMEOUT_S):
+            # Messages that are published before the two are matched are lost.
+            while not publisher.get_subscription_count():  # noqa: ASYNC110 - no event tells it
                 await asyncio.sleep(0.001)
             publisher.publish(_SENT)
             await announced
     except TimeoutError:
         raise UnsupportedPlatform(
             f"the middleware {_rclpy.rclpy_get_rmw_implementation_identifier()} did not announce "
-            f"a message to itself within {PROOF_TIMEOUT_S:g} s; if ROS is otherwise healthy here, "
+            f"a message to itself within {TIMEOUT_S:g} s; if ROS is otherwise healthy here, "
             "set RMW_IMPLEMENTATION=rmw_fastrtps_cpp or use an executor of rclpy"
         ) from None
     finally:
-        rcl.unwatch(Signal.MESSAGE, subscription.pointer)
+        announcements.unwatch(Announcement.MESSAGE, subscription.pointer)
         loop.remove_reader(fd)
         os.close(fd)
 
 
 def _check_take(subscription: _rclpy.Subscription) -> None:
-    taker = rcl.SerializedTaker(subscription.pointer)
+    taker = SerializedTaker(subscription.pointer)
     try:
         taken = taker.take()
     finally:
-        taker.close()
+        taker.free()
     if taken is None:
-        raise UnsupportedPlatform("a message was announced and not there to be taken")
-    message = rcl.Serialized(bytes(taken[0]), *taken[1:])
+        raise UnsupportedPlatform("a message was announced, but there was none to take")
+    message = TakenMessage(bytes(taken[0]), *taken[1:])
     if (
         message.data != _CDR
         or message.sequence != 1

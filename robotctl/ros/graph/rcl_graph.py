@@ -19,8 +19,7 @@ from rclpy.qos import (
 )
 
 from robotctl.kernel.units import NS_PER_S
-from robotctl.ros.executor import RclCallFailed
-from robotctl.ros.executor.rcl import Allocator, rcutils, take_error_text
+from robotctl.ros.executor import RclCallFailed, rcutils
 
 
 class Role(Enum):
@@ -46,7 +45,7 @@ class _StringArray(ctypes.Structure):
     _fields_ = (
         ("size", ctypes.c_size_t),
         ("data", ctypes.POINTER(ctypes.c_char_p)),
-        ("allocator", Allocator),
+        ("allocator", rcutils.Allocator),
     )
 
 
@@ -109,7 +108,7 @@ def topic_names_and_types(node: int, *, dds_names: bool) -> list[tuple[bytes, li
     Raises RclCallFailed.
     """
     found = _NamesAndTypes()
-    allocator = rcutils().rcutils_get_default_allocator()
+    allocator = rcutils.default_allocator()
     _check(
         "rcl_get_topic_names_and_types",
         _library("librcl.so").rcl_get_topic_names_and_types(
@@ -131,7 +130,7 @@ def topic_names_and_types(node: int, *, dds_names: bool) -> list[tuple[bytes, li
 def endpoints(node: int, role: Role, topic: bytes, *, dds_names: bool) -> list[RawEndpoint]:
     """Return who publishes or subscribes to a topic, by any name. Raises RclCallFailed."""
     found = _Endpoints()
-    allocator = rcutils().rcutils_get_default_allocator()
+    allocator = rcutils.default_allocator()
     _check(
         role.value,
         getattr(_library("librcl.so"), role.value)(
@@ -181,4 +180,4 @@ def _duration(time: _Time) -> Duration:
 
 def _check(function: str, code: int) -> None:
     if code:
-        raise RclCallFailed(f"{function} failed with {code}: {take_error_text()}")
+        raise RclCallFailed(f"{function} failed with {code}: {rcutils.take_error_text()}")

@@ -11,8 +11,8 @@ from rclpy.action.client import ActionClient
 from rclpy.action.server import ActionServer
 from rclpy.executors import ShutdownException
 
+from robotctl.ros.executor.announcements import Announcement
 from robotctl.ros.executor.futures import CallbacksNow, fail_pending
-from robotctl.ros.executor.rcl import Signal
 from robotctl.ros.executor.runtime import Runtime
 from robotctl.ros.executor.sources.source import EventFdSource
 
@@ -42,7 +42,11 @@ class _ActionSource(EventFdSource):
 class ActionServerSource(_ActionSource):
     """An action server; finished goals are forgotten when their result timeout is over."""
 
-    signals = (Signal.GOAL_REQUEST, Signal.CANCEL_REQUEST, Signal.RESULT_REQUEST)
+    announcements = (
+        Announcement.GOAL_REQUEST,
+        Announcement.CANCEL_REQUEST,
+        Announcement.RESULT_REQUEST,
+    )
 
     def __init__(self, runtime: Runtime, server: ActionServer, where: str, executor: Any) -> None:
         super().__init__(runtime, server, server._handle, where, executor)
@@ -94,12 +98,12 @@ class ActionClientSource(_ActionSource):
     resolve futures (see `ClientSource`).
     """
 
-    signals = (
-        Signal.GOAL_RESPONSE,
-        Signal.CANCEL_RESPONSE,
-        Signal.RESULT_RESPONSE,
-        Signal.FEEDBACK,
-        Signal.STATUS,
+    announcements = (
+        Announcement.GOAL_RESPONSE,
+        Announcement.CANCEL_RESPONSE,
+        Announcement.RESULT_RESPONSE,
+        Announcement.FEEDBACK,
+        Announcement.STATUS,
     )
 
     def __init__(self, runtime: Runtime, client: ActionClient, where: str, executor: Any) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 from rclpy.event_handler import EventHandler
 
-from robotctl.ros.executor.rcl import Signal
+from robotctl.ros.executor.announcements import Announcement
 from robotctl.ros.executor.runtime import Runtime
 from robotctl.ros.executor.sources.source import EventFdSource
 
@@ -20,7 +20,7 @@ class QosEventSource(EventFdSource):
     sets it to zero).
     """
 
-    signals = (Signal.QOS_EVENT,)
+    announcements = (Announcement.QOS_EVENT,)
     # `attach` sees to what was before: to take a status once more would invent an event.
     drains_first = False
 

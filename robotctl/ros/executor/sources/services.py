@@ -10,8 +10,8 @@ from rclpy.client import Client
 from rclpy.executors import ShutdownException
 from rclpy.service import Service
 
+from robotctl.ros.executor.announcements import Announcement
 from robotctl.ros.executor.futures import CallbacksNow, callbacks_at_once, fail_pending
-from robotctl.ros.executor.rcl import Signal
 from robotctl.ros.executor.runtime import Runtime
 from robotctl.ros.executor.sources.source import EventFdSource, TakeFailed
 
@@ -19,7 +19,7 @@ from robotctl.ros.executor.sources.source import EventFdSource, TakeFailed
 class ServiceSource(EventFdSource):
     """A service, with a synchronous or an async handler."""
 
-    signals = (Signal.REQUEST,)
+    announcements = (Announcement.REQUEST,)
 
     def __init__(self, runtime: Runtime, service: Service, where: str) -> None:
         super().__init__(runtime, service, service.handle, where)
@@ -57,7 +57,7 @@ class ClientSource(EventFdSource):
     callback that awaits one from a client of its own group would otherwise wait for ever.
     """
 
-    signals = (Signal.RESPONSE,)
+    announcements = (Announcement.RESPONSE,)
 
     def __init__(self, runtime: Runtime, client: Client, where: str, executor: Any) -> None:
         super().__init__(runtime, client, client.handle, where)

@@ -10,10 +10,10 @@ from typing import Any, ClassVar
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 
-from robotctl.ros.executor import rcl
+from robotctl.ros.executor import announcements
+from robotctl.ros.executor.announcements import Announcement
 from robotctl.ros.executor.errors import RclCallFailed, UnsupportedPlatform
 from robotctl.ros.executor.pool import Pool
-from robotctl.ros.executor.rcl import Signal
 from robotctl.ros.executor.runtime import Runtime, log
 from robotctl.ros.executor.time_limits import SLOW_CALLBACK_NS
 
@@ -108,7 +108,7 @@ class EventFdSource(Source):
     """An entity for which rcl writes to an eventfd that asyncio watches."""
 
     path = "eventfd"
-    signals: ClassVar[tuple[Signal, ...]]
+    announcements: ClassVar[tuple[Announcement, ...]]
     drains_first: ClassVar[bool] = True
     """Whether there may be data from before the attachment that nobody announces."""
     announced = 0
@@ -128,8 +128,8 @@ class EventFdSource(Source):
             self.handle.__exit__(None, None, None)
             raise
         try:
-            for signal in self.signals:
-                rcl.watch(signal, self.handle.pointer, self._fd)
+            for each in self.announcements:
+                announcements.watch(each, self.handle.pointer, self._fd)
             self.listen(self.pool)
         except BaseException:
             self.detach()
@@ -142,9 +142,9 @@ class EventFdSource(Source):
             return
         self.closed = True
         self.runtime.drained(self)
-        for signal in self.signals:
+        for each in self.announcements:
             try:
-                rcl.unwatch(signal, self.handle.pointer)
+                announcements.unwatch(each, self.handle.pointer)
             except (RclCallFailed, UnsupportedPlatform) as error:
                 log.debug("%s: %s", self.where, error)
         self._stop_listening()

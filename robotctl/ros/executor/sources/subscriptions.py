@@ -12,11 +12,11 @@ from typing import Any
 from rclpy.qos import HistoryPolicy, QoSProfile
 from rclpy.subscription import Subscription
 
-from robotctl.ros.executor import rcl
+from robotctl.ros.executor.announcements import Announcement
 from robotctl.ros.executor.decoder import decoder_of
 from robotctl.ros.executor.errors import RclCallFailed
-from robotctl.ros.executor.rcl import Signal
 from robotctl.ros.executor.runtime import Runtime
+from robotctl.ros.executor.serialized_taker import SerializedTaker
 from robotctl.ros.executor.sources.source import EventFdSource, TakeFailed, rest_of
 from robotctl.ros.executor.time_limits import (
     CALM_VERDICT_NS,
@@ -31,21 +31,21 @@ from robotctl.ros.executor.time_limits import (
 class _TakenSource(EventFdSource):
     """Whatever is taken serialized, message by message, until nothing is left."""
 
-    signals = (Signal.MESSAGE,)
+    announcements = (Announcement.MESSAGE,)
 
     def __init__(
         self, runtime: Runtime, subscription: Subscription, where: str, *, views: bool = False
     ) -> None:
         super().__init__(runtime, subscription, subscription.handle, where)
-        self._taker = rcl.SerializedTaker(self.handle.pointer, views=views)
+        self._taker = SerializedTaker(self.handle.pointer, views=views)
 
     def receiver(self) -> Callable[..., Any]:
-        """What is called with a `rcl.Serialized`, field by field."""
+        """What is called with a `TakenMessage`, field by field."""
         raise NotImplementedError
 
     def detach(self) -> None:
         if not self.closed:
-            self._taker.close()
+            self._taker.free()
         super().detach()
 
     def take(self) -> Any:

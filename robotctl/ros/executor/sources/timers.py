@@ -9,8 +9,8 @@ from rclpy.clock import JumpHandle, JumpThreshold, ROSClock
 from rclpy.duration import Duration
 from rclpy.timer import Timer
 
-from robotctl.ros.executor import rcl
-from robotctl.ros.executor.rcl import Signal
+from robotctl.ros.executor import announcements
+from robotctl.ros.executor.announcements import Announcement
 from robotctl.ros.executor.runtime import Runtime
 from robotctl.ros.executor.sources.source import Source
 from robotctl.ros.executor.timerfd import TimerFd
@@ -43,7 +43,7 @@ class TimerSource(Source):
         try:
             self._timer_fd = TimerFd()
             self._reset_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-            rcl.watch(Signal.TIMER_RESET, self.handle.pointer, self._reset_fd)
+            announcements.watch(Announcement.TIMER_RESET, self.handle.pointer, self._reset_fd)
             self.runtime.loop.add_reader(self._reset_fd, self._on_reset)
             self.runtime.loop.add_reader(self._timer_fd.fd, self._on_expiry)
             if isinstance(self.entity.clock, ROSClock):
@@ -63,7 +63,7 @@ class TimerSource(Source):
             self._jumps.unregister()
         loop = self.runtime.loop
         if self._reset_fd >= 0:
-            rcl.unwatch(Signal.TIMER_RESET, self.handle.pointer)
+            announcements.unwatch(Announcement.TIMER_RESET, self.handle.pointer)
             if not loop.is_closed():
                 loop.remove_reader(self._reset_fd)
             os.close(self._reset_fd)
