@@ -1,0 +1,60 @@
+"""The numbers that shape a decision are those of docs/ros.md: default, limits and unit."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robotctl.kernel.params import KernelParams
+from robotctl.kernel.patterns import Pattern
+
+PAGE = (Path(__file__).parents[2] / "docs" / "ros.md").read_text()
+DOCUMENTED = dict(re.findall(r"^\| `([\w.]+)` \| (\S* \| .*?) \|$", PAGE, re.MULTILINE))
+
+
+def numbers(values: Any, prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Yield the key of every number, and what the page has to say of it."""
+    for field in fields(values):
+        value = getattr(values, field.name)
+        if is_dataclass(value):
+            yield from numbers(value, f"{prefix}{field.name}.")
+        elif isinstance(value, float):
+            allowed = field.metadata["range"]
+            said = f"{value} | {allowed.low:g} to {allowed.high:g} {allowed.unit}".rstrip()
+            yield f"{prefix}{field.name}", said
+
+
+NUMBERS = dict(numbers(KernelParams()))
+
+
+@pytest.mark.parametrize("key", NUMBERS)
+def test_a_number_is_as_the_page_says(key: str) -> None:
+    assert DOCUMENTED[key] == NUMBERS[key]
+
+
+def test_every_number_is_found() -> None:
+    assert len(NUMBERS) == 18
+
+
+@pytest.mark.parametrize(
+    ("pattern", "is_allowed"),
+    [
+        (Pattern(size_m=0.1), True),
+        (Pattern(size_m=100.0), True),
+        (Pattern(speed_mps=0.01), True),
+        (Pattern(speed_mps=10.0), True),
+        (Pattern(size_m=0.099), False),
+        (Pattern(size_m=100.1), False),
+        (Pattern(speed_mps=0.0099), False),
+        (Pattern(speed_mps=10.1), False),
+        (Pattern(size_m=float("nan")), False),
+        (Pattern(speed_mps=float("nan")), False),
+    ],
+)
+def test_a_pattern_is_refused_beyond_its_limits(pattern: Pattern, is_allowed: bool) -> None:
+    assert (pattern.refusal() == "") is is_allowed

@@ -1,0 +1,45 @@
+"""The kernel's values cannot change after they are made: a State is replaced as a whole."""
+
+from __future__ import annotations
+
+from dataclasses import FrozenInstanceError, fields, is_dataclass
+from importlib import import_module
+from pkgutil import iter_modules
+
+import pytest
+
+from robotctl import kernel
+
+
+def values() -> list[type]:
+    """Return every dataclass of the kernel."""
+    modules = [
+        import_module(f"{kernel.__name__}.{each.name}") for each in iter_modules(kernel.__path__)
+    ]
+    return sorted(
+        {
+            value
+            for module in modules
+            for value in vars(module).values()
+            if isinstance(value, type) and is_dataclass(value)
+        },
+        key=lambda kind: kind.__qualname__,
+    )
+
+
+def test_every_value_is_found() -> None:
+    names = {kind.__name__ for kind in values()}
+    assert names > {"State", "Health", "KernelParams", "Tick", "Reply", "Drive", "Line", "Rule"}
+
+
+@pytest.mark.parametrize("kind", values(), ids=lambda kind: kind.__name__)
+def test_a_value_cannot_be_changed(kind: type) -> None:
+    value = object.__new__(kind)
+    for field in fields(kind):
+        with pytest.raises(FrozenInstanceError):
+            setattr(value, field.name, 0)
+
+
+@pytest.mark.parametrize("kind", values(), ids=lambda kind: kind.__name__)
+def test_a_value_has_its_fields_and_no_more(kind: type) -> None:
+    assert not hasattr(object.__new__(kind), "__dict__")

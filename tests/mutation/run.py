@@ -1,0 +1,274 @@
+"""Mutation test of `robotctl/kernel`: how many small changes of the code do its tests notice?
+
+    python tests/mutation/run.py --count 300 --seed 1   300 mutants drawn by the seed
+    python tests/mutation/run.py                        every mutant: more than an hour
+    python tests/mutation/run.py --only drive.Drive     those of one module, class or function
+
+cosmic-ray makes the mutants, in a copy of the tree; each one runs `tests/kernel`. A mutant that no
+test notices has survived: write the test that is missing, or list the mutant in `equivalent.toml`
+with the reason why nothing can notice it. The exit code is 1 when fewer than 95 % of the mutants
+are killed or more than 3 % are listed as equivalent.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import difflib
+import multiprocessing
+import os
+import random
+import re
+import resource
+import shutil
+import sys
+import tempfile
+import time
+import tomllib
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+
+import pytest
+from cosmic_ray import plugins
+from cosmic_ray.ast import ast_nodes, get_ast
+from cosmic_ray.mutating import mutate_code
+from hypothesis import HealthCheck, Phase, settings
+
+TREE = Path(__file__).parents[2]
+KERNEL = Path("robotctl/kernel")
+TESTS = Path("tests/kernel")
+
+RUN_LAST = ("test_codec.py", "test_driving.py", "test_properties.py")
+"""The slow test files; the others kill most mutants within a second."""
+
+NOT_MUTANTS = re.compile(
+    # These fail with TypeError on floats, whatever the tests are: they would flatter the figure.
+    r"core/ReplaceBinaryOperator_(\w+_(RShift|LShift|BitOr|BitAnd|BitXor)|BitOr_\w+)"
+    # Members of an enum, classes and None are equal only to themselves.
+    r"|core/ReplaceComparisonOperator_(Is_Eq|IsNot_NotEq)"
+)
+
+LEAST_KILLED, MOST_EQUIVALENT = 0.95, 0.03
+
+CPU_S, WALL_S, MEMORY_BYTES = 30, 300, 4 << 30
+"""Limits of one run of the tests, which takes less than 10 s: some mutants never end."""
+
+
+Key = tuple[str, str, str]
+
+
+class Outcome(Enum):
+    """What became of a mutant; one that ran into a limit is killed too."""
+
+    KILLED = "killed"
+    OUT_OF_TIME = "out of time"
+    SURVIVED = "survived"
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    """Where a mutant can be made: the `occurrence`-th place for this operator of cosmic-ray.
+
+    `where` is the definition around it: module.Class.function.
+    """
+
+    path: Path
+    operator: str
+    occurrence: int
+    where: str
+
+
+@dataclass(frozen=True, slots=True)
+class Mutant:
+    """The code of a module with one change: in `where`, `was` became `now`."""
+
+    code: str
+    where: str
+    was: str
+    now: str
+
+    @property
+    def key(self) -> Key:
+        """What `equivalent.toml` names it by; line numbers would change too often."""
+        return self.where, self.was, self.now
+
+
+def sites(folder: Path) -> Iterator[Site]:
+    """Yield every site of the kernel in `folder`, always in the same order."""
+    for path in sorted((folder / KERNEL).rglob("*.py")):
+        source = path.read_text()
+        places = _Places(source, ".".join(path.relative_to(folder / KERNEL).with_suffix("").parts))
+        nodes = list(ast_nodes(get_ast(source)))
+        for name in sorted(plugins.operator_names()):
+            if NOT_MUTANTS.fullmatch(name) or plugins.get_operator(name).arguments():
+                continue
+            operator = plugins.get_operator(name)()
+            positions = [begin for node in nodes for begin, _ in operator.mutation_positions(node)]
+            for occurrence, begin in enumerate(positions):
+                if not places.is_annotation(*begin):
+                    yield Site(path, name, occurrence, places.name_of(begin[0]))
+
+
+def mutant_at(site: Site) -> Mutant:
+    """Make the mutant."""
+    source = site.path.read_text()
+    code = mutate_code(source, plugins.get_operator(site.operator)(), site.occurrence)
+    changes = list(difflib.ndiff(source.splitlines(), code.splitlines()))
+    was, now = (
+        " ".join(line[2:].strip() for line in changes if line.startswith(sign)) for sign in "-+"
+    )
+    return Mutant(code, site.where, was, now)
+
+
+class _Places:
+    """Which definition a line of a module belongs to, and what of it is never executed."""
+
+    def __init__(self, source: str, module: str) -> None:
+        self._names = {}
+        self._annotations = []
+        pending = [(module, node) for node in ast.parse(source).body]
+        for prefix, node in pending:  # grows: outer definitions come before inner ones
+            if isinstance(node, (ast.ClassDef, ast.FunctionDef)):
+                prefix = f"{prefix}.{node.name}"
+                pending += [(prefix, inner) for inner in node.body]
+            first = min(each.lineno for each in [node, *getattr(node, "decorator_list", [])])
+            for line in range(first, (node.end_lineno or node.lineno) + 1):
+                self._names[line] = prefix
+            if isinstance(node, ast.FunctionDef):
+                arguments = node.args
+                every = [*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs]
+                self._annotations += [each.annotation for each in every if each.annotation]
+                self._annotations += [node.returns] if node.returns else []
+
+    def name_of(self, line: int) -> str:
+        """Return the qualified name of the innermost definition around `line`."""
+        return self._names[line]
+
+    def is_annotation(self, line: int, column: int) -> bool:
+        """Say whether the annotation of a function is there; mypy holds those."""
+        return any(
+            (each.lineno, each.col_offset)
+            <= (line, column)
+            < (each.end_lineno, each.end_col_offset)
+            for each in self._annotations
+        )
+
+
+def copied(folder: Path) -> Path:
+    """Copy into `folder` what the tests of the kernel need."""
+    for name in ("robotctl", "tests", "docs"):
+        shutil.copytree(TREE / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(TREE / "pyproject.toml", folder)
+    return folder
+
+
+def run_tests(folder: Path, *, cache: bool = False) -> int | None:
+    """Run the tests of the kernel in a process of their own; return its exit code."""
+    process = multiprocessing.get_context("fork").Process(target=_test, args=(folder, cache))
+    process.start()
+    process.join(WALL_S)
+    process.kill()
+    process.join()
+    return process.exitcode
+
+
+def _test(folder: Path, cache: bool) -> None:
+    resource.setrlimit(resource.RLIMIT_CPU, (CPU_S, CPU_S))
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
+    with (folder / "output").open("w") as output:
+        os.dup2(output.fileno(), 1)
+        os.dup2(output.fileno(), 2)
+    os.chdir(folder)
+    for variable in ("PYTHONPATH", "LD_LIBRARY_PATH", "AMENT_PREFIX_PATH"):
+        os.environ.pop(variable, None)  # for a sourced ROS the tests would start this script again
+    sys.dont_write_bytecode = not cache
+    # An editable install finds its modules before sys.path does: those of the tree, not the copy.
+    sys.meta_path[:] = [each for each in sys.meta_path if "editable" not in type(each).__module__]
+    sys.path.insert(0, str(folder))
+    settings.register_profile(
+        "mutation",
+        derandomize=True,
+        database=None,
+        deadline=None,
+        phases=(Phase.explicit, Phase.generate),  # how a mutant fails need not be made simple
+        suppress_health_check=[HealthCheck.too_slow],
+    )
+    options = ["-x", "-q", "-n0", "-p", "no:cacheprovider", "--hypothesis-profile=mutation"]
+    options += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]  # hypothesis is imported above
+    files = sorted((folder / TESTS).glob("test_*.py"), key=lambda file: file.name in RUN_LAST)
+    code = pytest.main([*options, *map(str, files)])
+    # isort: split
+    import robotctl
+
+    assert Path(robotctl.__file__ or "").is_relative_to(folder), robotctl.__file__
+    os._exit(code)
+
+
+def outcome(path: Path, code: str, folder: Path) -> Outcome:
+    """Say what the tests of the kernel make of `code` at `path`."""
+    original = path.read_text()
+    path.write_text(code)
+    try:
+        exit_code = run_tests(folder)
+    finally:
+        path.write_text(original)
+    if exit_code == 0:
+        return Outcome.SURVIVED
+    return Outcome.KILLED if exit_code is not None and exit_code > 0 else Outcome.OUT_OF_TIME
+
+
+def equivalents() -> dict[Key, str]:
+    """Return the reasons of `equivalent.toml` by the mutants' keys."""
+    groups = tomllib.loads((Path(__file__).parent / "equivalent.toml").read_text())["group"]
+    return {tuple(key): group["reason"] for group in groups for key in group["mutants"]}
+
+
+def main() -> int:
+    """Draw, run and report."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--count", type=int, help="how many mutants to draw; default: all")
+    parser.add_argument("--seed", type=int, default=1, help="of the draw; default: 1")
+    parser.add_argument("--only", default="", help="a name such as drive. or drive.Drive.advance")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory(prefix="robotctl-mutation-") as name:
+        folder = copied(Path(name).resolve())
+        drawn = [site for site in sites(folder) if site.where.startswith(options.only)]
+        print(f"{options.count or 'all'} of {len(drawn)} mutants, seed {options.seed}")
+        if options.count is not None:
+            drawn = random.Random(options.seed).sample(drawn, options.count)
+        if run_tests(folder, cache=True) != 0:
+            print((folder / "output").read_text(), "the tests fail without a mutant", sep="\n")
+            return 1
+        shutil.rmtree(folder / KERNEL / "__pycache__")  # may be taken for that of a mutant
+        return report(drawn, equivalents(), folder)
+
+
+def report(drawn: Sequence[Site], listed: Mapping[Key, str], folder: Path) -> int:
+    """Run the mutants, print those that survive and the figures; return the exit code."""
+    counts: Counter[str] = Counter()
+    wrong = 0
+    begin = time.monotonic()
+    for number, site in enumerate(drawn, 1):
+        mutant = mutant_at(site)
+        result = outcome(site.path, mutant.code, folder)
+        is_listed = mutant.key in listed
+        counts["equivalent" if is_listed else result.value] += 1
+        if is_listed is (result is Outcome.SURVIVED):
+            continue
+        minutes = (time.monotonic() - begin) / 60
+        note = f"listed as equivalent, but {result.value}" if is_listed else result.value
+        print(f"{number}, {minutes:.0f} min, {note}: {mutant.where}")
+        print(f"- {mutant.was}\n+ {mutant.now}", flush=True)
+        wrong += is_listed
+    killed = (counts["killed"] + counts["out of time"]) / len(drawn)
+    equivalent = counts["equivalent"] / len(drawn)
+    print(", ".join(f"{count} {name}" for name, count in counts.items()), end=": ")
+    print(f"{killed:.1%} killed, {equivalent:.1%} equivalent, {time.monotonic() - begin:.0f} s")
+    return int(wrong > 0 or killed < LEAST_KILLED or equivalent > MOST_EQUIVALENT)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
