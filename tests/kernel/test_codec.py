@@ -13,12 +13,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robotctl.kernel.codec import from_json, to_json
+from robotctl.kernel.drive import Drive
+from robotctl.kernel.geometry import ORIGIN
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.state import State
 from robotctl.kernel.types import (
+    ZERO,
     BatteryReceived,
     DriveEnded,
     DriveReport,
@@ -27,6 +30,7 @@ from robotctl.kernel.types import (
     LatchEmergencyStop,
     ModeChanged,
     ModeRequested,
+    Odometry,
     OdomReceived,
     PublishTwist,
     ReleaseEmergencyStop,
@@ -143,3 +147,29 @@ def test_a_field_that_an_older_version_did_not_write_takes_its_default() -> None
 def test_a_field_without_a_default_is_never_made_up() -> None:
     with pytest.raises(ValueError, match="not a"):
         from_json(Tick, '{"missed": 0}')
+
+
+def test_what_an_older_version_did_not_write_is_unknown_or_nothing() -> None:
+    """A default that changes would change how old journals are read."""
+    assert to_json(from_json(State, "{}")) == (
+        '{"mode":0,"phase":"standing","reason":"started","cause":null,'
+        '"command":{"linear":0.0,"angular":0.0},"tick_t_ns":null,"health":{'
+        '"odometry":null,"odometry_t_ns":0,"odometry_stamp_ns":0,"odometry_fault":"",'
+        '"battery_level":null,"battery_t_ns":0,"foreign_publishers":[],"reported":[],'
+        '"path_error_m":0.0,"tick_gap_s":0.0,'
+        '"odometry_sources":{"followed":0,"names":[],"dropped":0,"second":null},'
+        '"command_topic":{"foreign_t_ns":null,"foreign_by":"","listeners":null,"other_types":[]},'
+        '"stalls":{"count":0,"last_t_ns":0,"last_s":0.0,"detail":""},"battery_in_percent":false},'
+        '"drive":null,"stop_reason":"","waiting":[]}'
+    )
+    drive = '{"request_id":1,"pattern":{},"laps":0,"origin":{}}'
+    assert to_json(from_json(Drive, drive)) == (
+        '{"request_id":1,"pattern":{"kind":"square","size_m":1.0,"speed_mps":0.5},"laps":0,'
+        '"origin":{"x":0.0,"y":0.0,"theta":0.0},'
+        '"progress":{"laps":0,"segment":0,"length":0.0,"speed":0.0,"settling_s":0.0,'
+        '"closure_m":"nan"},"score":{"samples":0,"squared_error_sum":0.0,"max_error_m":0.0,'
+        '"error_m":0.0,"distance_m":0.0}}'
+    )
+    sample = Odometry(ORIGIN, ZERO, 1)
+    text = '{"t_ns":7,"odometry":{"pose":{},"velocity":{},"stamp_ns":1}}'
+    assert from_json(OdomReceived, text) == OdomReceived(7, sample, source=0, sequence=0)

@@ -1,4 +1,4 @@
-"""The numbers that shape a decision are those of docs/ros.md: default, limits and unit."""
+"""The numbers and topics of the kernel are those of docs/ros.md: default, limits and unit."""
 
 from __future__ import annotations
 
@@ -17,28 +17,31 @@ PAGE = (Path(__file__).parents[2] / "docs" / "ros.md").read_text()
 DOCUMENTED = dict(re.findall(r"^\| `([\w.]+)` \| (\S* \| .*?) \|$", PAGE, re.MULTILINE))
 
 
-def numbers(values: Any, prefix: str = "") -> Iterator[tuple[str, str]]:
-    """Yield the key of every number, and what the page has to say of it."""
+def parameters(values: Any, prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Yield the key of every number and topic, and what the page has to say of it."""
     for field in fields(values):
         value = getattr(values, field.name)
         if is_dataclass(value):
-            yield from numbers(value, f"{prefix}{field.name}.")
+            yield from parameters(value, f"{prefix}{field.name}.")
         elif isinstance(value, float):
             allowed = field.metadata["range"]
             said = f"{value} | {allowed.low:g} to {allowed.high:g} {allowed.unit}".rstrip()
             yield f"{prefix}{field.name}", said
+        elif field.metadata.get("topic"):
+            none = '; "" for none' if field.metadata["optional"] else ""
+            yield f"{prefix}{field.name}", f"{value} | a topic{none}"
 
 
-NUMBERS = dict(numbers(KernelParams()))
+PARAMETERS = dict(parameters(KernelParams()))
 
 
-@pytest.mark.parametrize("key", NUMBERS)
-def test_a_number_is_as_the_page_says(key: str) -> None:
-    assert DOCUMENTED[key] == NUMBERS[key]
+@pytest.mark.parametrize("key", PARAMETERS)
+def test_a_parameter_is_as_the_page_says(key: str) -> None:
+    assert DOCUMENTED[key] == PARAMETERS[key]
 
 
-def test_every_number_is_found() -> None:
-    assert len(NUMBERS) == 18
+def test_every_parameter_is_found() -> None:
+    assert len(PARAMETERS) == 21
 
 
 @pytest.mark.parametrize(

@@ -28,7 +28,9 @@ def drive(pattern: Pattern, at: Progress | None = None, laps: int = 1) -> Drive:
 
 
 def test_the_reference_speeds_up_with_60_percent_of_the_limit() -> None:
-    line = drive(SQUARE, Progress(length=0.1)).advance(0.1, FAR, LIMITS).progress
+    begun = Progress(length=0.1, settling_s=0.2)
+    line = drive(SQUARE, begun).advance(0.1, FAR, LIMITS).progress
+    assert line.settling_s == 0.0
     assert isclose(line.speed, 0.6 * 0.5 * 0.1)
     assert isclose(line.length, 0.1 + line.speed * 0.1)
     turn = drive(SQUARE, Progress(segment=1, length=0.1)).advance(0.1, FAR, LIMITS).progress
@@ -117,6 +119,12 @@ def test_a_robot_has_arrived_within_5_mm_and_a_hundredth_of_a_radian(
         assert after == (Progress(segment=1) if arrived else replace(LINE_END, settling_s=0.02))
 
 
+def test_a_robot_5_mm_from_a_stop_has_not_arrived() -> None:
+    """Whose line is 5 mm long, for no other distance is exact."""
+    tiny = drive(Pattern(PatternKind.SQUARE, 0.005), Progress(length=0.005))
+    assert tiny.advance(0.02, ORIGIN, LIMITS).progress.segment == 0
+
+
 def test_a_lap_of_the_square_has_eight_segments_and_ends_where_the_robot_is() -> None:
     at = Progress(segment=7, length=pi / 2, closure_m=0.5)
     origin = Pose(1.0, 2.0, 0.0)
@@ -198,7 +206,9 @@ def test_the_distance_to_a_line_is_that_to_its_nearest_place_or_end() -> None:
 
 
 def test_the_distance_to_a_turn_is_that_to_its_corner() -> None:
-    assert Turn(Pose(1.0, 1.0, 0.0), pi / 2).distance_to(Pose(4.0, 5.0, 2.0), 0.5) == 5.0
+    turn = Turn(Pose(1.0, 1.0, 0.0), pi / 2)
+    assert turn.distance_to(Pose(4.0, 5.0, 2.0), 0.5) == 5.0
+    assert turn.top_curvature == turn.curvature_at(0.5) == 1.0
 
 
 @pytest.mark.parametrize("from_centre_m", [0.0, 1.5, 2.0, 2.5])
@@ -210,6 +220,7 @@ def test_the_distance_to_a_circle_is_that_along_its_radius(from_centre_m: float)
 
 def test_the_outline_of_a_square_is_its_corners() -> None:
     outline = lap_of(PatternKind.SQUARE, 2.0).outline()
+    assert outline[0] == ORIGIN
     assert len(outline) == 9
     corners = [(0, 0), (2, 0), (2, 0), (2, 2), (2, 2), (0, 2), (0, 2), (0, 0), (0, 0)]
     for pose, (x, y) in zip(outline, corners, strict=True):
@@ -222,6 +233,23 @@ def test_the_outline_of_a_circle_is_a_pose_every_2_degrees() -> None:
     assert len(outline) == 181
     for number, pose in enumerate(outline):
         assert isclose(pose.theta, number * pi / 90, abs_tol=1e-9)
+
+
+def test_the_figure_eight_goes_where_its_heading_points() -> None:
+    """Each of its 720 chords has the heading of its middle."""
+    eight = lap_of(PatternKind.FIGURE_EIGHT, 0.5).segments[0]
+    piece_m = eight.length / 720
+    for number in range(720):
+        begin, end = eight.pose_at(number * piece_m), eight.pose_at((number + 1) * piece_m)
+        heading = eight.pose_at((number + 0.5) * piece_m).theta
+        assert isclose(end.x - begin.x, piece_m * cos(heading), abs_tol=1e-9)
+        assert isclose(end.y - begin.y, piece_m * sin(heading), abs_tol=1e-9)
+
+
+def test_the_figure_eight_is_as_long_as_two_circles_and_turns_most_at_a_quarter() -> None:
+    eight = lap_of(PatternKind.FIGURE_EIGHT, 0.5).segments[0]
+    assert isclose(eight.length, 2 * Circle(0.5).length)
+    assert isclose(eight.curvature_at(eight.length / 4), eight.top_curvature)
 
 
 # The law

@@ -34,7 +34,7 @@ def test_every_value_is_found() -> None:
 
 @pytest.mark.parametrize("kind", values(), ids=lambda kind: kind.__name__)
 def test_a_value_cannot_be_changed(kind: type) -> None:
-    value = object.__new__(kind)
+    value: object = object.__new__(kind)
     for field in fields(kind):
         with pytest.raises(FrozenInstanceError):
             setattr(value, field.name, 0)

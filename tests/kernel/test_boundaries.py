@@ -1,0 +1,246 @@
+"""Each limit holds at the documented number: at it all is well, just beyond it is not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import nan
+
+import pytest
+
+from robotctl.kernel.drive import Progress
+from robotctl.kernel.geometry import ORIGIN, Pose
+from robotctl.kernel.health import Health, OdometrySources, SecondOdometry
+from robotctl.kernel.kernel import Kernel
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.odometry import may_follow, odometry_fault, source_found
+from robotctl.kernel.params import BatteryParams, BatteryScale, KernelParams, OdometryParams
+from robotctl.kernel.safety import uncleared
+from robotctl.kernel.state import State
+from robotctl.kernel.types import (
+    ZERO,
+    Cause,
+    DriveEnded,
+    ForeignCommandHeard,
+    Odometry,
+    OdometrySourceFound,
+    OdomReceived,
+    PublishTwist,
+    Tick,
+    Twist,
+)
+from robotctl.testing.kernels import Bench, in_mode, moving, ready, reset, start
+
+NOW_NS = 100_000_000_000
+PARAMS = KernelParams()
+
+
+def odometry(pose: Pose = ORIGIN, stamp_ns: int = NOW_NS) -> Odometry:
+    return Odometry(pose, ZERO, stamp_ns)
+
+
+HEALTHY = Health(odometry=odometry(), odometry_t_ns=NOW_NS, battery_level=1.0, battery_t_ns=NOW_NS)
+
+
+def hindered(cause: Cause, health: Health) -> bool:
+    return uncleared(cause, health, PARAMS, NOW_NS) is not None
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_odometry_is_lost_after_half_a_second(way: int) -> None:
+    for age_ns, is_lost in ((500_000_000, False), (500_000_001, True)):
+        health = replace(HEALTHY, odometry_t_ns=NOW_NS - way * age_ns)
+        assert hindered(Cause.ODOMETRY_LOST, health) is is_lost
+        wrong = replace(health, odometry_fault="odometry is not finite")
+        assert hindered(Cause.ODOMETRY_WRONG, wrong) is is_lost
+
+
+def test_a_battery_is_unknown_after_5_s() -> None:
+    for age_ns, is_unknown in ((5_000_000_000, False), (5_000_000_001, True)):
+        health = replace(HEALTHY, battery_t_ns=NOW_NS - age_ns)
+        assert hindered(Cause.BATTERY_UNKNOWN, health) is is_unknown
+
+
+@pytest.mark.parametrize("level", [0.0, 0.3, 1.0, 1.05])
+def test_a_level_from_empty_to_a_gauge_that_overshoots_by_5_percent_is_known(level: float) -> None:
+    assert not hindered(Cause.BATTERY_UNKNOWN, replace(HEALTHY, battery_level=level))
+
+
+@pytest.mark.parametrize("level", [-0.001, 1.051, nan])
+def test_a_level_below_empty_or_above_full_is_unknown(level: float) -> None:
+    assert hindered(Cause.BATTERY_UNKNOWN, replace(HEALTHY, battery_level=level))
+
+
+@pytest.mark.parametrize(("level", "is_cleared"), [(0.19, False), (0.2, True), (0.9, True)])
+def test_a_battery_has_cleared_at_20_percent_and_above(level: float, is_cleared: bool) -> None:
+    assert hindered(Cause.BATTERY_LOW, replace(HEALTHY, battery_level=level)) is not is_cleared
+
+
+@pytest.mark.parametrize(
+    ("raw", "level"), [(1.05, 1.05), (1.06, 0.0106), (104.9, 1.049), (105.1, 105.1)]
+)
+def test_a_gauge_counts_in_percent_where_it_reports_more_than_full_and_up_to_105(
+    raw: float, level: float
+) -> None:
+    bench = ready(replace(PARAMS, battery=BatteryParams(scale=BatteryScale.AUTO)))
+    bench.battery(raw)
+    assert bench.state.health.battery_level == pytest.approx(level)
+
+
+def test_a_foreign_command_hinders_motion_for_1_s() -> None:
+    for age_ns, hinders in ((1_000_000_000, True), (1_000_000_001, False)):
+        bench = ready()
+        bench.give(ForeignCommandHeard(bench.t_ns - age_ns, "/teleop"))
+        assert bool(start(bench)) is hinders
+
+
+@pytest.mark.parametrize(
+    ("pose", "fault"),
+    [
+        (Pose(0.5, 0.0, 0.0), ""),
+        (Pose(0.501, 0.0, 0.0), "odometry jumped by 0.50 m"),
+        (Pose(0.0, 0.0, -1.0), ""),
+        (Pose(0.0, 0.0, -1.001), "odometry jumped by 1.00 rad"),
+    ],
+)
+def test_odometry_jumps_by_more_than_half_a_metre_or_1_rad(pose: Pose, fault: str) -> None:
+    assert odometry_fault(HEALTHY, odometry(pose), OdometryParams()) == fault
+
+
+def test_a_stamp_may_stand_still_and_not_go_back() -> None:
+    health = replace(HEALTHY, odometry_stamp_ns=7)
+    assert odometry_fault(health, odometry(stamp_ns=7), OdometryParams()) == ""
+    assert odometry_fault(health, odometry(stamp_ns=6), OdometryParams())
+
+
+@pytest.mark.parametrize("number", range(5))
+def test_each_number_of_odometry_must_be_finite(number: int) -> None:
+    x, y, theta, linear, angular = (nan if each == number else 0.0 for each in range(5))
+    sample = Odometry(Pose(x, y, theta), Twist(linear, angular), NOW_NS)
+    assert "odometry" in odometry_fault(HEALTHY, sample, OdometryParams())
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_another_publisher_is_followed_after_half_a_second_of_silence(way: int) -> None:
+    event = OdomReceived(NOW_NS, odometry(), source=2)
+    for age_ns, follows in ((500_000_000, False), (500_000_001, True)):
+        health = replace(HEALTHY, odometry_t_ns=NOW_NS - way * age_ns)
+        assert may_follow(health, event, OdometryParams()) is follows
+    assert may_follow(replace(HEALTHY, odometry=None), event, OdometryParams())
+
+
+def test_a_second_publisher_hinders_a_start_for_half_a_second() -> None:
+    for age_ns, hinders in ((500_000_000, True), (500_000_001, False)):
+        second = SecondOdometry(2, NOW_NS - age_ns, 9.0, 0.0)
+        health = replace(HEALTHY, odometry_sources=OdometrySources(second=second))
+        assert hindered(Cause.SECOND_ODOMETRY, health) is hinders
+        assert hindered(Cause.ODOMETRY_CONTRADICTED, health) is hinders
+
+
+@pytest.mark.parametrize(
+    ("distance_m", "angle_rad", "contradicts"),
+    [(0.5, 1.0, False), (0.51, 0.0, True), (0.0, 1.01, True), (nan, 0.0, True), (0.0, nan, True)],
+)
+def test_a_second_publisher_contradicts_from_where_odometry_would_jump(
+    distance_m: float, angle_rad: float, contradicts: bool
+) -> None:
+    second = SecondOdometry(2, NOW_NS, distance_m, angle_rad)
+    health = replace(HEALTHY, odometry_sources=OdometrySources(second=second))
+    assert hindered(Cause.ODOMETRY_CONTRADICTED, health) is contradicts
+
+
+def test_tracking_is_lost_beyond_half_a_metre() -> None:
+    assert not hindered(Cause.TRACKING_LOST, replace(HEALTHY, path_error_m=0.5))
+    assert hindered(Cause.TRACKING_LOST, replace(HEALTHY, path_error_m=0.501))
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_a_tick_may_be_300_ms_late(way: int) -> None:
+    for gap_ns, stops in ((300_000_000, False), (300_000_001, True)):
+        bench = moving()
+        bench.give(Tick((bench.state.tick_t_ns or 0) + way * gap_ns))
+        assert (bench.state.cause is Cause.TICK_OVERRUN) is stops
+
+
+@pytest.mark.parametrize("back_ns", [0, 100_000_000])
+def test_a_tick_that_is_not_later_than_the_one_before_leaves_the_command(back_ns: int) -> None:
+    bench = moving()
+    command = bench.state.command
+    assert bench.give(Tick((bench.state.tick_t_ns or 0) - back_ns)) == (PublishTwist(command),)
+
+
+def test_the_names_of_the_last_16_publishers_are_kept() -> None:
+    sources = OdometrySources()
+    for number in range(20):
+        sources = source_found(sources, OdometrySourceFound(0, number, "", f"/node{number}"))
+    assert sources.names == tuple((number, f"/node{number}") for number in range(4, 20))
+    again = source_found(sources, OdometrySourceFound(0, 10, "", "/renamed"))
+    assert len(again.names) == 16
+    assert again.name_of(10) == "/renamed"
+    assert again.name_of(0) == "a publisher without a name"
+
+
+def test_64_requests_wait_for_a_ramp_and_one_more_is_refused() -> None:
+    bench = moving()
+    for _ in range(64):
+        assert bench.request(Mode.IDLE) == ()
+    bench.request(Mode.IDLE)
+    assert not bench.replies[-1].ok
+
+
+@pytest.mark.parametrize(("laps", "is_allowed"), [(0, True), (100_000, True), (100_001, False)])
+def test_a_drive_has_up_to_100_000_laps(laps: int, is_allowed: bool) -> None:
+    bench = ready()
+    bench.drive(laps=laps)
+    assert bench.replies[-1].ok is is_allowed
+
+
+@pytest.mark.parametrize(("laps", "said"), [(1, "1 lap"), (2, "2 laps")])
+def test_a_drive_that_ends_tells_its_laps(laps: int, said: str) -> None:
+    bench = moving(ticks=0)
+    drive = bench.state.drive
+    assert drive is not None
+    ended = replace(drive, laps=laps, progress=Progress(laps=laps - 1, segment=7, length=9.0))
+    bench.kernel.state = replace(bench.state, drive=ended)
+    bench.run(40)
+    (effect,) = (each for each in bench.effects if isinstance(each, DriveEnded))
+    assert effect.completed
+    assert effect.reason == f"drive finished: {said}"
+
+
+def test_a_request_for_moving_drives_until_it_is_stopped() -> None:
+    drive = moving(ticks=0).state.drive
+    assert drive is not None
+    assert drive.laps == 0
+    assert drive.pattern == PARAMS.pattern
+
+
+def test_a_drive_begins_without_speed_and_never_backwards() -> None:
+    drive = moving(ticks=0).state.drive
+    assert drive is not None
+    assert drive.progress == Progress(closure_m=drive.progress.closure_m)
+    bench = moving(ticks=5)
+    kernel = Kernel(PARAMS, replace(bench.state, command=Twist(-0.3, 0.0)))
+    bench.kernel = kernel
+    bench.drive(replacing=True)
+    assert bench.state.drive is not None
+    assert bench.state.drive.progress.speed == 0.0
+
+
+@pytest.mark.parametrize(
+    ("mode", "said"),
+    [
+        (Mode.IDLE, "Nothing to reset: mode is IDLE"),
+        (Mode.ERROR, "ERROR cleared: mode changed to IDLE"),
+        (Mode.EMERGENCY_STOP, "EMERGENCY_STOP released: mode changed to IDLE"),
+    ],
+)
+def test_a_reset_says_what_it_did(mode: Mode, said: str) -> None:
+    bench = in_mode(mode)
+    assert reset(bench)
+    assert bench.replies[-1].message == said
+
+
+def test_a_fresh_kernel_remembers_nothing() -> None:
+    assert State().health == Health()
+    assert Health().tick_gap_s == 0.0
+    assert Bench().state == State()
