@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from reprlib import repr as short_repr
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import msgspec
 from msgspec import Meta, Struct
@@ -11,7 +11,13 @@ from msgspec import Meta, Struct
 from robotctl.errors import UsageError
 from robotctl.ipc.protocol import MAX_MARK_LENGTH
 from robotctl.kernel.drive import MAX_LAPS
-from robotctl.kernel.patterns import MAX_SIZE_M, MAX_SPEED_MPS, MIN_SIZE_M, MIN_SPEED_MPS
+from robotctl.kernel.patterns import (
+    MAX_SIZE_M,
+    MAX_SPEED_MPS,
+    MIN_SIZE_M,
+    MIN_SPEED_MPS,
+    PatternKind,
+)
 
 Source = Annotated[str, Meta(max_length=200)]
 """Who asked, for the journal and the log."""
@@ -61,7 +67,7 @@ class DriveParams(Struct, frozen=True, forbid_unknown_fields=True):
     The limits are the kernel's; the configured speed limit may be lower.
     """
 
-    pattern: Literal["square", "circle", "figure-eight"]
+    pattern: PatternKind
     source: Source
     side_m: Size | None = None
     radius_m: Size | None = None
@@ -113,7 +119,7 @@ def _allowed(kind: Any) -> str:
             return f"a number from {low:g} to {high:g}"
         case inspect.StrType(min_length=low, max_length=high):
             return f"a text of {low or 0} to {high} characters"
-        case inspect.LiteralType(values=values):
-            return ", ".join(map(str, values))
+        case inspect.EnumType(cls=members):
+            return ", ".join(str(member.value) for member in members)
         case _:
             return "true or false"

@@ -6,10 +6,12 @@ metres along a line or a curve, and radians within a turn on the spot.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from functools import lru_cache
 from math import cos, hypot, pi, sin, tau
+from types import MappingProxyType
 from typing import Protocol
 
 from robotctl.kernel.geometry import ORIGIN, Pose
@@ -22,6 +24,13 @@ class PatternKind(Enum):
     SQUARE = "square"
     CIRCLE = "circle"
     FIGURE_EIGHT = "figure-eight"
+
+
+class SizeName(Enum):
+    """What the size of a pattern is called."""
+
+    SIDE = "side"
+    RADIUS = "radius"
 
 
 MIN_SIZE_M, MAX_SIZE_M = 0.1, 100.0
@@ -235,20 +244,45 @@ class Path:
         return tuple(poses)
 
 
+def _square_lap(side_m: float) -> Path:
+    segments: list[Segment] = []
+    corner = ORIGIN
+    for _ in range(4):
+        side = Line(corner, side_m)
+        turn = Turn(side.pose_at(side_m), pi / 2.0)
+        corner = turn.pose_at(turn.length)
+        segments += [side, turn]
+    return Path(tuple(segments))
+
+
+def _circle_lap(radius_m: float) -> Path:
+    return Path((Circle(radius_m),))
+
+
+def _figure_eight_lap(radius_m: float) -> Path:
+    return Path((_figure_eight(2.0 * tau * radius_m),))
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """What a pattern of one kind is: the name of its size, its default size, and its lap."""
+
+    size_name: SizeName
+    default_size_m: float
+    lap: Callable[[float], Path]
+
+
+SHAPES: Mapping[PatternKind, Shape] = MappingProxyType(
+    {
+        PatternKind.SQUARE: Shape(SizeName.SIDE, 1.0, _square_lap),
+        PatternKind.CIRCLE: Shape(SizeName.RADIUS, 0.5, _circle_lap),
+        PatternKind.FIGURE_EIGHT: Shape(SizeName.RADIUS, 0.5, _figure_eight_lap),
+    }
+)
+"""Every kind of pattern; the command line, the configuration and the socket take theirs from it."""
+
+
 @lru_cache(maxsize=16)
 def lap_of(kind: PatternKind, size_m: float) -> Path:
-    """Return one lap of the shape: the square stops, turns and goes; the others flow."""
-    match kind:
-        case PatternKind.SQUARE:
-            segments: list[Segment] = []
-            corner = ORIGIN
-            for _ in range(4):
-                side = Line(corner, size_m)
-                turn = Turn(side.pose_at(size_m), pi / 2.0)
-                corner = turn.pose_at(turn.length)
-                segments += [side, turn]
-            return Path(tuple(segments))
-        case PatternKind.CIRCLE:
-            return Path((Circle(size_m),))
-        case PatternKind.FIGURE_EIGHT:
-            return Path((_figure_eight(2.0 * tau * size_m),))
+    """Return one lap of a pattern."""
+    return SHAPES[kind].lap(size_m)

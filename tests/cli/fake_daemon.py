@@ -101,7 +101,7 @@ class FakeDaemon:
             raise Refused("a drive is under way: add --replace")
         self.mode, self.asked_by = 1, params.source
         answer: dict[str, Any] = {
-            "message": f"Driving {params.pattern} {params.side_m} m",
+            "message": f"Driving {params.pattern.value} {params.side_m} m",
             "mode": "MOVING",
         }
         if params.wait:

@@ -47,7 +47,7 @@ async def wait_for(ended: DriveEnded, mode: Mode, laps: int) -> Any:
     control: Any = FakeControl(ended, mode)
     motion: Any = None
     drive = DrivingMethods(control, motion, KernelParams()).table()["drive"].handler
-    return await drive(DriveParams(pattern="square", source="test", laps=laps, wait=True))
+    return await drive(DriveParams(pattern=PatternKind.SQUARE, source="test", laps=laps, wait=True))
 
 
 @pytest.mark.parametrize("mode", [Mode.IDLE, Mode.MOVING, Mode.EMERGENCY_STOP])
@@ -90,9 +90,9 @@ async def test_a_speed_above_the_configured_limit_is_refused_by_name() -> None:
     nobody: Any = None  # is asked
     drive = DrivingMethods(nobody, nobody, KernelParams()).table()["drive"].handler
     with pytest.raises(UsageError, match=r"5 m/s is above limits.linear_mps, 0.6 m/s: use at most"):
-        await drive(DriveParams(pattern="circle", source="test", speed_mps=5.0))
+        await drive(DriveParams(pattern=PatternKind.CIRCLE, source="test", speed_mps=5.0))
     with pytest.raises(AttributeError):  # the kernel is asked
-        await drive(DriveParams(pattern="circle", source="test", speed_mps=0.6))
+        await drive(DriveParams(pattern=PatternKind.CIRCLE, source="test", speed_mps=0.6))
 
 
 class RampingControl(FakeControl):
@@ -128,7 +128,9 @@ async def leave(state: State, *, wait: bool = True) -> list[ModeRequested]:
     control: Any = RampingControl(state)
     motion: Any = None
     drive = DrivingMethods(control, motion, KernelParams()).table()["drive"].handler
-    task = asyncio.ensure_future(drive(DriveParams(pattern="square", source="test", wait=wait)))
+    task = asyncio.ensure_future(
+        drive(DriveParams(pattern=PatternKind.SQUARE, source="test", wait=wait))
+    )
     for _ in range(3):
         await asyncio.sleep(0)
     task.cancel()

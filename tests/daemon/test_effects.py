@@ -25,7 +25,8 @@ from robotctl.kernel.types import (
     Reply,
     Twist,
 )
-from robotctl.recording.format.events import EventKind, RecordedEvent
+from robotctl.recording.format.event_kind import EventKind
+from robotctl.recording.format.events import RecordedEvent
 
 REPLY = Reply(1, True, "Mode changed to EMERGENCY_STOP", Mode.EMERGENCY_STOP)
 

@@ -13,7 +13,8 @@ from robotctl.cli import app
 from robotctl.config import Config
 from robotctl.daemon.recording.folder import open_recorder
 from robotctl.recording import Recording, read_info, read_messages
-from robotctl.recording.format.events import EventKind, events_in
+from robotctl.recording.format.event_kind import EventKind
+from robotctl.recording.format.events import events_in
 from robotctl.recording.format.ledger_record import read_ledger
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict

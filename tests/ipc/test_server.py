@@ -167,7 +167,7 @@ async def test_a_reply_over_the_limit_is_an_internal_error(
         (
             "drive",
             {"pattern": "star", "source": "x"},
-            "'star' is not allowed: use circle, ",
+            "'star' is not allowed: use square, circle, figure-eight",
         ),
         (
             "drive",

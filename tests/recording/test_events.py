@@ -8,7 +8,8 @@ import pytest
 from mcap.records import Metadata
 
 from robotctl.recording import Recorder, read_info
-from robotctl.recording.format.events import EventKind, RecordedEvent, events_in
+from robotctl.recording.format.event_kind import EventKind
+from robotctl.recording.format.events import RecordedEvent, events_in
 from robotctl.recording.format.identity import EVENT_RECORD
 from robotctl.recording.write import bag_writer
 from robotctl.testing.drives import START_NS, TWIST

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from robotctl.recording import Recorder
-from robotctl.recording.format.events import EventKind, RecordedEvent
+from robotctl.recording.format.event_kind import EventKind
+from robotctl.recording.format.events import RecordedEvent
 from robotctl.recording.keep.catalog import set_kept
 from robotctl.recording.keep.listing import ListedRecording, list_recordings
 from robotctl.testing.drives import START_NS, TWIST

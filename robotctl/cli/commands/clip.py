@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Iterator
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -25,6 +24,7 @@ from robotctl.cli.terminal.progress import progress_bar
 from robotctl.cli.terminal.text import duration, moment, printable, short_path
 from robotctl.errors import IN_PARENTHESES, RecoveredWithLoss, Refused, UnreadableFile, UsageError
 from robotctl.kernel.units import NS_PER_S
+from robotctl.recording.format.event_kind import CLIP_KINDS, EventKind
 
 if TYPE_CHECKING:
     from robotctl.recording.keep.clip import Clip, Moment
@@ -35,12 +35,15 @@ app = new_app()
 MAX_SECONDS = 86_400.0
 
 
-class ClipEvent(StrEnum):
-    """The events to clip; the values are those of `EventKind`, whose import is slow."""
+*_KINDS, _LAST_KIND = CLIP_KINDS
+_ALLOWED_KINDS = f"{', '.join(_KINDS)} or {_LAST_KIND}"
 
-    ESTOP = "estop"
-    ERROR = "error"
-    MARK = "mark"
+
+def _event_kind(text: str) -> EventKind:
+    for kind in CLIP_KINDS:
+        if kind.value == text:
+            return kind
+    raise UsageError(f"--event {text}", f"use {_ALLOWED_KINDS}")
 
 
 @app.command()
@@ -54,8 +57,12 @@ def clip(
         ),
     ] = None,
     event: Annotated[
-        ClipEvent | None,
-        typer.Option(metavar="KIND", help="The last estop, error or mark [default: any of them]."),
+        EventKind | None,
+        typer.Option(
+            metavar="KIND",
+            parser=_event_kind,
+            help=f"The last {_ALLOWED_KINDS} [default: any of them].",
+        ),
     ] = None,
     at: Annotated[
         str | None,
@@ -110,7 +117,7 @@ def clip(
 
 def _find(
     file: str | None,
-    event: ClipEvent | None,
+    event: EventKind | None,
     at: str | None,
     robot: str | None,
     folder: Path | None,
@@ -146,15 +153,15 @@ def _find(
     )
 
 
-def _moment(listed: ListedRecording, event: ClipEvent | None, at: str | None) -> Moment | None:
+def _moment(listed: ListedRecording, event: EventKind | None, at: str | None) -> Moment | None:
     from robotctl.recording.keep.clip import Moment
 
     if at is not None:
         at_ns = parse_moment(at, listed.start_ns, listed.end_ns)
         held = listed.start_ns <= at_ns <= listed.end_ns
         return Moment(at_ns) if held else None
-    wanted = set(ClipEvent) if event is None else {event}
-    events = [each for each in listed.events if each.kind.value in wanted]
+    wanted = CLIP_KINDS if event is None else (event,)
+    events = [each for each in listed.events if each.kind in wanted]
     return Moment.of(max(events, key=lambda each: each.log_ns)) if events else None
 
 

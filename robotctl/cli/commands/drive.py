@@ -30,7 +30,9 @@ from robotctl.kernel.patterns import (
     MAX_SPEED_MPS,
     MIN_SIZE_M,
     MIN_SPEED_MPS,
+    SHAPES,
     PatternKind,
+    SizeName,
 )
 from robotctl.paths import DEFAULT_ROBOT
 
@@ -81,10 +83,10 @@ def drive(
       robotctl drive square --side 2 --laps 3 --wait
       robotctl drive circle --radius 0.5 --speed 0.2 --replace
     """
-    if side is not None and pattern is not PatternKind.SQUARE:
-        raise UsageError(f"a {pattern.value} has no side", "use --radius")
-    if radius is not None and pattern is PatternKind.SQUARE:
-        raise UsageError("a square has no radius", "use --side")
+    wanted = SHAPES[pattern].size_name
+    for name, given in ((SizeName.SIDE, side), (SizeName.RADIUS, radius)):
+        if given is not None and name is not wanted:
+            raise UsageError(f"a {pattern.value} has no {name.value}", f"use --{wanted.value}")
     _check("--side", side, MIN_SIZE_M, MAX_SIZE_M, " m")
     _check("--radius", radius, MIN_SIZE_M, MAX_SIZE_M, " m")
     _check("--speed", speed, MIN_SPEED_MPS, MAX_SPEED_MPS, " m/s")

@@ -18,17 +18,10 @@ from robotctl.ipc.method_names import DRIVE, END_DRIVE, PATH, RESET, SET_MODE
 from robotctl.ipc.params import DriveParams, EndDriveParams, NoParams, ResetParams, SetModeParams
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
-from robotctl.kernel.patterns import Pattern, PatternKind
+from robotctl.kernel.patterns import SHAPES, Pattern, PatternKind, SizeName
 from robotctl.kernel.safety import remedies_for
 from robotctl.kernel.types import DriveEnded, DriveRequested, ModeRequested, Reply, ResetRequested
 from robotctl.paths import DEFAULT_ROBOT
-
-DEFAULT_SIZE_M = {
-    PatternKind.SQUARE: 1.0,
-    PatternKind.CIRCLE: 0.5,
-    PatternKind.FIGURE_EIGHT: 0.5,
-}
-"""Of a pattern that is not the configured one: side of the square, radius of the circles."""
 
 MODE_DEADLINE_S = 30.0
 """Longer than the ramp of any usual robot."""
@@ -70,7 +63,7 @@ class DrivingMethods:
         if kind is None or kind is configured.kind:
             kind, default_m = configured.kind, configured.size_m
         else:
-            default_m = DEFAULT_SIZE_M[kind]
+            default_m = SHAPES[kind].default_size_m
         return Pattern(
             kind,
             default_m if size_m is None else size_m,
@@ -94,15 +87,13 @@ class DrivingMethods:
         return self._answer(await self._control.request(event))
 
     async def _drive(self, params: DriveParams) -> DriveAnswer:
-        kind = PatternKind(params.pattern)
-        size_m, unused = params.side_m, params.radius_m
-        if kind is not PatternKind.SQUARE:
-            size_m, unused = unused, size_m
-        if unused is not None:
-            raise UsageError(
-                f"a {kind.value} has no {'radius' if kind is PatternKind.SQUARE else 'side'}: "
-                f"use --{'side' if kind is PatternKind.SQUARE else 'radius'}"
-            )
+        kind = params.pattern
+        sizes_m = {SizeName.SIDE: params.side_m, SizeName.RADIUS: params.radius_m}
+        wanted = SHAPES[kind].size_name
+        size_m = sizes_m.pop(wanted)
+        for other, unused_m in sizes_m.items():
+            if unused_m is not None:
+                raise UsageError(f"a {kind.value} has no {other.value}: use --{wanted.value}")
         self._check_speed(params.speed_mps)
         request_id = self._control.new_request_id()
         event = DriveRequested(

@@ -22,7 +22,8 @@ from robotctl.kernel.types import (
     Reply,
     Twist,
 )
-from robotctl.recording.format.events import EventKind, RecordedEvent
+from robotctl.recording.format.event_kind import EventKind
+from robotctl.recording.format.events import RecordedEvent
 
 _log = logging.getLogger(__name__)
 

@@ -20,7 +20,8 @@ from robotctl.daemon.recording.recorder_report import RecorderReport
 from robotctl.daemon.recording.tidier import Tidier
 from robotctl.daemon.supervisor import Work
 from robotctl.recording import RecorderStats, Topic
-from robotctl.recording.format.events import EventKind, RecordedEvent
+from robotctl.recording.format.event_kind import EventKind
+from robotctl.recording.format.events import RecordedEvent
 from robotctl.recording.write.topic_filter import TopicFilter
 from robotctl.ros.executor import UNKNOWN_GID, ViewSink
 from robotctl.ros.messages.topic_description import TopicDescription

@@ -8,25 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Self
 
 from mcap.records import Metadata
 
+from robotctl.recording.format.event_kind import EventKind
 from robotctl.recording.format.identity import EVENT_RECORD
 from robotctl.recording.format.topics import MAX_TIME_NS
 
 MAX_LAPS = 1_000_000
 """What claims more is no drive of ours."""
-
-
-class EventKind(StrEnum):
-    """What happened."""
-
-    EMERGENCY_STOP = "estop"
-    ERROR = "error"
-    MARK = "mark"
-    DRIVE_ENDED = "drive ended"
 
 
 @dataclass(frozen=True, slots=True)

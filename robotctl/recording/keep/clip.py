@@ -14,7 +14,8 @@ from robotctl.errors import Refused
 from robotctl.recording.disk.access import share_like
 from robotctl.recording.disk.new_file import new_file
 from robotctl.recording.format.compression import Compression
-from robotctl.recording.format.events import EventKind, RecordedEvent, events_in
+from robotctl.recording.format.event_kind import EventKind
+from robotctl.recording.format.events import RecordedEvent, events_in
 from robotctl.recording.format.identity import (
     CLIP_RECORD,
     EVENT_RECORD,

@@ -10,7 +10,8 @@ from errno import ENOENT
 from pathlib import Path
 
 from robotctl.kernel.units import NS_PER_S
-from robotctl.recording.format.events import EventKind, RecordedEvent, events_in
+from robotctl.recording.format.event_kind import EventKind
+from robotctl.recording.format.events import RecordedEvent, events_in
 from robotctl.recording.format.identity import INFO_RECORD
 from robotctl.recording.format.rosbag2 import metadata_text
 from robotctl.recording.keep.catalog import CLIPS_FOLDER, KEEP_FILE
