@@ -49,6 +49,7 @@ def test_an_interruption_at_any_step_of_whoever_asks_does_not_keep_the_work_from
         working.join(DEADLINE_S)
         assert not working.is_alive()
         if not was_interrupted:
+            assert step > 1, "there was no step to interrupt"
             return
 
 
