@@ -1,6 +1,6 @@
-"""ROS domains: how far they reach, and which are in use, without joining one.
+"""ROS domains: the discovery range, and which domains are in use, without joining one.
 
-A domain in use is known by the ports that its processes bind on this machine.
+A domain is in use if processes on this machine have bound its ports.
 """
 
 from __future__ import annotations
@@ -14,32 +14,33 @@ from pathlib import Path
 from robotctl.errors import Refused
 
 DOMAINS = range(1, 102)
-"""Not 0, where everybody is who did not choose; above 101 the ports are Linux's ephemeral ones."""
+"""The domains to reserve. 0 is the default of every process; the ports of domains above 101 are
+ephemeral ports of Linux."""
 
 _PORT_BASE, _PORTS_PER_DOMAIN = 7400, 250
 """The well-known ports of a domain (DDSI-RTPS 2.5, 9.6.2.3, Well-known Ports)."""
 
 _FIRST_OWN_PORT = 10
-"""From here on each participant has two ports of its own, the even one for discovery."""
+"""The offset of the first port of a participant; each has two, the even one for discovery."""
 
 _RESERVATION = 9
-"""The place of a port between those that all participants share and those of their own."""
+"""The offset of the port that reserves a domain; DDS does not use it."""
 
 _TABLES = ("/proc/net/udp", "/proc/net/udp6")
 
 
 def discovery_range() -> str:
-    """Return how far ROS looks for others, as its environment variable has it."""
+    """Return the discovery range of ROS, from its environment variable."""
     return os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
 
 
 def is_on_this_machine_only() -> bool:
-    """Whether ROS looks for nobody on other machines."""
+    """Return whether discovery is limited to this machine."""
     return discovery_range() in ("LOCALHOST", "OFF")
 
 
-def is_deserted(domain_id: int) -> bool:
-    """Whether nobody can be in the domain yet; False where that cannot be seen."""
+def is_certainly_empty(domain_id: int) -> bool:
+    """Return whether the domain certainly has no participants; False if that is unknown."""
     ports = _bound_udp_ports()
     if ports is None or not is_on_this_machine_only():
         return False
@@ -47,7 +48,7 @@ def is_deserted(domain_id: int) -> bool:
 
 
 def participants_here(domain_id: int) -> int | None:
-    """How many take part in the domain on this machine; None where that cannot be seen."""
+    """Return the number of participants on this machine, or None if it is unknown."""
     ports = _bound_udp_ports()
     if ports is None:
         return None
@@ -57,29 +58,33 @@ def participants_here(domain_id: int) -> int | None:
 
 @contextmanager
 def reserved_domain() -> Iterator[int]:
-    """A domain that is in no use here, and that nobody else is given until the block ends.
+    """Reserve a domain that is not in use on this machine, until the block ends.
 
-    It is held by a bound port, so the system gives it back however the process ends. Raises
-    Refused when all are taken.
+    The reservation is a bound port, so that the system releases it however the process ends.
+
+    Raises:
+        Refused: Every domain is in use.
     """
     while True:
         domain_id = _free_domain()
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as reservation:
             try:
                 reservation.bind(("127.0.0.1", _first_port(domain_id) + _RESERVATION))
-            except OSError:  # somebody was faster: it is in use now
+            except OSError:  # another process has just reserved it
                 continue
             yield domain_id
             return
 
 
 def _free_domain() -> int:
-    """Chosen at random, so that two that look at the same time rarely meet. Raises Refused."""
+    """Return a random free domain, so that simultaneous callers rarely collide; raise Refused."""
     taken = {domain_id for domain_id, _ in _places(_bound_udp_ports() or set())}
     taken.add(int(os.environ.get("ROS_DOMAIN_ID") or 0))
     free = [domain_id for domain_id in DOMAINS if domain_id not in taken]
     if not free:
-        raise Refused("every ROS domain from 1 to 101 is in use on this machine", "stop one")
+        raise Refused(
+            "every ROS domain from 1 to 101 is in use on this machine", "stop one of them"
+        )
     return free[int.from_bytes(os.urandom(8)) % len(free)]
 
 
@@ -88,12 +93,12 @@ def _first_port(domain_id: int) -> int:
 
 
 def _places(ports: Iterable[int]) -> Iterator[tuple[int, int]]:
-    """The domain of each port, and its place there; those of other programs among them."""
+    """Yield the domain of each port and its offset there, also for ports of other programs."""
     return (divmod(port - _PORT_BASE, _PORTS_PER_DOMAIN) for port in ports)
 
 
 def _bound_udp_ports() -> set[int] | None:
-    """The ports that are bound on this machine, None without a /proc that tells them."""
+    """Return the UDP ports that are bound on this machine, or None without /proc."""
     ports: set[int] | None = None
     for table in _TABLES:
         try:

@@ -1,8 +1,8 @@
-"""Makes ours the rclpy that is imported, whatever ROS the shell has sourced.
+"""Import the rclpy that robotctl is installed with, even if the shell has sourced another ROS.
 
-A sourced ROS comes before the environment that robotctl is installed in: its Python packages by
-PYTHONPATH, its libraries by LD_LIBRARY_PATH, which the loader reads once, when a process starts.
-So those entries are dropped and the process starts again. Standard library only.
+A sourced ROS precedes the environment of robotctl: its Python packages through PYTHONPATH, its
+libraries through LD_LIBRARY_PATH, which the loader reads only when a process starts. `prepare`
+therefore removes those entries and restarts the process. Standard library only.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ DISTRO = "jazzy"
 RMW = "rmw_fastrtps_cpp"
 
 _PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
-"""Where Fast DDS 2 and 3 look for what its own defaults do not suit."""
+"""The variables in which Fast DDS 2 and 3 look for a profiles file."""
 
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 
 _NOTE = "_ROBOTCTL_ENVIRONMENT_NOTE"
 _WHEELS_GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
-"""Without it the ROS wheels put their libraries on LD_LIBRARY_PATH when Python starts."""
+"""While it is not set, the ROS wheels extend LD_LIBRARY_PATH when Python starts."""
 
 _PREFIXES, _PACKAGES, _LIBRARIES = "AMENT_PREFIX_PATH", "PYTHONPATH", "LD_LIBRARY_PATH"
 
@@ -32,20 +32,20 @@ _MARKS = {
     _LIBRARIES: ("librcl.so",),
     _PREFIXES: ("share/rclpy", "lib/librcl.so"),
 }
-"""By what a folder on each of these paths would take the place of our rclpy."""
+"""The files by which a folder on each of these paths would replace our rclpy."""
 
 
 def prepare(before_restart: Callable[[], object] = lambda: None) -> str:
-    """Call this before rclpy is imported; returns what was left out, in a sentence, or "".
+    """Prepare the environment for the import of rclpy; return a note on what was removed, or "".
 
-    Where a foreign ROS is in the way, the process restarts itself without it, after a call of
-    `before_restart`, and this returns in the new one. Also limits discovery to this machine, and
-    announces this process more often, unless the user chose otherwise, and names his home.
+    If another ROS precedes ours, call `before_restart`, restart the process without that ROS, and
+    return in the new process. Unless the user has chosen otherwise, also limit discovery to this
+    machine and announce this process more often.
     """
     note = os.environ.pop(_NOTE, "")
     if _has_own_rclpy():
         cleaned, found = without_foreign_ros(os.environ, Path(sys.prefix))
-        if found and not note:  # once at most, whatever comes back
+        if found and not note:  # only once, even if the entries come back
             before_restart()
             os.execve(sys.executable, sys.orig_argv, {**cleaned, _NOTE: found})
         prefixes = _entries(os.environ, _PREFIXES)
@@ -58,10 +58,10 @@ def prepare(before_restart: Callable[[], object] = lambda: None) -> str:
 
 
 def without_foreign_ros(environment: Mapping[str, str], prefix: Path) -> tuple[dict[str, str], str]:
-    """The environment for processes whose own ROS is below `prefix`, and what was left out.
+    """Return the environment for processes whose ROS is below `prefix`, and what was removed.
 
-    Of a sourced ROS of our distribution only what holds another rclpy is foreign; the message
-    packages of overlays stay. Of any other distribution everything is.
+    Of a sourced ROS of the same distribution, only folders with another rclpy are removed; message
+    packages of overlays stay. Of another distribution, everything is removed.
     """
     distro = environment.get("ROS_DISTRO", "")
     cleaned = dict(environment)
@@ -99,9 +99,10 @@ def without_foreign_ros(environment: Mapping[str, str], prefix: Path) -> tuple[d
 
 
 def _limit_discovery() -> None:
-    """To this machine, unless the user chose otherwise; also where he did so in Humble's words.
+    """Limit discovery to this machine, unless the user has chosen otherwise.
 
-    rcl still obeys ROS_LOCALHOST_ONLY before all else, but warns of it in every process.
+    ROS_LOCALHOST_ONLY, the variable of Humble, is translated: rcl still follows it, but prints a
+    warning in every process.
     """
     if os.environ.pop("ROS_LOCALHOST_ONLY", "") == "1":
         os.environ[_RANGE] = "LOCALHOST"
@@ -110,7 +111,7 @@ def _limit_discovery() -> None:
 
 
 def _has_own_rclpy() -> bool:
-    """Whether our environment has an rclpy; built in a ROS workspace, it uses the sourced one."""
+    """Return whether our environment has an rclpy; a build in a ROS workspace has none."""
     return any(
         (Path(sysconfig.get_path(name)) / "rclpy" / "__init__.py").exists()
         for name in ("purelib", "platlib")
@@ -126,7 +127,7 @@ def _is_marked(entry: str, variable: str) -> bool:
 
 
 def _is_below(entry: str, folders: list[Path]) -> bool:
-    """Whether the entry lies in one of the folders, as it is written or behind links."""
+    """Return whether the entry is in one of the folders, as written or after resolving links."""
     return any(
         Path(entry).is_relative_to(folder) or Path(entry).resolve().is_relative_to(folder.resolve())
         for folder in folders

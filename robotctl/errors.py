@@ -1,4 +1,4 @@
-"""Every error that a user may meet; each class owns its exit code.
+"""The errors that users can see; each class has its own exit code.
 
     RobotctlError            1   internal, unexpected
     |-- UsageError           2   a wrong argument
@@ -8,10 +8,10 @@
     |-- AlreadyRunning       5   another process owns this robot
     |-- UnreadableFile       6   nothing can be read from the file
     |-- Divergence           7   a re-run decided differently from the recording
-    |-- RecoveredWithLoss    8   salvaged, but not everything
+    |-- RecoveredWithLoss    8   a file was recovered, but not all of it
     `-- Interrupted        130   ended by Ctrl-C or a signal
 
-An error's text says what happened and what to do about it, without a traceback.
+The text of an error says what happened and what to do about it.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from typing import Any, ClassVar
 INTERRUPTED_EXIT_CODE = 130
 
 IN_PARENTHESES = "{cause} ({cure})"
-"""The sentence of an error whose cure stands behind its cause."""
+"""The form of a sentence with the cure in parentheses after the cause."""
 
 
 class RobotctlError(Exception):
-    """Root of the tree: something that robotctl itself got wrong.
+    """The base class; raised itself for an internal error of robotctl.
 
-    `str(error)` is the sentence for people. `cause` is what happened, `cure` what to do about it;
-    where `cure` is empty, `cause` may tell both. `answer` is what was found all the same: the
-    numbers of a drive that was stopped, the readable part of a damaged file.
+    `str(error)` is the sentence for people. `cause` is what happened, and `cure` what to do about
+    it; if `cure` is empty, `cause` may contain both. `answer` is the partial result: the numbers
+    of a drive that was stopped, or the readable part of a damaged file.
     """
 
     exit_code: ClassVar[int] = 1
     kind: ClassVar[str] = "internal"
-    """The name of the exit code for machines; it never changes."""
+    """The name of the exit code in `--json`; it never changes."""
 
     def __init__(
         self,
@@ -45,14 +45,14 @@ class RobotctlError(Exception):
         sentence: str = "{cause}: {cure}",
         answer: Mapping[str, Any] | None = None,
     ) -> None:
-        """`sentence` joins cause and cure."""
+        """Make the text of `cause` and `cure`, joined in the form of `sentence`."""
         super().__init__(sentence.format(cause=cause, cure=cure) if cure else cause)
         self.cause = cause
         self.cure = cure
         self.answer: Mapping[str, Any] = answer or {}
 
     def details(self) -> dict[str, Any]:
-        """Return what crosses a process boundary beside exit code and text."""
+        """Return what another process gets in addition to exit code and text."""
         details: dict[str, Any] = {}
         if self.cure:
             details |= {"cause": self.cause, "cure": self.cure}
@@ -72,60 +72,60 @@ class RobotctlError(Exception):
 
 
 class UsageError(RobotctlError):
-    """An argument is outside what is allowed."""
+    """An argument that is not allowed."""
 
     exit_code = 2
     kind = "usage"
 
 
 class ConfigError(UsageError):
-    """A configuration file is missing, malformed, or holds a value outside its limits."""
+    """A configuration file that is missing, malformed, or has a value that is not allowed."""
 
 
 class NoDaemon(RobotctlError):
-    """No daemon answers on the robot's socket."""
+    """No answer from a daemon on the robot's socket."""
 
     exit_code = 3
     kind = "no_daemon"
 
 
 class Refused(RobotctlError):
-    """A condition does not hold; the text names it and the cure."""
+    """A request whose condition does not hold; the text names the condition and the cure."""
 
     exit_code = 4
     kind = "refused"
 
 
 class AlreadyRunning(RobotctlError):
-    """Another process owns the robot's name; the text names its pid."""
+    """Another process that owns the robot's name; the text has its pid."""
 
     exit_code = 5
     kind = "already_running"
 
 
 class UnreadableFile(RobotctlError):
-    """Nothing can be read from the file."""
+    """A file from which nothing, or not everything, can be read."""
 
     exit_code = 6
     kind = "unreadable_file"
 
 
 class Divergence(RobotctlError):
-    """A fresh kernel decided differently from the recorded one."""
+    """A re-run that decided differently from the recording, or found a broken promise."""
 
     exit_code = 7
     kind = "divergence"
 
 
 class RecoveredWithLoss(RobotctlError):
-    """A broken file was salvaged, but not all of it."""
+    """A damaged file that was recovered, but not completely."""
 
     exit_code = 8
     kind = "recovered_with_loss"
 
 
 class Interrupted(RobotctlError):
-    """The command was ended from outside; an empty text is not shown to people."""
+    """A command that was ended by Ctrl-C or a signal; an empty text is not printed."""
 
     exit_code = INTERRUPTED_EXIT_CODE
     kind = "interrupted"
@@ -146,9 +146,9 @@ _KINDS = (
 def error_for_exit_code(
     exit_code: int, text: str, details: Mapping[str, Any] | None = None
 ) -> RobotctlError:
-    """Rebuild the error that crossed a process boundary as exit code, text and `details()`.
+    """Return the error that another process sent as exit code, text and `details()`.
 
-    Details of another form, such as those of another version, are left out.
+    Details of an unknown form, such as those of another version, are ignored.
     """
     kinds = {kind.exit_code: kind for kind in _KINDS}
     error = kinds.get(exit_code, RobotctlError)(text)

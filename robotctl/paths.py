@@ -1,4 +1,4 @@
-"""Where a robot's socket, lock, log and latch lie; standard library only."""
+"""The paths of a robot's socket, lock, log and latch. Standard library only."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 from robotctl.errors import UsageError
-from robotctl.trust import Chain
+from robotctl.trust import FolderChain
 
 DEFAULT_ROBOT = "robot"
 MAX_SOCKET_PATH_BYTES = 107
@@ -15,7 +15,7 @@ MAX_SOCKET_PATH_BYTES = 107
 
 MAX_ROBOT_NAME_LENGTH = 48
 SHARED_FOLDER = Path("/tmp")
-"""For the sockets of a user without RUNTIME_VARIABLE; anybody may make a folder in it."""
+"""The place for sockets if RUNTIME_VARIABLE is not set; every user may create folders in it."""
 
 RUNTIME_VARIABLE = "XDG_RUNTIME_DIR"
 STATE_VARIABLE = "XDG_STATE_HOME"
@@ -26,7 +26,11 @@ _ROBOT_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
 def check_robot_name(name: str) -> str:
-    """Return `name` if it can be a ROS namespace and a file name; raises UsageError."""
+    """Return `name` if it can be a ROS namespace and a file name.
+
+    Raises:
+        UsageError: It cannot.
+    """
     if len(name) > MAX_ROBOT_NAME_LENGTH or not _ROBOT_NAME.fullmatch(name) or "__" in name:
         raise UsageError(
             f"robot name {name!r}",
@@ -37,20 +41,21 @@ def check_robot_name(name: str) -> str:
 
 
 def namespace_of(robot: str) -> str:
-    """Return the robot's ROS namespace: none for the default robot, else its name."""
+    """Return the robot's ROS namespace: `/NAME`, or "" for the default robot."""
     return "" if robot == DEFAULT_ROBOT else f"/{robot}"
 
 
 def runtime_folder() -> Path:
-    """The folder of sockets and locks: private to the user, gone after a reboot."""
+    """Return the folder of sockets and locks, which is private and may be lost in a reboot."""
     base = os.environ.get(RUNTIME_VARIABLE) or SHARED_FOLDER / f"robotctl-{os.getuid()}"
     return Path(base) / "robotctl"
 
 
 def state_folder() -> Path:
-    """The folder of logs and emergency-stop latches: survives a reboot.
+    """Return the folder of logs and emergency-stop latches, which survives a reboot.
 
-    Raises UsageError for a user without a home.
+    Raises:
+        UsageError: The user has no home folder.
     """
     base = os.environ.get(STATE_VARIABLE)
     try:
@@ -59,24 +64,35 @@ def state_folder() -> Path:
         raise UsageError("you have no home folder", "set XDG_STATE_HOME to a folder") from None
 
 
-def chain_to(folder: Path) -> Chain:
-    """What has to be trusted for what lies in a folder of this module; else the folder alone."""
+def chain_to(folder: Path) -> FolderChain:
+    """Return the folders to check before a file in `folder` is trusted.
+
+    For a folder outside those of this module, it is that folder alone.
+    """
     runtime = runtime_folder()
     if folder.is_relative_to(runtime):
-        return Chain(runtime.parent, folder, RUNTIME_VARIABLE)
+        return FolderChain(runtime.parent, folder, RUNTIME_VARIABLE)
     state = state_folder()
     base = state.parent if folder.is_relative_to(state) else folder
-    return Chain(base, folder, STATE_VARIABLE)
+    return FolderChain(base, folder, STATE_VARIABLE)
 
 
 def make_private(folder: Path) -> Path:
-    """Create `folder` for this user alone; raises UsageError if another user could change it."""
+    """Create `folder` for this user alone, and return it.
+
+    Raises:
+        UsageError: Another user could change it, or it cannot be created.
+    """
     chain_to(folder).make()
     return folder
 
 
 def socket_path(robot: str) -> Path:
-    """The robot's control socket; raises UsageError where the path is too long for a socket."""
+    """Return the path of the robot's control socket.
+
+    Raises:
+        UsageError: The path is too long for a socket.
+    """
     path = runtime_folder() / f"{check_robot_name(robot)}.sock"
     if len(os.fsencode(path)) > MAX_SOCKET_PATH_BYTES:
         raise UsageError(
@@ -87,25 +103,31 @@ def socket_path(robot: str) -> Path:
 
 
 def lock_path(robot: str) -> Path:
-    """The file whose flock makes a process the robot's only daemon; it holds the owner's pid."""
+    """Return the path of the lock file, whose flock owner is the robot's only daemon.
+
+    The file contains the pid of the owner.
+    """
     return runtime_folder() / f"{check_robot_name(robot)}.lock"
 
 
 def robot_state_folder(robot: str) -> Path:
-    """The robot's folder for what must outlive the daemon."""
+    """Return the robot's folder for files that must outlive the daemon."""
     return state_folder() / check_robot_name(robot)
 
 
 def log_path(robot: str) -> Path:
-    """The background daemon's log."""
+    """Return the path of the background daemon's log."""
     return robot_state_folder(robot) / "daemon.log"
 
 
 def latch_path(robot: str) -> Path:
-    """The file whose existence latches EMERGENCY_STOP over restarts; its text is the reason."""
+    """Return the path of the file that latches EMERGENCY_STOP while it exists.
+
+    The file contains the reason.
+    """
     return robot_state_folder(robot) / "emergency-stop"
 
 
 def recordings_note_path(robot: str) -> Path:
-    """The file that names the folder into which the robot's last daemon has recorded."""
+    """Return the path of the note that names the last daemon's folder of recordings."""
     return robot_state_folder(robot) / "recordings"

@@ -1,17 +1,17 @@
-"""Text that others chose, made safe to show and to log."""
+"""Text from outside, made safe to print and to log."""
 
 from __future__ import annotations
 
 import re
 
 MAX_NAME = 120
-"""Characters of a name that a sentence shows; the rest is cut, so that a line stays readable."""
+"""The maximum length of a name in a message, in characters."""
 
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 
 
 def printable(text: object) -> str:
-    """Return `text` on one line, with what is not plainly printable shown escaped."""
+    """Return `text` on one line, with all other than printable characters escaped."""
     line = str(text)
     if line.isprintable():
         return line
@@ -19,11 +19,11 @@ def printable(text: object) -> str:
 
 
 def short_name(name: str) -> str:
-    """Return a name of any length and content as a sentence shows it."""
+    """Return a name for a message: escaped, and cut to MAX_NAME characters."""
     shown = printable(name[: MAX_NAME + 1])
     return shown if len(shown) <= MAX_NAME else f"{shown[: MAX_NAME - 3]}..."
 
 
 def without_colours(text: str) -> str:
-    """Return the text without what colours it: libraries do, and escaped it is noise."""
+    """Return the text without escape sequences for colours, which libraries add."""
     return _COLOUR.sub("", text)

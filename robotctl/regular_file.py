@@ -1,4 +1,4 @@
-"""Opening files of any origin: what waits, or never ends, is not opened. Standard library only."""
+"""Open files of any origin, but no FIFOs and devices. Standard library only."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from typing import BinaryIO
 
 
 def open_regular(path: Path) -> BinaryIO:
-    """Open a regular file to read it; a FIFO would wait for a writer, a device may never end.
+    """Open a regular file for reading; a FIFO would wait for a writer, a device may never end.
 
-    Raises OSError.
+    Raises:
+        OSError: The file cannot be opened, or is not a regular file.
     """
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
     mode = os.fstat(descriptor).st_mode

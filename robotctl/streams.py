@@ -6,10 +6,9 @@ import os
 
 
 def open_standard_streams() -> None:
-    """Open /dev/null in the place of each standard stream that is closed.
+    """Open /dev/null in place of each standard stream that is closed.
 
-    Otherwise a socket or a file of ours would get its number, and what is written to stderr would
-    go there.
+    Otherwise a socket or file would get its descriptor, and output to stderr would go there.
     """
     while (descriptor := os.open(os.devnull, os.O_RDWR)) <= 2:
         os.set_inheritable(descriptor, True)

@@ -1,7 +1,7 @@
-"""Which folders hold what we believe: those that no other user can change; standard library only.
+"""Which folders are trusted: those that no other user can change. Standard library only.
 
-Another user may have made a folder of a well-known name first, in /tmp above all, and could then
-put anything in it: a socket that answers `estop` with success, a log, a latch.
+Another user may create a folder of a well-known name first, especially in /tmp, and then put
+anything in it, for example a socket that answers `estop` with success.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from robotctl.errors import UsageError
 ROOT_UID: Final = 0
 
 OVERFLOW_UID: Final = 65534
-"""How a container sees every user that it does not know (user_namespaces(7))."""
+"""The uid of every user that a container does not know (user_namespaces(7))."""
 
 
-class Chain:
-    """The folders from `base`, which `variable` names if it is set, down to `folder`.
+class FolderChain:
+    """The folders from `base`, the value of `variable` if it is set, down to `folder`.
 
-    What is above `base` is the machine's, or the choice of the user who sets the variable.
+    Folders above `base` are not checked: they belong to the system, or the user chose them.
     """
 
     def __init__(self, base: Path, folder: Path, variable: str, guest: int | None = None) -> None:
@@ -32,35 +32,40 @@ class Chain:
         self.variable = variable
         self._trusted = (ROOT_UID, os.getuid(), guest)
 
-    def for_client(self) -> Chain:
-        """The same for a process that only asks, where root may name the folder of another user.
+    def for_client(self) -> FolderChain:
+        """Return the chain for a client: root may also use the folder of another user.
 
-        `sudo -E robotctl estop` stops the robot of the user who calls it.
+        This lets `sudo -E robotctl estop` stop the robot of the user who runs it.
         """
         if os.getuid() != ROOT_UID or not os.environ.get(self.variable):
             return self
         try:
             guest = self.base.stat().st_uid
-        except OSError:  # there is nothing to ask
+        except OSError:  # there is no daemon either
             return self
-        return Chain(self.base, self.folder, self.variable, guest)
+        return FolderChain(self.base, self.folder, self.variable, guest)
 
     def trusts(self, uid: int) -> bool:
-        """Whether a user may speak for us: ourselves and root."""
+        """Return whether a user is trusted: this user, root and, for root, the folder's owner."""
         return uid in self._trusted
 
     def check(self) -> None:
-        """Raise UsageError if another user could change one of the folders that exist.
+        """Check the folders that exist.
 
-        A link passes as `base` alone, and only if its owner is trusted.
+        Only `base` may be a symbolic link, and only if the owner of the link is trusted.
+
+        Raises:
+            UsageError: Another user could change one of the folders.
         """
         for path in self._folders():
             self._check(path)
 
     def make(self) -> None:
-        """Create the folders that are missing, for this user alone, and close `folder` to others.
+        """Create missing folders for this user alone, and make `folder` private.
 
-        Raises UsageError as `check`, and if `folder` is not this user's own or cannot be created.
+        Raises:
+            UsageError: Another user could change one of the folders, `folder` belongs to another
+                user, or a folder cannot be created.
         """
         missing = [path for path in self.base.parents if not path.exists()]
         for path in (*reversed(missing), *self._folders()):
@@ -78,13 +83,13 @@ class Chain:
             self.folder.chmod(0o700)
 
     def group_writable(self) -> list[str]:
-        """A sentence for each folder that a group may change.
+        """Return a warning for each folder that a group can change.
 
-        The private group of a user, which has the user's number, is left out.
+        The private group of a user, whose gid equals the uid, is ignored.
         """
         return [
-            f"{path} can be written by group {found.st_gid}, whose members could speak for this "
-            f"daemon (if they must not: chmod g-w {path})"
+            f"{path} can be written by group {found.st_gid}, whose members could replace this "
+            f"daemon's files (to prevent it: chmod g-w {path})"
             for path in self._folders()
             if path.exists()
             and (found := path.stat()).st_mode & stat.S_IWGRP
@@ -122,7 +127,7 @@ class Chain:
 
 
 def user_text(uid: int) -> str:
-    """A user by number."""
+    """Return the text for a user in a message."""
     if uid == OVERFLOW_UID:
         return f"uid {uid} (nobody, or a user that this container does not know)"
     return f"uid {uid}"

@@ -1,4 +1,4 @@
-"""A configuration is right or refused in one sentence: file, key, value, what is allowed."""
+"""A wrong configuration is refused with file, key, value, and what is allowed."""
 
 from __future__ import annotations
 

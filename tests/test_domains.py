@@ -10,32 +10,32 @@ from contextlib import contextmanager
 import pytest
 
 from robotctl import domains
-from robotctl.domains import DOMAINS, is_deserted, participants_here, reserved_domain
+from robotctl.domains import DOMAINS, is_certainly_empty, participants_here, reserved_domain
 from robotctl.errors import Refused
 
 NEVER = 65536 // 250
-"""A domain of which no port exists."""
+"""A domain whose ports do not exist."""
 
 OURS = 215 + 2 * (os.getpid() % 9)
 OTHER = OURS + 1
-"""Domains that nothing else uses: not given to anybody, and above the ephemeral ports of Linux."""
+"""Domains that nothing else uses: never reserved, and above the ephemeral ports of Linux."""
 
 
 @pytest.fixture(autouse=True)
 def two_domains(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let there be no other domains."""
+    """Limit the reservation to two domains."""
     monkeypatch.setattr(domains, "DOMAINS", (OURS, OTHER))
 
 
 @contextmanager
-def somebody_in(domain_id: int) -> Iterator[None]:
-    """Bind the first port that a process of the domain would have for itself."""
+def participant_in(domain_id: int) -> Iterator[None]:
+    """Bind the first port of a participant in the domain."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 7400 + 250 * domain_id + 10))
         yield
 
 
-def test_a_domain_is_given_to_one_at_a_time() -> None:
+def test_a_domain_is_reserved_by_one_process_at_a_time() -> None:
     with reserved_domain() as first, reserved_domain() as second:
         assert {first, second} == {OURS, OTHER}
         with pytest.raises(Refused, match="every ROS domain"), reserved_domain():
@@ -44,7 +44,7 @@ def test_a_domain_is_given_to_one_at_a_time() -> None:
         assert again in (first, second)
 
 
-def test_whoever_loses_the_race_for_a_domain_is_given_another(
+def test_a_process_that_loses_the_race_for_a_domain_gets_another(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     offered = [OURS, OURS, OTHER]
@@ -53,39 +53,39 @@ def test_whoever_loses_the_race_for_a_domain_is_given_another(
         assert (winner, loser) == (OURS, OTHER)
 
 
-def test_a_domain_that_somebody_is_in_is_not_given() -> None:
-    with somebody_in(OURS):
+def test_a_domain_with_a_participant_is_not_reserved() -> None:
+    with participant_in(OURS):
         for _ in range(20):
             with reserved_domain() as given:
                 assert given == OTHER
 
 
-def test_a_reserved_domain_is_deserted_until_somebody_joins_it() -> None:
+def test_a_reserved_domain_is_empty_until_a_participant_joins() -> None:
     with reserved_domain() as ours:
-        assert is_deserted(ours)
+        assert is_certainly_empty(ours)
         assert participants_here(ours) == 0
-        with somebody_in(ours):
-            assert not is_deserted(ours)
+        with participant_in(ours):
+            assert not is_certainly_empty(ours)
             assert participants_here(ours) == 1
 
 
-def test_where_nobody_can_see_who_is_there_no_domain_is_deserted(
+def test_without_a_view_of_the_ports_no_domain_is_certainly_empty(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    assert is_deserted(NEVER)
+    assert is_certainly_empty(NEVER)
     with monkeypatch.context() as patch:
         patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
-        assert not is_deserted(NEVER)
+        assert not is_certainly_empty(NEVER)
     monkeypatch.setattr(domains, "_TABLES", ("/proc/net/no-such-table",))
-    assert not is_deserted(NEVER)
+    assert not is_certainly_empty(NEVER)
 
 
-def test_the_domain_of_the_environment_is_not_given(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_domain_of_the_environment_is_not_reserved(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", str(OURS))
     with reserved_domain() as given:
         assert given == OTHER
 
 
-def test_domain_0_is_left_to_those_who_did_not_choose() -> None:
+def test_domain_0_the_default_is_not_reserved() -> None:
     assert 0 not in DOMAINS
     assert max(DOMAINS) == 101

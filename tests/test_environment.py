@@ -1,4 +1,4 @@
-"""A shell with another ROS sourced is normal: ours is the one that is imported all the same."""
+"""In a shell that has sourced another ROS, ours is imported."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ print(sorted(name for name in os.environ if "NOTE" in name), *sys.argv[1:])
 
 
 def foreign_ros(folder: Path) -> Path:
-    """A ROS installation as another distribution lays it out, of which nothing works."""
+    """Create a ROS installation in the layout of another distribution; nothing in it works."""
     packages = folder / "lib" / "python3.10" / "site-packages"
     for package in ("rclpy", "std_msgs", "rosidl_generator_py"):
         (packages / package).mkdir(parents=True)
@@ -43,20 +43,20 @@ def foreign_ros(folder: Path) -> Path:
 
 
 def overlay(folder: Path) -> Path:
-    """A workspace with a message package."""
+    """Create a workspace with a message package."""
     (folder / "lib" / "python3" / "site-packages" / "my_msgs").mkdir(parents=True)
     (folder / "share" / "my_msgs").mkdir(parents=True)
     return folder
 
 
 def shell() -> dict[str, str]:
-    """The environment of a shell that knows of no ROS."""
+    """Return the environment of a shell without a sourced ROS."""
     known = {"ROS_DISTRO", "RMW_IMPLEMENTATION", "_ROS_WHEELS_BOOTSTRAP_COMPLETE", *SOURCED}
     return {name: value for name, value in os.environ.items() if name not in known}
 
 
 def sourced(ros: Path, distro: str, *overlays: Path) -> dict[str, str]:
-    """What setup.bash does to the environment of a shell in which robotctl is started."""
+    """Return the environment of a shell after sourcing setup.bash."""
     environment = shell()
     packages = [over / "lib" / "python3" / "site-packages" for over in overlays]
     packages += [ros / "lib" / "python3.10" / "site-packages", REPOSITORY]

@@ -1,4 +1,4 @@
-"""Nobody but this user and root speaks for the daemon, or changes what it believes."""
+"""Only this user and root can replace the daemon's files or answer in its place."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ as_root = pytest.mark.skipif(os.getuid() != 0, reason="only root can become anot
 
 @pytest.fixture
 def base(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """What XDG_RUNTIME_DIR names, with `state` for XDG_STATE_HOME; others may look into it."""
+    """Make the folder of XDG_RUNTIME_DIR, with `state` for XDG_STATE_HOME; others may read it."""
     folder = Path(tempfile.mkdtemp(prefix="rt-", dir="/tmp"))
     folder.chmod(0o755)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder))
@@ -45,7 +45,7 @@ def base(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 @pytest.fixture
 def tmp_base(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """Where sockets are without XDG_RUNTIME_DIR, below a /tmp that anybody writes to."""
+    """Make the folder of sockets without XDG_RUNTIME_DIR, below a /tmp that is open to everyone."""
     tmp = Path(tempfile.mkdtemp(prefix="rt-", dir="/tmp"))
     tmp.chmod(0o1777)
     monkeypatch.delenv("XDG_RUNTIME_DIR")
@@ -55,7 +55,7 @@ def tmp_base(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 class Impostor:
-    """Answers every request with success, and remembers what it was sent."""
+    """Answers every request with success, and keeps the requests."""
 
     def __init__(self, path: Path) -> None:
         self.received = b""
@@ -83,7 +83,7 @@ class Impostor:
 
 @contextmanager
 def another_user(uid: int = STRANGER) -> Iterator[None]:
-    """Files and sockets that this block makes belong to another user."""
+    """Let files and sockets that the block creates belong to another user."""
     os.setegid(uid)
     os.seteuid(uid)
     try:
@@ -97,10 +97,10 @@ def another_user(uid: int = STRANGER) -> Iterator[None]:
 
 
 @as_root
-def test_the_folder_that_another_user_made_first_is_not_believed(
+def test_a_folder_that_another_user_created_first_is_not_trusted(
     tmp_base: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """They make /tmp/robotctl-UID, let us make what is below, and swap that when they like."""
+    """They create /tmp/robotctl-UID, let us create the rest in it, and replace that later."""
     with another_user():
         tmp_base.mkdir(mode=0o755)
     ours = tmp_base / "robotctl"
@@ -148,7 +148,7 @@ def test_a_server_of_another_user_is_sent_nothing(
 
 
 def _impostor_process(path: Path) -> subprocess.Popen[bytes]:
-    """A process of another user that listens at `path`, and prints what its client sends."""
+    """Start a process of another user that listens at `path` and prints what its client sends."""
     code = (
         "import os, socket, sys\n"
         "sock = socket.socket(socket.AF_UNIX)\n"
@@ -273,7 +273,7 @@ def test_what_is_missing_is_made_for_this_user_alone_whatever_the_umask(
 def test_a_folder_that_cannot_be_created_is_named_with_the_cure(
     base: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As after su: XDG_RUNTIME_DIR is that of the user before."""
+    """After su, XDG_RUNTIME_DIR is still that of the previous user."""
     with another_user(), pytest.raises(UsageError) as caught:
         make_private(runtime_folder())
     assert str(caught.value) == (
@@ -297,7 +297,7 @@ def test_ourselves_and_root_may_answer(base: Path) -> None:
 def test_root_may_stop_the_robot_of_a_user_whose_folder_it_names(
     base: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """sudo -E keeps XDG_RUNTIME_DIR; without the variable nobody was named."""
+    """sudo -E keeps XDG_RUNTIME_DIR; without the variable, no user is named."""
     os.chown(base, STRANGER, STRANGER)
     chain = chain_to(runtime_folder())
     assert chain.for_client().trusts(STRANGER)
@@ -324,7 +324,7 @@ def test_a_user_whom_a_container_does_not_know_is_refused_and_told_so(
             call("robot", "status")
 
 
-def test_a_server_of_ours_is_believed(base: Path) -> None:
+def test_a_server_of_ours_is_trusted(base: Path) -> None:
     make_private(runtime_folder())
     impostor = Impostor(socket_path("robot"))
     try:

@@ -16,7 +16,7 @@ from robotctl.daemon.observer import Observer
 from robotctl.daemon.recording.folder import remember
 from robotctl.daemon.shutdown import told_to_end
 from robotctl.daemon.supervisor import Supervisor
-from robotctl.domains import is_deserted
+from robotctl.domains import is_certainly_empty
 from robotctl.ipc.answers import StartSummary
 from robotctl.ipc.listener import remove_stale
 from robotctl.ipc.request_handler import Identity
@@ -38,7 +38,7 @@ async def serve(
     address = socket_path(options.robot)
     # Whose lock somebody removed still has the robot, and must not see commands of ours.
     remove_stale(address)
-    alone = is_deserted(options.domain_id)
+    alone = is_certainly_empty(options.domain_id)
     supervisor = Supervisor(stop.set)
     asyncio.get_running_loop().set_exception_handler(supervisor.loop_failed)
     async with (

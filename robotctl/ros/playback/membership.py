@@ -8,7 +8,7 @@ from typing import Final, Self
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from robotctl.domains import is_deserted
+from robotctl.domains import is_certainly_empty
 from robotctl.ros.context import close_context, open_context
 
 NODE_NAME: Final = "robotctl_replay"
@@ -23,7 +23,7 @@ class Membership:
 
     def __init__(self, domain_id: int) -> None:
         self.domain_id = domain_id
-        self.was_deserted = is_deserted(domain_id)
+        self.was_certainly_empty = is_certainly_empty(domain_id)
         """Nobody was in the domain."""
 
         self.since_s = time.monotonic()

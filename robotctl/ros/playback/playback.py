@@ -61,7 +61,7 @@ class ReplaySession:
     def __init__(self, membership: Membership) -> None:
         self.domain_id = membership.domain_id
         self.stopped = threading.Event()
-        self._is_alone = membership.was_deserted
+        self._is_alone = membership.was_certainly_empty
         self._joined = membership.since_s
         self._node = membership.node
         self._discovery = Discovery(membership.node, membership.domain_id)
