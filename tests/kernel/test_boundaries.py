@@ -76,7 +76,7 @@ def test_a_battery_has_cleared_at_20_percent_and_above(level: float, is_cleared:
 
 
 @pytest.mark.parametrize(
-    ("raw", "level"), [(1.05, 1.05), (1.06, 0.0106), (104.9, 1.049), (105.1, 105.1)]
+    ("raw", "level"), [(1.05, 1.05), (1.06, 0.0106), (105.0, 1.05), (105.1, 105.1)]
 )
 def test_a_gauge_counts_in_percent_where_it_reports_more_than_full_and_up_to_105(
     raw: float, level: float
@@ -205,6 +205,14 @@ def test_a_drive_that_ends_tells_its_laps(laps: int, said: str) -> None:
     (effect,) = (each for each in bench.effects if isinstance(each, DriveEnded))
     assert effect.completed
     assert effect.reason == f"drive finished: {said}"
+
+
+def test_a_drive_that_is_replaced_is_not_completed() -> None:
+    bench = moving()
+    bench.drive(replacing=True)
+    (effect,) = (each for each in bench.effects if isinstance(each, DriveEnded))
+    assert not effect.completed
+    assert effect.reason == "replaced by another drive"
 
 
 def test_a_request_for_moving_drives_until_it_is_stopped() -> None:

@@ -133,6 +133,13 @@ def test_what_is_not_a_kernel_value_is_a_value_error(kind: type, text: str) -> N
         from_json(kind, text)
 
 
+def test_an_error_quotes_the_begin_of_the_text() -> None:
+    text = json.dumps(["x" * 200])
+    with pytest.raises(ValueError, match="not a") as caught:
+        from_json(Tick, text)
+    assert str(caught.value).endswith(f": {text[:80]}")
+
+
 def test_a_field_that_an_older_version_did_not_write_takes_its_default() -> None:
     assert from_json(Tick, '{"t_ns": 7}') == Tick(7)
     assert from_json(State, '{"mode": 0, "health": {}}') == State()

@@ -18,7 +18,7 @@ FAR = Pose(50.0, 50.0, 0.0)
 """Where no reference is: a robot that never arrives."""
 
 SQUARE = Pattern(PatternKind.SQUARE, 1.0, 0.5)
-CIRCLE = Pattern(PatternKind.CIRCLE, 0.5, 0.5)
+CIRCLE = Pattern(PatternKind.CIRCLE, 0.4, 0.5)
 LINE_END = Progress(segment=0, length=1.0)
 TURN_END = Progress(segment=1, length=pi / 2)
 
@@ -44,7 +44,7 @@ def test_the_reference_speeds_up_with_60_percent_of_the_limit() -> None:
         (Pattern(PatternKind.SQUARE, 10.0, 0.5), 0, 0.5),
         (Pattern(PatternKind.SQUARE, 10.0, 5.0), 0, 0.9 * 1.0),
         (Pattern(PatternKind.CIRCLE, 10.0, 5.0), 0, 0.9 * 1.0),
-        (Pattern(PatternKind.CIRCLE, 0.25, 5.0), 0, 0.9 * 2.0 * 0.25),
+        (Pattern(PatternKind.CIRCLE, 0.4, 5.0), 0, 0.9 * 2.0 * 0.4),
         (Pattern(PatternKind.CIRCLE, 0.25, 0.1), 0, 0.1),
     ],
 )
@@ -70,7 +70,7 @@ def test_the_reference_brakes_so_that_it_stands_at_the_stop() -> None:
 
 
 def test_a_circle_brakes_at_the_end_of_the_last_lap_alone() -> None:
-    around = Circle(0.5).length
+    around = Circle(0.4).length
     near_end = Progress(laps=0, length=around - 0.1, speed=0.4)
     assert drive(CIRCLE, near_end, laps=2).advance(0.01, FAR, LIMITS).progress.speed > 0.4
     assert drive(CIRCLE, near_end, laps=0).advance(0.01, FAR, LIMITS).progress.speed > 0.4
@@ -79,7 +79,7 @@ def test_a_circle_brakes_at_the_end_of_the_last_lap_alone() -> None:
 
 
 def test_what_a_step_has_left_at_a_flowing_end_is_driven_on_the_next_lap() -> None:
-    around = Circle(0.5).length
+    around = Circle(0.4).length
     ended = drive(CIRCLE, Progress(length=around - 0.001, speed=0.45), laps=2)
     at = ended.advance(0.01, Pose(0.03, 0.04, 0.0), LIMITS).progress
     assert (at.laps, at.segment) == (1, 0)
@@ -135,7 +135,8 @@ def test_a_lap_of_the_square_has_eight_segments_and_ends_where_the_robot_is() ->
 
 
 @pytest.mark.parametrize(
-    ("laps", "driven", "finished"), [(0, 9, False), (2, 1, False), (2, 2, True), (1, 0, False)]
+    ("laps", "driven", "finished"),
+    [(0, 9, False), (2, 1, False), (2, 2, True), (1, 0, False), (1, 2, True)],
 )
 def test_a_drive_is_finished_after_its_laps(laps: int, driven: int, finished: bool) -> None:
     assert drive(SQUARE, Progress(laps=driven), laps).finished is finished
@@ -157,7 +158,7 @@ def test_the_reference_tells_a_speed_ahead_or_a_rate_of_turning() -> None:
     turn = drive(SQUARE, Progress(segment=1, length=0.25, speed=0.3)).reference()
     assert turn == Reference(Pose(1.0, 0.0, 0.25), 0.0, 0.0, 0.3)
     circle = drive(CIRCLE, Progress(speed=0.3)).reference()
-    assert circle == Reference(ORIGIN, 0.3, 2.0, 0.0)
+    assert circle == Reference(ORIGIN, 0.3, 2.5, 0.0)
 
 
 def test_a_drive_from_standstill_keeps_its_place() -> None:

@@ -242,13 +242,12 @@ def main() -> int:
         folder = copied(Path(name).resolve())
         drawn = [site for site in sites(folder) if site.where.startswith(options.only)]
         print(f"{options.count or 'all'} of {len(drawn)} mutants, seed {options.seed}")
-        if options.count is not None:
-            drawn = random.Random(options.seed).sample(drawn, options.count)
+        random.Random(options.seed).shuffle(drawn)
         if run_tests(folder, cache=True) != 0:
             print((folder / "output").read_text(), "the tests fail without a mutant", sep="\n")
             return 1
         shutil.rmtree(folder / KERNEL / "__pycache__")  # may be taken for that of a mutant
-        return report(drawn, equivalents(), folder)
+        return report(drawn[: options.count], equivalents(), folder)
 
 
 def report(drawn: Sequence[Site], listed: Mapping[Key, str], folder: Path) -> int:
@@ -261,17 +260,16 @@ def report(drawn: Sequence[Site], listed: Mapping[Key, str], folder: Path) -> in
         result = outcome(site.path, mutant.code, folder)
         is_listed = mutant.key in listed
         counts["equivalent" if is_listed else result.value] += 1
-        if is_listed is (result is Outcome.SURVIVED):
-            continue
-        minutes = (time.monotonic() - begin) / 60
-        note = f"listed as equivalent, but {result.value}" if is_listed else result.value
-        print(f"{number}, {minutes:.0f} min, {note}: {mutant.where}")
-        print(f"- {mutant.was}\n+ {mutant.now}", flush=True)
-        wrong += is_listed
+        if is_listed is not (result is Outcome.SURVIVED):
+            note = f"listed as equivalent, but {result.value}" if is_listed else result.value
+            print(f"{note}: {mutant.where}\n- {mutant.was}\n+ {mutant.now}")
+            wrong += is_listed
+        if number % 100 == 0 or number == len(drawn):
+            minutes = (time.monotonic() - begin) / 60
+            print(f"after {number} mutants, {minutes:.0f} min: {dict(counts)}", flush=True)
     killed = (counts["killed"] + counts["out of time"]) / len(drawn)
     equivalent = counts["equivalent"] / len(drawn)
-    print(", ".join(f"{count} {name}" for name, count in counts.items()), end=": ")
-    print(f"{killed:.1%} killed, {equivalent:.1%} equivalent, {time.monotonic() - begin:.0f} s")
+    print(f"{killed:.1%} killed, {equivalent:.1%} equivalent")
     return int(wrong > 0 or killed < LEAST_KILLED or equivalent > MOST_EQUIVALENT)
 
 
