@@ -99,7 +99,12 @@ class Driver:
             kernel,
             Journal(self.recorder.open_journal(JournalPublisher(session))),
             Effects(
-                self._velocity.publish, self._show_mode, self.recorder.note, latch, requests
+                self._velocity.publish,
+                self._show_mode,
+                self.recorder.note,
+                latch,
+                requests,
+                robot,
             ).carry_out,
             requests,
             host.supervisor.callback_failed,

@@ -41,6 +41,18 @@ def owned(path: Path, robot: str) -> Iterator[None]:
         os.close(fd)
 
 
+def is_owned(path: Path) -> bool:
+    """Return whether a running daemon owns the lock."""
+    try:
+        fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+    except OSError:
+        return False
+    try:
+        return not _locked(fd)
+    finally:
+        os.close(fd)
+
+
 def _locked(fd: int) -> bool:
     try:
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import os
+import signal
 import sys
 from collections.abc import Mapping
 from contextlib import suppress
@@ -33,9 +34,11 @@ class StartReport:
         if not self._in_background:  # who has stdout may not read it: the loop does not wait
             Thread(target=_write, args=(_STDOUT, line), daemon=True).start()
         elif self._ready_fd is not None:
-            _write(self._ready_fd, line)
+            is_read = _write(self._ready_fd, line)
             os.close(self._ready_fd)
             self._ready_fd = None  # the number is soon another file's
+            if said["ready"] and not is_read:
+                signal.raise_signal(signal.SIGTERM)  # no user knows of this daemon
 
     def fail(self, error: RobotctlError) -> int:
         """Say why the daemon ends; returns its exit code."""
@@ -55,8 +58,11 @@ class StartReport:
         return self.fail(RobotctlError(f"unexpected {type(error).__name__}: {error}"))
 
 
-def _write(descriptor: int, line: bytes) -> None:
+def _write(descriptor: int, line: bytes) -> bool:
+    """Write the line; return whether its reader still exists."""
     try:
         os.write(descriptor, line)
-    except OSError as error:  # the one who started us is gone
-        _log.warning("nobody waited for READY: %s", error)
+    except OSError as error:
+        _log.warning("the process that started this daemon has ended: %s", error)
+        return False
+    return True

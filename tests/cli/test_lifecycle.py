@@ -16,9 +16,10 @@ import pytest
 from robotctl import __version__
 from robotctl.cli.commands import logs, start
 from robotctl.cli.support import launch
+from robotctl.daemon.lock import owned
 from robotctl.errors import NoDaemon
 from robotctl.ipc.client import call
-from robotctl.paths import log_path
+from robotctl.paths import lock_path, log_path
 from tests.support.waiting import until
 
 
@@ -115,6 +116,23 @@ def test_a_daemon_that_is_never_ready_is_ended(
     assert ran.exit_code == 1
     assert "was not ready within" in ran.err
     assert children() == before
+
+
+def test_a_start_that_crashes_leaves_the_log_of_a_running_daemon_in_place(
+    cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = log_path("robot")
+    with owned(lock_path("robot"), "robot"):
+        log.parent.mkdir(parents=True, mode=0o700)
+        log.write_text("of the daemon that runs\n")
+        monkeypatch.setenv("FAKE_START", "crash")
+        ran = cli("start")
+    assert ran.exit_code == 1
+    assert log.read_text() == "of the daemon that runs\n"
+    failed = log.with_name("daemon.log.failed")
+    assert f"(see: {failed})" in ran.err
+    assert "a bug before READY" in failed.read_text()
+    assert sorted(log.parent.iterdir()) == [log, failed]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])

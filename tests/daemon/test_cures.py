@@ -16,6 +16,11 @@ from robotctl.daemon.recording.recorder_report import RecorderReport
 from robotctl.errors import Refused
 from robotctl.ipc.answers import RobotFacts
 from robotctl.ipc.params import MarkParams, NoParams
+from robotctl.recording import Recorder
+from robotctl.recording.write.recorder_stats import RecorderState, RecorderStats
+from robotctl.recording.write.topic_filter import TopicFilter
+from robotctl.ros.nodes.diagnostics_publisher import Diagnosis, DiagnosticsPublisher
+from robotctl.ros.tap.tap import Tap
 
 FAILURE = "the recorder failed: see robotctl logs"
 FAILURE_OF_R2 = f"{FAILURE} --robot r2"
@@ -54,3 +59,33 @@ def test_the_notes_of_a_start_tell_the_cure_for_its_robot(report: RecorderReport
     note = "moving is refused: no odometry: (robotctl status lists the topics)"
     (told,) = source.summary([note])["notes"]
     assert "(robotctl status --robot r2 lists the topics)" in told
+
+
+def test_diagnostics_on_ros_tell_the_cure_for_its_robot() -> None:
+    failed = RecorderStats(
+        state=RecorderState.FAILED,
+        file=Path("run.mcap"),
+        bytes=0,
+        received=0,
+        written=0,
+        queued=0,
+        dropped=0,
+        lost=0,
+        unseen=0,
+        not_repeated=0,
+        no_memory=0,
+        failure=FAILURE,
+        warning="",
+        topics=(),
+    )
+    published: list[Diagnosis] = []
+    report = RecorderReport(
+        cast(Recorder, SimpleNamespace(stats=lambda: failed)),
+        cast(Tap, SimpleNamespace(unrecorded=SimpleNamespace(warnings=lambda: iter(())))),
+        TopicFilter((), (), ()),
+        cast(DiagnosticsPublisher, SimpleNamespace(publish=published.append)),
+        [],
+        "r2",
+    )
+    report.sample()
+    assert [diagnosis.message for diagnosis in published] == [FAILURE_OF_R2]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 from pathlib import Path
 from typing import Any
@@ -41,7 +42,7 @@ class World:
         self.done: list[Any] = []
         self.noted: list[RecordedEvent] = []
         self.effects = Effects(
-            self.done.append, self.done.append, self.noted.append, self.latch, self.requests
+            self.done.append, self.done.append, self.noted.append, self.latch, self.requests, "r2"
         )
 
 
@@ -105,4 +106,13 @@ async def test_what_somebody_will_look_for_is_noted_in_the_recording(world: Worl
         (EventKind.DRIVE_ENDED, "driven"),
     ]
     assert world.done == [*Mode, Twist(0.1, 0.2)]
+    await world.latch.close()
+
+
+async def test_the_log_tells_the_cure_for_its_robot(
+    world: World, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO)
+    world.effects.carry_out(ModeChanged(Mode.IDLE, Mode.ERROR, "no disk: see robotctl logs"))
+    assert "IDLE -> ERROR: no disk: see robotctl logs --robot r2" in caplog.text
     await world.latch.close()

@@ -16,7 +16,12 @@ from robotctl.kernel.types import Odometry, Reply, Twist
 from robotctl.recording.format import journal
 from robotctl.ros.graph import endpoints
 from robotctl.ros.messages import qos
-from robotctl.ros.nodes import journal_publisher, mode_service, odom_subscriber
+from robotctl.ros.nodes import (
+    journal_publisher,
+    mode_service,
+    odom_subscriber,
+    velocity_publisher,
+)
 from robotctl.ros.nodes.battery_subscriber import BatterySubscriber
 from robotctl.ros.nodes.diagnostics_publisher import TOPIC, Diagnosis, DiagnosticsPublisher, Level
 from robotctl.ros.nodes.mode_service import ModeService, Shown
@@ -287,6 +292,51 @@ async def test_a_robot_that_takes_another_type_is_no_listener_and_its_type_is_na
     stamped.create_subscription(TwistStamped, "/r2/cmd_vel", print, 10)
     await until(lambda: velocity.listeners() == (0, ("geometry_msgs/msg/TwistStamped",)))
     stamped.destroy_node()
+
+
+async def test_the_identity_of_our_commands_is_asked_once(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[object] = []
+
+    def gid_of(publisher: object) -> bytes:
+        asked.append(publisher)
+        return b"gid"
+
+    monkeypatch.setattr(velocity_publisher, "gid_of", gid_of)
+    velocity = VelocityPublisher(session, "cmd_vel")
+    for _ in range(3):
+        assert velocity.gid == b"gid"
+        velocity.other_publishers()
+    assert len(asked) == 1
+
+
+async def test_no_role_has_rclpy_report_qos_events_from_the_loop(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    nodes: list[Any] = []
+    make = session.node
+
+    def kept(name: str) -> Any:
+        nodes.append(make(name))
+        return nodes[-1]
+
+    monkeypatch.setattr(session, "node", kept)
+    VelocityPublisher(session, "cmd_vel").monitor(lambda gid: None, 0.01)
+    OdomSubscriber(session, "odom", lambda *_: None, lambda *_: None)
+    BatterySubscriber(session, "battery_state", lambda _: None)
+    ModeService(session, "r2", lambda requested, source: asyncio.Future())
+    SimulatedRobot(
+        session,
+        SimParams(),
+        command="cmd_vel",
+        odometry="odom",
+        battery="battery_state",
+        full_level=1.0,
+    )
+    for entity in (each for node in nodes for each in (*node.publishers, *node.subscriptions)):
+        if entity.topic_name != "/parameter_events":  # rclpy's own
+            assert entity.event_handlers == [], entity.topic_name
 
 
 @pytest.mark.parametrize("percentage", [0.5, 80.0, -1.0, math.nan])

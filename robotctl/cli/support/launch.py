@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
+from robotctl.daemon.lock import is_owned
 from robotctl.errors import (
     IN_PARENTHESES,
     AlreadyRunning,
@@ -19,7 +20,7 @@ from robotctl.errors import (
 )
 from robotctl.ipc.answers import StartSummary
 from robotctl.ipc.client import command_for
-from robotctl.paths import log_path, make_private
+from robotctl.paths import lock_path, log_path, make_private
 from robotctl.processes import Child, program, start
 
 DAEMON = program("robotctl.daemon")
@@ -96,13 +97,19 @@ def launch(
             tell(summary)
             daemon.detach()
             return summary
-        failure = _failure(options.robot, daemon, said, own_log)
+        ended = _end(daemon, patiently=said != _TOO_SLOW)
     except BaseException:  # also Ctrl-C: no half-started daemon stays behind
         _end(daemon, patiently=False)
         own_log.unlink(missing_ok=True)
         raise
+    is_running = is_owned(lock_path(options.robot))  # then `log` is that daemon's
+    kept = log.with_name(f"{log.name}.failed") if is_running else log
+    see = str(kept) if is_running else command_for(options.robot, "logs")
+    failure = _failure(ended, said, own_log, see)
     if isinstance(failure, AlreadyRunning | UsageError):  # its log holds nothing else
         own_log.unlink(missing_ok=True)
+    elif is_running:
+        own_log.replace(kept)
     else:
         _put_in_place(own_log, log)
     raise failure
@@ -140,13 +147,11 @@ def _said_when_ready(daemon: Child) -> dict[str, Any]:
         return {}
 
 
-def _failure(robot: str, daemon: Child, said: dict[str, Any], log: Path) -> RobotctlError:
+def _failure(ended: str, said: dict[str, Any], log: Path, see: str) -> RobotctlError:
     """Return why the daemon did not start, from its report or else from the end of its log."""
-    ended = _end(daemon, patiently=said != _TOO_SLOW)
     if "error" in said:
         exit_code = said.get("exit_code", RobotctlError.exit_code)
         return error_for_exit_code(exit_code, str(said["error"]), said)
-    see = command_for(robot, "logs")
     lines = log.read_text(errors="replace").split("\n") if log.exists() else []
     last = next((line.strip() for line in reversed(lines) if line.strip()), "its log is empty")
     return RobotctlError(

@@ -10,6 +10,7 @@ from typing import assert_never
 
 from robotctl.daemon.control.latch import Latch
 from robotctl.daemon.control.pending_requests import PendingRequests, UnsavedReply
+from robotctl.ipc.advice import for_robot
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import (
     Cause,
@@ -41,12 +42,14 @@ class Effects:
         note: Callable[[RecordedEvent], None],
         latch: Latch,
         requests: PendingRequests,
+        robot: str,
     ) -> None:
         self._publish_twist = publish_twist
         self._show_mode = show_mode
         self._note = note
         self._latch = latch
         self._requests = requests
+        self._robot = robot
 
     def carry_out(self, effect: Effect) -> None:
         """Do it, or begin to; a reply is sent when all that came before it is done."""
@@ -54,7 +57,8 @@ class Effects:
             case PublishTwist():
                 self._publish_twist(effect.twist)
             case ModeChanged():
-                _log.info("%s -> %s: %s", effect.previous.name, effect.mode.name, effect.reason)
+                reason = for_robot(effect.reason, self._robot)
+                _log.info("%s -> %s: %s", effect.previous.name, effect.mode.name, reason)
                 self._show_mode(effect.mode)
                 if effect.mode in _NOTED:
                     self._note(RecordedEvent(_NOTED[effect.mode], time.time_ns(), effect.reason))
@@ -65,7 +69,7 @@ class Effects:
             case Reply():
                 self._latch.when_settled(partial(self._answer, effect))
             case DriveEnded():
-                _log.info("drive ended: %s", effect.reason)
+                _log.info("drive ended: %s", for_robot(effect.reason, self._robot))
                 laps = effect.report.laps
                 self._note(
                     RecordedEvent(EventKind.DRIVE_ENDED, time.time_ns(), effect.reason, laps)

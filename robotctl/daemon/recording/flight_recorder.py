@@ -19,6 +19,7 @@ from robotctl.daemon.recording.folder import open_recorder, retention_policy
 from robotctl.daemon.recording.recorder_report import RecorderReport
 from robotctl.daemon.recording.tidier import Tidier
 from robotctl.daemon.supervisor import Work
+from robotctl.ipc.advice import for_robot
 from robotctl.recording import RecorderStats, Topic
 from robotctl.recording.format.event_kind import EventKind
 from robotctl.recording.format.events import RecordedEvent
@@ -65,6 +66,7 @@ class FlightRecorder:
         for what each later file is to begin with, so that it stands alone. Raises Refused where
         nothing can be written.
         """
+        self._robot = options.robot
         self._on_failure = on_failure
         self._on_file = on_file
         self._closing = False
@@ -91,7 +93,12 @@ class FlightRecorder:
         self._black_box = BlackBox(config.recording, recording)
         self.tidier = Tidier(retention_policy(config.recording), recording)
         self.report = RecorderReport(
-            self._recorder, self.tap, topic_filter, diagnostics, self.tidier.problems
+            self._recorder,
+            self.tap,
+            topic_filter,
+            diagnostics,
+            self.tidier.problems,
+            options.robot,
         )
 
     def work(self) -> dict[str, Work]:
@@ -176,7 +183,7 @@ class FlightRecorder:
             await asyncio.sleep(SAMPLE_PERIOD_S)
 
     def _failed(self, detail: str) -> None:
-        _log.error("%s", detail)
+        _log.error("%s", for_robot(detail, self._robot))
         if self._must_record:
             self._on_failure(detail)
 

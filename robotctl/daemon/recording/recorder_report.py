@@ -5,9 +5,11 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 from robotctl.daemon.recording.loss_diagnosis import diagnose
 from robotctl.daemon.recording.topic_rates import HeavyTopics, RateMeter
+from robotctl.ipc.advice import for_robot
 from robotctl.ipc.answers import CountsAnswer, RecordingFacts
 from robotctl.recording import Recorder
 from robotctl.recording.format.message_counts import MessageCounts
@@ -31,6 +33,7 @@ class RecorderReport:
         topic_filter: TopicFilter,
         diagnostics: DiagnosticsPublisher,
         problems: Sequence[str],
+        robot: str,
     ) -> None:
         """`problems` grows: what is wrong with the other recordings in the folder."""
         self._recorder = recorder
@@ -38,6 +41,7 @@ class RecorderReport:
         self._filter = topic_filter
         self._diagnostics = diagnostics
         self._problems = problems
+        self._robot = robot
         self._rates = RateMeter()
         self._heavy = HeavyTopics()
         self._logged: set[str] = set()
@@ -69,7 +73,10 @@ class RecorderReport:
         }
 
     def warnings(self) -> Iterator[str]:
-        """Say what is not recorded, and why."""
+        """Say what is not recorded and why, with commands for this robot."""
+        yield from (for_robot(text, self._robot) for text in self._warnings())
+
+    def _warnings(self) -> Iterator[str]:
         stats = self._recorder.stats()
         yield from (text for text in (stats.failure, stats.warning) if text)
         if stats.no_memory:
@@ -101,7 +108,8 @@ class RecorderReport:
         if stats.no_memory and not self._logged_memory:
             self._logged_memory = True
             _log.warning("messages %s", _NO_MEMORY)
-        self._diagnostics.publish(diagnose(stats, list(self.warnings())))
+        told = replace(stats, failure=for_robot(stats.failure, self._robot))
+        self._diagnostics.publish(diagnose(told, list(self.warnings())))
 
     def _heavy_warnings(self) -> Iterator[tuple[str, str]]:
         """Yield each topic that is heavy now and can be left out, and what to say of it."""
@@ -109,7 +117,7 @@ class RecorderReport:
             if self._filter.can_leave_out(topic):
                 rate = f"{topic} brings {bytes_per_s / 1e6:.1f} MB/s"
                 cure = f"robotctl start --exclude {topic} leaves it out of the recording"
-                yield topic, f"{rate}: {cure}"
+                yield topic, for_robot(f"{rate}: {cure}", self._robot)
 
     def _log_heavy(self) -> None:
         """Name each heavy topic once."""

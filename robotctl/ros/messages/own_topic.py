@@ -11,6 +11,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 
 from robotctl.ros.messages.classes import type_name_of
+from robotctl.ros.messages.no_events import NO_PUBLISHER_EVENTS
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,4 +29,6 @@ class OwnTopic:
 
     def create_publisher(self, node: Node) -> Publisher:
         """Create the node's publisher of the topic."""
-        return node.create_publisher(self.message_class, self.name, self.qos)
+        return node.create_publisher(
+            self.message_class, self.name, self.qos, event_callbacks=NO_PUBLISHER_EVENTS
+        )

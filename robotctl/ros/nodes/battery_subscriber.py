@@ -10,6 +10,7 @@ from sensor_msgs.msg import BatteryState
 
 from robotctl.ros.messages import qos
 from robotctl.ros.messages.battery_state import to_battery_level
+from robotctl.ros.messages.no_events import NO_SUBSCRIPTION_EVENTS
 from robotctl.ros.session import Session
 
 
@@ -20,7 +21,12 @@ class BatterySubscriber:
         self._on_level = on_level
         node = session.node("battery_subscriber")
         self._subscription = node.create_subscription(
-            BatteryState, topic, self._receive, qos.SENSOR, raw=True
+            BatteryState,
+            topic,
+            self._receive,
+            qos.SENSOR,
+            event_callbacks=NO_SUBSCRIPTION_EVENTS,
+            raw=True,
         )
 
     def _receive(self, data: bytes) -> None:

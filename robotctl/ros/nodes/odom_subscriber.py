@@ -14,6 +14,7 @@ from robotctl.kernel.types import Odometry, Twist
 from robotctl.ros.executor import RawTap
 from robotctl.ros.graph.publishers import publisher_names
 from robotctl.ros.messages import qos
+from robotctl.ros.messages.no_events import NO_SUBSCRIPTION_EVENTS
 from robotctl.ros.session import Session
 
 MAX_SOURCES = 256
@@ -56,7 +57,12 @@ class OdomSubscriber:
         # Raw for the sake of speed, but never late: the kernel decides on what it hears.
         tap: Any = RawTap(self._receive, latency_s=0.0)
         self._subscription = self._node.create_subscription(
-            OdometryMessage, topic, tap, qos.SENSOR, raw=True
+            OdometryMessage,
+            topic,
+            tap,
+            qos.SENSOR,
+            event_callbacks=NO_SUBSCRIPTION_EVENTS,
+            raw=True,
         )
 
     @property

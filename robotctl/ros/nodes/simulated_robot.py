@@ -15,6 +15,7 @@ from robotctl.kernel.units import NS_PER_S
 from robotctl.ros.executor import RawTap, Ticker
 from robotctl.ros.messages import qos
 from robotctl.ros.messages.battery_state import battery_message
+from robotctl.ros.messages.no_events import NO_SUBSCRIPTION_EVENTS
 from robotctl.ros.messages.own_topic import OwnTopic
 from robotctl.ros.session import Session
 from robotctl.sim.robot import Robot, SimParams
@@ -57,7 +58,12 @@ class SimulatedRobot:
         node = session.node("simulated_robot")
         tap: Any = RawTap(self._command, latency_s=0.0)
         self._subscription = node.create_subscription(
-            TwistMessage, command, tap, qos.COMMAND, raw=True
+            TwistMessage,
+            command,
+            tap,
+            qos.COMMAND,
+            event_callbacks=NO_SUBSCRIPTION_EVENTS,
+            raw=True,
         )
         self._odometry = odometry_topic(odometry).create_publisher(node)
         self._battery = battery_topic(battery).create_publisher(node) if battery else None

@@ -15,6 +15,7 @@ from robotctl.ros.executor import RawTap
 from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.publishers import full_name, gid_of, publisher_names
 from robotctl.ros.messages import qos
+from robotctl.ros.messages.no_events import NO_SUBSCRIPTION_EVENTS
 from robotctl.ros.messages.own_topic import OwnTopic
 from robotctl.ros.session import RECORDER_NODE, Session
 
@@ -45,6 +46,8 @@ class VelocityPublisher:
         own_topic = command_topic(topic)
         self._publisher = own_topic.create_publisher(self._node)
         self._type_name = own_topic.type_name
+        self.gid = gid_of(self._publisher)
+        """The identity that our commands carry."""
         self._zero = encode_twist(ZERO)
         self._lock = Lock()
         self._gated = False
@@ -57,11 +60,6 @@ class VelocityPublisher:
         """The full name of the command topic."""
         return str(self._publisher.topic_name)
 
-    @property
-    def gid(self) -> bytes:
-        """The identity that our commands carry."""
-        return gid_of(self._publisher)
-
     def monitor(self, heard: Callable[[bytes], None], latency_s: float) -> Callable[[], None]:
         """Call `heard(gid)` for each command that reaches the topic, whoever publishes it.
 
@@ -71,7 +69,14 @@ class VelocityPublisher:
         tap = RawTap(lambda data, received, source, sequence, gid: heard(gid), latency_s=latency_s)
         # rclpy's own types know a callback of one argument only.
         callback: Any = tap
-        self._node.create_subscription(TwistMessage, self.topic, callback, qos.MONITOR, raw=True)
+        self._node.create_subscription(
+            TwistMessage,
+            self.topic,
+            callback,
+            qos.MONITOR,
+            event_callbacks=NO_SUBSCRIPTION_EVENTS,
+            raw=True,
+        )
         return lambda: tap.look()
 
     def name_of(self, gid: bytes) -> str:
@@ -120,9 +125,8 @@ class VelocityPublisher:
 
     def other_publishers(self) -> tuple[str, ...]:
         """Return the full names of the other nodes that publish the command topic now."""
-        own = self.gid
         publishers = endpoints.publishers(self._node, self.topic)
-        others = sorted(short_name(full_name(each)) for each in publishers if each.gid != own)
+        others = sorted(short_name(full_name(each)) for each in publishers if each.gid != self.gid)
         named = [name or "a node whose name is not known yet" for name in others[:MAX_NAMED]]
         if len(others) > MAX_NAMED:
             named.append(f"{len(others) - MAX_NAMED} more")

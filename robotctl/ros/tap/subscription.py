@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from robotctl.ros.executor import RawTap, ViewSink
 from robotctl.ros.messages import qos
 from robotctl.ros.messages.classes import message_class
+from robotctl.ros.messages.no_events import NO_SUBSCRIPTION_EVENTS
 from robotctl.ros.messages.type_definition import holds_bytes
 from robotctl.ros.tap.latched import LatchedMerge
 
@@ -98,7 +98,6 @@ class TappedSubscription:
             self.topic,
             callback,
             requested,
-            # No events: each would take a file of its own, and what they tell is seen in the graph.
-            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
+            event_callbacks=NO_SUBSCRIPTION_EVENTS,
             raw=True,
         )
