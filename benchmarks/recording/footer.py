@@ -15,8 +15,8 @@ from recording.figures import Figure
 
 from robotctl.recording import RecorderOptions, Topic
 from robotctl.recording.format.records import MESSAGE_HEAD
-from robotctl.recording.format.topics import TopicAccount
 from robotctl.recording.write.buffer import pack
+from robotctl.recording.write.channel_state import ChannelState
 from robotctl.recording.write.recording_file import RecordingFile
 
 TOPICS = 30
@@ -38,8 +38,8 @@ def measure(scratch: Path) -> Iterator[tuple[str, float]]:
     options = RecorderOptions()
     commits = int(options.split_s / options.flush_s)
     with tempfile.TemporaryDirectory(dir=scratch) as folder:
-        accounts = [TopicAccount(Topic(f"/topic{n}", "a/msg/B", "x\n")) for n in range(TOPICS)]
-        file = RecordingFile(Path(folder) / "file.mcap", options, {}, accounts)
+        channels = [ChannelState(Topic(f"/topic{n}", "a/msg/B", "x\n")) for n in range(TOPICS)]
+        file = RecordingFile(Path(folder) / "file.mcap", options, {}, channels)
         taken = pack([(channel, bytes(MESSAGE_BYTES), 1, 1, 1) for channel in range(TOPICS)])
         begun = time.process_time()
         for number in range(commits):

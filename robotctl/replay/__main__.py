@@ -2,7 +2,7 @@
 
 One line of JSON each: {"note"}, {"waiting"}, {"start"}, {"progress"}, {"summary"}, and {"error",
 "exit_code"} with the error's details. Further lines on stdin control the replay
-(robotctl.replay.controls), and its end stops it: a replay never outlives who asked for it.
+(robotctl.replay.commands), and its end stops it: a replay never outlives who asked for it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from robotctl.replay.job import Job
 from robotctl.replay.other_daemons import domain_of
 
 if TYPE_CHECKING:
-    from robotctl.replay.notes import Tell
+    from robotctl.replay.report import Tell
 
 SWITCH_INTERVAL_S = 1e-4
 """How long the thread that keeps time waits for another one to let it go on (default 5 ms)."""
@@ -66,7 +66,7 @@ def _play(job: Job, lines: Iterator[bytes], tell: Tell, at_end: ExitStack) -> No
 
     membership = at_end.enter_context(Membership(domain_of(job)))
     # Others are discovered while this is imported.
-    from robotctl.replay.controls import command_of
+    from robotctl.replay.commands import command_of
     from robotctl.replay.run import Replay
     from robotctl.ros.playback.playback import ReplaySession
 

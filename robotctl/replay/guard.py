@@ -8,7 +8,7 @@ from typing import Final, Protocol
 
 from robotctl.errors import Refused
 from robotctl.ipc.client import command_for
-from robotctl.replay.other_daemons import Daemon, daemons_in
+from robotctl.replay.other_daemons import RunningDaemon, daemons_in
 from robotctl.replay.plan import Route, absolute, is_named
 
 REPLAY_PREFIX: Final = "/replay"
@@ -26,7 +26,7 @@ class Graph(Protocol):
         """The names of the robots whose daemons are in the domain, whoever runs them."""
 
 
-class Safety:
+class ReplayGuard:
     """The rules for one replay in one domain; `named` are the topics that the user asked for."""
 
     def __init__(
@@ -88,17 +88,18 @@ class Safety:
                 f"(start it again to play below {REPLAY_PREFIX})"
             )
 
-    def _daemons(self) -> list[Daemon]:
+    def _daemons(self) -> list[RunningDaemon]:
         """Our own, who can be asked, and those that only the ROS graph shows."""
         daemons = daemons_in(self._domain_id)
         known = {daemon.robot for daemon in daemons}
         others = [
-            Daemon(robot, self._domain_id, None) for robot in self._graph.robots_with_daemon()
+            RunningDaemon(robot, self._domain_id, None)
+            for robot in self._graph.robots_with_daemon()
         ]
         return daemons + [daemon for daemon in others if daemon.robot not in known]
 
 
-def check_still(daemons: Iterable[Daemon]) -> None:
+def check_still(daemons: Iterable[RunningDaemon]) -> None:
     """Raise Refused if one of the daemons moves its robot, or may do so."""
     for daemon in daemons:
         if daemon.may_be_moving:
@@ -127,5 +128,5 @@ def withheld_note(route: Route) -> str:
     return f"{name} is withheld: a robot would obey these {what} (send them: --topics {name})"
 
 
-def _names_of(daemons: Sequence[Daemon]) -> str:
+def _names_of(daemons: Sequence[RunningDaemon]) -> str:
     return ", ".join(repr(daemon.robot) for daemon in daemons)

@@ -13,7 +13,7 @@ ANSWER_DEADLINE_S = 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class Daemon:
+class RunningDaemon:
     """A daemon that listens; `domain_id` and `mode` are None where it did not tell them."""
 
     robot: str
@@ -28,7 +28,7 @@ class Daemon:
         return self.mode in (None, "MOVING")
 
 
-def running_daemons() -> list[Daemon]:
+def running_daemons() -> list[RunningDaemon]:
     """Every daemon that listens on a control socket of this user, by name.
 
     Raises UsageError if another user could have put the sockets there.
@@ -43,7 +43,7 @@ def running_daemons() -> list[Daemon]:
     return found
 
 
-def daemons_in(domain_id: int) -> list[Daemon]:
+def daemons_in(domain_id: int) -> list[RunningDaemon]:
     """Those that drive in a ROS domain; one that does not say where it is may be there."""
     return [
         daemon
@@ -60,7 +60,7 @@ def domain_of(job: Job) -> int:
     return 0 if daemon is None else daemon.domain_id or 0
 
 
-def ask(robot: str) -> Daemon | None:
+def ask(robot: str) -> RunningDaemon | None:
     """The robot's daemon, or None where nobody listens.
 
     Raises Refused where another user's process listens in its place.
@@ -70,11 +70,11 @@ def ask(robot: str) -> Daemon | None:
             try:
                 status = client.call("status", deadline_s=ANSWER_DEADLINE_S)
             except RobotctlError:  # it is there, but slow, busy or of another version
-                return Daemon(robot, None, None)
+                return RunningDaemon(robot, None, None)
     except (NoDaemon, UsageError):
         return None
     domain_id, mode = status.get("domain_id"), status.get("mode")
-    return Daemon(
+    return RunningDaemon(
         robot,
         domain_id if isinstance(domain_id, int) else None,
         mode if isinstance(mode, str) else None,

@@ -8,8 +8,8 @@ from typing import Final
 
 from robotctl.replay.clock import Clock
 from robotctl.replay.lateness import Lateness
+from robotctl.replay.playback_control import PlaybackControl
 from robotctl.replay.schedule import Schedule
-from robotctl.replay.steering import Steering
 from robotctl.replay.timeline import Entry
 
 Send = Callable[[bytes], bool | None]
@@ -24,7 +24,7 @@ SLICE_NS: Final = 50_000_000
 
 
 @dataclass(slots=True)
-class Sent:
+class TopicSender:
     """What came of one topic's messages so far."""
 
     send: Send
@@ -32,7 +32,7 @@ class Sent:
     failed: int = 0
 
 
-class Ticks:
+class ClockPublisher:
     """Tells the recorded time to `send` every `period_ns` of real time, also while it rests."""
 
     def __init__(self, period_ns: int, send: Callable[[int], object]) -> None:
@@ -63,10 +63,10 @@ class Player:
         clock: Clock,
         paused: bool = False,
         delay_ns: int = 0,
-        ticks: Ticks | None = None,
+        ticks: ClockPublisher | None = None,
     ) -> None:
-        self.topics = {topic: Sent(send) for topic, send in sends.items()}
-        self.steering = Steering(rate, clock.now_ns, paused=paused)
+        self.topics = {topic: TopicSender(send) for topic, send in sends.items()}
+        self.control = PlaybackControl(rate, clock.now_ns, paused=paused)
         self.lateness = Lateness()
         self.position_ns = 0
         """Recorded time that has been played."""
@@ -91,7 +91,7 @@ class Player:
 
     def run(self) -> None:
         """Send until the entries end or `stop` is called."""
-        self.steering.begin(self._clock.now_ns() + LEAD_NS + self._delay_ns)
+        self.control.begin(self._clock.now_ns() + LEAD_NS + self._delay_ns)
         for batch in self._batches:
             for at_ns, topic, data in batch:
                 due_ns = self._wait_for(at_ns)
@@ -102,16 +102,16 @@ class Player:
 
     def _wait_for(self, at_ns: int) -> int | None:
         """Return when the message is due, or at a stop; None where no moment was set for it."""
-        clock, steering = self._clock, self.steering
+        clock, control = self._clock, self.control
         while not self._stopped:
-            schedule = steering.schedule
+            schedule = control.schedule
             now_ns = clock.now_ns()
             wake_ns = now_ns + SLICE_NS
             if self._ticks is not None:
                 self._ticks.tick(now_ns, self._told_position_ns(schedule, now_ns))
                 wake_ns = min(wake_ns, self._ticks.due_ns)
             if schedule.paused:
-                if steering.takes_step(at_ns):
+                if control.takes_step(at_ns):
                     return None
                 clock.sleep_until(wake_ns)
                 continue
@@ -121,14 +121,14 @@ class Player:
                 continue
             if schedule.rate is not None or due_ns > now_ns:
                 clock.sleep_until(due_ns)
-            if steering.schedule is schedule:
+            if control.schedule is schedule:
                 return due_ns if schedule.rate is not None else None
         return None
 
     def _told_position_ns(self, schedule: Schedule, now_ns: int) -> int:
         return self.position_ns if schedule.rate is None else schedule.position_ns(now_ns)
 
-    def _send(self, topic: Sent, data: bytes, due_ns: int | None) -> None:
+    def _send(self, topic: TopicSender, data: bytes, due_ns: int | None) -> None:
         if due_ns is not None:
             self.late_ns = self._clock.now_ns() - due_ns
             self.lateness.add(self.late_ns)

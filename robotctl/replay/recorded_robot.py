@@ -28,7 +28,7 @@ MAX_POINTS: Final = 4000
 """Beyond that every other point of the path is forgotten."""
 
 
-class Sight:
+class RecordedRobot:
     """The state of the recorded robot, None for what is not known; `path` is in metres.
 
     It goes one way, `advance`; where a replay begins again, so does the path.

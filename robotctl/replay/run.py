@@ -14,16 +14,16 @@ from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording
 from robotctl.replay import plan
 from robotctl.replay.clock import SteadyClock
-from robotctl.replay.controls import Command, carry_out
-from robotctl.replay.guard import Safety, check_still, is_command
+from robotctl.replay.commands import Command, carry_out
+from robotctl.replay.guard import ReplayGuard, check_still, is_command
 from robotctl.replay.job import Job
-from robotctl.replay.notes import Record, Tell
-from robotctl.replay.opening import open_clock, open_routes, playable
 from robotctl.replay.other_daemons import daemons_in
-from robotctl.replay.outcome import progress, summary
+from robotctl.replay.output import progress, summary
 from robotctl.replay.plan import Route
-from robotctl.replay.player import Player, Send, Ticks
+from robotctl.replay.player import ClockPublisher, Player, Send
+from robotctl.replay.publishers import open_clock, open_routes, playable
 from robotctl.replay.read_ahead import AHEAD_ENTRIES, ReadAhead
+from robotctl.replay.report import ReplayReport, Tell
 from robotctl.replay.timeline import Span, recorded, span_of
 from robotctl.ros.executor.realtime import FifoScheduling
 from robotctl.ros.playback.playback import GLANCE_S, QUIET_S, ReplaySession
@@ -52,7 +52,7 @@ class Replay:
         self._ros = ros
         self._tell = tell
         self._stopped = ros.stopped
-        self._record = Record(tell)
+        self._report = ReplayReport(tell)
         self._controlling = threading.Lock()
         self._player: Player | None = None
         self._early: list[Command] = []
@@ -68,7 +68,7 @@ class Replay:
             if self._player is None:
                 self._early.append(command)
             else:
-                carry_out(command, self._player.steering)
+                carry_out(command, self._player.control)
 
     def run(self) -> None:
         """Play to the end, then tell the summary.
@@ -81,32 +81,32 @@ class Replay:
         job, ros = self._job, self._ros
         with Recording(job.file) as recording:
             info = recording.info()
-            self._record.miss(info.missing)
+            self._report.miss(info.missing)
             chosen = plan.selected(info.topics, job)
             routes = plan.routes(info.topics, chosen, job)
             span = span_of(info, job)
             if job.original_names:
                 check_still(daemons_in(ros.domain_id))  # before discovery takes its time
-            routes = playable(routes, ros, job, self._record)
-            safety = Safety(ros, ros.domain_id, job.topics, original_names=job.original_names)
+            routes = playable(routes, ros, job, self._report)
+            guard = ReplayGuard(ros, ros.domain_id, job.topics, original_names=job.original_names)
             # A daemon stops its robot for a second publisher of its commands.
-            commands = any(is_command(route) and safety.names(route) for route in routes)
+            commands = any(is_command(route) and guard.names(route) for route in routes)
             ros.settle(QUIET_S if commands else GLANCE_S)
             if self._stopped.is_set():
                 routes = []  # perhaps not everybody is known: no robot may see a publisher of ours
-            self._record.note(safety.choose_prefix())
-            routes = safety.prefixed(routes)
-            ticks = open_clock(safety.prefix, ros, job, span)
-            for route in safety.withheld(routes):
+            self._report.note(guard.choose_prefix())
+            routes = guard.prefixed(routes)
+            ticks = open_clock(guard.prefix, ros, job, span)
+            for route in guard.withheld(routes):
                 routes.remove(route)
-                self._record.withhold(route)
-            routes, sends = open_routes(routes, ros, job, self._record)
+                self._report.withhold(route)
+            routes, sends = open_routes(routes, ros, job, self._report)
             self._wait()
-            player = self._play(recording, safety, routes, sends, ticks, span)
-        said = summary(self._record, player, routes, interrupted=self._stopped.is_set())
-        where = {"file": str(job.file), "domain_id": ros.domain_id, "prefix": safety.prefix}
+            player = self._play(recording, guard, routes, sends, ticks, span)
+        said = summary(self._report, player, routes, interrupted=self._stopped.is_set())
+        where = {"file": str(job.file), "domain_id": ros.domain_id, "prefix": guard.prefix}
         self._tell({"summary": where | said})
-        missing = self._record.missing
+        missing = self._report.missing
         if missing and not self._stopped.is_set():
             raise UnreadableFile(f"{job.file} is incomplete: {'; '.join(missing)}")
 
@@ -123,10 +123,10 @@ class Replay:
     def _play(
         self,
         recording: Recording,
-        safety: Safety,
+        guard: ReplayGuard,
         routes: Sequence[Route],
         sends: dict[str, Send],
-        ticks: Ticks | None,
+        ticks: ClockPublisher | None,
         span: Span,
     ) -> Player:
         job = self._job
@@ -141,7 +141,7 @@ class Replay:
             span,
             sends.keys(),
             latched,
-            lambda sentence: self._record.miss([sentence]),
+            lambda sentence: self._report.miss([sentence]),
             loop=job.loop,
         )
         with ReadAhead(timeline, job.read_ahead or AHEAD_ENTRIES) as ahead:
@@ -157,10 +157,10 @@ class Replay:
             with self._controlling:
                 self._player = player
                 for command in self._early:
-                    carry_out(command, player.steering)
+                    carry_out(command, player.control)
             self._tell({"start": {"length_s": span.length_ns / NS_PER_S, "topics": len(routes)}})
-            safety.check()  # waiting may have taken its time
-            self._run_player(player, ahead, safety)
+            guard.check()  # waiting may have taken its time
+            self._run_player(player, ahead, guard)
         self._ros.wait_until_received()
         return player
 
@@ -168,9 +168,9 @@ class Replay:
         self,
         player: Player,
         ahead: ReadAhead,
-        safety: Safety,
+        guard: ReplayGuard,
     ) -> None:
-        """Let the player run in a thread, tell how far it is, and watch over safety."""
+        """Let the player run in a thread, tell how far it is, and watch over guard."""
         failures: list[BaseException] = []
         scheduling: list[FifoScheduling] = []
         behind = 0
@@ -198,7 +198,7 @@ class Replay:
                     with suppress(ProcessLookupError):  # the thread has just ended
                         scheduling[0].restore()
                 if time.monotonic() >= guard_at:
-                    safety.check()
+                    guard.check()
                     guard_at = time.monotonic() + GUARD_S
         finally:
             if thread.is_alive():

@@ -9,9 +9,9 @@ from pathlib import Path
 from robotctl.errors import UnreadableFile
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording, RecordingInfo, read_info
-from robotctl.recording.format.identity import CLIP_RECORD, INFO_RECORD, OWN_LIBRARY
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.format.ledger_record import read_ledger
+from robotctl.recording.format.metadata_names import CLIP_RECORD, INFO_RECORD, OWN_LIBRARY
 from robotctl.recording.read.journal_reader import EntryDecoder, journal_topic
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.comparison import Comparison

@@ -12,7 +12,7 @@ import msgspec
 from robotctl import __version__
 from robotctl.kernel.codec import to_json
 from robotctl.kernel.types import Decision
-from robotctl.recording.format.identity import MADE_BY
+from robotctl.recording.format.metadata_names import MADE_BY
 
 TOLERANCE = 1e-9
 """Of floats that another libc or Python has computed, absolute and relative."""

@@ -8,7 +8,7 @@ from dataclasses import fields
 from robotctl.config import Config, check_together, with_text
 from robotctl.errors import ConfigError, UsageError
 from robotctl.recording import RecordingInfo
-from robotctl.recording.format.identity import INFO_RECORD
+from robotctl.recording.format.metadata_names import INFO_RECORD
 
 PREFIX = "parameter."
 """Of the keys of a configuration in a recording's metadata."""

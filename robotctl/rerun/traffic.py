@@ -8,8 +8,8 @@ from collections import deque
 from robotctl.errors import UnreadableFile
 from robotctl.kernel.types import Effect, PublishTwist, Twist
 from robotctl.recording import RecordingInfo
-from robotctl.recording.format.identity import INFO_RECORD
 from robotctl.recording.format.journal import TOPIC
+from robotctl.recording.format.metadata_names import INFO_RECORD
 
 TYPES = frozenset({"geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"})
 """Both end with the six numbers."""

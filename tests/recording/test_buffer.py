@@ -9,7 +9,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from robotctl.recording.format.records import MESSAGE_HEAD
-from robotctl.recording.write.buffer import PackBuffer, Taken, pack
+from robotctl.recording.write.buffer import PackBuffer, PackedMessages, pack
 from tests.support.recordings import number_of, numbered
 
 
@@ -28,19 +28,19 @@ def packing(buffer: PackBuffer, number: int, channel: int, log_ns: int) -> Itera
     buffer.end = start + len(record)
 
 
-def numbers_in(taken: Taken) -> list[int]:
+def numbers_in(packed: PackedMessages) -> list[int]:
     """The messages that the indexes lead to, after checking that they lead to all of them."""
-    data = b"".join(bytes(part) for part in taken.parts)
+    data = b"".join(bytes(part) for part in packed.parts)
     entries = []
     times = []
-    for channel, index in taken.indexes.items():
+    for channel, index in packed.indexes.items():
         for log_ns, offset in zip(index[::2], index[1::2], strict=True):
             head = MESSAGE_HEAD.unpack_from(data, offset)
             assert (head[0], head[2], head[4]) == (5, channel, log_ns)
             entries.append((offset, number_of(data[offset + MESSAGE_HEAD.size :])))
             times.append(log_ns)
     assert [offset for offset, _ in sorted(entries)] == list(range(0, len(data), 83))
-    assert (taken.start_ns, taken.end_ns) == (min(times), max(times))
+    assert (packed.start_ns, packed.end_ns) == (min(times), max(times))
     return [number for _, number in sorted(entries)]
 
 
@@ -59,9 +59,9 @@ def test_what_is_taken_at_any_step_is_each_message_once_and_in_order(
     found: list[int] = []
 
     def take() -> None:
-        taken = buffer.take()
-        if taken is not None:
-            found.extend(numbers_in(taken))
+        packed = buffer.take()
+        if packed is not None:
+            found.extend(numbers_in(packed))
 
     for number, (channel, log_ns, takes_at) in enumerate(messages):
         for step, _ in enumerate(packing(buffer, number, channel, log_ns)):
@@ -80,14 +80,14 @@ def test_a_recycled_buffer_is_as_new() -> None:
     for number in range(3):
         list(packing(buffer, number, 0, 1000 - number))
         buffer.limit = 0
-        taken = buffer.take()
-        assert taken is not None
-        assert numbers_in(taken) == [number]
+        packed = buffer.take()
+        assert packed is not None
+        assert numbers_in(packed) == [number]
         buffer.recycle()
         assert (buffer.end, buffer.limit, buffer.unordered) == (0, 83, set())
 
 
 def test_messages_packed_without_a_buffer_are_indexed_alike() -> None:
-    taken = pack([(number % 2, numbered(number), 7 - number, 0, number) for number in range(5)])
-    assert numbers_in(taken) == list(range(5))
-    assert struct.unpack_from("<I", taken.parts[2], 11) == (1,)
+    packed = pack([(number % 2, numbered(number), 7 - number, 0, number) for number in range(5)])
+    assert numbers_in(packed) == list(range(5))
+    assert struct.unpack_from("<I", packed.parts[2], 11) == (1,)

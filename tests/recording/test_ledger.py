@@ -8,14 +8,15 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robotctl.recording.format.identity import LEDGER_RECORD
-from robotctl.recording.format.ledger import MAX_PUBLISHERS, SequenceLedger
 from robotctl.recording.format.ledger_record import ledger_values, read_ledger
 from robotctl.recording.format.message_counts import COUNTERS, total
-from robotctl.recording.format.topics import Topic, TopicAccount, TopicStats, by_topic
+from robotctl.recording.format.metadata_names import LEDGER_RECORD
+from robotctl.recording.format.topics import Topic, TopicStats, by_topic
+from robotctl.recording.write.channel_state import ChannelState
+from robotctl.recording.write.sequence_gaps import MAX_PUBLISHERS, SequenceGaps
 
 
-def feed(ledger: SequenceLedger, gid: bytes, *sequences: int) -> None:
+def feed(ledger: SequenceGaps, gid: bytes, *sequences: int) -> None:
     """As the recorder does: what is expected is advanced, all else is noted."""
     for sequence in sequences:
         if ledger.expected.get(gid) == sequence:
@@ -25,19 +26,19 @@ def feed(ledger: SequenceLedger, gid: bytes, *sequences: int) -> None:
 
 
 def test_a_gap_counts_its_messages() -> None:
-    ledger = SequenceLedger()
+    ledger = SequenceGaps()
     feed(ledger, b"a", 1, 2, 5, 6, 10)
     assert (ledger.lost, ledger.unseen) == (2 + 3, 0)
 
 
 def test_what_was_sent_before_the_first_message_received_is_not_called_lost() -> None:
-    ledger = SequenceLedger()
+    ledger = SequenceGaps()
     feed(ledger, b"a", 101, 102)
     assert (ledger.lost, ledger.unseen) == (0, 100)
 
 
 def test_each_publisher_counts_for_itself() -> None:
-    ledger = SequenceLedger()
+    ledger = SequenceGaps()
     feed(ledger, b"a", 1, 2)
     feed(ledger, b"b", 1, 2, 3)
     feed(ledger, b"a", 3, 4)
@@ -46,32 +47,32 @@ def test_each_publisher_counts_for_itself() -> None:
 
 
 def test_a_publisher_that_restarts_loses_nothing_by_it() -> None:
-    ledger = SequenceLedger()
+    ledger = SequenceGaps()
     feed(ledger, b"a", *range(1, 500), *range(1, 300), 301)
     assert ledger.lost == 1
 
 
 def test_a_message_that_comes_late_is_not_lost() -> None:
-    ledger = SequenceLedger()
+    ledger = SequenceGaps()
     feed(ledger, b"a", 1, 2, 5, 3, 6, 4, 7)
     assert ledger.lost == 0
 
 
 def test_a_publisher_that_does_not_count_loses_nothing() -> None:
-    ledger = SequenceLedger()
+    ledger = SequenceGaps()
     feed(ledger, b"a", 0, 0, 0)
     assert (ledger.lost, ledger.unseen, ledger.expected) == (0, 0, {})
 
 
 def test_latched_messages_that_are_delivered_again_lose_nothing() -> None:
-    ledger = SequenceLedger()
+    ledger = SequenceGaps()
     feed(ledger, b"a", 1, 2, 3, 3, 4)
     feed(ledger, b"a", 2, 3, 4, 5)
     assert ledger.lost == 0
 
 
 def test_publishers_that_keep_restarting_need_bounded_memory() -> None:
-    ledger = SequenceLedger()
+    ledger = SequenceGaps()
     for number in range(3 * MAX_PUBLISHERS):
         feed(ledger, number.to_bytes(4, "big"), 1, 3)
     assert len(ledger.expected) == len(ledger._missing) == MAX_PUBLISHERS
@@ -83,7 +84,7 @@ def test_lost_is_exactly_what_lies_between_the_received_ones(
     count: int, loss: float, dice: random.Random
 ) -> None:
     received = [number for number in range(1, count + 1) if dice.random() >= loss]
-    ledger = SequenceLedger()
+    ledger = SequenceGaps()
     feed(ledger, b"a", *received)
     if received:
         assert ledger.unseen == received[0] - 1
@@ -130,7 +131,7 @@ def test_a_latched_message_without_memory_gives_back_the_room_of_the_one_before(
         def __bytes__(self) -> bytes:
             raise MemoryError
 
-    account = TopicAccount(Topic("/map", "a/msg/A", offered_qos="durability: transient_local"))
-    assert account.keep_latched(b"gid", bytes(100), 0, 0, 0, 1000) == 100
-    assert account.keep_latched(b"gid", Endless(10), 0, 0, 1, 900) == -100
-    assert (account.latched_messages(), account.forgotten) == ([], 1)
+    channel = ChannelState(Topic("/map", "a/msg/A", offered_qos="durability: transient_local"))
+    assert channel.keep_latched(b"gid", bytes(100), 0, 0, 0, 1000) == 100
+    assert channel.keep_latched(b"gid", Endless(10), 0, 0, 1, 900) == -100
+    assert (channel.latched_messages(), channel.not_kept) == ([], 1)

@@ -12,7 +12,7 @@ import pytest
 from robotctl.recording import Recorder, RecorderOptions, RecorderState
 from robotctl.recording.write.buffer import LargeMessage, PackBuffer
 from robotctl.recording.write.chunk_encoder import ChunkEncoder
-from robotctl.recording.write.writer_thread import Drain
+from robotctl.recording.write.writer_thread import WriterThread
 from robotctl.testing.drives import TWIST
 from tests.support.recordings import read_strictly, record_without_memory, write_numbered
 from tests.support.waiting import until
@@ -84,8 +84,8 @@ def test_the_thread_survives_a_failure_that_it_cannot_even_tell(
 ) -> None:
     failures: list[str] = []
     recorder = Recorder(tmp_path / "run", on_failure=failures.append)
-    monkeypatch.setattr(Drain, "_turn", without_memory(Drain._turn, 3))
-    monkeypatch.setattr(Drain, "_fail", without_memory(Drain._fail, 2))
+    monkeypatch.setattr(WriterThread, "_turn", without_memory(WriterThread._turn, 3))
+    monkeypatch.setattr(WriterThread, "_fail", without_memory(WriterThread._fail, 2))
     until(lambda: recorder.stats().failure)
     write_numbered(recorder, recorder.add_topic(TWIST), range(1, 11))
     stats = recorder.close()

@@ -391,7 +391,7 @@ def slice_of(thread: int) -> int | None:
 def test_the_writer_thread_ranks_below_the_loop(open_recorder: OpenRecorder) -> None:
     ours = os.getpriority(os.PRIO_PROCESS, 0)
     recorder = open_recorder()
-    writer = recorder._drain._thread.native_id
+    writer = recorder._thread._thread.native_id
     assert writer is not None
     until(lambda: os.sched_getscheduler(writer) == os.SCHED_BATCH)
     assert os.getpriority(os.PRIO_PROCESS, writer) == min(ours + NICE, 19)
@@ -464,7 +464,7 @@ def test_many_sizes_need_no_memory_each(open_recorder: OpenRecorder) -> None:
     sizes = [*range(3000), *range(3000)]
     for number, size in enumerate(sizes, start=1):
         recorder.write(channel, bytes(size), START_NS + number, START_NS, number, GID)
-    assert len(recorder._accounts[channel].packers) <= 128
+    assert len(recorder._channels[channel].packers) <= 128
     assert [len(message.data) for message in read_strictly(recorder.close().file)] == sizes
 
 

@@ -30,9 +30,9 @@ from robotctl.recording import (
 )
 from robotctl.recording.disk.storage import Buffer, DiskFile
 from robotctl.recording.format.records import MESSAGE_HEAD
-from robotctl.recording.format.topics import TopicAccount
 from robotctl.recording.write.bag_writer import BagWriter
 from robotctl.recording.write.buffer import PackBuffer
+from robotctl.recording.write.channel_state import ChannelState
 from robotctl.testing.drives import TWIST
 from robotctl.testing.faults import FailingFile, GatedFile, VolatileFile
 from tests.support.recordings import (
@@ -377,7 +377,7 @@ def test_the_memory_of_a_burst_is_given_back(tmp_path: Path) -> None:
         write_numbered(recorder, channel, range(burst * 6000 + 1, burst * 6000 + 6001))
         gate.set()
         until(lambda: recorder.stats().queued == 0)
-        assert len(recorder._drain.spare) <= 2
+        assert len(recorder._thread.spare) <= 2
     stats = recorder.close()
     assert (stats.written, stats.dropped) == (18_000, 0)
 
@@ -406,10 +406,10 @@ def test_after_a_power_cut_all_that_was_synced_is_readable(
         return disks[-1]
 
     options = RecorderOptions(compression=compression, open_file=open_file)
-    accounts = [TopicAccount(TWIST)]
+    channels = [ChannelState(TWIST)]
     folder = tmp_path / "run"
     folder.mkdir()
-    writer = BagWriter(folder, options, dict, accounts)
+    writer = BagWriter(folder, options, dict, channels)
     buffer = PackBuffer(1 << 20)
     buffer.make_indexes(1)
     crashed = tmp_path / "crashed.mcap"

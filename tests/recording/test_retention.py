@@ -13,7 +13,7 @@ from rosbags.rosbag2 import Reader as RosbagsReader
 from robotctl.recording import Recorder, RecorderOptions, read_info
 from robotctl.recording.keep.clip import Moment
 from robotctl.recording.keep.clip_job import ClipJob, make_clip
-from robotctl.recording.keep.retention import DAY_S, RetentionPolicy, enforce
+from robotctl.recording.keep.retention import DAY_S, RetentionPolicy, enforce_retention
 from robotctl.recording.keep.tidy_job import TidyJob, tidy
 from robotctl.testing.drives import TWIST
 from tests.support.recordings import read_strictly, write_numbered
@@ -45,29 +45,29 @@ def names(folder: Path) -> list[str]:
 
 def test_the_oldest_go_until_the_rest_fits(tmp_path: Path) -> None:
     sizes = [recorded(tmp_path / f"run{n}", age_s=100.0 - n) for n in range(5)]
-    removed = enforce(tmp_path, RetentionPolicy(max_bytes=sum(sizes[2:])), NOW_S)
+    removed = enforce_retention(tmp_path, RetentionPolicy(max_bytes=sum(sizes[2:])), NOW_S)
     assert [each.path.name for each in removed] == ["run0_0.mcap", "run1_0.mcap"]
     assert [each.size for each in removed] == sizes[:2]
     assert names(tmp_path) == ["run2", "run3", "run4"]
-    assert enforce(tmp_path, RetentionPolicy(max_bytes=sum(sizes[2:])), NOW_S) == []
+    assert enforce_retention(tmp_path, RetentionPolicy(max_bytes=sum(sizes[2:])), NOW_S) == []
 
 
 def test_what_is_too_old_goes(tmp_path: Path) -> None:
     recorded(tmp_path / "old", age_s=31 * DAY_S)
     recorded(tmp_path / "new", age_s=29 * DAY_S)
-    enforce(tmp_path, RetentionPolicy(), NOW_S)
+    enforce_retention(tmp_path, RetentionPolicy(), NOW_S)
     assert names(tmp_path) == ["new"]
 
 
 def test_without_limits_everything_stays(tmp_path: Path) -> None:
     recorded(tmp_path / "old", age_s=1000 * DAY_S)
-    assert enforce(tmp_path, RetentionPolicy(max_bytes=None, max_age_s=None), NOW_S) == []
+    assert enforce_retention(tmp_path, RetentionPolicy(max_bytes=None, max_age_s=None), NOW_S) == []
 
 
 def test_part_of_a_recording_may_go_and_the_rest_is_a_bag(tmp_path: Path) -> None:
     recorded(tmp_path / "run", age_s=100.0, splits=3)
     last = (tmp_path / "run" / "run_3.mcap").stat().st_size
-    enforce(tmp_path, RetentionPolicy(max_bytes=last), NOW_S)
+    enforce_retention(tmp_path, RetentionPolicy(max_bytes=last), NOW_S)
     assert names(tmp_path / "run") == ["metadata.yaml", "run_3.mcap"]
     with RosbagsReader(tmp_path / "run") as bag:
         assert bag.message_count == 10
@@ -77,7 +77,7 @@ def test_part_of_a_recording_may_go_and_the_rest_is_a_bag(tmp_path: Path) -> Non
 def test_a_recording_marked_keep_stays(tmp_path: Path) -> None:
     recorded(tmp_path / "run", age_s=1000 * DAY_S)
     (tmp_path / "run" / "keep").touch()
-    assert enforce(tmp_path, RetentionPolicy(max_bytes=0), NOW_S) == []
+    assert enforce_retention(tmp_path, RetentionPolicy(max_bytes=0), NOW_S) == []
 
 
 def clipped(folder: Path, age_s: float) -> int:
@@ -93,7 +93,7 @@ def test_clips_go_with_their_recordings(tmp_path: Path) -> None:
         recorded(tmp_path / name, age_s=1000 * DAY_S)
         clipped(tmp_path / name, age_s=1000 * DAY_S)
     (tmp_path / "kept" / "keep").touch()
-    enforce(tmp_path, RetentionPolicy(), NOW_S)
+    enforce_retention(tmp_path, RetentionPolicy(), NOW_S)
     assert names(tmp_path) == ["kept"]
     assert len(names(tmp_path / "kept" / "clips")) == 1
 
@@ -102,13 +102,13 @@ def test_clips_count_and_a_younger_one_outlives_its_recording(tmp_path: Path) ->
     size = recorded(tmp_path / "run", age_s=100.0)
     older, younger = clipped(tmp_path / "run", age_s=200.0), clipped(tmp_path / "run", age_s=50.0)
     metadata = (tmp_path / "run" / "metadata.yaml").stat()
-    enforce(tmp_path, RetentionPolicy(max_bytes=size + younger + older - 1), NOW_S)
+    enforce_retention(tmp_path, RetentionPolicy(max_bytes=size + younger + older - 1), NOW_S)
     assert len(names(tmp_path / "run" / "clips")) == 1
     assert (tmp_path / "run" / "metadata.yaml").stat() == metadata
     assert read_info(tmp_path / "run").message_count == 10
-    enforce(tmp_path, RetentionPolicy(max_bytes=younger), NOW_S)
+    enforce_retention(tmp_path, RetentionPolicy(max_bytes=younger), NOW_S)
     assert names(tmp_path / "run") == ["clips"]
-    enforce(tmp_path, RetentionPolicy(max_bytes=0), NOW_S)
+    enforce_retention(tmp_path, RetentionPolicy(max_bytes=0), NOW_S)
     assert names(tmp_path) == []
 
 
@@ -122,7 +122,7 @@ def test_the_file_being_written_stays_and_its_bag_forgets_the_removed(tmp_path: 
     recorder.split()
     until(lambda: bool(begun))
     write_numbered(recorder, channel, range(11, 21))
-    removed = enforce(tmp_path, RetentionPolicy(max_bytes=0), NOW_S)
+    removed = enforce_retention(tmp_path, RetentionPolicy(max_bytes=0), NOW_S)
     assert [each.path.name for each in removed] == ["run_0.mcap"]
     until(lambda: read_info(tmp_path / "run").missing == ())  # also while it goes on
     stats = recorder.close()
@@ -144,7 +144,7 @@ def test_what_robotctl_has_not_recorded_stays(tmp_path: Path) -> None:
     (tmp_path / "linked").symlink_to(tmp_path / "away" / "linked")
     recorded(tmp_path / "run", age_s=1000 * DAY_S)
     (tmp_path / "run" / "path.png").write_text("a picture")
-    enforce(tmp_path, RetentionPolicy(max_bytes=0), NOW_S)
+    enforce_retention(tmp_path, RetentionPolicy(max_bytes=0), NOW_S)
     assert names(tmp_path) == ["away", "file.mcap", "linked", "notes", "run", "theirs"]
     assert names(tmp_path / "away" / "linked") == ["linked_0.mcap", "metadata.yaml"]
     assert names(tmp_path / "run") == ["path.png"]
@@ -163,7 +163,7 @@ def test_what_another_daemon_has_removed_first_counts_as_gone(
             raise FileNotFoundError
 
     monkeypatch.setattr(Path, "unlink", beaten)
-    assert enforce(tmp_path, RetentionPolicy(max_bytes=sum(sizes[1:])), NOW_S) == []
+    assert enforce_retention(tmp_path, RetentionPolicy(max_bytes=sum(sizes[1:])), NOW_S) == []
     assert names(tmp_path) == ["run1", "run2"]
 
 

@@ -378,7 +378,7 @@ def test_a_large_latched_message_is_not_kept_in_memory(tmp_path: Path) -> None:
     recorder.write(channel, bytes(33 << 20), START_NS, START_NS, 1, GID)
     for publisher in range(100):
         recorder.write(channel, b"x", START_NS, START_NS, 1, publisher.to_bytes(2, "big"))
-    assert len(recorder._accounts[channel].latched_messages()) == 64
+    assert len(recorder._channels[channel].latched_messages()) == 64
     recorder.write(channel, bytes(33 << 20), START_NS, START_NS, 2, b"\0\x63")
-    assert len(recorder._accounts[channel].latched_messages()) == 63  # an older one is no more true
+    assert len(recorder._channels[channel].latched_messages()) == 63  # an older one is no more true
     recorder.close()

@@ -23,10 +23,10 @@ from rosbags.highlevel import AnyReader
 from robotctl.recording import Compression, RecorderOptions, read_messages
 from robotctl.recording.disk.storage import Buffer, DiskFile
 from robotctl.recording.format.records import MAGIC
-from robotctl.recording.format.topics import TopicAccount
 from robotctl.recording.keep.repair import repair
 from robotctl.recording.read.mcap_input import RECORD_HEAD, parse, walk_records
 from robotctl.recording.write.buffer import pack
+from robotctl.recording.write.channel_state import ChannelState
 from robotctl.recording.write.recording_file import RecordingFile
 from robotctl.testing.drives import ODOMETRY, TWIST
 from robotctl.testing.faults import PAGE, FailingFile
@@ -63,23 +63,23 @@ class Recorded(NamedTuple):
 
 def begin(
     folder: Path, compression: Compression, open_file: Callable[[Path], DiskFile]
-) -> tuple[RecordingFile, list[TopicAccount]]:
+) -> tuple[RecordingFile, list[ChannelState]]:
     folder.mkdir()
     options = RecorderOptions(open_file=open_file, compression=compression)
-    accounts = [TopicAccount(TWIST)]
-    return RecordingFile(folder / f"{folder.name}_0.mcap", options, {}, accounts), accounts
+    channels = [ChannelState(TWIST)]
+    return RecordingFile(folder / f"{folder.name}_0.mcap", options, {}, channels), channels
 
 
-def write_commit(file: RecordingFile, accounts: list[TopicAccount], number: int, size: int) -> None:
+def write_commit(file: RecordingFile, channels: list[ChannelState], number: int, size: int) -> None:
     """One message of `size` random bytes and a small one; in the middle with a new topic."""
     if number == COMMITS // 2:
-        accounts.append(TopicAccount(ODOMETRY))
+        channels.append(ChannelState(ODOMETRY))
     large = numbered(number) + random.Random(number).randbytes(size)
     file.write(
         pack(
             [
                 (0, numbered(number), number, number, number),
-                (len(accounts) - 1, large, number, 0, 0),
+                (len(channels) - 1, large, number, 0, 0),
             ]
         )
     )
@@ -93,11 +93,11 @@ def record(folder: Path, size: int, compression: Compression) -> Recorded:
         files.append(LoggedFile(path))
         return files[-1]
 
-    file, accounts = begin(folder, compression, open_file)
+    file, channels = begin(folder, compression, open_file)
     commits: list[list[Write]] = [list(files[0].writes)]
     for number in range(1, COMMITS + 1):
         files[0].writes.clear()
-        write_commit(file, accounts, number, size)
+        write_commit(file, channels, number, size)
         commits.append(list(files[0].writes))
     file.abandon()
     return Recorded(commits)
@@ -326,11 +326,11 @@ def test_a_disk_that_fails_at_any_write_of_a_commit_leaves_the_file_as_it_was(
         at += 1
         folder = tmp_path / f"run{at}"
         disk = partial(FailingFile, fail_at=at, code=code, torn_bytes=4097)
-        file, accounts = begin(folder, Compression.NONE, disk)
+        file, channels = begin(folder, Compression.NONE, disk)
         chunks = 0
         with suppress(OSError):
             while chunks < COMMITS:
-                write_commit(file, accounts, chunks + 1, LARGE)
+                write_commit(file, channels, chunks + 1, LARGE)
                 chunks += 1
         file.abandon()
         assert len(read_strictly(file.path)) == 2 * chunks, at

@@ -11,7 +11,7 @@ import pytest
 from robotctl.errors import UsageError
 from robotctl.recording import TopicInfo
 from robotctl.replay import plan
-from robotctl.replay.guard import Safety, is_command
+from robotctl.replay.guard import ReplayGuard, is_command
 from robotctl.replay.job import Job, check_clock, check_regex, parse_remap
 from robotctl.replay.plan import Route
 
@@ -140,7 +140,7 @@ class FakeGraph:
 
 
 def withheld(*routes: Route, named: tuple[str, ...] = (), daemon: str = "") -> set[str]:
-    safety = Safety(FakeGraph([daemon] if daemon else []), 250, named, original_names=False)
+    safety = ReplayGuard(FakeGraph([daemon] if daemon else []), 250, named, original_names=False)
     safety.choose_prefix()
     return {route.name for route in safety.withheld(safety.prefixed(routes))}
 

@@ -13,7 +13,7 @@ import pytest
 
 from robotctl.cli.commands.replay.player_process import PLAYER
 from robotctl.processes import start
-from robotctl.replay.controls import Command
+from robotctl.replay.commands import Command
 from robotctl.replay.job import Job
 from robotctl.replay.schedule import RATES
 from tests.support.bags import STRING, Line, text, write_bag

@@ -18,8 +18,8 @@ from robotctl.kernel.params import TrackingParams, VelocityLimits
 from robotctl.kernel.tracking import Reference, track
 from robotctl.kernel.types import CommandPublishersSeen, ModeRequested, Twist
 from robotctl.recording import Recorder, RecorderOptions, Recording
-from robotctl.recording.format.identity import MADE_BY
 from robotctl.recording.format.journal import EntryKind, JournalEntry, encode
+from robotctl.recording.format.metadata_names import MADE_BY
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Report, Verdict
 from robotctl.rerun.incident import find_incident

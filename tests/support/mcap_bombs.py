@@ -26,8 +26,8 @@ from mcap.records import (
     Statistics,
 )
 
-from robotctl.recording.format.identity import LIBRARY
 from robotctl.recording.format.journal import TOPIC, TYPE_NAME, EntryKind, JournalEntry, encode
+from robotctl.recording.format.metadata_names import LIBRARY
 from robotctl.recording.format.records import MAGIC, MESSAGE_HEAD, record_bytes
 from robotctl.testing.drives import BEGIN_NS, drive
 

@@ -13,7 +13,7 @@ from robotctl.kernel.units import NS_PER_S
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from robotctl.replay.recorded_robot import Sight
+    from robotctl.replay.recorded_robot import RecordedRobot
 
 KEYS = "space pause   n next message   + - rate   q quit"
 _BAR_WIDTH = 78
@@ -35,19 +35,19 @@ class Screen(Protocol):
 
 
 @contextmanager
-def screen(sight: Sight | None, *, quiet: bool) -> Iterator[Screen]:
+def screen(robot: RecordedRobot | None, *, quiet: bool) -> Iterator[Screen]:
     """Yield a screen that draws a bar on a terminal, prints notes without one, or is quiet."""
     if quiet:
         yield _Nothing()
     elif is_terminal():
-        bar = _Bar(sight)
+        bar = _Bar(robot)
         bar.resume()
         try:
             yield bar
         finally:
             bar.suspend()
     else:
-        yield _Notes(sight)
+        yield _Notes(robot)
 
 
 class _Nothing:
@@ -62,38 +62,38 @@ class _Nothing:
 
 
 class _Notes(_Nothing):
-    """Prints notes and, with a sight, one line per second."""
+    """Prints notes and, with a recorded robot, one line per second."""
 
-    def __init__(self, sight: Sight | None) -> None:
-        self._sight = sight
+    def __init__(self, robot: RecordedRobot | None) -> None:
+        self._robot = robot
         self._line_at = 0.0
 
     def show(self, said: dict[str, Any]) -> None:
         if "note" in said:
             print(printable(said["note"]), flush=True)
-        if "progress" in said and self._sight is not None:
-            self._print_sight(self._sight, said["progress"]["position_s"])
+        if "progress" in said and self._robot is not None:
+            self._print_robot(self._robot, said["progress"]["position_s"])
 
-    def _print_sight(self, sight: Sight, position_s: float) -> None:
+    def _print_robot(self, robot: RecordedRobot, position_s: float) -> None:
         from robotctl.cli.terminal.replay_view import recorded_line
 
-        sight.advance(round(position_s * NS_PER_S))
+        robot.advance(round(position_s * NS_PER_S))
         if time.monotonic() >= self._line_at:
             self._line_at = time.monotonic() + LINE_S
-            print(f"{position_s:.1f} s  {recorded_line(sight)}", flush=True)
+            print(f"{position_s:.1f} s  {recorded_line(robot)}", flush=True)
 
 
 class _Bar:
     """Draws a bar that updates in place, below the notes."""
 
-    def __init__(self, sight: Sight | None) -> None:
+    def __init__(self, robot: RecordedRobot | None) -> None:
         from rich.live import Live
 
         # Nothing else prints meanwhile, and a redirected stdout would hide its encoding.
         self._live = Live(
             auto_refresh=False, transient=True, redirect_stdout=False, redirect_stderr=False
         )
-        self._sight = sight
+        self._robot = robot
         self._length_s = 0.0
 
     def show(self, said: dict[str, Any]) -> None:
@@ -117,11 +117,11 @@ class _Bar:
         from rich.console import Group
 
         parts = [line]
-        if self._sight is not None:
+        if self._robot is not None:
             from robotctl.cli.terminal.replay_view import recorded_view
 
-            self._sight.advance(round(position_s * NS_PER_S))
-            parts.insert(0, recorded_view(self._sight))
+            self._robot.advance(round(position_s * NS_PER_S))
+            parts.insert(0, recorded_view(self._robot))
         self._live.update(Group(*parts), refresh=True)
 
     def _bar(self, progress: dict[str, Any]) -> RenderableType:

@@ -11,33 +11,33 @@ from robotctl.cli.terminal.live_view import coloured_mode
 from robotctl.cli.terminal.path_picture import braille
 from robotctl.cli.terminal.status_screen import pose_text, velocity_text
 from robotctl.cli.terminal.text import can_show_braille, columns, number, printable
-from robotctl.replay.recorded_robot import Sight
+from robotctl.replay.recorded_robot import RecordedRobot
 
 _PATH_ROWS = 12
 """Keeps the view and the bar within a terminal of 24 lines."""
 
 
-def recorded_view(sight: Sight) -> RenderableType:
+def recorded_view(robot: RecordedRobot) -> RenderableType:
     """Return mode, pose, velocity and driven path of the recorded robot in one panel."""
-    status = sight.status()
+    status = robot.status()
     facts = Table.grid(padding=(0, 2))
     facts.add_column(style="dim")
     facts.add_column()
-    facts.add_row("mode", coloured_mode(status) if sight.mode else Text("unknown", style="dim"))
+    facts.add_row("mode", coloured_mode(status) if robot.mode else Text("unknown", style="dim"))
     facts.add_row("pose", Text(pose_text(status)))
     facts.add_row("velocity", Text(velocity_text(status)))
     parts: list[RenderableType] = [facts]
-    if sight.path and can_show_braille():
-        parts += [Text(), Text("\n".join(braille([], sight.path, rows=_PATH_ROWS)), no_wrap=True)]
+    if robot.path and can_show_braille():
+        parts += [Text(), Text("\n".join(braille([], robot.path, rows=_PATH_ROWS)), no_wrap=True)]
     return Panel(Group(*parts), title="recorded", title_align="left", width=columns())
 
 
-def recorded_line(sight: Sight) -> str:
+def recorded_line(robot: RecordedRobot) -> str:
     """Return mode, pose and velocity of the recorded robot on one line."""
-    status = sight.status()
+    status = robot.status()
     pose, velocity = status["pose"] or {}, status["velocity"] or {}
     fields = (
-        str(sight.mode or "unknown"),
+        str(robot.mode or "unknown"),
         *(f"{key} {number(pose.get(key), '.3f')}" for key in ("x", "y", "theta")),
         f"v {number(velocity.get('linear'), '.3f')}",
         f"w {number(velocity.get('angular'), '.3f')}",

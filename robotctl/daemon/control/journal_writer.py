@@ -9,8 +9,8 @@ from robotctl.kernel.codec import to_json
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.types import Effect, Event
-from robotctl.recording.format.identity import MADE_BY
 from robotctl.recording.format.journal import EntryKind, JournalEntry, encode
+from robotctl.recording.format.metadata_names import MADE_BY
 
 
 class Journal:

@@ -12,7 +12,7 @@ from typing import Any
 from robotctl.processes import Child, program, start
 from robotctl.recording.keep.retention import RetentionPolicy
 from robotctl.recording.keep.tidy_job import TidyJob
-from robotctl.recording.keep.tidy_report import Tidied
+from robotctl.recording.keep.tidy_note import TidyNote
 
 _log = logging.getLogger(__name__)
 
@@ -67,24 +67,24 @@ class Tidier:
         try:
             child = start([*program("robotctl.recording.keep.tidy_process"), job.to_json()])
         except OSError as error:  # no process, no descriptor
-            self._tell(Tidied(f"the recordings are not tidied: {error}", problem=True))
+            self._tell(TidyNote(f"the recordings are not tidied: {error}", problem=True))
             return
         said_by = f"the process that tidies {self._recordings}"
         try:
             async with aclosing(_heard(child)) as heard:
                 async for said in heard:
-                    self._tell(Tidied(said["text"], said["problem"]))
+                    self._tell(TidyNote(said["text"], said["problem"]))
         except (ValueError, KeyError):
-            self._tell(Tidied(f"{said_by} made no sense", problem=True))
+            self._tell(TidyNote(f"{said_by} made no sense", problem=True))
         except asyncio.CancelledError:
             child.kill()  # the next start goes on
             raise
         finally:
             exit_code = await asyncio.shield(asyncio.to_thread(child.close, 1.0))
         if exit_code:
-            self._tell(Tidied(f"{said_by} ended with {exit_code}", problem=True))
+            self._tell(TidyNote(f"{said_by} ended with {exit_code}", problem=True))
 
-    def _tell(self, done: Tidied) -> None:
+    def _tell(self, done: TidyNote) -> None:
         _log.log(logging.WARNING if done.problem else logging.INFO, "%s", done.text)
         if done.problem and len(self.problems) < MAX_PROBLEMS:
             self.problems.append(done.text)

@@ -13,8 +13,8 @@ from typing import Self
 from mcap.records import Metadata
 
 from robotctl.recording.format.event_kind import EventKind
-from robotctl.recording.format.identity import EVENT_RECORD
-from robotctl.recording.format.topics import MAX_TIME_NS
+from robotctl.recording.format.metadata_names import EVENT_RECORD
+from robotctl.recording.format.records import MAX_TIME_NS
 
 MAX_LAPS = 1_000_000
 """What claims more is no drive of ours."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping
 
-from robotctl.recording.format.identity import LEDGER_RECORD
 from robotctl.recording.format.message_counts import COUNTERS
+from robotctl.recording.format.metadata_names import LEDGER_RECORD
 from robotctl.recording.format.topics import TopicStats, by_topic
 
 _COUNTS = (*COUNTERS, "bytes")

@@ -22,6 +22,10 @@ MAGIC: Final = b"\x89MCAP0\r\n"
 PlainMessage = tuple[int, bytes, int, int, int]
 """Channel, data, log time [ns], publish time [ns], sequence."""
 
+MAX_TIME_NS: Final = 2**64 - 1
+MAX_SEQUENCE: Final = 2**32 - 1
+"""What the fields of the format hold: larger times are clamped, sequence numbers wrap."""
+
 MESSAGE_HEAD: Final = struct.Struct("<BQHIQQ")
 """opcode, record length, channel id, sequence, log time [ns], publish time [ns]."""
 

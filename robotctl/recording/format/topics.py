@@ -2,26 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from collections.abc import Iterable
+from dataclasses import dataclass
 
-from robotctl.recording.disk.storage import Buffer
-from robotctl.recording.format.ledger import SequenceLedger
 from robotctl.recording.format.message_counts import MessageCounts, total
-
-MAX_TIME_NS = 2**64 - 1
-MAX_SEQUENCE = 2**32 - 1
-"""What the fields of the format hold: larger times are clamped, sequence numbers wrap."""
-
-MAX_PACKERS = 128
-"""Message sizes of a topic for which a packer is kept; each takes some hundred bytes."""
-
-MAX_LATCHED = 64
-"""Publishers of a topic whose last latched message is kept."""
-
-Packer = tuple[Callable[..., None], bytes, int]
-"""`pack_into` of one message size, the constant first bytes, and the length of the record."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,15 +29,6 @@ class Topic:
         return "durability: transient_local" in self.offered_qos
 
 
-class LatchedMessage(NamedTuple):
-    """The last message of a publisher; times in nanoseconds since the epoch."""
-
-    data: bytes
-    log_ns: int
-    publish_ns: int
-    sequence: int
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TopicStats(MessageCounts):
     """The counts of one topic; `bytes` counts the data of received messages."""
@@ -74,101 +49,3 @@ def by_topic(channels: Iterable[TopicStats]) -> list[TopicStats]:
         )
         for (name, type_name), group in groups.items()
     ]
-
-
-@dataclass(slots=True)
-class TopicAccount:
-    """The running counts of one topic. Each count is changed by one thread only."""
-
-    topic: Topic
-    received: int = 0
-    """By the loop, before anything else happens to the message."""
-
-    size: int = 0
-    """By the loop: bytes of received data."""
-
-    newest_ns: int = 0
-    """By the loop: log time of the last message."""
-
-    forgotten: int = 0
-    """By the loop: latched messages that later files do not repeat, for there was no memory."""
-
-    refused: int = 0
-    """By the loop: dropped, for there was no room, or the recorder has ended."""
-
-    ledger: SequenceLedger = field(default_factory=SequenceLedger)
-    expected: dict[bytes, int] = field(init=False)
-    """The ledger's own map, one attribute nearer to the hot path."""
-
-    packers: dict[int, Packer] = field(default_factory=dict)
-    """How the recorder packs messages of a size."""
-
-    latched: dict[bytes, LatchedMessage] | None = field(init=False)
-    """The last message of each publisher, by the loop; None where the topic is not latched."""
-
-    written: int = 0
-    """By the writer thread: in the file, below a valid footer."""
-
-    not_repeated: int = 0
-    """By the writer thread: latched messages that a later file had no room for."""
-
-    discarded: int = 0
-    """By the writer thread: dropped from the queue, for the file has failed."""
-
-    def __post_init__(self) -> None:
-        """Reach through to the ledger, and see whether the topic is latched."""
-        self.expected = self.ledger.expected
-        self.latched = {} if self.topic.latched else None
-
-    def keep_latched(
-        self, gid: bytes, data: Buffer, log_ns: int, publish_ns: int, sequence: int, room: int
-    ) -> int:
-        """Remember the last message of publisher `gid` where `room` bytes are enough for it.
-
-        Returns by how many bytes the memory that is taken has grown. What has no room is counted
-        in `forgotten`; the older message is not kept in its place, for it holds no more.
-        """
-        if self.latched is None:
-            return 0
-        before = self.latched.pop(gid, None)
-        freed = len(before.data) if before else 0
-        try:
-            own = bytes(data) if len(data) <= room + freed else None  # of bytes this is no copy
-        except MemoryError:
-            own = None
-        if own is None:
-            self.forgotten += 1
-            return -freed
-        if len(self.latched) >= MAX_LATCHED:
-            freed += len(self.latched.pop(next(iter(self.latched))).data)
-        log_ns = min(max(log_ns, 0), MAX_TIME_NS)
-        publish_ns = min(max(publish_ns, 0), MAX_TIME_NS)
-        self.latched[gid] = LatchedMessage(own, log_ns, publish_ns, sequence & MAX_SEQUENCE)
-        return len(own) - freed
-
-    def latched_messages(self) -> list[LatchedMessage]:
-        """A copy, for the writer thread."""
-        return list(self.latched.values()) if self.latched else []
-
-    @property
-    def settled(self) -> bool:
-        """No message of the topic is queued or being packed."""
-        received = self.received  # read first: then a message in the making cannot be overlooked
-        return received == self.written + self.discarded + self.refused
-
-    def stats(self) -> TopicStats:
-        """A copy in which the counts agree."""
-        written, dropped = self.written, self.refused + self.discarded
-        received = self.received  # read last: the others never overtake it
-        return TopicStats(
-            name=self.topic.name,
-            type_name=self.topic.type_name,
-            received=received,
-            written=written,
-            queued=received - written - dropped,
-            dropped=dropped,
-            lost=self.ledger.lost,
-            unseen=self.ledger.unseen,
-            bytes=self.size,
-            not_repeated=self.forgotten + self.not_repeated,
-        )

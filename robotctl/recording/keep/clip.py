@@ -16,7 +16,7 @@ from robotctl.recording.disk.new_file import new_file
 from robotctl.recording.format.compression import Compression
 from robotctl.recording.format.event_kind import EventKind
 from robotctl.recording.format.events import RecordedEvent, events_in
-from robotctl.recording.format.identity import (
+from robotctl.recording.format.metadata_names import (
     CLIP_RECORD,
     EVENT_RECORD,
     INFO_RECORD,
@@ -26,12 +26,13 @@ from robotctl.recording.format.identity import (
 )
 from robotctl.recording.format.records import PlainMessage
 from robotctl.recording.format.rosbag2 import METADATA_RECORD, BagFile, serialized_metadata
-from robotctl.recording.format.topics import MAX_LATCHED, Topic
+from robotctl.recording.format.topics import Topic
 from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.journal_reader import since_snapshot
 from robotctl.recording.read.messages import Message, Window
 from robotctl.recording.read.reader import Recording
 from robotctl.recording.write.buffer import pack
+from robotctl.recording.write.channel_state import MAX_LATCHED
 from robotctl.recording.write.chunk_encoder import ChunkEncoder
 from robotctl.recording.write.mcap_writer import McapFile
 
@@ -90,14 +91,14 @@ def cut_clip(
     start_ns, end_ns = max(window[0], info.start_ns), min(window[1], info.end_ns)
     if not info.message_count or start_ns > end_ns:
         raise Refused(f"{recording.path} holds nothing of that time")
-    copy = _Copy(recording, moment, (start_ns, end_ns), on_progress)
+    copy = _ClipWriter(recording, moment, (start_ns, end_ns), on_progress)
     with new_file(target) as storage:
         copy.run(McapFile(storage, profile=info.profile, library=LIBRARY), target.name)
         share_like(target, recording.path)
     return Clip(target, moment, start_ns, end_ns, copy.message_count, tuple(copy.lost))
 
 
-class _Copy:
+class _ClipWriter:
     def __init__(
         self, recording: Recording, moment: Moment, window: Window, on_progress: Progress
     ) -> None:

@@ -12,11 +12,11 @@ from pathlib import Path
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.event_kind import EventKind
 from robotctl.recording.format.events import RecordedEvent, events_in
-from robotctl.recording.format.identity import INFO_RECORD
+from robotctl.recording.format.metadata_names import INFO_RECORD
 from robotctl.recording.format.rosbag2 import metadata_text
 from robotctl.recording.keep.catalog import CLIPS_FOLDER, KEEP_FILE
+from robotctl.recording.read.count_check import find_shortfalls
 from robotctl.recording.read.damage import Damaged
-from robotctl.recording.read.declared_counts import lacking
 from robotctl.recording.read.files import files_of_bag, natural_order
 from robotctl.recording.read.indexing import index_of
 from robotctl.recording.read.mcap_input import InputFile
@@ -118,7 +118,7 @@ def list_recording(path: Path) -> ListedRecording:
         except (Damaged, OSError) as error:
             damage.append(f"{prefix}{error}")
     if opened:
-        damage += lacking(text, opened, all_files=files != [path])
+        damage += find_shortfalls(text, opened, all_files=files != [path])
     indexes = [each.index for each in opened]
     with_messages = [index for index in indexes if index.message_count]
     metadata = [record for index in indexes for record in index.metadata]

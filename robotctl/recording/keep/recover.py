@@ -11,11 +11,12 @@ from robotctl.recording.disk.access import share_like
 from robotctl.recording.disk.new_file import new_file
 from robotctl.recording.disk.storage import DiskFile, Storage
 from robotctl.recording.format.compression import Compression
-from robotctl.recording.format.identity import LIBRARY, RECOVERY_RECORD
+from robotctl.recording.format.metadata_names import LIBRARY, RECOVERY_RECORD
 from robotctl.recording.format.records import PlainMessage
 from robotctl.recording.format.rosbag2 import METADATA_RECORD, metadata_text
+from robotctl.recording.read.compressed_messages import without_compression
+from robotctl.recording.read.count_check import find_shortfalls
 from robotctl.recording.read.damage import BeyondLimit, Damaged, Unreadable
-from robotctl.recording.read.declared_counts import lacking
 from robotctl.recording.read.file_index import (
     FileIndex,
     Place,
@@ -25,8 +26,7 @@ from robotctl.recording.read.file_index import (
 )
 from robotctl.recording.read.indexing import index_of
 from robotctl.recording.read.mcap_input import InputFile
-from robotctl.recording.read.message_compression import without_compression
-from robotctl.recording.read.messages import ALWAYS, OpenFile, Source, names_of
+from robotctl.recording.read.messages import ALWAYS, OpenFile, PlaceReader, names_of
 from robotctl.recording.write.buffer import pack
 from robotctl.recording.write.chunk_encoder import ChunkEncoder
 from robotctl.recording.write.mcap_writer import McapFile
@@ -77,9 +77,9 @@ def recover(
             index = index_of(file, lambda done: on_progress(done, total))
         except Damaged as damage:
             raise UnreadableFile(f"{source} cannot be read: {damage}") from damage
-        for sentence in lacking(text, [OpenFile(source, file, index)], all_files=False):
+        for sentence in find_shortfalls(text, [OpenFile(source, file, index)], all_files=False):
             index.miss(sentence)
-        copy = _Copy(file, index, lambda done: on_progress(file.size + done, total))
+        copy = _RecoveryWriter(file, index, lambda done: on_progress(file.size + done, total))
         with new_file(target, open_file) as storage:
             copy.run(storage)
             share_like(target, source)
@@ -96,7 +96,7 @@ def recover(
     )
 
 
-class _Copy:
+class _RecoveryWriter:
     """Copies the readable messages of one file, in file order."""
 
     def __init__(
@@ -158,7 +158,7 @@ class _Copy:
 
     def _read(self, place: Place) -> Iterator[list[PlainMessage]]:
         """The messages at a place, some megabytes at a time."""
-        source = Source(self._open_file, place, self._names, ALWAYS)
+        source = PlaceReader(self._open_file, place, self._names, ALWAYS)
         messages: list[PlainMessage] = []
         size = 0
         try:

@@ -17,13 +17,13 @@ from robotctl.errors import RobotctlError
 from robotctl.recording.disk.disk_errors import reason_of
 from robotctl.recording.disk.storage import DiskFile
 from robotctl.recording.format.compression import Compression
-from robotctl.recording.format.identity import LEDGER_RECORD, RECOVERY_RECORD
+from robotctl.recording.format.metadata_names import LEDGER_RECORD, RECOVERY_RECORD
 from robotctl.recording.format.records import PlainMessage
 from robotctl.recording.format.trailer import WrittenFile
 from robotctl.recording.keep.bag_metadata import rewrite_metadata
 from robotctl.recording.keep.catalog import CatalogFolder, own_recordings
 from robotctl.recording.keep.recover import recover
-from robotctl.recording.keep.tidy_report import Tidied
+from robotctl.recording.keep.tidy_note import TidyNote
 from robotctl.recording.keep.unfinished_commit import find_unfinished_commit, messages_of_chunk
 from robotctl.recording.read.damage import Damaged
 from robotctl.recording.read.file_index import FileIndex
@@ -37,7 +37,7 @@ _UNFINISHED = ".repair"
 _PIECE_BYTES = 1 << 20
 
 
-def repair(recordings: Path) -> Iterator[Tidied]:
+def repair(recordings: Path) -> Iterator[TidyNote]:
     """Repair the recordings below `recordings` that nobody is writing; yield what is done.
 
     A file that is whole but was never closed is marked as checked, so that it is read once only;
@@ -52,7 +52,7 @@ def repair(recordings: Path) -> Iterator[Tidied]:
                 yield _failed(str(folder.path), error)
 
 
-def _repair_folder(folder: CatalogFolder) -> Iterator[Tidied]:
+def _repair_folder(folder: CatalogFolder) -> Iterator[TidyNote]:
     _remove_leftovers(folder.path)
     changed = False
     try:
@@ -78,7 +78,7 @@ def _remove_leftovers(folder: Path) -> None:
             path.unlink()
 
 
-def _repair_file(path: Path) -> Tidied | None:
+def _repair_file(path: Path) -> TidyNote | None:
     """What was done to the file; None if it was closed properly.
 
     Raises OSError, Damaged, MemoryError; the file is then as it was.
@@ -91,7 +91,7 @@ def _repair_file(path: Path) -> Tidied | None:
             if index.limit_reached:
                 missing = "; ".join(index.missing)
                 text = f"{path.name} was not closed and is left as it is: {missing}"
-                return Tidied(text, problem=True)
+                return TidyNote(text, problem=True)
             _verify(file, index)
             written = read_written_file(file)
             unfinished = find_unfinished_commit(file, index, written.data_end)
@@ -107,7 +107,7 @@ def _repair_file(path: Path) -> Tidied | None:
             raise file.failure
     _close(path, written, messages, old_end)
     count = index.message_count + len(messages)
-    return Tidied(f"repaired: {path.name} was not closed: its {count} messages are whole")
+    return TidyNote(f"repaired: {path.name} was not closed: its {count} messages are whole")
 
 
 def _close(
@@ -147,27 +147,27 @@ def _checksum(file: InputFile, data_end: int) -> int:
     return crc
 
 
-def _replace(path: Path) -> Tidied:
+def _replace(path: Path) -> TidyNote:
     """Put what can be read of the file in its place. Raises OSError, Unreadable."""
     repaired = path.with_name(path.name + _UNFINISHED)
     try:
         report = recover(path, repaired)
     except RobotctlError as error:
-        return Tidied(f"{path.name} was torn and cannot be repaired: {error}", problem=True)
+        return TidyNote(f"{path.name} was torn and cannot be repaired: {error}", problem=True)
     if report.failure:
         repaired.unlink()
         raise report.failure
     if report.limit_reached:
         repaired.unlink()
         text = f"{path.name} was torn and is left as it is: {'; '.join(report.lost)}"
-        return Tidied(text, problem=True)
+        return TidyNote(text, problem=True)
     repaired.replace(path)
     lost = "; ".join(report.lost)
     text = f"repaired: {path.name} was torn: {report.message_count} messages are whole ({lost})"
-    return Tidied(text, problem=True)
+    return TidyNote(text, problem=True)
 
 
-def _failed(name: str, error: Exception) -> Tidied:
+def _failed(name: str, error: Exception) -> TidyNote:
     reason = error if isinstance(error, Damaged) else reason_of(error)
     text = f"{name} could not be repaired: {reason} (the next start tries again)"
-    return Tidied(text, problem=True)
+    return TidyNote(text, problem=True)

@@ -29,7 +29,7 @@ class Removed:
     size: int
 
 
-def enforce(recordings: Path, policy: RetentionPolicy, now_s: float) -> list[Removed]:
+def enforce_retention(recordings: Path, policy: RetentionPolicy, now_s: float) -> list[Removed]:
     """Remove files below `recordings`, the oldest first, until `policy` holds.
 
     Never removed: a file that is being written, a recording with a `keep` file in its folder and

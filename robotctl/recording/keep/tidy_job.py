@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, Self
 
 from robotctl.recording.keep.repair import repair
-from robotctl.recording.keep.retention import RetentionPolicy, enforce
-from robotctl.recording.keep.tidy_report import Tidied
+from robotctl.recording.keep.retention import RetentionPolicy, enforce_retention
+from robotctl.recording.keep.tidy_note import TidyNote
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class TidyJob:
         return cls(Path(given["recordings"]), policy, given["repairs"])
 
 
-def tidy(job: TidyJob) -> Iterator[Tidied]:
+def tidy(job: TidyJob) -> Iterator[TidyNote]:
     """Remove first, then repair what is left; yield each thing as it is done. Blocks.
 
     Waits for whoever else tidies the folder. A file that is being written is not touched.
@@ -45,13 +45,13 @@ def tidy(job: TidyJob) -> Iterator[Tidied]:
     recordings = job.recordings
     try:
         with _alone_in(recordings):
-            for removed in enforce(recordings, job.policy, time.time()):
-                yield Tidied(f"removed for its age or the space: {removed.path}")
+            for removed in enforce_retention(recordings, job.policy, time.time()):
+                yield TidyNote(f"removed for its age or the space: {removed.path}")
             if job.repairs:
                 yield from repair(recordings)
     except Exception as error:  # noqa: BLE001 - files of any origin; ours to read, not to trust
         text = f"{recordings} could not be tidied: {type(error).__name__}: {error}"
-        yield Tidied(text, problem=True)
+        yield TidyNote(text, problem=True)
 
 
 @contextmanager

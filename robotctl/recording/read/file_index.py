@@ -18,8 +18,8 @@ from robotctl.recording.read.mcap_input import (
     InputFile,
     parse,
 )
+from robotctl.recording.read.read_tally import ReadTally
 from robotctl.recording.read.stored_chunk import read_chunk, read_chunk_ref, read_torn_chunk
-from robotctl.recording.read.work import ReadAccount
 
 MAX_SENTENCES = 20
 """What is missing is said in so many sentences at most."""
@@ -112,14 +112,14 @@ class FileIndex:
     gaps: list[tuple[int, int]] = field(default_factory=list)
     """Parts of the data that the summary does not describe: start and end [bytes]."""
 
-    told_metadata: int = 0
-    told_attachments: int = 0
+    declared_metadata: int = 0
+    declared_attachments: int = 0
     """How many the summary counts, wherever they are."""
 
     metadata_offsets: set[int] = field(default_factory=set)
     """Of the records in `metadata`."""
 
-    account: ReadAccount = field(default_factory=ReadAccount)
+    tally: ReadTally = field(default_factory=ReadTally)
 
     limit_reached: bool = False
     """Something was left out that could be read with higher limits."""
@@ -135,7 +135,7 @@ class FileIndex:
 
     def unaccounted(self) -> str:
         """What to say where all was read and is not what the summary counts; else ""."""
-        found = self.account.messages_in(place.offset for place in self.places)
+        found = self.tally.messages_in(place.offset for place in self.places)
         if self.scanned or self.limit_reached or not self.places:
             return ""  # it was told why not all is read
         if found is None or found == self.message_count:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from robotctl.recording.format.identity import OWN_LIBRARY
+from robotctl.recording.format.metadata_names import OWN_LIBRARY
+from robotctl.recording.read.compressed_messages import ZSTD, message_compression
 from robotctl.recording.read.damage import Damaged
 from robotctl.recording.read.file_index import FileIndex
 from robotctl.recording.read.mcap_input import InputFile
-from robotctl.recording.read.message_compression import ZSTD, message_compression
 from robotctl.recording.read.scan import index_by_scanning, read_gaps
 from robotctl.recording.read.summary_section import index_from_summary
 
@@ -63,11 +63,11 @@ def _complete(file: InputFile, index: FileIndex) -> None:
 
     A commit that a kill has torn leaves a gap in ours which is no part of the file yet.
     """
-    if not index.library.startswith(OWN_LIBRARY) or index.told_metadata > len(index.metadata):
+    if not index.library.startswith(OWN_LIBRARY) or index.declared_metadata > len(index.metadata):
         read_gaps(file, index)
     for told, found, noun in (
-        (index.told_attachments, len(index.attachments), "attachments"),
-        (index.told_metadata, len(index.metadata), "metadata records"),
+        (index.declared_attachments, len(index.attachments), "attachments"),
+        (index.declared_metadata, len(index.metadata), "metadata records"),
     ):
         if told > found and not index.missing:
             index.miss(f"its summary counts {told} {noun}, and {found} are there")

@@ -9,8 +9,8 @@ from typing import NamedTuple
 from robotctl.errors import IN_PARENTHESES, UnreadableFile
 from robotctl.kernel.units import NS_PER_S
 from robotctl.paths import DEFAULT_ROBOT, namespace_of
-from robotctl.recording.format.identity import INFO_RECORD
 from robotctl.recording.format.journal import TOPIC, TYPE_NAME, EntryKind, JournalEntry, decode
+from robotctl.recording.format.metadata_names import INFO_RECORD
 from robotctl.recording.read.info import RecordingInfo
 from robotctl.recording.read.messages import Message
 from robotctl.recording.read.read_limits import CURE

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 from robotctl.recording.read.damage import Damaged
-from robotctl.recording.read.messages import Message, OpenFile, Source, sources
+from robotctl.recording.read.messages import Message, OpenFile, PlaceReader, place_readers
 
 _Placed = tuple[int, int, int, Message]
 """Log time, rank of the place and number within it: the order of `merge`; the message."""
@@ -22,7 +22,7 @@ def last_before(
     Reads what the index says may hold them and nothing else; what is found to be lost is told to
     `on_missing`.
     """
-    found = list(enumerate(sources(files, wanted, (0, moment_ns - 1))))
+    found = list(enumerate(place_readers(files, wanted, (0, moment_ns - 1))))
     found.sort(key=lambda ranked: ranked[1].place.end_ns, reverse=True)
     held: dict[str, list[_Placed]] = {topic: [] for topic in wanted}
     for rank, source in found:
@@ -44,7 +44,7 @@ def last_before(
     return [each[-1] for each in sorted(each for topic in held.values() for each in topic)]
 
 
-def _messages(source: Source, on_missing: Callable[[str], None]) -> list[Message]:
+def _messages(source: PlaceReader, on_missing: Callable[[str], None]) -> list[Message]:
     try:
         source.load()
     except Damaged as damage:

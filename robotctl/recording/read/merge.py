@@ -6,7 +6,14 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from heapq import heapify, heappop, heappush
 
 from robotctl.recording.read.damage import BeyondLimit, Damaged
-from robotctl.recording.read.messages import ALWAYS, Message, OpenFile, Source, Window, sources
+from robotctl.recording.read.messages import (
+    ALWAYS,
+    Message,
+    OpenFile,
+    PlaceReader,
+    Window,
+    place_readers,
+)
 
 _AFTER_ALL = (1 << 64, 0)
 
@@ -21,7 +28,7 @@ def merge(
 
     What is found to be lost is told to `on_missing`.
     """
-    found = list(sources(files, topics, window))
+    found = list(place_readers(files, topics, window))
     heap = [(source.place.start_ns, rank) for rank, source in enumerate(found)]
     heapify(heap)
     held = 0
@@ -58,7 +65,7 @@ def in_order_written(
     """As `merge`, but as the messages stand in the files; tells bytes done and in total."""
     done, total = 0, sum(file.file.size for file in files)
     for file in files:
-        for source in sources([file], topics, ALWAYS):
+        for source in place_readers([file], topics, ALWAYS):
             try:
                 yield from source.as_written()
             except Damaged as damage:
@@ -77,7 +84,7 @@ def _tell_unaccounted(files: Sequence[OpenFile], on_missing: Callable[[str], Non
             on_missing(f"{file.path.name}: {sentence}")
 
 
-def _load(source: Source, room: int | None, on_missing: Callable[[str], None]) -> None:
+def _load(source: PlaceReader, room: int | None, on_missing: Callable[[str], None]) -> None:
     """Load a place if it fits into `room` [bytes]; None where nothing else is held."""
     try:
         if room is not None and source.place.size_in_memory(source.file.file) > room:

@@ -11,6 +11,7 @@ from mcap.opcode import Opcode
 
 from robotctl.recording.format.records import PlainMessage
 from robotctl.recording.format.type_names import type_name_of
+from robotctl.recording.read.compressed_messages import MessageDecompressor
 from robotctl.recording.read.damage import BeyondLimit, Damaged
 from robotctl.recording.read.file_index import FileIndex, Place, PlaceKind
 from robotctl.recording.read.mcap_input import (
@@ -19,7 +20,6 @@ from robotctl.recording.read.mcap_input import (
     InputFile,
     walk_records,
 )
-from robotctl.recording.read.message_compression import MessageDecompressor
 
 Window = tuple[int, int]
 """The first and the last log time that are wanted [ns]."""
@@ -53,7 +53,7 @@ class OpenFile:
     index: FileIndex
 
 
-class Source:
+class PlaceReader:
     """A place in a file and, once it is loaded, its messages that are still to come.
 
     Only those in the log times of `window` (ns, both included), and of the channels in `names`,
@@ -88,7 +88,7 @@ class Source:
         self._decompressor: MessageDecompressor | None = None
         if file.index.message_compression:
             self._decompressor = MessageDecompressor(
-                place.offset, file.file.limits, file.index.account
+                place.offset, file.file.limits, file.index.tally
             )
 
     def may_hold(self, topics: Collection[str]) -> bool:
@@ -146,13 +146,13 @@ class Source:
 
     def _records_left(self) -> int:
         limit = self.file.file.limits.records
-        return self.file.index.account.records_left(self.place.offset, limit)
+        return self.file.index.tally.records_left(self.place.offset, limit)
 
     def _wanted(self, data: bytes) -> Iterator[tuple[int, int, _Fields]]:
         """Start, end and fields of the messages of wanted channels. Raises Damaged at last."""
         unknown = messages = others = 0
         names, unpack = self._names, MESSAGE_FIELDS.unpack_from
-        offset, account = self.place.offset, self.file.index.account
+        offset, tally = self.place.offset, self.file.index.tally
         try:
             for opcode, start, end in walk_records(data, self._records_left()):
                 if opcode == Opcode.MESSAGE:
@@ -164,13 +164,13 @@ class Source:
                         unknown += 1
                 else:
                     others += 1
-            account.note_messages(offset, messages)
+            tally.note_messages(offset, messages)
         except Damaged as damage:
             # Where a chunk is torn was told before.
             if self.place.kind is not PlaceKind.TORN_CHUNK or isinstance(damage, BeyondLimit):
                 raise
         finally:
-            account.note_records(offset, messages + others)
+            tally.note_records(offset, messages + others)
         if unknown and not self.file.index.scanned:  # else it was told before
             raise Damaged(f"{unknown} messages belong to no channel")
 
@@ -203,16 +203,16 @@ class Source:
         self.entries = []
 
 
-def sources(
+def place_readers(
     files: Iterable[OpenFile], topics: Collection[str] | None, window: Window
-) -> Iterator[Source]:
+) -> Iterator[PlaceReader]:
     """The places that may hold messages of `topics` (None: all) in the window."""
     for file in files:
         names = names_of(file.index, topics)
         for place in file.index.places:
             in_time = place.start_ns <= window[1] and place.end_ns >= window[0]
             if in_time and (place.channels is None or not place.channels.isdisjoint(names)):
-                yield Source(file, place, names, window)
+                yield PlaceReader(file, place, names, window)
 
 
 def names_of(index: FileIndex, topics: Collection[str] | None = None) -> dict[int, tuple[str, str]]:

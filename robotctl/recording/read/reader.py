@@ -13,11 +13,11 @@ from typing import Self
 from mcap.records import Channel, Metadata, Schema
 
 from robotctl.errors import UnreadableFile
-from robotctl.recording.format.identity import CLIP_RECORD, LEDGER_RECORD
+from robotctl.recording.format.metadata_names import CLIP_RECORD, LEDGER_RECORD
 from robotctl.recording.format.rosbag2 import metadata_text
 from robotctl.recording.format.type_names import type_name_of
+from robotctl.recording.read.count_check import find_shortfalls
 from robotctl.recording.read.damage import Damaged
-from robotctl.recording.read.declared_counts import lacking
 from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.files import absent_files, recording_files
 from robotctl.recording.read.indexing import index_of
@@ -84,7 +84,7 @@ class Recording:
             raise
         if not self._files:
             raise UnreadableFile(f"{path} cannot be read: {'; '.join(self.missing)}")
-        for sentence in lacking(text, self._files, all_files=all_files):
+        for sentence in find_shortfalls(text, self._files, all_files=all_files):
             note_missing(self.missing, sentence)
 
     def close(self) -> None:

@@ -83,8 +83,8 @@ def index_from_summary(file: InputFile, *, places: bool = True) -> FileIndex:
     index.counts = dict(statistics.channel_message_counts)
     index.start_ns = statistics.message_start_time
     index.end_ns = statistics.message_end_time
-    index.told_metadata = statistics.metadata_count
-    index.told_attachments = statistics.attachment_count
+    index.declared_metadata = statistics.metadata_count
+    index.declared_attachments = statistics.attachment_count
     index.attachments = sorted(set(index.attachments))
     if places:
         chunks.sort(key=lambda chunk: chunk.place.offset)

@@ -14,8 +14,8 @@ from robotctl.recording.disk.access import make_folder
 from robotctl.recording.disk.disk_errors import cure_of, reason_of
 from robotctl.recording.format.events import RecordedEvent
 from robotctl.recording.format.rosbag2 import BagFile, write_metadata
-from robotctl.recording.format.topics import TopicAccount
-from robotctl.recording.write.buffer import Taken, pack
+from robotctl.recording.write.buffer import PackedMessages, pack
+from robotctl.recording.write.channel_state import ChannelState
 from robotctl.recording.write.chunk_encoder import OutOfMemory
 from robotctl.recording.write.latched_repeats import repeats
 from robotctl.recording.write.recorder_options import RecorderOptions
@@ -34,7 +34,7 @@ MAX_INDEX_BYTES = 8 << 20
 class BagWriter:
     """Writes chunks of messages into the folder's current file, and begins the next one in time.
 
-    Not thread-safe. `accounts` may grow; a topic's position in it is its channel id. Every
+    Not thread-safe. `channels` may grow; a topic's position in it is its channel id. Every
     method may raise OSError; after that only `abandon` may be called.
     """
 
@@ -43,7 +43,7 @@ class BagWriter:
         folder: Path,
         options: RecorderOptions,
         metadata: Callable[[], Mapping[str, str]],
-        accounts: Sequence[TopicAccount],
+        channels: Sequence[ChannelState],
         on_split: Callable[[Path], None] = lambda path: None,
         on_full: Callable[[Path], None] | None = None,
     ) -> None:
@@ -55,7 +55,7 @@ class BagWriter:
         self._folder = folder
         self._options = options
         self._metadata = metadata
-        self._accounts = accounts
+        self._channels = channels
         self._on_split = on_split
         self._on_full = on_full
         self._told_full = False
@@ -85,16 +85,16 @@ class BagWriter:
         """Bytes on disk, of all files."""
         return self._finished_bytes + self._file.size
 
-    def write(self, taken: Taken) -> None:
-        """Write `taken` as a chunk, and count its messages as written.
+    def write(self, packed: PackedMessages) -> None:
+        """Write `packed` as a chunk, and count its messages as written.
 
         Raises OutOfMemory; the next chunk may be written all the same.
         """
         self._replace_full()
-        self._file.write(taken)
-        self._newest_ns = taken.end_ns
-        for channel, index in taken.indexes.items():
-            self._accounts[channel].written += len(index) // 2
+        self._file.write(packed)
+        self._newest_ns = packed.end_ns
+        for channel, index in packed.indexes.items():
+            self._channels[channel].written += len(index) // 2
 
     def write_topics(self) -> None:
         """Write the topics that were added, also if they have no message yet."""
@@ -125,13 +125,13 @@ class BagWriter:
         self._file = successor
         self._begun = time.monotonic()
         self._told_full = False
-        messages = repeats(self._accounts, self._newest_ns, self._options.split_bytes)
+        messages = repeats(self._channels, self._newest_ns, self._options.split_bytes)
         try:
             if messages:
                 self._file.write(pack(messages))
         except OutOfMemory:
             for channel, *_ in messages:
-                self._accounts[channel].not_repeated += 1
+                self._channels[channel].not_repeated += 1
         self._write_metadata()
         with suppress(Exception):  # a listener that is gone must not stop the recording
             self._on_split(successor.path)
@@ -148,7 +148,7 @@ class BagWriter:
 
     def list_new_topics(self) -> None:
         """Have `metadata.yaml` name the topics that are new; a player reads no others."""
-        if len(self._accounts) > self._listed_topics:
+        if len(self._channels) > self._listed_topics:
             self._write_metadata()
 
     def refresh_metadata(self) -> None:
@@ -193,10 +193,10 @@ class BagWriter:
             path = self._folder / f"{self._folder.name}_{self._files_begun}.mcap"
             self._files_begun += 1
             with suppress(FileExistsError):  # somebody's: nothing is overwritten
-                return RecordingFile(path, self._options, self._metadata(), self._accounts)
+                return RecordingFile(path, self._options, self._metadata(), self._channels)
 
     def _write_metadata(self) -> None:
-        topics = [account.topic for account in list(self._accounts)]
+        topics = [state.topic for state in list(self._channels)]
         self._finished = [file for file in self._finished if self._is_there(file)]
         write_metadata(self._folder, topics, [*self._finished, self._file.describe()])
         self._listed_topics = len(topics)
@@ -210,7 +210,7 @@ def begin_bag(
     folder: Path,
     options: RecorderOptions,
     metadata: Callable[[], Mapping[str, str]],
-    accounts: Sequence[TopicAccount],
+    channels: Sequence[ChannelState],
     on_split: Callable[[Path], None],
     on_full: Callable[[Path], None] | None,
 ) -> BagWriter:
@@ -219,7 +219,7 @@ def begin_bag(
     try:
         make_folder(folder, shared=options.group_readable)
         created = True
-        return BagWriter(folder, options, metadata, accounts, on_split, on_full)
+        return BagWriter(folder, options, metadata, channels, on_split, on_full)
     except OSError as error:
         if created:
             rmtree(folder, ignore_errors=True)

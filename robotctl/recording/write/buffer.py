@@ -19,7 +19,7 @@ from robotctl.recording.format.records import MESSAGE_FIELDS_BYTES, MESSAGE_HEAD
 
 
 @dataclass(frozen=True, slots=True)
-class Taken:
+class PackedMessages:
     """Messages taken from a buffer.
 
     `parts`, one behind the other, are the records of an uncompressed chunk; `indexes` gives for
@@ -66,7 +66,7 @@ class PackBuffer:
         while len(self.indexes) < channels:
             self.indexes.append(array("Q"))
 
-    def take(self) -> Taken | None:
+    def take(self) -> PackedMessages | None:
         """What was packed since the last take, or None. Valid until `recycle`. For the taker.
 
         Raises MemoryError; then nothing is taken.
@@ -74,7 +74,7 @@ class PackBuffer:
         base, end = self._taken, self.end
         if base == end:
             return None
-        taken: dict[int, array[int]] = {}
+        packed: dict[int, array[int]] = {}
         starts, ends = [], []
         for channel, index in enumerate(self.indexes):
             count = _entries_below(index, end)
@@ -84,12 +84,12 @@ class PackBuffer:
             if base:
                 for position in range(1, count, 2):
                     entries[position] -= base
-            taken[channel] = entries
+            packed[channel] = entries
             ordered = channel not in self.unordered
             starts.append(entries[0] if ordered else min(entries[::2]))
             ends.append(entries[-2] if ordered else max(entries[::2]))
-        result = Taken([memoryview(self.data)[base:end]], taken, min(starts), max(ends))
-        for channel, entries in taken.items():
+        result = PackedMessages([memoryview(self.data)[base:end]], packed, min(starts), max(ends))
+        for channel, entries in packed.items():
             del self.indexes[channel][: len(entries)]
         self._taken = end
         return result
@@ -125,7 +125,7 @@ class LargeMessage:
         """Bytes of memory it holds."""
         return len(self._message[1])
 
-    def take(self) -> Taken:
+    def take(self) -> PackedMessages:
         """The message as a chunk of its own. Raises MemoryError."""
         return pack([self._message])
 
@@ -142,7 +142,7 @@ def _entries_below(index: array[int], end: int) -> int:
     return count
 
 
-def pack(messages: Iterable[PlainMessage]) -> Taken:
+def pack(messages: Iterable[PlainMessage]) -> PackedMessages:
     """These messages, at least one, as one chunk, without a buffer; their data is not copied."""
     parts: list[Buffer] = []
     indexes: dict[int, array[int]] = {}
@@ -157,4 +157,4 @@ def pack(messages: Iterable[PlainMessage]) -> Taken:
         indexes.setdefault(channel, array("Q")).extend((log_ns, offset))
         times.append(log_ns)
         offset += MESSAGE_HEAD.size + len(data)
-    return Taken(parts, indexes, min(times), max(times))
+    return PackedMessages(parts, indexes, min(times), max(times))

@@ -11,7 +11,7 @@ from zstandard import ZstdCompressionParameters, ZstdCompressor, ZstdError
 from robotctl.recording.disk.storage import Buffer
 from robotctl.recording.format.compression import Compression
 from robotctl.recording.format.records import Chunk
-from robotctl.recording.write.buffer import Taken
+from robotctl.recording.write.buffer import PackedMessages
 
 _CACHED = {"window_log": 18, "hash_log": 13}
 """Tables that fit into the nearest caches: on odometry a third faster, and no larger."""
@@ -33,26 +33,26 @@ class ChunkEncoder:
         parameters = ZstdCompressionParameters.from_level(level, **_CACHED if level == 1 else {})
         self._compressor = ZstdCompressor(compression_params=parameters)
 
-    def encode(self, taken: Taken) -> Chunk:
+    def encode(self, packed: PackedMessages) -> Chunk:
         """The chunk of these messages, of which there is at least one. Raises OutOfMemory."""
         try:
-            return self._encode(taken)
+            return self._encode(packed)
         except (MemoryError, ZstdError) as error:  # zstd gives no other while it compresses
             raise OutOfMemory("no memory to compress messages") from error
 
-    def _encode(self, taken: Taken) -> Chunk:
+    def _encode(self, packed: PackedMessages) -> Chunk:
         crc = 0
-        for part in taken.parts:
+        for part in packed.parts:
             crc = crc32(part, crc)
-        size = sum(map(len, taken.parts))
+        size = sum(map(len, packed.parts))
         return Chunk(
-            parts=self._stored(taken.parts, size),
+            parts=self._stored(packed.parts, size),
             compression=self._compression.mcap_name,
             uncompressed_size=size,
             uncompressed_crc=crc,
-            start_ns=taken.start_ns,
-            end_ns=taken.end_ns,
-            indexes=taken.indexes,
+            start_ns=packed.start_ns,
+            end_ns=packed.end_ns,
+            indexes=packed.indexes,
         )
 
     def _stored(self, parts: Sequence[Buffer], size: int) -> Sequence[Buffer]:

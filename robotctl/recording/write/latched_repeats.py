@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from typing import Final
 
 from robotctl.recording.format.records import PlainMessage
-from robotctl.recording.format.topics import TopicAccount
+from robotctl.recording.write.channel_state import ChannelState
 
 MAX_SHARE: Final = 0.25
 """Of a file's size that repeats may take: else it is full at once, and so is the next one."""
 
 
 def repeats(
-    accounts: Sequence[TopicAccount], newest_ns: int, split_bytes: int
+    channels: Sequence[ChannelState], newest_ns: int, split_bytes: int
 ) -> list[PlainMessage]:
     """The last latched message of each publisher, as if it came just now, as many as fit.
 
@@ -28,8 +28,8 @@ def repeats(
             message.publish_ns,
             message.sequence,
         )
-        for channel, account in enumerate(accounts)
-        for message in account.latched_messages()
+        for channel, state in enumerate(channels)
+        for message in state.latched_messages()
     ]
     left = round(split_bytes * MAX_SHARE)
     fits = [False] * len(latched)
@@ -37,5 +37,5 @@ def repeats(
         left -= len(latched[position][1])
         fits[position] = left >= 0
         if left < 0:
-            accounts[latched[position][0]].not_repeated += 1
+            channels[latched[position][0]].not_repeated += 1
     return [message for message, fit in zip(latched, fits, strict=True) if fit]

@@ -18,20 +18,19 @@ from robotctl.errors import Refused
 from robotctl.recording.disk.storage import Buffer
 from robotctl.recording.format.events import RecordedEvent
 from robotctl.recording.format.message_counts import total
-from robotctl.recording.format.records import MESSAGE_FIELDS_BYTES, MESSAGE_HEAD
-from robotctl.recording.format.topics import (
-    MAX_PACKERS,
+from robotctl.recording.format.records import (
     MAX_SEQUENCE,
     MAX_TIME_NS,
-    Packer,
-    Topic,
-    TopicAccount,
+    MESSAGE_FIELDS_BYTES,
+    MESSAGE_HEAD,
 )
+from robotctl.recording.format.topics import Topic
 from robotctl.recording.write.bag_writer import begin_bag
 from robotctl.recording.write.buffer import LargeMessage, PackBuffer
+from robotctl.recording.write.channel_state import MAX_PACKERS, ChannelState, Packer
 from robotctl.recording.write.recorder_options import RecorderOptions
 from robotctl.recording.write.recorder_stats import RecorderState, RecorderStats
-from robotctl.recording.write.writer_thread import Drain, Request
+from robotctl.recording.write.writer_thread import WriterCommand, WriterThread
 
 MAX_TOPICS: Final = 1 << 16
 """A channel id of MCAP has 16 bits."""
@@ -66,8 +65,8 @@ class Recorder:
         `metadata` for the first file from here. Raises Refused where nothing can be written.
         """
         options = options or RecorderOptions()
-        self._accounts: list[TopicAccount] = []
-        self._channels: dict[Topic, int] = {}
+        self._channels: list[ChannelState] = []
+        self._channel_of: dict[Topic, int] = {}
         self._closed = False
         self._chunk_bytes = options.chunk_bytes
         self._memory_bytes = options.memory_bytes
@@ -75,20 +74,22 @@ class Recorder:
         self._no_memory = 0
         self._buffer = PackBuffer(options.chunk_bytes)
         self._acquired = self._buffer.size
-        self._writer = begin_bag(folder, options, metadata, self._accounts, on_split, on_full)
-        self._drain = Drain(self._writer, options, self._accounts, lambda: self._buffer, on_failure)
+        self._writer = begin_bag(folder, options, metadata, self._channels, on_split, on_full)
+        self._thread = WriterThread(
+            self._writer, options, self._channels, lambda: self._buffer, on_failure
+        )
 
     def add_topic(self, topic: Topic) -> int:
         """Return the topic's channel, a new one if it is new. Raises Refused at MAX_TOPICS."""
-        known = self._channels.get(topic)
+        known = self._channel_of.get(topic)
         if known is not None:
             return known
-        channel = len(self._accounts)
+        channel = len(self._channels)
         if channel >= MAX_TOPICS:
             raise Refused(f"a recording holds at most {MAX_TOPICS} topics: exclude some")
         self._buffer.make_indexes(channel + 1)
-        self._accounts.append(TopicAccount(topic))
-        self._channels[topic] = channel
+        self._channels.append(ChannelState(topic))
+        self._channel_of[topic] = channel
         return channel
 
     def write(
@@ -99,28 +100,28 @@ class Recorder:
         Times in nanoseconds since the epoch; `sequence` counts the messages of the publisher
         `gid`, 0 where it does not count.
         """
-        account = self._accounts[channel]
-        account.received += 1
+        state = self._channels[channel]
+        state.received += 1
         try:
             size = len(data)
-            account.size += size
-            expected = account.expected
+            state.size += size
+            expected = state.expected
             if expected.get(gid) == sequence:
                 expected[gid] = sequence + 1
             else:
-                account.ledger.note(gid, sequence)
-            if account.latched is not None:
+                state.gaps.note(gid, sequence)
+            if state.latched is not None:
                 room = self._memory_bytes // 3 - self._latched_bytes
-                self._latched_bytes += account.keep_latched(
+                self._latched_bytes += state.keep_latched(
                     gid, data, log_ns, publish_ns, sequence, room
                 )
             buffer = self._buffer
-            if log_ns < account.newest_ns:
+            if log_ns < state.newest_ns:
                 buffer.unordered.add(channel)
-            account.newest_ns = log_ns
+            state.newest_ns = log_ns
             start = buffer.end
             try:
-                pack, prefix, length = account.packers[size]
+                pack, prefix, length = state.packers[size]
                 end = start + length
                 if end <= buffer.limit:
                     pack(buffer.data, start, prefix, sequence, log_ns, publish_ns, data)
@@ -133,7 +134,7 @@ class Recorder:
                 pass  # a size met for the first time, or a number outside its field
             self._write_carefully(channel, data, log_ns, publish_ns, sequence)
         except MemoryError:
-            self._drop_for_memory(account, channel)
+            self._drop_for_memory(state, channel)
 
     def split(self) -> None:
         """Go on in a new file, without a gap: what is written from now on is in that.
@@ -144,22 +145,22 @@ class Recorder:
             return
         if self._buffer.end and self._has_memory(self._chunk_bytes):
             self._change_buffer()
-        self._drain.queue.put(Request.SPLIT)
+        self._thread.queue.put(WriterCommand.SPLIT)
 
     def add_event(self, event: RecordedEvent) -> None:
         """Name `event` in the metadata of the current file. Never waits."""
-        self._drain.queue.put(event)
+        self._thread.queue.put(event)
 
     def stats(self) -> RecorderStats:
         """The counts at this instant."""
-        topics = tuple(account.stats() for account in list(self._accounts))
+        topics = tuple(state.stats() for state in list(self._channels))
         return RecorderStats(
             state=self._state(),
             file=self._writer.path,
             bytes=self._writer.size,
             **total(topics),
-            no_memory=self._no_memory + self._drain.no_memory,
-            failure=self._drain.failure,
+            no_memory=self._no_memory + self._thread.no_memory,
+            failure=self._thread.failure,
             warning=self._writer.warning,
             topics=topics,
         )
@@ -170,11 +171,11 @@ class Recorder:
         What `write` is given from now on counts as dropped.
         """
         self._closed = True
-        self._drain.stop()
+        self._thread.stop()
         return self.stats()
 
     def _state(self) -> RecorderState:
-        if self._drain.failure:
+        if self._thread.failure:
             return RecorderState.FAILED
         return RecorderState.CLOSED if self._closed else RecorderState.RECORDING
 
@@ -182,9 +183,9 @@ class Recorder:
         self, channel: int, data: Buffer, log_ns: int, publish_ns: int, sequence: int
     ) -> None:
         """Pack what `write` could not: change buffers, clamp numbers, or count a drop."""
-        account = self._accounts[channel]
-        if self._closed or self._drain.failure:
-            account.refused += 1
+        state = self._channels[channel]
+        if self._closed or self._thread.failure:
+            state.dropped_by_loop += 1
             return
         sequence &= MAX_SEQUENCE
         log_ns = min(max(log_ns, 0), MAX_TIME_NS)
@@ -192,30 +193,30 @@ class Recorder:
         length = MESSAGE_HEAD.size + len(data)
         if length > self._chunk_bytes // 2:
             if not self._has_memory(len(data) + self._chunk_bytes):
-                account.refused += 1
+                state.dropped_by_loop += 1
                 return
             message = LargeMessage((channel, bytes(data), log_ns, publish_ns, sequence))
             self._queue_large(message)
             return
         buffer = self._buffer_with_room(length)
         if buffer is None:
-            account.refused += 1
+            state.dropped_by_loop += 1
             return
         start = buffer.end
         data = bytes(data)  # a view cannot be packed
-        pack, prefix, _ = account.packers.get(len(data)) or _new_packer(account, channel, len(data))
+        pack, prefix, _ = state.packers.get(len(data)) or _new_packer(state, channel, len(data))
         pack(buffer.data, start, prefix, sequence, log_ns, publish_ns, data)
         index = buffer.indexes[channel]
         index.append(log_ns)
         index.append(start)
         buffer.end = start + length
 
-    def _drop_for_memory(self, account: TopicAccount, channel: int) -> None:
+    def _drop_for_memory(self, state: ChannelState, channel: int) -> None:
         """Count a message as dropped that could not be packed, or only half of its index entry."""
         index = self._buffer.indexes[channel]
         if len(index) % 2:
             index.pop()
-        account.refused += 1
+        state.dropped_by_loop += 1
         self._no_memory += 1
 
     def _buffer_with_room(self, length: int) -> PackBuffer | None:
@@ -232,27 +233,27 @@ class Recorder:
         if self._buffer.end:
             self._change_buffer()  # what came before it stays before it
         self._acquired += message.size
-        self._drain.queue.put(message)
+        self._thread.queue.put(message)
 
     def _has_memory(self, size: int) -> bool:
-        waiting = self._acquired - self._drain.released + self._latched_bytes
+        waiting = self._acquired - self._thread.released + self._latched_bytes
         return waiting + size <= self._memory_bytes
 
     def _change_buffer(self) -> None:
         """Hand the active buffer to the writer thread and go on in an empty one."""
-        spare = self._drain.spare
+        spare = self._thread.spare
         buffer = spare.popleft() if spare else PackBuffer(self._chunk_bytes)
-        buffer.make_indexes(len(self._accounts))
+        buffer.make_indexes(len(self._channels))
         self._acquired += buffer.size + self._buffer.weigh()
-        self._drain.queue.put(self._buffer)
+        self._thread.queue.put(self._buffer)
         self._buffer = buffer
 
 
-def _new_packer(account: TopicAccount, channel: int, size: int) -> Packer:
+def _new_packer(state: ChannelState, channel: int, size: int) -> Packer:
     """What packs messages of `size` bytes of this channel: record head and data in one call."""
     prefix = _PREFIX.pack(Opcode.MESSAGE, MESSAGE_FIELDS_BYTES + size, channel)
     layout = struct.Struct(f"<{_PREFIX.size}sIQQ{size}s")
     packer = layout.pack_into, prefix, layout.size
-    if len(account.packers) < MAX_PACKERS:
-        account.packers[size] = packer
+    if len(state.packers) < MAX_PACKERS:
+        state.packers[size] = packer
     return packer

@@ -10,24 +10,24 @@ from mcap.records import Channel, Schema
 
 from robotctl.recording.disk.access import share_with_group
 from robotctl.recording.format.events import RecordedEvent
-from robotctl.recording.format.identity import (
+from robotctl.recording.format.ledger_record import ledger_values
+from robotctl.recording.format.metadata_names import (
     EVENT_RECORD,
     INFO_RECORD,
     LEDGER_RECORD,
     LIBRARY,
     PROFILE,
 )
-from robotctl.recording.format.ledger_record import ledger_values
 from robotctl.recording.format.rosbag2 import METADATA_RECORD, BagFile, serialized_metadata
-from robotctl.recording.format.topics import TopicAccount
-from robotctl.recording.write.buffer import Taken
+from robotctl.recording.write.buffer import PackedMessages
+from robotctl.recording.write.channel_state import ChannelState
 from robotctl.recording.write.chunk_encoder import ChunkEncoder
 from robotctl.recording.write.mcap_writer import McapFile
 from robotctl.recording.write.recorder_options import RecorderOptions
 
 
 class RecordingFile:
-    """Not thread-safe. `accounts` may grow; a topic's position in it is its channel id.
+    """Not thread-safe. `channels` may grow; a topic's position in it is its channel id.
 
     Every method may raise OSError; after that only `abandon` may be called.
     """
@@ -37,11 +37,11 @@ class RecordingFile:
         path: Path,
         options: RecorderOptions,
         metadata: Mapping[str, str],
-        accounts: Sequence[TopicAccount],
+        channels: Sequence[ChannelState],
     ) -> None:
         """Create the file; it is valid and on the disk when this returns, or it is not there."""
         self.path = path
-        self._accounts = accounts
+        self._channels = channels
         self._encoder = ChunkEncoder(options.compression, options.compression_level)
         self._announced = 0
         self._schemas: dict[tuple[str, str], int] = {}
@@ -83,9 +83,9 @@ class RecordingFile:
         """Bytes of summaries and footers written so far."""
         return self._mcap.trailer_bytes
 
-    def write(self, taken: Taken) -> None:
-        """Write `taken` as a chunk. Raises OutOfMemory, and then is as it was before."""
-        chunk = self._encoder.encode(taken)
+    def write(self, packed: PackedMessages) -> None:
+        """Write `packed` as a chunk. Raises OutOfMemory, and then is as it was before."""
+        chunk = self._encoder.encode(packed)
         self._announce_topics()
         self._mcap.commit(chunk)
         self._synced = False
@@ -113,7 +113,7 @@ class RecordingFile:
         """Write the final metadata, and close the file."""
         self._announce_topics()
         self._add_bag_metadata()
-        topics = [account.stats() for account in self._accounts[: self._announced]]
+        topics = [state.stats() for state in self._channels[: self._announced]]
         self._mcap.add_metadata(LEDGER_RECORD, ledger_values(topics))
         self._mcap.commit()
         self._mcap.sync()
@@ -137,11 +137,11 @@ class RecordingFile:
 
     def _announce_topics(self) -> bool:
         """Add schema and channel of each topic that is new to the file; False if none is."""
-        known = len(self._accounts)
+        known = len(self._channels)
         if self._announced == known:
             return False
         for channel in range(self._announced, known):
-            topic = self._accounts[channel].topic
+            topic = self._channels[channel].topic
             key = topic.type_name, topic.definition
             if key not in self._schemas:
                 self._schemas[key] = len(self._schemas) + 1
@@ -169,6 +169,6 @@ class RecordingFile:
         return True
 
     def _add_bag_metadata(self) -> None:
-        topics = [account.topic for account in self._accounts[: self._announced]]
+        topics = [state.topic for state in self._channels[: self._announced]]
         text = serialized_metadata(topics, [self.describe()])
         self._mcap.add_metadata(METADATA_RECORD, {"serialized_metadata": text})

@@ -13,9 +13,9 @@ from queue import Empty, SimpleQueue
 from robotctl.recording.disk.disk_errors import cure_of, reason_of
 from robotctl.recording.disk.thread_priority import rank_below
 from robotctl.recording.format.events import RecordedEvent
-from robotctl.recording.format.topics import TopicAccount
 from robotctl.recording.write.bag_writer import BagWriter
-from robotctl.recording.write.buffer import LargeMessage, PackBuffer, Taken
+from robotctl.recording.write.buffer import LargeMessage, PackBuffer, PackedMessages
+from robotctl.recording.write.channel_state import ChannelState
 from robotctl.recording.write.chunk_encoder import OutOfMemory
 from robotctl.recording.write.recorder_options import RecorderOptions
 
@@ -33,31 +33,33 @@ _SETTLE_S = 1.0
 """How long `stop` waits for a message that is being packed; packing takes a microsecond."""
 
 
-class Request(Enum):
+class WriterCommand(Enum):
     """What the loop may ask for through the queue, besides writing."""
 
     SPLIT = "go on in a new file"
     STOP = "finish"
 
 
-class Drain:
+class WriterThread:
     """Owns the thread and, through it, the files.
 
     The loop puts full buffers into `queue`; after `flush_s` the thread takes what lies in the
     active one by itself. The first error ends the file and is kept; from then on what is queued
-    is counted as discarded.
+    is counted as dropped_by_writer.
     """
 
     def __init__(
         self,
         writer: BagWriter,
         options: RecorderOptions,
-        accounts: Sequence[TopicAccount],
+        channels: Sequence[ChannelState],
         active: Callable[[], PackBuffer],
         on_failure: Callable[[str], None],
     ) -> None:
         """Start the thread; `active` gives the buffer that the loop is packing."""
-        self.queue: SimpleQueue[PackBuffer | LargeMessage | RecordedEvent | Request] = SimpleQueue()
+        self.queue: SimpleQueue[PackBuffer | LargeMessage | RecordedEvent | WriterCommand] = (
+            SimpleQueue()
+        )
         self.spare: deque[PackBuffer] = deque()
         self.released = 0
         """Bytes of buffers and messages that were queued and are free again."""
@@ -68,7 +70,7 @@ class Drain:
 
         self._writer = writer
         self._options = options
-        self._accounts = accounts
+        self._channels = channels
         self._active = active
         self._on_failure = on_failure
         self._stopping = False
@@ -79,7 +81,7 @@ class Drain:
 
     def stop(self) -> None:
         """Write everything queued, finish the file, end the thread."""
-        self.queue.put(Request.STOP)
+        self.queue.put(WriterCommand.STOP)
         self._thread.join()
 
     def _run(self) -> None:
@@ -121,7 +123,7 @@ class Drain:
             self._next_sync = time.monotonic() + self._options.sync_s
 
     def _is_settled(self) -> bool:
-        return self.queue.empty() and all(account.settled for account in self._accounts)
+        return self.queue.empty() and all(state.settled for state in self._channels)
 
     def _empty_queue(self) -> None:
         while not self.queue.empty():
@@ -134,19 +136,19 @@ class Drain:
             return  # what was packed before goes first
         buffer.limit = 0
         try:
-            taken = buffer.take()
+            packed = buffer.take()
         except MemoryError:
             if self._stopping:  # there is no later
                 self._drop(buffer.drop())
             return
-        if taken is None:
+        if packed is None:
             self._attempt(self._writer.write_topics)
         else:
-            self._write(taken)
+            self._write(packed)
 
-    def _handle(self, item: PackBuffer | LargeMessage | RecordedEvent | Request) -> None:
-        if isinstance(item, Request):
-            if item is Request.SPLIT:
+    def _handle(self, item: PackBuffer | LargeMessage | RecordedEvent | WriterCommand) -> None:
+        if isinstance(item, WriterCommand):
+            if item is WriterCommand.SPLIT:
                 self._attempt(self._writer.split)
             else:
                 self._stopping = True
@@ -156,27 +158,27 @@ class Drain:
             self._attempt(lambda: self._writer.write_event(event))
             return
         try:
-            taken = item.take()
+            packed = item.take()
         except MemoryError:
             self._drop(item.drop())
             self.released += item.size
             return
-        if taken is not None:
-            self._write(taken)
-            del taken
+        if packed is not None:
+            self._write(packed)
+            del packed
         self.released += item.size
         if isinstance(item, PackBuffer) and len(self.spare) < SPARE_BUFFERS:
             item.recycle()
             self.spare.append(item)
 
-    def _write(self, taken: Taken) -> None:
-        if not self._attempt(lambda: self._writer.write(taken)):
-            self._drop({channel: len(index) // 2 for channel, index in taken.indexes.items()})
+    def _write(self, packed: PackedMessages) -> None:
+        if not self._attempt(lambda: self._writer.write(packed)):
+            self._drop({channel: len(index) // 2 for channel, index in packed.indexes.items()})
 
     def _drop(self, counts: Mapping[int, int]) -> None:
         """Count messages as dropped, by channel: for want of memory, unless the file has failed."""
         for channel, count in counts.items():
-            self._accounts[channel].discarded += count
+            self._channels[channel].dropped_by_writer += count
             if not self.failure:
                 self.no_memory += count
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from robotctl.replay.controls import Command
+from robotctl.replay.commands import Command
 
 KEYS: Final = {
     " ": Command.TOGGLE,

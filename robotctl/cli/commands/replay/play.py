@@ -24,12 +24,12 @@ def play_command(job: Job, *, with_view: bool, as_json: bool) -> None:
     @contextmanager
     def open_screen() -> Iterator[Screen]:
         with ExitStack() as stack:
-            sight = None
+            robot = None
             if with_view:
                 from robotctl.cli.commands.replay.view import recorded_robot
 
-                sight, _ = stack.enter_context(recorded_robot(job))
-            yield stack.enter_context(screen(sight, quiet=as_json))
+                robot, _ = stack.enter_context(recorded_robot(job))
+            yield stack.enter_context(screen(robot, quiet=as_json))
 
     report = play_in_process(job, open_screen)
     error = Interrupted() if report.interrupted else report.error

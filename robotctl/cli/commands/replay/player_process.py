@@ -13,7 +13,7 @@ from robotctl.cli.terminal.keyboard import Keyboard
 from robotctl.cli.terminal.replay_screen import Screen
 from robotctl.errors import RobotctlError, error_for_exit_code
 from robotctl.processes import Child, program, start
-from robotctl.replay.controls import Command
+from robotctl.replay.commands import Command
 from robotctl.replay.job import Job
 
 PLAYER = program("robotctl.replay")

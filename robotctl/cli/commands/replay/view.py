@@ -14,10 +14,10 @@ from robotctl.cli.terminal.replay_screen import Screen, screen
 from robotctl.errors import UsageError
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording
-from robotctl.replay.controls import carry_out
+from robotctl.replay.commands import carry_out
 from robotctl.replay.job import Job
-from robotctl.replay.recorded_robot import Sight
-from robotctl.replay.steering import Steering
+from robotctl.replay.playback_control import PlaybackControl
+from robotctl.replay.recorded_robot import RecordedRobot
 from robotctl.replay.timeline import Span, span_of
 
 PERIOD_S: Final = 0.1
@@ -32,8 +32,8 @@ def view_command(job: Job, *, quiet: bool) -> None:
     """
     if job.rate is None:
         raise UsageError("--view-only cannot draw at --rate max", "give --rate a number")
-    with recorded_robot(job) as (sight, span), screen(sight, quiet=quiet) as shown:
-        viewer = _Viewer(job, sight, shown)
+    with recorded_robot(job) as (robot, span), screen(robot, quiet=quiet) as shown:
+        viewer = _Viewer(job, robot, shown)
         shown.show({"start": {"length_s": span.length_ns / NS_PER_S}})
         with Keyboard(viewer.suspend, viewer.resume) as keyboard:
             while not viewer.quit and (job.loop or viewer.position_ns <= span.length_ns):
@@ -41,55 +41,55 @@ def view_command(job: Job, *, quiet: bool) -> None:
                 ready, _, _ = select.select(keyboard.sources, [], [], PERIOD_S)
                 for key in keyboard.read() if ready else "":
                     viewer.press(key)
-        viewer.steering.pause()
+        viewer.control.pause()
         shown.show({"progress": viewer.progress()})
 
 
 @contextmanager
-def recorded_robot(job: Job) -> Iterator[tuple[Sight, Span]]:
+def recorded_robot(job: Job) -> Iterator[tuple[RecordedRobot, Span]]:
     """Open the recording, and yield its robot and the span of the recording that is played."""
     with Recording(job.file) as recording:
         span = span_of(recording.info(), job)
-        yield Sight(recording, span, loop=job.loop), span
+        yield RecordedRobot(recording, span, loop=job.loop), span
 
 
 class _Viewer:
     """The position in the recording, steered by keys."""
 
-    def __init__(self, job: Job, sight: Sight, screen: Screen) -> None:
+    def __init__(self, job: Job, robot: RecordedRobot, screen: Screen) -> None:
         self.quit = False
-        self.steering = Steering(job.rate, time.monotonic_ns, paused=job.paused)
-        self.steering.begin(time.monotonic_ns() + round(job.delay_s * NS_PER_S))
+        self.control = PlaybackControl(job.rate, time.monotonic_ns, paused=job.paused)
+        self.control.begin(time.monotonic_ns() + round(job.delay_s * NS_PER_S))
         self._was_playing = False
-        self._sight = sight
+        self._robot = robot
         self._screen = screen
 
     @property
     def position_ns(self) -> int:
-        return self.steering.schedule.position_ns(time.monotonic_ns())
+        return self.control.schedule.position_ns(time.monotonic_ns())
 
     def progress(self) -> dict[str, Any]:
         """Return position, rate and pause in the form that the player process sends."""
-        schedule = self.steering.schedule
+        schedule = self.control.schedule
         position_s = self.position_ns / NS_PER_S
         return {"position_s": position_s, "rate": schedule.rate, "paused": schedule.paused}
 
     def press(self, key: str) -> None:
         self.quit = self.quit or key == QUIT
         if key in KEYS:
-            carry_out(KEYS[key], self.steering)
-        next_ns = self._sight.next_ns
-        if next_ns is not None and self.steering.takes_step(next_ns):
-            self._sight.advance(next_ns)
+            carry_out(KEYS[key], self.control)
+        next_ns = self._robot.next_ns
+        if next_ns is not None and self.control.takes_step(next_ns):
+            self._robot.advance(next_ns)
 
     def suspend(self) -> None:
         """Pause while this process is stopped."""
-        self._was_playing = not self.steering.schedule.paused
-        self.steering.pause()
+        self._was_playing = not self.control.schedule.paused
+        self.control.pause()
         self._screen.suspend()
 
     def resume(self) -> None:
         """Continue, unless the view was paused before `suspend`."""
         self._screen.resume()
         if self._was_playing:
-            self.steering.resume()
+            self.control.resume()

@@ -7,18 +7,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from robotctl.recording.format.identity import (
+from robotctl.recording.format.ledger_record import read_ledger
+from robotctl.recording.format.metadata_names import (
     CLIP_RECORD,
     LEDGER_RECORD,
     OWN_LIBRARY,
     RECOVERY_RECORD,
 )
-from robotctl.recording.format.ledger_record import read_ledger
 from robotctl.recording.format.rosbag2 import message_counts_in, total_count_in
 from robotctl.recording.read.messages import OpenFile
 
 
-def lacking(text: str, files: Sequence[OpenFile], *, all_files: bool) -> Iterator[str]:
+def find_shortfalls(text: str, files: Sequence[OpenFile], *, all_files: bool) -> Iterator[str]:
     """A sentence for each thing that holds fewer messages than are told of it.
 
     `text` is that of the `metadata.yaml` beside the files, read before them, for they may grow;

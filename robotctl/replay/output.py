@@ -7,10 +7,10 @@ from typing import Any
 
 from robotctl.kernel.units import NS_PER_S
 from robotctl.replay.lateness import Lateness
-from robotctl.replay.notes import Record
 from robotctl.replay.plan import Route
 from robotctl.replay.player import Player
 from robotctl.replay.read_ahead import ReadAhead
+from robotctl.replay.report import ReplayReport
 
 BEHIND_S = 0.05
 """Below this nobody can see that a message is late, and the next may still be on time."""
@@ -18,7 +18,7 @@ BEHIND_S = 0.05
 
 def progress(player: Player, ahead: ReadAhead, now_ns: int) -> dict[str, Any]:
     """Where a replay is; `behind` counts messages that should have been sent by now."""
-    schedule, position_ns = player.steering.schedule, player.position_ns
+    schedule, position_ns = player.control.schedule, player.position_ns
     behind = 0
     if schedule.rate is not None:
         overdue_ns = round(BEHIND_S * NS_PER_S * schedule.rate)
@@ -36,7 +36,7 @@ def progress(player: Player, ahead: ReadAhead, now_ns: int) -> dict[str, Any]:
 
 
 def summary(
-    record: Record, player: Player, routes: Iterable[Route], *, interrupted: bool
+    report: ReplayReport, player: Player, routes: Iterable[Route], *, interrupted: bool
 ) -> dict[str, Any]:
     """What came of it, for people and for machines."""
     topics = player.topics
@@ -54,13 +54,13 @@ def summary(
             }
             for route in routes
         ],
-        "withheld": record.withheld,
-        "skipped": record.skipped,
+        "withheld": report.withheld,
+        "skipped": report.skipped,
         "timing_error_us": _timing(player.lateness),
         "played_s": player.position_ns / NS_PER_S,
         "interrupted": interrupted,
-        "missing": record.missing,
-        "notes": record.notes,
+        "missing": report.missing,
+        "notes": report.notes,
     }
 
 

@@ -12,7 +12,7 @@ MAX_MISSING = 64
 
 
 @dataclass(slots=True)
-class SequenceLedger:
+class SequenceGaps:
     """The gaps of one topic.
 
     `expected` maps each publisher (its gid) to the sequence number that should come next: the

@@ -9,7 +9,7 @@ from dataclasses import replace
 from robotctl.replay.schedule import Schedule, faster, slower
 
 
-class Steering:
+class PlaybackControl:
     """Pause, rate and single steps. `now_ns` is the steady clock."""
 
     def __init__(

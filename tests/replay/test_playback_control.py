@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robotctl.replay.controls import Command, carry_out, command_of
+from robotctl.replay.commands import Command, carry_out, command_of
 from robotctl.replay.job import MAX_RATE, MIN_RATE
-from robotctl.replay.player import LEAD_NS, Player, Ticks
+from robotctl.replay.playback_control import PlaybackControl
+from robotctl.replay.player import LEAD_NS, ClockPublisher, Player
 from robotctl.replay.schedule import RATES, Schedule, faster, slower
-from robotctl.replay.steering import Steering
 from robotctl.replay.timeline import Entry
 
 MS = 1_000_000
@@ -48,7 +48,7 @@ def play(
     rate: float | None = 1.0,
     paused: bool = False,
     delay_ns: int = 0,
-    ticks: Ticks | None = None,
+    ticks: ClockPublisher | None = None,
 ) -> tuple[Player, list[tuple[int, int]]]:
     """A player, and when it sends which entry: ms after the start, number."""
     sent: list[tuple[int, int]] = []
@@ -111,8 +111,8 @@ def test_a_pause_moves_what_follows_by_its_length() -> None:
     clock = ScriptClock()
     player, sent = play(clock, every_ms(6))
     clock.script = [
-        (LEAD_NS + 250 * MS, player.steering.toggle),
-        (LEAD_NS + 2250 * MS, player.steering.toggle),
+        (LEAD_NS + 250 * MS, player.control.toggle),
+        (LEAD_NS + 2250 * MS, player.control.toggle),
     ]
     player.run()
     expected = [(n * 100 + 2000 * (n > 2), n) for n in range(6)]
@@ -122,7 +122,7 @@ def test_a_pause_moves_what_follows_by_its_length() -> None:
 def test_another_rate_counts_from_where_the_replay_is() -> None:
     clock = ScriptClock()
     player, sent = play(clock, every_ms(6))
-    clock.script = [(LEAD_NS + 250 * MS, player.steering.faster)]
+    clock.script = [(LEAD_NS + 250 * MS, player.control.faster)]
     player.run()
     expected = [
         (0, 0),
@@ -136,12 +136,12 @@ def test_another_rate_counts_from_where_the_replay_is() -> None:
 def test_single_steps_send_one_message_each_and_stand_still_behind_it() -> None:
     clock = ScriptClock()
     player, sent = play(clock, every_ms(5), paused=True)
-    steering = player.steering
+    control = player.control
     clock.script = [
-        (LEAD_NS + SECOND, steering.step),
-        (LEAD_NS + 2 * SECOND, steering.step),
-        (LEAD_NS + 2 * SECOND, steering.step),
-        (LEAD_NS + 4 * SECOND, steering.resume),
+        (LEAD_NS + SECOND, control.step),
+        (LEAD_NS + 2 * SECOND, control.step),
+        (LEAD_NS + 2 * SECOND, control.step),
+        (LEAD_NS + 4 * SECOND, control.resume),
     ]
     player.run()
     within(sent, [(1000, 0), (2000, 1), (2000, 2), (4100, 3), (4200, 4)], 51)
@@ -151,10 +151,10 @@ def test_single_steps_send_one_message_each_and_stand_still_behind_it() -> None:
 def test_a_step_while_it_plays_changes_nothing() -> None:
     clock = ScriptClock()
     player, sent = play(clock, every_ms(3))
-    clock.script = [(LEAD_NS + 50 * MS, player.steering.step)]
+    clock.script = [(LEAD_NS + 50 * MS, player.control.step)]
     player.run()
     assert sent == [(0, 0), (100, 1), (200, 2)]
-    assert not player.steering.takes_step(0)
+    assert not player.control.takes_step(0)
 
 
 def test_a_delay_comes_before_the_first_message() -> None:
@@ -166,7 +166,7 @@ def test_a_delay_comes_before_the_first_message() -> None:
 def test_a_pause_stops_also_what_goes_as_fast_as_possible() -> None:
     clock = ScriptClock()
     player, sent = play(clock, every_ms(3), rate=None, paused=True)
-    clock.script = [(LEAD_NS + 500 * MS, player.steering.resume)]
+    clock.script = [(LEAD_NS + 500 * MS, player.control.resume)]
     player.run()
     within(sent, [(500, n) for n in range(3)], 51)
 
@@ -174,11 +174,11 @@ def test_a_pause_stops_also_what_goes_as_fast_as_possible() -> None:
 def test_the_clock_ticks_in_real_time_and_tells_recorded_time() -> None:
     told: list[tuple[int, int]] = []
     clock = ScriptClock()
-    ticks = Ticks(20 * MS, lambda at_ns: told.append((clock.time_ns, at_ns)))
+    ticks = ClockPublisher(20 * MS, lambda at_ns: told.append((clock.time_ns, at_ns)))
     player, _ = play(clock, every_ms(6), rate=2.0, ticks=ticks)
     clock.script = [
-        (LEAD_NS + 100 * MS, player.steering.pause),
-        (LEAD_NS + 300 * MS, player.steering.resume),
+        (LEAD_NS + 100 * MS, player.control.pause),
+        (LEAD_NS + 300 * MS, player.control.resume),
     ]
     player.run()
     times = [real for real, _ in told]
@@ -192,7 +192,7 @@ def test_the_clock_ticks_in_real_time_and_tells_recorded_time() -> None:
 
 def test_ticks_that_were_missed_are_not_made_up_for() -> None:
     told: list[int] = []
-    ticks = Ticks(10, told.append)
+    ticks = ClockPublisher(10, told.append)
     for now in (0, 5, 10, 1000, 1005, 1010):
         ticks.tick(now, now)
     assert told == [0, 10, 1000, 1010]
@@ -200,10 +200,10 @@ def test_ticks_that_were_missed_are_not_made_up_for() -> None:
 
 @pytest.mark.parametrize("command", Command)
 def test_every_command_crosses_to_the_player_and_does_something_harmless(command: Command) -> None:
-    steering = Steering(1.0, lambda: 0)
+    control = PlaybackControl(1.0, lambda: 0)
     assert command_of(command.line().rstrip(b"\n")) is command
-    carry_out(command, steering)
-    assert steering.schedule.position_ns(0) == 0
+    carry_out(command, control)
+    assert control.schedule.position_ns(0) == 0
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from zstandard import ZstdDecompressor, ZstdError, frame_content_size
 from robotctl.recording.format.rosbag2 import METADATA_RECORD, files_in, metadata_text
 from robotctl.recording.read.damage import BeyondLimit, Damaged
 from robotctl.recording.read.read_limits import ReadLimits, unpacking_cost
-from robotctl.recording.read.work import ReadAccount
+from robotctl.recording.read.read_tally import ReadTally
 
 SERIALIZED_METADATA: Final = "serialized_metadata"
 
@@ -62,11 +62,11 @@ def _format_in(text: str) -> str:
 class MessageDecompressor:
     """Decompresses the messages at one place of a file, within the file's limits."""
 
-    def __init__(self, offset: int, limits: ReadLimits, account: ReadAccount) -> None:
-        """`offset` is that of the place, `account` that of the file."""
+    def __init__(self, offset: int, limits: ReadLimits, tally: ReadTally) -> None:
+        """`offset` is that of the place, `tally` that of the file."""
         self._offset = offset
         self._limits = limits
-        self._account = account
+        self._account = tally
         self._cost = 0
         self._zstd = ZstdDecompressor()
 

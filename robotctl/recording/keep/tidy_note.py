@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 
-class Tidied(NamedTuple):
+class TidyNote(NamedTuple):
     """One thing that was done, or could not be done."""
 
     text: str

@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable
 from enum import Enum
 
-from robotctl.replay.steering import Steering
+from robotctl.replay.playback_control import PlaybackControl
 
 
 class Command(Enum):
@@ -33,14 +33,14 @@ def command_of(line: bytes) -> Command | None:
         return None
 
 
-def carry_out(command: Command, steering: Steering) -> None:
+def carry_out(command: Command, control: PlaybackControl) -> None:
     """Do it."""
     actions: dict[Command, Callable[[], None]] = {
-        Command.PAUSE: steering.pause,
-        Command.RESUME: steering.resume,
-        Command.TOGGLE: steering.toggle,
-        Command.FASTER: steering.faster,
-        Command.SLOWER: steering.slower,
-        Command.NEXT: steering.step,
+        Command.PAUSE: control.pause,
+        Command.RESUME: control.resume,
+        Command.TOGGLE: control.toggle,
+        Command.FASTER: control.faster,
+        Command.SLOWER: control.slower,
+        Command.NEXT: control.step,
     }
     actions[command]()

@@ -12,7 +12,7 @@ Tell = Callable[[dict[str, Any]], None]
 """Says something to the user: {"note"}, {"waiting"}, {"start"}, {"progress"} or {"summary"}."""
 
 
-class Record:
+class ReplayReport:
     """Notes in their order; what is skipped, withheld and missing. Keys are recorded topics."""
 
     def __init__(self, tell: Tell) -> None:

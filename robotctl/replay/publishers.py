@@ -10,16 +10,18 @@ from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import TopicInfo
 from robotctl.replay import plan
 from robotctl.replay.job import Job
-from robotctl.replay.notes import Record
 from robotctl.replay.plan import Route
-from robotctl.replay.player import Send, Ticks
+from robotctl.replay.player import ClockPublisher, Send
+from robotctl.replay.report import ReplayReport
 from robotctl.replay.timeline import Span
 from robotctl.ros.playback.playback import ReplaySession, Unpublishable
 
 CLOCK: Final = "/clock"
 
 
-def playable(routes: Sequence[Route], ros: ReplaySession, job: Job, record: Record) -> list[Route]:
+def playable(
+    routes: Sequence[Route], ros: ReplaySession, job: Job, report: ReplayReport
+) -> list[Route]:
     """The routes whose types are installed; the others are skipped.
 
     Raises:
@@ -38,13 +40,13 @@ def playable(routes: Sequence[Route], ros: ReplaySession, job: Job, record: Reco
         except Unpublishable as error:
             reasons[topic.name] = str(error)
     for name in sorted(reasons.keys() & {route.topic.name for route in routes}):
-        record.skip(name, reasons[name])
-    _check_definitions([route.topic for route in found], ros, job, record)
+        report.skip(name, reasons[name])
+    _check_definitions([route.topic for route in found], ros, job, report)
     return found
 
 
 def open_routes(
-    routes: Sequence[Route], ros: ReplaySession, job: Job, record: Record
+    routes: Sequence[Route], ros: ReplaySession, job: Job, report: ReplayReport
 ) -> tuple[list[Route], dict[str, Send]]:
     """The routes that could be opened, and what sends each topic's messages; others are skipped."""
     opened: list[Route] = []
@@ -60,11 +62,11 @@ def open_routes(
                 )
             opened.append(route)
         except Unpublishable as error:
-            record.skip(topic.name, str(error))
+            report.skip(topic.name, str(error))
     return opened, sends
 
 
-def open_clock(prefix: str, ros: ReplaySession, job: Job, span: Span) -> Ticks | None:
+def open_clock(prefix: str, ros: ReplaySession, job: Job, span: Span) -> ClockPublisher | None:
     """What publishes the time, None where nobody wants it. Raises Refused beside another clock.
 
     The time is that of the recording; a loop turns it back.
@@ -83,11 +85,11 @@ def open_clock(prefix: str, ros: ReplaySession, job: Job, span: Span) -> Ticks |
     def tell(position_ns: int) -> None:
         send(span.start_ns + (position_ns % span.pass_ns if job.loop else position_ns))
 
-    return Ticks(round(NS_PER_S / job.clock_hz), tell)
+    return ClockPublisher(round(NS_PER_S / job.clock_hz), tell)
 
 
 def _check_definitions(
-    topics: Iterable[TopicInfo], ros: ReplaySession, job: Job, record: Record
+    topics: Iterable[TopicInfo], ros: ReplaySession, job: Job, report: ReplayReport
 ) -> None:
     others = [
         f"{topic.name} ({topic.type_name})"
@@ -103,4 +105,4 @@ def _check_definitions(
             "leave it out: --exclude NAME; play it all the same: --force-types",
             sentence=IN_PARENTHESES,
         )
-    record.note(f"{what}; --force-types plays it all the same")
+    report.note(f"{what}; --force-types plays it all the same")

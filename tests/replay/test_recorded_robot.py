@@ -12,54 +12,54 @@ from hypothesis import strategies as st
 
 from robotctl.kernel.geometry import Pose
 from robotctl.recording import Recording
-from robotctl.replay.recorded_robot import Sight
+from robotctl.replay.recorded_robot import RecordedRobot
 from robotctl.replay.timeline import Span
 from tests.support.bags import ODOMETRY, START_NS, STATUS, Line, odometry, status, write_bag
 
 
-def seen(tmp_path: Path, lines: list[Line], **options: Any) -> Sight:
+def seen(tmp_path: Path, lines: list[Line], **options: Any) -> RecordedRobot:
     recording = Recording(write_bag(tmp_path / "run.mcap", lines))
     info = recording.info()
     span = Span(info.start_ns + options.get("skip_ms", 0) * 10**6, info.end_ns)
-    return Sight(recording, span, loop=options.get("loop", False))
+    return RecordedRobot(recording, span, loop=options.get("loop", False))
 
 
 @pytest.mark.parametrize("endian", ["<", ">"])
 def test_pose_velocity_and_path_are_those_of_the_moment(tmp_path: Path, endian: str) -> None:
-    sight = seen(tmp_path, [odometry(n * 100.0, n * 1.0, endian=endian) for n in range(10)])
-    sight.advance(350 * 10**6)
-    assert sight.pose == Pose(3.0, 6.0, 0.0)
-    assert sight.velocity is not None
-    assert (sight.velocity.linear, sight.velocity.angular) == (0.25, 0.0)
-    assert sight.path == [(float(n), 2.0 * n) for n in range(4)]
-    assert sight.mode is None
-    assert sight.next_ns == 400 * 10**6
+    robot = seen(tmp_path, [odometry(n * 100.0, n * 1.0, endian=endian) for n in range(10)])
+    robot.advance(350 * 10**6)
+    assert robot.pose == Pose(3.0, 6.0, 0.0)
+    assert robot.velocity is not None
+    assert (robot.velocity.linear, robot.velocity.angular) == (0.25, 0.0)
+    assert robot.path == [(float(n), 2.0 * n) for n in range(4)]
+    assert robot.mode is None
+    assert robot.next_ns == 400 * 10**6
 
 
 def test_after_an_offset_the_mode_is_known_from_before_and_the_path_begins_there(
     tmp_path: Path,
 ) -> None:
     lines = [status(0, 3), *(odometry(n * 100.0, n * 1.0) for n in range(10))]
-    sight = seen(tmp_path, lines, skip_ms=500)
-    sight.advance(0)
-    assert sight.mode == "EMERGENCY_STOP"
-    sight.advance(10**10)
-    assert sight.path == [(float(n), 2.0 * n) for n in range(4, 10)]
-    assert sight.next_ns is None
+    robot = seen(tmp_path, lines, skip_ms=500)
+    robot.advance(0)
+    assert robot.mode == "EMERGENCY_STOP"
+    robot.advance(10**10)
+    assert robot.path == [(float(n), 2.0 * n) for n in range(4, 10)]
+    assert robot.next_ns is None
 
 
 def test_a_loop_begins_a_new_path(tmp_path: Path) -> None:
-    sight = seen(tmp_path, [odometry(n * 100.0, n * 1.0) for n in range(5)], loop=True)
-    sight.advance(399 * 10**6)
-    assert len(sight.path) == 4
-    sight.advance(550 * 10**6)
-    assert sight.path == [(1.0, 2.0)]
+    robot = seen(tmp_path, [odometry(n * 100.0, n * 1.0) for n in range(5)], loop=True)
+    robot.advance(399 * 10**6)
+    assert len(robot.path) == 4
+    robot.advance(550 * 10**6)
+    assert robot.path == [(1.0, 2.0)]
 
 
 def test_a_mode_of_another_version_is_shown_by_its_number(tmp_path: Path) -> None:
-    sight = seen(tmp_path, [status(0, 9)])
-    sight.advance(0)
-    assert sight.mode == "mode 9"
+    robot = seen(tmp_path, [status(0, 9)])
+    robot.advance(0)
+    assert robot.mode == "mode 9"
 
 
 @given(st.binary(max_size=900))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 
-class ReadAccount:
+class ReadTally:
     """Counts by the offset of a place, so that a place read twice counts once."""
 
     def __init__(self) -> None:
