@@ -256,7 +256,7 @@ def test_something_else_in_the_place_of_a_folder_is_named(base: Path) -> None:
         call("robot", "status")
 
 
-def test_what_is_missing_is_made_for_this_user_alone_whatever_the_umask(
+def test_missing_folders_are_created_for_this_user_alone_under_any_umask(
     base: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(base / "home" / ".local" / "state"))

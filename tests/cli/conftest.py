@@ -1,4 +1,4 @@
-"""Runs command lines in a home of their own, against a daemon that only speaks the protocol."""
+"""Run command lines in a temporary home, against a fake daemon that implements the protocol."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ FAKE_DAEMON = Path(__file__).with_name("fake_daemon.py")
 
 @dataclass(frozen=True, slots=True)
 class Ran:
-    """What a command line did."""
+    """Exit code and output of a command line."""
 
     exit_code: int
     out: str
@@ -36,7 +36,7 @@ class Ran:
 
 @pytest.fixture(autouse=True)
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """Sockets, logs and recordings below tmp_path; the fake daemon in the real one's place."""
+    """Put sockets, logs and recordings below tmp_path, and use the fake daemon."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "run"))
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     monkeypatch.setenv("PYTHONPATH", str(Path(robotctl.__file__).parent.parent))
@@ -81,13 +81,13 @@ def cli(capsys: pytest.CaptureFixture[str]) -> Callable[..., Ran]:
 
 @pytest.fixture
 def wide_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Lines as on a terminal of 200 columns."""
+    """Format lines as on a terminal of 200 columns."""
     monkeypatch.setattr(text, "_terminal_columns", lambda: 200)
 
 
 @pytest.fixture
 def daemon(cli: Callable[..., Ran]) -> None:
-    """A daemon for robot 'robot' that runs until the test ends."""
+    """Start a fake daemon for robot 'robot'; it runs until the test ends."""
     ran = cli("start")
     assert ran.exit_code == 0, ran.err
 
@@ -104,13 +104,13 @@ app.main()
 
 @pytest.fixture
 def command() -> list[str]:
-    """The beginning of a command line that runs in a process of its own."""
+    """Return the start of a command line that runs in its own process."""
     return [sys.executable, "-c", PROGRAM, str(FAKE_DAEMON)]
 
 
 @pytest.fixture
 def spawn(command: list[str]) -> Iterator[Callable[..., subprocess.Popen[str]]]:
-    """Start a command line in a process of its own, which ends with the test at the latest."""
+    """Return a function that starts a command line in its own process, until the test ends."""
     started: list[subprocess.Popen[str]] = []
 
     def spawned(*arguments: str) -> subprocess.Popen[str]:

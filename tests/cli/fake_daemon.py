@@ -1,4 +1,4 @@
-"""Stands in for `python -m robotctl.daemon`: the protocol and the ready line, without a robot.
+"""A fake of `python -m robotctl.daemon`: the protocol and the ready line, without a robot.
 
 FAKE_START makes a start go wrong: refuse, run-already, crash, garbage or hang. FAKE_ENDLESS makes
 every drive endless, FAKE_GENTLE every ramp; FAKE_MODE is the mode that it is ready in.

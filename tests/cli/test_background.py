@@ -1,4 +1,4 @@
-"""A call beside the main thread ends whatever happens to whoever waits for it."""
+"""A background call ends even if the thread that waits for it is interrupted."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_what_the_work_returns_or_raises_comes_out() -> None:
         started(fail).result()
 
 
-def test_an_interruption_at_any_step_of_whoever_asks_does_not_keep_the_work_from_its_end() -> None:
+def test_the_work_ends_even_if_the_waiting_thread_is_interrupted_at_any_step() -> None:
     for step in count(1):
         release = threading.Event()
 
@@ -54,7 +54,7 @@ def test_an_interruption_at_any_step_of_whoever_asks_does_not_keep_the_work_from
 
 
 def interrupted_at(step: int, ask: Any) -> bool:
-    """Call `ask` and interrupt it at a line or a return; False if it has fewer."""
+    """Call `ask` and interrupt it at a line or a return; return False if it has fewer of them."""
     left = step
 
     def trace(frame: FrameType, event: str, argument: object) -> Any:

@@ -24,7 +24,7 @@ def written() -> list[Written]:
 
 
 def diverging(written: list[Written]) -> list[Written]:
-    """The same with another last command."""
+    """Return the same drive with another last command."""
     changed = list(written)
     position = max(
         i

@@ -1,4 +1,4 @@
-"""clip finds the event that is meant, in the recording that is meant."""
+"""clip finds the requested event in the requested recording."""
 
 from __future__ import annotations
 

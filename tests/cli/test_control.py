@@ -1,4 +1,4 @@
-"""status, set-mode, estop, reset, stop and drive, against a daemon that speaks the protocol."""
+"""status, set-mode, estop, reset, stop and drive, against a fake daemon."""
 
 from __future__ import annotations
 
@@ -154,7 +154,7 @@ def test_a_size_outside_the_limits_is_named(daemon: None, cli: Callable[..., Any
 
 @pytest.fixture
 def daemon_that_ramps_slowly(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Comes before the daemon, which inherits it."""
+    """Set it before the daemon starts, which inherits it."""
     monkeypatch.setenv("FAKE_GENTLE", "1")
 
 
@@ -162,7 +162,7 @@ def daemon_that_ramps_slowly(monkeypatch: pytest.MonkeyPatch) -> None:
 def waiting(
     daemon: None, spawn: Callable[..., subprocess.Popen[str]]
 ) -> Callable[..., subprocess.Popen[str]]:
-    """Begin a drive that is waited for."""
+    """Start a drive with --wait."""
 
     def begin(*options: str) -> subprocess.Popen[str]:
         process = spawn("drive", "square", "--laps", "0", "--wait", *options)
@@ -232,10 +232,10 @@ def test_a_second_ctrl_c_straight_after_the_first_is_the_emergency_stop_and_a_th
     assert mode() == "EMERGENCY_STOP"
 
 
-def test_a_drive_whose_output_nobody_reads_any_more_is_stopped(
+def test_a_drive_is_stopped_when_the_reader_of_its_output_has_gone(
     waiting: Callable[..., subprocess.Popen[str]],
 ) -> None:
-    """As an ssh without a terminal ends: no signal comes."""
+    """An ssh connection without a terminal ends like this, without a signal."""
     process = waiting()
     assert process.stdout is not None
     process.stdout.close()

@@ -1,4 +1,4 @@
-"""The demo touches nobody's daemon, leaves nothing behind, and shows what it did."""
+"""The demo affects no other daemon, leaves nothing behind, and shows what it did."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ def test_signals_during_the_clean_up_leave_no_daemon_behind(
     home: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A terminal that closes sends two of them, a tired user as well."""
+    """A terminal that closes sends two signals, and so may a user."""
     stop, lap = demo._stop_if_running, demo._drive_one_lap
 
     def stop_under_signals(robot: str) -> None:

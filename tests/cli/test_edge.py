@@ -1,4 +1,4 @@
-"""Every error ends in one sentence and its exit code; no traceback reaches who did not ask."""
+"""Every error ends in one sentence and its exit code, without a traceback."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ WITH_JSON = [
     "replay nowhere --check",
     "replay nowhere --what-if tracking.k_y=8",
 ]
-"""Command lines that fail without a daemon, with another daemon in the place of one."""
+"""Command lines that fail without a daemon."""
 
 
 @pytest.mark.parametrize("arguments", WITH_JSON)
@@ -258,7 +258,7 @@ def test_a_command_does_its_work_with_its_output_closed(command: list[str], clos
 
 
 @pytest.mark.parametrize("options", [[], ["--json"]])
-def test_the_exit_code_is_that_of_the_error_also_where_nobody_reads_it(
+def test_the_exit_code_is_that_of_the_error_even_if_stdout_is_closed(
     command: list[str], tmp_path: Path, options: list[str]
 ) -> None:
     file = record_cut_short(tmp_path)

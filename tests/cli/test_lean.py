@@ -1,4 +1,4 @@
-"""An emergency stop does not wait for a library that it does not need."""
+"""Quick commands import no library that they do not need."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ print("imported", *{module.partition(".")[0] for module in sys.modules})
 
 
 def imported_by(*arguments: str) -> set[str]:
-    """Every top-level module that a command line needs, in a fresh interpreter."""
+    """Return the top-level modules that a command line imports in a new interpreter."""
     program = [sys.executable, "-c", PROGRAM, *arguments]
     ran = subprocess.run(program, capture_output=True, text=True)
     assert ran.returncode == 0, ran.stderr

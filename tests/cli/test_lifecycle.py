@@ -1,4 +1,4 @@
-"""start, stop and logs: ready means ready, and a failed start says why."""
+"""start, stop and logs: start returns when the daemon is ready, or says why it failed."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from tests.support.waiting import until
 
 
 def children() -> set[int]:
-    """Our child processes, the dead among them that nobody has waited for."""
+    """Return our child processes, including ended ones that were not waited for."""
     ids = Path(f"/proc/self/task/{os.getpid()}/children").read_text()
     return {int(pid) for pid in ids.split()}
 
@@ -246,7 +246,7 @@ def test_logs_without_a_log_says_so(cli: Callable[..., Any]) -> None:
 
 
 def following(path: Path, monkeypatch: pytest.MonkeyPatch, *steps: Callable[[], Any]) -> list[str]:
-    """The lines that `logs -f` prints when these things happen, one at each of its waits."""
+    """Return the lines that `logs -f` prints, with one of these events at each of its waits."""
     todo = iter(steps)
 
     class Enough(Exception):

@@ -1,4 +1,4 @@
-"""What is no regular file is named at once: nothing waits for the other end of a FIFO."""
+"""A file that is not regular is refused at once; no command waits for a FIFO."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ READERS = [
 
 @pytest.fixture(autouse=True)
 def no_command_hangs() -> Iterator[None]:
-    """A test that waits for a writer fails, and does not wait itself."""
+    """Let a test that would wait for a writer fail instead."""
 
     def give_up(*_: object) -> None:
         raise AssertionError("it waits for a writer")
@@ -45,7 +45,7 @@ def no_command_hangs() -> Iterator[None]:
 
 @pytest.fixture
 def run(cli: Callable[..., Any]) -> Callable[..., Any]:
-    """A command line that must end with one sentence, and without a bug of ours."""
+    """Run a command line that must end with one sentence and no unexpected error."""
 
     def ran(*arguments: str) -> Any:
         came = cli(*arguments)
@@ -126,7 +126,7 @@ def test_a_clip_goes_into_no_fifo(run: Callable[..., Any]) -> None:
 
 @pytest.fixture
 def gone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The working folder is removed."""
+    """Remove the working folder."""
     folder = tmp_path / "gone"
     folder.mkdir()
     monkeypatch.chdir(folder)
@@ -173,7 +173,7 @@ def test_a_daemon_without_a_working_folder_says_what_it_needs(gone: None, tmp_pa
 
 @pytest.fixture
 def closed() -> Iterator[Path]:
-    """A folder in which another user may look at nothing."""
+    """Create a folder that other users cannot read."""
     base = Path(tempfile.mkdtemp(prefix="rt-", dir="/tmp"))
     base.chmod(0o755)
     (base / "closed" / "run").mkdir(parents=True)
@@ -190,7 +190,7 @@ with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.St
 os.setresuid(65533, 65533, 65533)
 sys.exit(app.run(sys.argv[1:]))
 """
-"""Runs a command as root first: what it imports may lie where only root may look."""
+"""Imports as root first, because the modules may be in a folder that only root can read."""
 
 
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can become another user")

@@ -1,4 +1,4 @@
-"""The picture shows where the robot was, to scale, whatever the path."""
+"""The picture shows every path to scale."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ NAN = float("nan")
 
 
 def dots(lines: list[str]) -> int:
-    """How many braille dots are set."""
+    """Return the number of braille dots."""
     return sum(
         (ord(c) - 0x2800).bit_count() for line in lines for c in line if "\u2800" <= c < "\u2900"
     )

@@ -1,4 +1,4 @@
-"""The short way round typer means exactly what typer would have made of it."""
+"""`quick` calls exactly what typer would call."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ words = st.sampled_from(
 
 @pytest.fixture
 def calls(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """What the commands were called with, in place of what they do."""
+    """Replace the actions, and return the list of their calls."""
     seen: list[Any] = []
     for name in NAMES:
 
@@ -57,7 +57,7 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
 
 
 def by_typer(arguments: list[str], calls: list[Any]) -> Any:
-    """The call that typer makes of the arguments, or None where it refuses them."""
+    """Return the call that typer makes, or None if it refuses the arguments."""
     calls.clear()
     try:
         registry.dispatch(arguments)

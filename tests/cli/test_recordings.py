@@ -1,4 +1,4 @@
-"""recordings and recover find the folder of the daemon, and say what is in it."""
+"""recordings and recover find the folder of the daemon and show its contents."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def record(folder: Path, count: int = 100) -> Path:
 
 @pytest.fixture
 def library(tmp_path: Path) -> Path:
-    """The folder of the robot's last daemon, with two recordings."""
+    """Create the folder of the robot's last daemon, with two recordings."""
     folder = tmp_path / "library"
     for name in (OLDER, NEWER):
         record(folder / name)

@@ -1,4 +1,4 @@
-"""Keys steer a replay, and the terminal gets its settings back on every way out."""
+"""Keys control a replay, and the terminal settings are restored in every case."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ CODE = "from robotctl.cli.app import main; main()"
 
 
 def drive(seconds: int) -> list[Line]:
-    """A robot that drives straight on at 10 Hz."""
+    """Return the messages at 10 Hz of a robot that drives straight ahead."""
     return [status(0, 1), *(odometry(n * 100.0, n * 0.01) for n in range(10 * seconds))]
 
 
@@ -36,7 +36,7 @@ def file(tmp_path: Path) -> Path:
 
 
 class Terminal:
-    """A command line on a terminal of its own."""
+    """A command line on its own terminal."""
 
     def __init__(self, *arguments: object, program: tuple[str, ...] = (CODE,)) -> None:
         command = [sys.executable, "-c", *program, *map(str, arguments)]
@@ -47,7 +47,7 @@ class Terminal:
         self._seen = ""
 
     def until(self, text: str) -> str:
-        """Wait until the text is drawn from now on; returns what was drawn before it."""
+        """Wait until the text is drawn, and return what was drawn before it."""
         end = time.monotonic() + DEADLINE_S
         while not (found := re.search(text, self._seen)):
             assert time.monotonic() < end, self._seen[-2000:]
@@ -60,12 +60,12 @@ class Terminal:
         os.write(self._file, keys.encode())
 
     def is_cooked(self) -> bool:
-        """Whether the terminal echoes and gives whole lines, as it did in the beginning."""
+        """Return whether the terminal echoes and delivers whole lines, as at the start."""
         flags = termios.tcgetattr(self._file)[ECHO_FLAGS]
         return bool(flags & termios.ECHO) and bool(flags & termios.ICANON)
 
     def end(self) -> int:
-        """Wait for the process; returns its exit code."""
+        """Wait for the process, and return its exit code."""
         end = time.monotonic() + DEADLINE_S
         while time.monotonic() < end:
             pid, found = os.waitpid(self.pid, os.WNOHANG)
@@ -152,7 +152,7 @@ os.tcsetpgrp(0, pid)
 os.kill(-pid, signal.SIGCONT)
 wait()
 """
-"""Job control as a shell has it, for one command: stopped, continued by a line, ended."""
+"""Job control of a shell for one command: it is stopped, continued by a line, and ends."""
 
 
 def test_ctrl_z_gives_the_terminal_back_and_fg_takes_it_again(terminal: Any, file: Path) -> None:

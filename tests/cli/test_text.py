@@ -1,4 +1,4 @@
-"""What comes from files and daemons is shown, and cannot steer the terminal."""
+"""Text from files and daemons is shown without control sequences."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Topics fit into 80 columns, and whoever reads them can tell them apart."""
+"""Topics fit into 80 columns and remain distinguishable."""
 
 from __future__ import annotations
 

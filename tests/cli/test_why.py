@@ -1,4 +1,4 @@
-"""`robotctl why`: the chain in sentences, on a terminal and for machines."""
+"""`robotctl why`: the explanation, on a terminal and as JSON."""
 
 from __future__ import annotations
 

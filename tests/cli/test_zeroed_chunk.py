@@ -1,4 +1,4 @@
-"""No command says that all is well where a power cut has left zeros."""
+"""No command reports a file as complete if a power cut has left zeros in it."""
 
 from __future__ import annotations
 

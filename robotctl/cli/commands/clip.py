@@ -70,8 +70,8 @@ def clip(
             metavar="T", help="A time instead: seconds into the recording, 12:03:04, or a date."
         ),
     ] = None,
-    before: Annotated[float, typer.Option(metavar="S", help="Seconds before it.")] = 30.0,
-    after: Annotated[float, typer.Option(metavar="S", help="Seconds after it.")] = 5.0,
+    before: Annotated[float, typer.Option(metavar="S", help="Seconds before the event.")] = 30.0,
+    after: Annotated[float, typer.Option(metavar="S", help="Seconds after the event.")] = 5.0,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -149,7 +149,7 @@ def _find(
     what = "no emergency stop, error or mark" if event is None else f"no event {event.value!r}"
     where = "any recording" if file is None else str(candidates[0])
     raise Refused(
-        f"there is {what} in {where}", "see: robotctl clip --help", sentence=IN_PARENTHESES
+        f"there is {what} in {where}", "for any other time, use --at", sentence=IN_PARENTHESES
     )
 
 

@@ -47,7 +47,7 @@ def info(
     robot: RecordedBy = None,
     as_json: Json = False,
 ) -> None:
-    """Show the contents of a recording: topics, counts, rates, QoS, events.
+    """Show topics, counts, rates, QoS and events of a recording.
 
     Reads any MCAP file. For a damaged one it shows what can be read, names what is missing, and
     exits with code 6.

@@ -24,7 +24,7 @@ app = new_app()
 
 @app.command()
 def mark(
-    text: Annotated[str, typer.Argument(metavar="TEXT", help="A name for it, on one line.")],
+    text: Annotated[str, typer.Argument(metavar="TEXT", help="The name of the mark, on one line.")],
     robot: Robot = DEFAULT_ROBOT,
     as_json: Json = False,
 ) -> None:

@@ -48,7 +48,7 @@ def record() -> None:
 
 @group.command()
 def status(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
-    """Show how many messages of each topic were received, written and lost.
+    """Show received, written and lost messages of each topic.
 
     received = written + queued + dropped. Messages that never arrived are counted as lost if they
     were sent after the first one that arrived, and as unseen if before it.
@@ -64,7 +64,9 @@ def status(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
 
 @group.command()
 def split(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
-    """Finish the current file and continue in the next one, without a gap.
+    """Finish the current file and continue in a new one.
+
+    No message is lost between the two files.
 
     \b
     Examples:

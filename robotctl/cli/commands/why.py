@@ -66,14 +66,14 @@ def why(
     at: Annotated[
         str | None,
         typer.Option(
-            metavar="T", help="Explain what happened next to T: seconds into it, 12:03:04, a date."
+            metavar="T", help="Explain the stop nearest to T: seconds into it, 12:03:04, a date."
         ),
     ] = None,
     folder: RecordingsFolder = None,
     robot: RecordedBy = None,
     as_json: Json = False,
 ) -> None:
-    """Say why the robot was stopped last, or why a request was refused.
+    """Say why the robot was stopped, or why a request was refused.
 
     Reads the journal of a recording; needs neither ROS nor a daemon. If a daemon is running, it
     first writes all pending messages to its recording. If nothing happened in the last recording,

@@ -65,7 +65,7 @@ def replay(
     ] = False,
     what_if: Annotated[
         list[str] | None,
-        typer.Option(metavar="KEY=VALUE", help="Re-run the decisions with a parameter changed."),
+        typer.Option(metavar="KEY=VALUE", help="Re-run with this parameter changed; repeatable."),
     ] = None,
     resim: Annotated[
         bool, typer.Option("--resim", help="Re-run the drive with a simulated robot.")

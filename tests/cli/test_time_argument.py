@@ -1,4 +1,4 @@
-"""Times as people give them, in a recording that begins before midnight and ends after it."""
+"""Times as users type them, in a recording that begins before midnight and ends after it."""
 
 from __future__ import annotations
 
