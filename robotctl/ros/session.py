@@ -1,4 +1,4 @@
-"""One rclpy context with its executor, from `async with` to the end, signals left to the owner."""
+"""One rclpy context with its executor for an `async with` block; it handles no signals."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from robotctl.ros.context import close_context, open_context
 from robotctl.ros.executor import AsyncioExecutor, ExceptionHandler
 
 RECORDER_NODE = "recorder"
-"""The node whose subscriptions only record."""
+"""The name of the node whose subscriptions only record."""
 
 
 class Session:
-    """Makes nodes whose callbacks run in the loop, until the session ends."""
+    """Creates nodes whose callbacks run in the loop until the session ends."""
 
     def __init__(
         self, context: Context, executor: AsyncioExecutor, namespace: str, nodes: list[Node]
     ) -> None:
-        """`nodes` is where those that are made are kept."""
+        """Add the created nodes to `nodes`."""
         self._context = context
         self._executor = executor
         self._namespace = namespace
         self._nodes = nodes
         self.last = AsyncExitStack()
-        """Closed when no callback runs any more, before the nodes end."""
+        """Closed when no callback runs any more, before the nodes are destroyed."""
 
     @property
     def scheduling(self) -> str:
@@ -39,7 +39,7 @@ class Session:
         return topic if topic.startswith("/") else f"{self._namespace}/{topic}"
 
     def node(self, name: str) -> Node:
-        """Create a node in the robot's namespace; parameters come from the configuration only."""
+        """Create a node in the robot's namespace, without parameter services."""
         node = Node(
             name,
             context=self._context,
@@ -61,10 +61,11 @@ async def ros_session(
     on_exception: ExceptionHandler | None = None,
     fifo_priority: int | None = None,
 ) -> AsyncIterator[Session]:
-    """Open a context in ROS domain `domain_id`; at the end no callback runs any more.
+    """Open a context in ROS domain `domain_id`; no callback runs after the block.
 
-    `at_end` then leaves the domain, when everything else is done and said (`close_context`).
-    `fifo_priority` asks for SCHED_FIFO (1..99) for the loop's thread.
+    The context itself stays until `at_end` is closed, which must be the last thing that the
+    process does (see `close_context`). `fifo_priority` requests SCHED_FIFO (1..99) for the loop's
+    thread.
     """
     nodes: list[Node] = []
     context = open_context(domain_id)

@@ -50,7 +50,7 @@ def test_what_is_latched_is_handed_on_once_however_often_it_is_subscribed_to(
 ) -> None:
     merged, sent = Got(), 1
     for mixed, depth, more in phases:
-        merged.merge.subscribe_anew()
+        merged.merge.restart()
         for sequence in range(max(1, sent - depth), sent + 1):
             merged.latched(sequence)
         for _ in range(more):

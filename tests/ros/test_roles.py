@@ -449,7 +449,7 @@ async def test_requests_beyond_the_limit_are_refused_as_busy_and_stops_are_not(
     await asyncio.sleep(0)  # until the calls are made
     refused = await ask(0)
     assert (refused.success, refused.current_mode) == (False, 1)
-    assert refused.message == "busy: 3 requests wait for their answer; ask again"
+    assert refused.message == "busy: 3 requests wait for their reply; try again"
     assert (await ask(3)).success
     assert (await executor.call(estop, Trigger.Request(), timeout_s=20.0)).success
     for future in pending[:3]:

@@ -12,7 +12,9 @@ from rclpy.node import Node
 from rclpy.type_support import check_for_type_support
 from std_msgs.msg import String
 
+from robotctl.ros.executor.rcutils import SerializedMessage
 from robotctl.ros.graph import endpoints
+from robotctl.ros.graph.rmw_structs import Qos
 from robotctl.ros.messages.classes import message_class
 from tests.support.lines import obey
 
@@ -31,41 +33,10 @@ class _TypeSupport(ctypes.Structure):
     )
 
 
-class _Time(ctypes.Structure):
-    _fields_ = (("sec", ctypes.c_uint64), ("nsec", ctypes.c_uint64))
-
-
-class _Qos(ctypes.Structure):
-    """rmw_qos_profile_t"""
-
-    _fields_ = (
-        ("history", ctypes.c_int),
-        ("depth", ctypes.c_size_t),
-        ("reliability", ctypes.c_int),
-        ("durability", ctypes.c_int),
-        ("deadline", _Time),
-        ("lifespan", _Time),
-        ("liveliness", ctypes.c_int),
-        ("lease_duration", _Time),
-        ("avoid_ros_namespace_conventions", ctypes.c_bool),
-    )
-
-
 class _Options(ctypes.Structure):
     """rmw_publisher_options_t"""
 
     _fields_ = (("payload", ctypes.c_void_p), ("require_unique_flow", ctypes.c_int))
-
-
-class _Serialized(ctypes.Structure):
-    """rcutils_uint8_array_t"""
-
-    _fields_ = (
-        ("buffer", ctypes.c_void_p),
-        ("length", ctypes.c_size_t),
-        ("capacity", ctypes.c_size_t),
-        ("allocator", ctypes.c_void_p * 5),
-    )
 
 
 _FIND = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_char_p)
@@ -101,7 +72,7 @@ class Hostile:
             body += bytes(-len(body) % 4) + struct.pack("<I", len(text) + 1) + text + b"\0"
         body += bytes(-len(body) % 4) + struct.pack("<II", 0, len(mine)) + b"".join(mine)
         data = ctypes.create_string_buffer(b"\0\1\0\0" + body, len(body) + 4)
-        message = _Serialized(ctypes.addressof(data), len(data), len(data))
+        message = SerializedMessage(ctypes.addressof(data), len(data), len(data))
         code = self._rmw.rmw_publish_serialized_message(
             ctypes.c_void_p(self._introducer), ctypes.byref(message), None
         )
@@ -139,7 +110,7 @@ class Hostile:
         return ctypes.addressof(outer)
 
     def _create(self, dds_topic: str, support: int, *, latched: bool) -> int:
-        profile = _Qos(history=1, depth=10, reliability=1, durability=1 if latched else 2)
+        profile = Qos(history=1, depth=10, reliability=1, durability=1 if latched else 2)
         profile.avoid_ros_namespace_conventions = True
         rcl = ctypes.CDLL("librcl.so")
         rcl.rcl_node_get_rmw_handle.restype = ctypes.c_void_p

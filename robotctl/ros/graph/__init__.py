@@ -1,1 +1,1 @@
-"""Who is on the ROS graph: publishers, subscriptions and nodes, with any bytes as names."""
+"""Discovered nodes, publishers and subscriptions, whose names may hold any bytes."""

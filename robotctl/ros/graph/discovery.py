@@ -1,4 +1,4 @@
-"""Waiting until everybody in a ROS domain is discovered."""
+"""Waiting until all processes in a ROS domain are discovered."""
 
 from __future__ import annotations
 
@@ -13,19 +13,20 @@ from robotctl.domains import is_on_this_machine_only, participants_here
 from robotctl.ros.graph import endpoints
 
 _DISCOVERY_TOPIC: Final = "ros_discovery_info"
-"""By it every process of ROS says which endpoints each of its nodes has."""
+"""The DDS topic on which each ROS process announces which endpoints belong to which node."""
 
 _UNNAMED: Final = "_NODE_NAME_UNKNOWN_"
-"""The node of an endpoint of which its process has said nothing yet."""
+"""The node name of an endpoint that its process has not announced there yet."""
 
 _PROCESS_BYTES: Final = 12
-"""What all endpoints of a process begin with (DDSI-RTPS 2.5, 8.2.4.1, GuidPrefix_t)."""
+"""Length of the gid prefix that all endpoints of a process share (DDSI-RTPS 2.5, 8.2.4.1,
+GuidPrefix_t)."""
 
 _POLL_S: Final = 0.01
 
 
 class Discovery:
-    """What a node knows of the others in its domain, and since when that is all that is new."""
+    """The other endpoints that a node has discovered, and since when none was added or removed."""
 
     def __init__(self, node: Node, domain_id: int) -> None:
         self._node = node
@@ -34,12 +35,15 @@ class Discovery:
         self._since_s = time.monotonic()
 
     def wait(self, quiet_s: float, until_s: float, stopped: threading.Event) -> None:
-        """Return when everybody is heard and others were quiet for a while, or at a moment.
+        """Wait until all processes are discovered and nothing changed for `quiet_s` seconds.
 
-        Fast DDS announces a process every 3 s by default, and about half of the greetings before
-        that get lost: how many there are is counted by their ports. All the time is taken where
-        others may be on other machines, which nobody can count. Of what a process has, the last
-        may come later than the process has said whose it is: hence the quiet.
+        The wait ends at `until_s` (`time.monotonic`) at the latest, or when `stopped` is set.
+
+        Fast DDS announces a process every 3 s by default, and about half of the first
+        announcements get lost. So the processes on this machine are counted by their ports; where
+        processes may be on other machines, which cannot be counted, the wait lasts until
+        `until_s`. A process may announce its last endpoint after it has announced its nodes:
+        `quiet_s` waits for that.
         """
         while time.monotonic() < until_s and not stopped.is_set():
             known = frozenset(_known(self._node))
@@ -55,7 +59,7 @@ class Discovery:
 
 
 def _known(node: Node) -> Iterator[tuple[str, str, bytes]]:
-    """Every endpoint in the domain: its topic, its node's name, and its identity."""
+    """Yield every discovered endpoint: its topic, its node's name, and its gid."""
     for topic in endpoints.topics(node, dds_names=True):
         for found in (endpoints.publishers, endpoints.subscriptions):
             for each in found(node, topic, dds_names=True):
@@ -63,7 +67,7 @@ def _known(node: Node) -> Iterator[tuple[str, str, bytes]]:
 
 
 def _heard(known: frozenset[tuple[str, str, bytes]]) -> int:
-    """How many processes have said whose each of their known endpoints is; we among them."""
+    """Count the processes, this one included, whose known endpoints all have a node name."""
     named: set[bytes] = set()
     unnamed: set[bytes] = set()
     for topic, node_name, gid in known:

@@ -1,4 +1,4 @@
-"""Who publishes what in the domain, whatever bytes others have put into their names."""
+"""The topics, publishers and subscriptions of the domain; their names may hold any bytes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from robotctl.ros.graph.rcl_graph import Role
 
 
 class Endpoint(NamedTuple):
-    """A publisher or subscription of any process. Bytes that are no UTF-8 are escaped (`\\xff`)."""
+    """A publisher or subscription of any process; bytes that are not UTF-8 become `\\xff`."""
 
     node_name: str
     node_namespace: str
@@ -25,10 +25,10 @@ class Endpoint(NamedTuple):
 
 
 def topics(node: Node, *, dds_names: bool = False) -> dict[str, list[str]]:
-    """Return the types of each topic by its full name, in ROS or, with `dds_names`, in DDS.
+    """Return full topic name -> types; names are those of ROS or, with `dds_names`, of DDS.
 
-    In names, bytes that are no UTF-8 are surrogates, as in the names of files; in types they are
-    escaped.
+    Bytes that are not UTF-8 are surrogate escapes in names, as in file names, and backslash
+    escapes in types.
     """
     try:
         return dict(node.get_topic_names_and_types(dds_names))
@@ -42,17 +42,17 @@ def topics(node: Node, *, dds_names: bool = False) -> dict[str, list[str]]:
 
 
 def publishers(node: Node, topic: str, *, dds_names: bool = False) -> list[Endpoint]:
-    """Return the publishers of a topic, given by a name of which `topics` tells."""
+    """Return the publishers of a topic, by a name that `topics` returned."""
     return _endpoints(node, Role.PUBLISHER, topic, dds_names)
 
 
 def subscriptions(node: Node, topic: str, *, dds_names: bool = False) -> list[Endpoint]:
-    """Return the subscriptions to a topic, given by a name of which `topics` tells."""
+    """Return the subscriptions to a topic, by a name that `topics` returned."""
     return _endpoints(node, Role.SUBSCRIPTION, topic, dds_names)
 
 
 def is_topic_name(name: str) -> bool:
-    """Whether ROS lets anybody publish or subscribe under this full name."""
+    """Return whether ROS allows this full topic name."""
     try:
         return name.isascii() and bool(validate_full_topic_name(name))
     except InvalidTopicNameException:
@@ -66,7 +66,7 @@ _OF_RCLPY = {
 
 
 def _endpoints(node: Node, role: Role, topic: str, dds_names: bool) -> list[Endpoint]:
-    # Not the methods of the node: they refuse names that ROS does not allow.
+    # The methods of the node would refuse names that ROS does not allow.
     with node.handle:
         if topic.isascii():
             try:

@@ -1,4 +1,4 @@
-"""Who publishes a topic, by the identity that each of its messages carries."""
+"""The gid of a publisher, which each of its messages carries, and the node it belongs to."""
 
 from __future__ import annotations
 
@@ -12,26 +12,19 @@ from rclpy.utilities import get_rmw_implementation_identifier
 
 from robotctl.printable import printable
 from robotctl.ros.graph import endpoints
+from robotctl.ros.graph.rmw_structs import Gid
 
 UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
-"""What rmw says of a publisher that it discovered before its node."""
-
-GID_BYTES = 16
-"""RMW_GID_STORAGE_SIZE of Jazzy; the same bytes as in the info of each message."""
-
-
-class _Gid(ctypes.Structure):
-    """rmw_gid_t"""
-
-    _fields_ = (("implementation", ctypes.c_char_p), ("data", ctypes.c_ubyte * GID_BYTES))
+"""The node name that rmw reports for a publisher discovered before its node."""
 
 
 def gid_of(publisher: Publisher) -> bytes:
-    """Return the identity that messages of this publisher carry.
+    """Return the gid that messages of this publisher carry.
 
-    Raises RuntimeError where the middleware does not tell it.
+    Raises:
+        RuntimeError: The middleware does not report it.
     """
-    gid = _Gid()
+    gid = Gid()
     with publisher.handle:
         rmw_publisher = _rmw_handle_getter()(publisher.handle.pointer)
         code = _gid_getter()(rmw_publisher, ctypes.byref(gid))
@@ -41,14 +34,14 @@ def gid_of(publisher: Publisher) -> bytes:
 
 
 def publisher_names(node: Node, topic: str) -> dict[bytes, str]:
-    """Return the full name of the node of each publisher, by identity; "" where unknown."""
+    """Return the node of each publisher of a topic as gid -> full name, "" where unknown."""
     return {each.gid: full_name(each) for each in endpoints.publishers(node, topic)}
 
 
 def full_name(endpoint: endpoints.Endpoint) -> str:
-    """Return the full name of the node of an endpoint, "" where it is not discovered yet.
+    """Return the full name of an endpoint's node, "" where the node is not discovered yet.
 
-    What is not printable in it is escaped.
+    Characters that are not printable are escaped.
     """
     if endpoint.node_name == UNKNOWN_NODE:
         return ""

@@ -1,5 +1,5 @@
 # mypy: disallow-untyped-calls=False
-"""What rcl knows of the graph, byte by byte: rclpy's own calls fail on names that are no UTF-8."""
+"""Topics and endpoints of the graph as bytes: rclpy's calls fail on names that are not UTF-8."""
 
 from __future__ import annotations
 
@@ -20,17 +20,24 @@ from rclpy.qos import (
 
 from robotctl.kernel.units import NS_PER_S
 from robotctl.ros.executor import RclCallFailed, rcutils
+from robotctl.ros.graph.rmw_structs import (
+    EndpointInfo,
+    EndpointInfos,
+    NamesAndTypes,
+    StringArray,
+    Time,
+)
 
 
 class Role(Enum):
-    """What an endpoint does with its topic; the value is the function of rcl that lists them."""
+    """What an endpoint does with its topic; the value is rcl's function that lists such ones."""
 
     PUBLISHER = "rcl_get_publishers_info_by_topic"
     SUBSCRIPTION = "rcl_get_subscriptions_info_by_topic"
 
 
 class RawEndpoint(NamedTuple):
-    """A publisher or a subscription: the bytes that its process announces, and its QoS."""
+    """A publisher or subscription: its names as the bytes that were announced, and its QoS."""
 
     node_name: bytes
     node_namespace: bytes
@@ -39,75 +46,20 @@ class RawEndpoint(NamedTuple):
     qos_profile: QoSProfile
 
 
-class _StringArray(ctypes.Structure):
-    """rcutils_string_array_t"""
-
-    _fields_ = (
-        ("size", ctypes.c_size_t),
-        ("data", ctypes.POINTER(ctypes.c_char_p)),
-        ("allocator", rcutils.Allocator),
-    )
-
-
-class _NamesAndTypes(ctypes.Structure):
-    """rmw_names_and_types_t"""
-
-    _fields_ = (("names", _StringArray), ("types", ctypes.POINTER(_StringArray)))
-
-
-class _Time(ctypes.Structure):
-    """rmw_time_t"""
-
-    _fields_ = (("sec", ctypes.c_uint64), ("nsec", ctypes.c_uint64))
-
-
-class _Qos(ctypes.Structure):
-    """rmw_qos_profile_t"""
-
-    _fields_ = (
-        ("history", ctypes.c_int),
-        ("depth", ctypes.c_size_t),
-        ("reliability", ctypes.c_int),
-        ("durability", ctypes.c_int),
-        ("deadline", _Time),
-        ("lifespan", _Time),
-        ("liveliness", ctypes.c_int),
-        ("liveliness_lease_duration", _Time),
-        ("avoid_ros_namespace_conventions", ctypes.c_bool),
-    )
-
-
-class _Endpoint(ctypes.Structure):
-    """rmw_topic_endpoint_info_t"""
-
-    _fields_ = (
-        ("node_name", ctypes.c_char_p),
-        ("node_namespace", ctypes.c_char_p),
-        ("topic_type", ctypes.c_char_p),
-        ("type_hash", ctypes.c_uint8 * 33),
-        ("endpoint_type", ctypes.c_int),
-        ("gid", ctypes.c_uint8 * 16),
-        ("qos", _Qos),
-    )
-
-
-class _Endpoints(ctypes.Structure):
-    """rmw_topic_endpoint_info_array_t"""
-
-    _fields_ = (("size", ctypes.c_size_t), ("array", ctypes.POINTER(_Endpoint)))
-
-
 @cache
 def _library(name: str) -> Any:
     return ctypes.PyDLL(name)  # keeps the GIL, as rclpy's own calls do
 
 
 def topic_names_and_types(node: int, *, dds_names: bool) -> list[tuple[bytes, list[bytes]]]:
-    """Return the topics that the rcl_node_t at `node` knows, by the names of ROS or of DDS.
+    """Return the topics that the rcl_node_t at `node` has discovered, each with its types.
 
-    Raises RclCallFailed.
+    Names are those of ROS or, with `dds_names`, of DDS.
+
+    Raises:
+        RclCallFailed: rcl could not list them.
     """
-    found = _NamesAndTypes()
+    found = NamesAndTypes()
     allocator = rcutils.default_allocator()
     _check(
         "rcl_get_topic_names_and_types",
@@ -128,8 +80,12 @@ def topic_names_and_types(node: int, *, dds_names: bool) -> list[tuple[bytes, li
 
 
 def endpoints(node: int, role: Role, topic: bytes, *, dds_names: bool) -> list[RawEndpoint]:
-    """Return who publishes or subscribes to a topic, by any name. Raises RclCallFailed."""
-    found = _Endpoints()
+    """Return the publishers or the subscriptions of a topic, whose name may be any bytes.
+
+    Raises:
+        RclCallFailed: rcl could not list them.
+    """
+    found = EndpointInfos()
     allocator = rcutils.default_allocator()
     _check(
         role.value,
@@ -149,11 +105,11 @@ def endpoints(node: int, role: Role, topic: bytes, *, dds_names: bool) -> list[R
         )
 
 
-def _strings(array: _StringArray) -> Iterator[bytes]:
+def _strings(array: StringArray) -> Iterator[bytes]:
     return (array.data[index] for index in range(array.size))
 
 
-def _endpoint(info: _Endpoint) -> RawEndpoint:
+def _endpoint(info: EndpointInfo) -> RawEndpoint:
     qos = info.qos
     return RawEndpoint(
         info.node_name,
@@ -173,7 +129,7 @@ def _endpoint(info: _Endpoint) -> RawEndpoint:
     )
 
 
-def _duration(time: _Time) -> Duration:
+def _duration(time: Time) -> Duration:
     nanoseconds = time.sec * NS_PER_S + time.nsec
     return Duration(nanoseconds=min(nanoseconds, 2**63 - 1))
 

@@ -1,1 +1,1 @@
-"""ROS messages and their types: to and from bytes, values and texts."""
+"""ROS message types: their classes, definitions and hashes, and QoS profiles."""

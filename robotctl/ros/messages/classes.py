@@ -1,7 +1,7 @@
-"""From the name of an installed type to its class. No other name is imported.
+"""The classes of installed types, by name.
 
-Any process of the domain chooses the type names of its topics, and the writer of a file those of
-its channels: neither may choose what Python imports.
+Other processes and files choose type names: they must not choose what Python imports. So only
+names that the ament index lists are imported.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from ament_index_python.resources import get_resource
 
 MAX_TYPE_NAME = 255
-"""Characters; no longer name fits into what Fast DDS announces."""
+"""Characters; a longer name does not fit into an announcement of Fast DDS."""
 
 _CALL = r"(?:_Request|_Response|_Event)?"
 _IMPLIED = {
@@ -23,21 +23,21 @@ _IMPLIED = {
     "srv": _CALL,
     "action": rf"(?:_Goal|_Result|_Feedback|_FeedbackMessage|_(?:SendGoal|GetResult){_CALL})?",
 }
-"""What a service and an action imply besides themselves, by kind."""
+"""Suffixes of the types that a service or an action implies, by kind."""
 
 _TYPE_NAMES = {
     kind: re.compile(rf"([a-z](?:_?[a-z0-9])*)/{kind}/([A-Z][A-Za-z0-9]*){implied}")
     for kind, implied in _IMPLIED.items()
 }
-"""The names that rosidl allows (rosidl_adapter.parser)."""
+"""The type names that rosidl allows (rosidl_adapter.parser)."""
 
 
 class UnusableType(ImportError):
-    """A type that cannot be had here; the text goes on after "the type, which"."""
+    """A type cannot be used here; the text continues the words "the type, which"."""
 
 
 class TypeName(NamedTuple):
-    """`package/kind/short`; `interface` is the installed one that `short` is, or is implied by."""
+    """A name `package/kind/short`; `interface` is the installed interface that implies `short`."""
 
     package: str
     kind: str
@@ -46,7 +46,11 @@ class TypeName(NamedTuple):
 
 
 def parse_type_name(type_name: str) -> TypeName:
-    """Split a name; raises UnusableType where ROS has no such names."""
+    """Split a type name.
+
+    Raises:
+        UnusableType: ROS does not allow the name.
+    """
     if len(type_name) <= MAX_TYPE_NAME:
         for kind, pattern in _TYPE_NAMES.items():
             if match := pattern.fullmatch(type_name):
@@ -64,15 +68,15 @@ def type_name_of(message_class: Any) -> str:
 def message_class(type_name: str) -> Any:
     """Return the class of `pkg/msg/T`, or of a type that a service or an action implies.
 
-    Raises UnusableType where the ament index does not list the interface, and where loading it
-    fails, whatever it raises.
+    Raises:
+        UnusableType: The ament index does not list the interface, or loading it failed.
     """
     name = parse_type_name(type_name)
     if not _is_installed(name):
         raise UnusableType("is not installed")
     try:
         module = import_module(f"{name.package}.{name.kind}")
-        # What an interface implies is defined beside it, and not always exported.
+        # Implied types are defined beside their interface, and not always exported.
         module = import_module(getattr(module, name.interface).__module__)
         return getattr(module, name.short)
     except BaseException as error:
@@ -91,5 +95,5 @@ def _is_installed(name: TypeName) -> bool:
 
 
 def _is_ctrl_c() -> bool:
-    """Python raises what a signal asks for in the main thread only."""
+    """Return whether this is the main thread: Python raises a Ctrl-C in no other."""
     return threading.current_thread() is threading.main_thread()

@@ -1,4 +1,4 @@
-"""Quality of service: what our publishers offer, what our subscriptions ask for."""
+"""QoS profiles: what our publishers offer and our subscriptions request."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ COMMAND = QoSProfile(depth=10)
 """Reliable, volatile, as ros2_control and Nav2 expect of a velocity command."""
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""A late subscriber still gets the last message."""
+"""A late subscriber gets the last message."""
 
 SENSOR = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""What real robots publish, and what a subscription asks for that takes any publisher."""
+"""Best effort: what robots publish, and what a subscription requests to match any publisher."""
 
 JOURNAL = QoSProfile(depth=1000)
 
@@ -31,29 +31,29 @@ MARK = QoSProfile(depth=100)
 DIAGNOSTICS = QoSProfile(depth=10)
 
 SERVICE_EVENTS = QoSProfile(depth=100)
-"""Reliable, as a record of who asked for what should be; a call is two events."""
+"""Reliable, because they record who requested what; a call is two events."""
 
 REQUESTS = QoSProfile(depth=1_500)
-"""Of a service that loses no request: so many wait to be taken, and as many answers to be received,
-before one overwrites another. rclpy's default is 10."""
+"""For a service that loses no request: the depth is how many requests may wait to be taken, and how
+many responses to be received, before one overwrites another. rclpy's default is 10."""
 
 RECORDING_DEPTH = 1_500
-"""RELIABLE with a shallow queue still drops (rmw_fastrtps). Of a deep one Fast DDS 2.14 searches at
-each message all that wait (`History::get_change_nts`), and may never catch up: of 45,000 messages a
-second none were lost with 1,500, and three quarters with 3,000."""
+"""RELIABLE with a shallow queue still drops messages (rmw_fastrtps). In a deep queue Fast DDS 2.14
+searches all waiting messages at each new one (`History::get_change_nts`) and may never catch up:
+at 45,000 messages a second none were lost with 1,500, and three quarters with 3,000."""
 
 MONITOR = QoSProfile(depth=RECORDING_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""Of a subscription that hears every publisher of a topic, whatever each offers."""
+"""For a subscription that matches every publisher of a topic, whatever QoS each offers."""
 
 RECORDING_DEPTH_BULKY = 100
-"""Of images and the like: where they come faster than they are taken, more of them fill any memory,
-before the recorder's own queue can begin to drop and count."""
+"""For images and point clouds: a deeper queue of them could fill the memory before the recorder's
+own queue begins to drop and count messages."""
 
 
 def recording(offered: Iterable[QoSProfile], *, bulky: bool) -> QoSProfile:
-    """Return what a recorder asks for, so that it matches every publisher and loses least.
+    """Return the profile that a recorder requests: it matches every publisher and loses least.
 
-    As rosbag2 does: reliable only if all publishers are, transient local only if all are.
+    As in rosbag2, it is reliable only if all publishers are, and transient local only if all are.
     """
     offers = list(offered)
     reliable = all(offer.reliability is ReliabilityPolicy.RELIABLE for offer in offers)
@@ -68,9 +68,9 @@ def recording(offered: Iterable[QoSProfile], *, bulky: bool) -> QoSProfile:
 
 
 def recording_latched(offered: Iterable[QoSProfile], *, bulky: bool) -> QoSProfile | None:
-    """Return what a recorder asks for besides, to get what some of the publishers have latched.
+    """Return the profile of a second subscription that gets the latched messages.
 
-    None where `recording` gets it already, or nobody latches anything.
+    None where `recording` gets them already, or no publisher latches messages.
     """
     offers = list(offered)
     latched = [each for each in offers if each.durability is DurabilityPolicy.TRANSIENT_LOCAL]
@@ -92,7 +92,7 @@ _DURABILITY = {
     DurabilityPolicy.VOLATILE: "volatile",
 }
 _LIVELINESS = {
-    LivelinessPolicy.SYSTEM_DEFAULT: "automatic",  # what a profile of ours says, and DDS means
+    LivelinessPolicy.SYSTEM_DEFAULT: "automatic",  # our own profiles have it; DDS means automatic
     LivelinessPolicy.AUTOMATIC: "automatic",
     LivelinessPolicy.MANUAL_BY_TOPIC: "manual_by_topic",
 }

@@ -1,4 +1,4 @@
-"""The text and the hash of a ROS type, as a recording needs them to stand alone."""
+"""The definition and the hash of a ROS type, with which a recording needs no installed type."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ _BUILT_IN = frozenset(
     | {f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)}
 )
 _UNKNOWN = (OSError, PackageNotFoundError, UnusableType, ValueError, KeyError)
-"""What a type that is not installed, or not as ROS 2 Jazzy installs types, ends in."""
+"""Raised for a type that is not installed, or not in the way of ROS 2 Jazzy."""
 
 
 @lru_cache(maxsize=1024)
 def definition_of(type_name: str) -> str:
-    """Return the ros2msg text of a type with all that it needs, "" where it is not installed.
+    """Return the ros2msg text of a type and its dependencies, "" where it is not installed.
 
-    In rosbag2's form: the type's own text, then its dependencies depth first, each once, after a
-    line of 80 "=" and `MSG: pkg/T`. The text of `pkg/msg/T` is that of its .msg file; what
-    services and actions imply has no such file, and its text is made from its fields.
+    The form is rosbag2's: the type's own text, then each dependency once, depth first, after a
+    line of 80 "=" and a line `MSG: pkg/T`. The text of `pkg/msg/T` is its .msg file. Types that
+    services and actions imply have no such file; their text is made from their fields.
     """
     try:
         name = parse_type_name(type_name)
@@ -47,7 +47,7 @@ def definition_of(type_name: str) -> str:
 
 @lru_cache(maxsize=1024)
 def holds_bytes(type_name: str) -> bool:
-    """Whether messages of a type may hold any number of bytes, as images and point clouds do."""
+    """Return whether a type has a field of any number of bytes, as images and point clouds do."""
     return _BYTES.search(definition_of(type_name)) is not None
 
 

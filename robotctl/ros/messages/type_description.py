@@ -1,7 +1,7 @@
-"""From the type descriptions that rosidl installs to texts in ros2msg.
+"""Texts in ros2msg, made from the type descriptions that rosidl installs.
 
 A description is the JSON form of type_description_interfaces/msg/TypeDescription: fields with the
-numbers of FieldType.msg, without comments and constants.
+numbers of FieldType.msg; it has no comments and no constants.
 """
 
 from __future__ import annotations
@@ -31,14 +31,17 @@ _NAMES = {
 }
 _BOUNDED_TEXTS = (21, 22)
 _SHAPE = 48
-"""Arrays, bounded and unbounded sequences of a type have its number plus 1, 2 or 3 times this."""
+"""The number of a type plus 1, 2 or 3 times this means an array, a bounded or an unbounded sequence
+of it."""
 
 
 def texts_of(type_name: str, described: Mapping[str, Any]) -> dict[str, str]:
-    """Return the text of a type and of all that it needs, depth first, by `pkg/T`.
+    """Return the texts of a type and of its dependencies by `pkg/T`, depth first.
 
-    `type_name` is in the description, as its root or as what the root refers to. Raises KeyError
-    where something is missing, or has no counterpart in ros2msg (long double, fixed strings).
+    The description holds `type_name` as its root or as a type that the root refers to.
+
+    Raises:
+        KeyError: A type is missing, or ros2msg cannot express it (long double, fixed strings).
     """
     root = described["type_description"]
     known = {each["type_name"]: each for each in described["referenced_type_descriptions"]}

@@ -1,4 +1,4 @@
-"""The battery: how full it is."""
+"""Receives the level of the battery."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ from robotctl.ros.session import Session
 
 
 class BatterySubscriber:
-    """Node `battery_subscriber`; takes battery states of any quality of service."""
+    """Node `battery_subscriber`; receives from publishers of any QoS."""
 
     def __init__(self, session: Session, topic: str, on_level: Callable[[float], None]) -> None:
+        """Call `on_level(level)` for each message, with NaN for an unreadable one."""
         self._on_level = on_level
         node = session.node("battery_subscriber")
         self._subscription = node.create_subscription(
@@ -32,6 +33,6 @@ class BatterySubscriber:
     def _receive(self, data: bytes) -> None:
         try:
             level = to_battery_level(deserialize_message(data, BatteryState))
-        except Exception:  # noqa: BLE001 - bytes of any origin must not fail the daemon
+        except Exception:  # noqa: BLE001 - no received bytes may stop the daemon
             level = nan
         self._on_level(level)

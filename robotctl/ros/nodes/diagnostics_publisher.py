@@ -1,4 +1,4 @@
-"""How well we are, for whoever watches diagnostics on ROS."""
+"""Publishes the state of the daemon's parts as ROS diagnostics."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ TOPIC = OwnTopic("/diagnostics", DiagnosticArray, qos.DIAGNOSTICS)
 
 
 class Level(Enum):
-    """How grave it is."""
+    """The severity of a diagnosis."""
 
     OK = DiagnosticStatus.OK
     WARN = DiagnosticStatus.WARN
@@ -27,7 +27,7 @@ class Level(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """The state of one part in a sentence, with numbers."""
+    """The state of one part: a sentence, and named values."""
 
     part: str
     level: Level
@@ -36,7 +36,7 @@ class Diagnosis:
 
 
 class DiagnosticsPublisher:
-    """Node `diagnostics`."""
+    """Node `diagnostics`; publishes on `TOPIC`."""
 
     def __init__(self, session: Session, robot: str) -> None:
         self._robot = robot
@@ -44,7 +44,7 @@ class DiagnosticsPublisher:
         self._publisher = TOPIC.create_publisher(self._node)
 
     def publish(self, diagnosis: Diagnosis) -> None:
-        """Publish the state of a part as it is now; what is not printable in it is escaped."""
+        """Publish a diagnosis, stamped now; characters that are not printable are escaped."""
         message = DiagnosticArray()
         message.header.stamp = self._node.get_clock().now().to_msg()
         message.status = [

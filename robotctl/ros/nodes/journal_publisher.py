@@ -1,4 +1,4 @@
-"""The journal on ROS, for whoever wants to watch decisions live."""
+"""Publishes the journal on ROS, so that decisions can be watched live."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _log = logging.getLogger(__name__)
 
 
 class JournalPublisher:
-    """Publishes entries that are serialized already; a node of its own."""
+    """Node `journal`; publishes entries that are serialized already."""
 
     def __init__(self, session: Session) -> None:
         node = session.node("journal")
@@ -25,10 +25,13 @@ class JournalPublisher:
         self._failing = False
 
     def publish(self, serialized: bytes) -> None:
-        """Publish one entry, if anybody listens; a failure is logged: no decision depends on it."""
+        """Publish one entry if there is a subscriber.
+
+        A failure is logged only: no decision depends on it.
+        """
         try:
             if not self._publisher.get_subscription_count():
-                return  # the topic is volatile: nobody will ever see it
+                return  # the topic is volatile: no later subscriber gets it
             self._publisher.publish(serialized)
             self._failing = False
         except _rclpy.RCLError as error:

@@ -1,4 +1,4 @@
-"""Markers on ROS: what somebody wants to find again in the recording, as text."""
+"""Publishes marks: texts by which a moment is found again in the recording."""
 
 from __future__ import annotations
 
@@ -18,14 +18,17 @@ _log = logging.getLogger(__name__)
 
 
 class MarkPublisher:
-    """Publishes marks on `robotctl/marks`; a node of its own."""
+    """Node `marks`; publishes on `TOPIC`."""
 
     def __init__(self, session: Session) -> None:
         node = session.node("marks")
         self._publisher = TOPIC.create_publisher(node)
 
     def publish(self, text: str) -> bytes:
-        """Publish a mark and return it serialized; a failure is logged: it is recorded anyway."""
+        """Publish a mark and return it serialized.
+
+        A failure is logged only: the mark is recorded anyway.
+        """
         serialized = bytes(serialize_message(String(data=text)))
         try:
             self._publisher.publish(serialized)

@@ -1,4 +1,4 @@
-"""The ROS face of the mode: the services that ask for one, the topic that shows it."""
+"""The mode on ROS: the services that request one, and the status topic."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _TEMPERATURE = Path("/sys/class/thermal/thermal_zone0/temp")
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """What RobotStatus tells: mode, battery 0..1 or NaN, whether odometry is fresh."""
+    """The fields of RobotStatus: mode, battery 0..1 or NaN, whether odometry is fresh."""
 
     mode: Mode
     battery_level: float
@@ -46,17 +46,17 @@ CALLS = tuple(
 """The topics that show the calls and responses of each service."""
 
 MAX_IN_WORK = 256
-"""Requests that wait for their answer at once; one more is refused as busy, a stop never is. The
-kernel lets 64 wait for the end of a ramp; the others wait for the disk that keeps an e-stop."""
+"""Limit on requests that wait for their reply; the next one is refused as busy, unless it is an
+emergency stop. The kernel lets 64 requests wait for the end of a ramp; the others wait until the
+e-stop latch is on the disk."""
 
 
 class ModeService:
     """Node `mode_service`: `set_mode` (SetMode), `estop` (Trigger), `robot_status` (RobotStatus).
 
-    No request waits for another one: each reaches the kernel when it is taken, and is answered
-    when it is done. `estop` has a queue of its own, which the loop looks at in each turn that
-    looks at the queue of `set_mode`. Calls and answers are published on `set_mode/_service_event`
-    and `estop/_service_event`.
+    Requests do not wait for each other: each reaches the kernel when it is taken, and is answered
+    when it is done. `estop` has its own queue, so a backlog of `set_mode` does not delay it. Calls
+    and responses are published on `set_mode/_service_event` and `estop/_service_event`.
     """
 
     def __init__(
@@ -66,9 +66,9 @@ class ModeService:
         request: Callable[[int, str], Future[Reply]],
         say: Callable[[Reply], str] = attrgetter("message"),
     ) -> None:
-        """`request(mode number, source)` is called for each request, and returns at once.
+        """Call `request(mode number, source)` for each request; it returns at once.
 
-        `say` returns the text of a reply that the caller reads.
+        `say` returns the text of a reply for the caller of the service.
         """
         self._request = request
         self._say = say
@@ -119,7 +119,7 @@ class ModeService:
         mode = request.requested_mode
         if self._in_work >= MAX_IN_WORK and mode != Mode.EMERGENCY_STOP.value:
             response.success = False
-            response.message = f"busy: {self._in_work} requests wait for their answer; ask again"
+            response.message = f"busy: {self._in_work} requests wait for their reply; try again"
             response.current_mode = self._message.mode
             return response
         return self._answer_mode(self._ask(mode, SET_MODE), response)
@@ -131,7 +131,7 @@ class ModeService:
         return response
 
     def _ask(self, mode: int, service: str) -> Future[Reply]:
-        """Ask now, not in the task that waits for the answer: the task runs a turn later."""
+        """Submit a request now: the task that waits for the reply runs a turn of the loop later."""
         namespace = self._node.get_namespace().rstrip("/")
         reply = self._request(mode, f"the ROS service {namespace}/{service}")
         self._in_work += 1
@@ -143,7 +143,7 @@ class ModeService:
 
 
 def _cpu_temperature() -> float:
-    """Return degrees Celsius, NaN where the machine does not say."""
+    """Return the CPU temperature in degrees Celsius, NaN where the machine does not report it."""
     try:
         return int(_TEMPERATURE.read_text()) / 1000.0
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""Odometry: where the robot says it is, and who says it."""
+"""Receives odometry, and identifies the publisher of each message."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from robotctl.ros.messages.no_events import NO_SUBSCRIPTION_EVENTS
 from robotctl.ros.session import Session
 
 MAX_SOURCES = 256
-"""Publishers that are remembered; of more, the one that was silent longest is forgotten."""
+"""Limit on remembered publishers; beyond it, the one that was silent longest is forgotten."""
 
 LOOKS_FOR_NAME = 20
-"""How often `find_names` looks for the node of a publisher, which may be gone already."""
+"""How many times `find_names` looks for the node of a publisher, which may have ended."""
 
 UNREADABLE = Odometry(Pose(nan, nan, nan), Twist(nan, nan), 0)
-"""Stands for a message that is no odometry: the kernel drops it as not finite."""
+"""Replaces a message that cannot be read: the kernel drops it because it is not finite."""
 
 
 class OdomSubscriber:
-    """Node `odom_subscriber`; takes odometry of any quality of service."""
+    """Node `odom_subscriber`; receives from publishers of any QoS."""
 
     def __init__(
         self,
@@ -39,22 +39,23 @@ class OdomSubscriber:
     ) -> None:
         """Call `on_odometry(odometry, source, sequence)` for each message.
 
-        Before the first of a publisher `on_source(source, gid, name)` is called: its number, its
-        DDS identity in hexadecimal digits, and its node, "" where that is not known yet. It is
-        called again once `find_names` has found the node.
+        `source` is the number of the message's publisher. Before a publisher's first message,
+        `on_source(source, gid, name)` is called with that number, the gid in hexadecimal digits,
+        and the node's name, "" where it is not known yet. It is called again when `find_names`
+        finds the node.
         """
         self._node = session.node("odom_subscriber")
         self._on_odometry = on_odometry
         self._on_source = on_source
         self._sources: dict[bytes, int] = {}
-        """Number of each publisher, the one that was heard last at the end."""
+        """The number of each publisher by gid, in the order in which they were last heard."""
 
         self._last_source = 0
         self._last_gid: bytes | None = None
         self._nameless: dict[bytes, int] = {}
-        """Publishers without a name, and how often to look for it still."""
+        """Publishers without a known node, and how many more times to look for it."""
 
-        # Raw for the sake of speed, but never late: the kernel decides on what it hears.
+        # Raw for speed, but without latency: the kernel decides on these messages.
         tap: Any = RawTap(self._receive, latency_s=0.0)
         self._subscription = self._node.create_subscription(
             OdometryMessage,
@@ -71,7 +72,7 @@ class OdomSubscriber:
         return str(self._subscription.topic_name)
 
     def count_publishers(self) -> int:
-        """Return how many nodes publish odometry now."""
+        """Return how many publishers the odometry topic has now."""
         return int(self._node.count_publishers(self.topic))
 
     def _receive(
@@ -83,12 +84,12 @@ class OdomSubscriber:
         source = self._sources[gid]
         try:
             odometry = decode_odometry(data)
-        except Exception:  # noqa: BLE001 - bytes of any origin must not fail the daemon
+        except Exception:  # noqa: BLE001 - no received bytes may stop the daemon
             odometry = UNREADABLE
         self._on_odometry(odometry, source, sequence)
 
     def _number(self, gid: bytes) -> int:
-        """Return the number of a publisher that was not heard before, and tell of it."""
+        """Return the number of a new publisher, and report it to `on_source`."""
         if len(self._sources) >= MAX_SOURCES:
             forgotten = next(iter(self._sources))
             del self._sources[forgotten]
@@ -102,7 +103,7 @@ class OdomSubscriber:
         return source
 
     def find_names(self) -> None:
-        """Look for the nodes of publishers that were heard before their node was discovered."""
+        """Look for the nodes of publishers whose node was not discovered at their first message."""
         if not self._nameless:
             return
         names = publisher_names(self._node, self.topic)

@@ -1,4 +1,4 @@
-"""The simulated robot's ROS face: commands in, odometry and battery out, best effort."""
+"""The simulated robot on ROS: receives commands, publishes odometry and battery, best effort."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from robotctl.ros.session import Session
 from robotctl.sim.robot import Robot, SimParams
 
 MAX_STEP_S = 0.1
-"""After a longer pause of the process the robot has stood still, rather than leapt."""
+"""A step is at most this long: after a longer pause of the process the robot has not jumped."""
 
 
 def odometry_topic(name: str) -> OwnTopic:
@@ -35,7 +35,7 @@ def battery_topic(name: str) -> OwnTopic:
 
 
 class SimulatedRobot:
-    """Node `simulated_robot`; moves while `run` runs."""
+    """Node `simulated_robot`; the robot moves while `run` runs."""
 
     def __init__(
         self,
@@ -69,12 +69,12 @@ class SimulatedRobot:
         self._battery = battery_topic(battery).create_publisher(node) if battery else None
 
     async def run(self) -> None:
-        """Move, and publish odometry at its rate and the battery each second."""
+        """Move; publish odometry at its rate and the battery every second."""
         encoder = OdometryEncoder("odom", "base_link")
         robot = self._robot
         last_ns = time.monotonic_ns()
         next_battery_ns = last_ns
-        # Once, so that a clock that is set meanwhile does not take odometry back in time.
+        # Read once: a clock that is set back later must not take the stamps back.
         wall_ns = time.time_ns() - last_ns
         async for tick in Ticker(self._params.odometry_rate_hz):
             robot.advance(min((tick.t_ns - last_ns) / NS_PER_S, MAX_STEP_S))
@@ -90,6 +90,6 @@ class SimulatedRobot:
     ) -> None:
         try:
             twist = decode_twist(data)
-        except Exception:  # noqa: BLE001 - bytes of any origin must not fail the daemon
+        except Exception:  # noqa: BLE001 - no received bytes may stop the robot
             twist = ZERO
         self._robot.command(twist)

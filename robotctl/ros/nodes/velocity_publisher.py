@@ -1,4 +1,4 @@
-"""The velocity command: the only publisher of it that robotctl has."""
+"""Publishes the velocity command; robotctl has no other publisher of it."""
 
 from __future__ import annotations
 
@@ -22,11 +22,10 @@ from robotctl.ros.session import RECORDER_NODE, Session
 NODE_NAME = "velocity_publisher"
 
 MAX_NAMED = 8
-"""Other publishers, and types of other subscriptions, that are named; a graph may hold any
-number."""
+"""Limit on the other publishers, and on the other types, that are named."""
 
 LOCK_TIMEOUT_S = 0.02
-"""Longer than any publication: whoever holds the lock for longer hangs in the middleware."""
+"""Longer than any publication takes; a thread that holds the lock longer is stuck in it."""
 
 
 def command_topic(name: str) -> OwnTopic:
@@ -37,8 +36,8 @@ def command_topic(name: str) -> OwnTopic:
 class VelocityPublisher:
     """Node `velocity_publisher`; `published` counts the commands that were sent.
 
-    `close_gate` and `publish_zero` may be called from any thread. After the first zero of
-    `publish_zero` no command but zero leaves until the gate is opened.
+    `close_gate` and `publish_zero` may be called from any thread. Once `publish_zero` has sent its
+    first zero, only zeros are sent until the gate is opened.
     """
 
     def __init__(self, session: Session, topic: str) -> None:
@@ -61,10 +60,11 @@ class VelocityPublisher:
         return str(self._publisher.topic_name)
 
     def monitor(self, heard: Callable[[bytes], None], latency_s: float) -> Callable[[], None]:
-        """Call `heard(gid)` for each command that reaches the topic, whoever publishes it.
+        """Call `heard(gid)` for each command on the topic, of any publisher.
 
-        Commands collect for `latency_s`, or until the function is called that this returns. The
-        subscription is best effort, which receives from publishers of any quality of service.
+        Commands are collected for `latency_s` seconds. Returns a function that takes the collected
+        ones at once. The subscription is best effort, so that it receives from publishers of any
+        QoS.
         """
         tap = RawTap(lambda data, received, source, sequence, gid: heard(gid), latency_s=latency_s)
         # rclpy's own types know a callback of one argument only.
@@ -80,7 +80,7 @@ class VelocityPublisher:
         return lambda: tap.look()
 
     def name_of(self, gid: bytes) -> str:
-        """Return the node that publishes commands with this identity, "" where unknown."""
+        """Return the name of the node whose commands carry this gid, "" where unknown."""
         return publisher_names(self._node, self.topic).get(gid, "")
 
     def publish(self, twist: Twist) -> None:
@@ -94,9 +94,10 @@ class VelocityPublisher:
             self.published += 1
 
     def publish_zero(self) -> None:
-        """Send a zero past the loop while the gate is closed.
+        """Send a zero if the gate is closed; for threads other than the loop's.
 
-        Raises TimeoutError where a publication of the loop hangs.
+        Raises:
+            TimeoutError: A publication of the loop hangs.
         """
         if not self._lock.acquire(timeout=LOCK_TIMEOUT_S):
             raise TimeoutError("a publication of the loop hangs in the middleware")
@@ -109,13 +110,13 @@ class VelocityPublisher:
             self._lock.release()
 
     def close_gate(self) -> None:
-        """Let only zeros through."""
+        """Send only zeros from now on."""
         self._gated = True
 
     def open_gate(self) -> tuple[int, int]:
-        """Let every command through again.
+        """Send every command again.
 
-        Returns the zeros that `publish_zero` sent meanwhile, and the commands that were withheld.
+        Returns the number of zeros that `publish_zero` sent, and of commands that were withheld.
         """
         with self._lock:
             self._gated = False
@@ -124,7 +125,7 @@ class VelocityPublisher:
         return counts
 
     def other_publishers(self) -> tuple[str, ...]:
-        """Return the full names of the other nodes that publish the command topic now."""
+        """Return the full names of the other nodes that publish on the command topic now."""
         publishers = endpoints.publishers(self._node, self.topic)
         others = sorted(short_name(full_name(each)) for each in publishers if each.gid != self.gid)
         named = [name or "a node whose name is not known yet" for name in others[:MAX_NAMED]]
@@ -133,9 +134,9 @@ class VelocityPublisher:
         return tuple(named)
 
     def listeners(self) -> tuple[int, tuple[str, ...]]:
-        """Return how many nodes take our commands, and the other types that others subscribe to.
+        """Return how many subscriptions take our commands, and the other types subscribed to.
 
-        The recorders and monitors of daemons are not counted: they drive nothing.
+        Recorders and monitors of daemons are not counted: they drive nothing.
         """
         types = [
             short_name(each.topic_type)

@@ -1,4 +1,4 @@
-"""Taking part in a ROS domain, before anything is published there."""
+"""A node in a ROS domain, from which a replay discovers the other processes."""
 
 from __future__ import annotations
 
@@ -15,16 +15,15 @@ NODE_NAME: Final = "robotctl_replay"
 
 
 class Membership:
-    """A node in a ROS domain, for the `with` block; threads of the middleware discover others.
+    """A node in a ROS domain during a `with` block; the middleware's threads discover others.
 
-    It costs no module of messages, which bring numpy: what else is needed can be imported while
-    others are discovered.
+    It imports no message modules, which bring numpy: these can be imported during discovery.
     """
 
     def __init__(self, domain_id: int) -> None:
         self.domain_id = domain_id
         self.was_certainly_empty = is_certainly_empty(domain_id)
-        """Nobody was in the domain."""
+        """Whether no other process was in the domain when this one joined."""
 
         self.since_s = time.monotonic()
         self._context = open_context(domain_id)
@@ -37,9 +36,9 @@ class Membership:
         )
 
     def __enter__(self) -> Self:
-        """The member itself."""
+        """Return the membership itself."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Leave, with everything that the node has made."""
+        """Leave the domain, with everything that was made of the node."""
         close_context(self._context, [self.node])

@@ -1,4 +1,4 @@
-"""What a replay needs of ROS: publishers for serialized messages, and a look at the graph."""
+"""Publishers and clients of a replay, and what it must know of the graph."""
 
 from __future__ import annotations
 
@@ -24,38 +24,39 @@ from robotctl.ros.playback.recorded_qos import replay_qos
 from robotctl.ros.playback.senders import RequestSender, clock_sender, patient_sender, sender
 
 DAEMON_TYPE: Final = "robot_controller/msg/JournalEntry"
-"""What every daemon publishes, and nobody else but replays of it."""
+"""The type of the journal, which only daemons and replays publish."""
 
 SETTLE_S: Final = 3.5
-"""Announcements get lost, and are repeated every 3 s: only then everybody is known for sure."""
+"""How long discovery may take: an announcement that was lost is repeated after 3 s."""
 
 QUIET_S: Final = 0.3
-"""What gets lost of an introduction comes again within so long."""
+"""How long the graph must not change; lost parts of an announcement are repeated sooner."""
 
 GLANCE_S: Final = 0.1
-"""Enough where a publisher alone does no harm, and nothing is sent before QUIET_S are over."""
+"""A shorter QUIET_S, enough to create publishers that send nothing before QUIET_S is over."""
 
 MATCH_S: Final = 2.0
 KNOWN_S: Final = 0.1
-"""A publisher knows its subscribers before they know it, and what it sends until then is lost, or
-comes late where it is reliable. It took them 2 ms, and 9 ms beside four busy processes."""
+"""A publisher matches its subscribers before they match it; what it sends until then is lost, or
+late where it is reliable. It took 2 ms, and 9 ms beside four busy processes."""
 
 CLOCK_TYPE: Final = "rosgraph_msgs/msg/Clock"
 
 ACKNOWLEDGE_S: Final = 7.0
-"""A message that was lost is asked for at the next heartbeat, which may be due only after 3 s."""
+"""How long acknowledgements may take: a lost message is requested at the next heartbeat, which may
+be due only after 3 s."""
 
 _POLL_S: Final = 0.02
 
 
 class Unpublishable(Exception):
-    """A topic that cannot be published here; the text says why, after the topic's name."""
+    """A topic cannot be published here; the text continues the topic's name and says why."""
 
 
 class ReplaySession:
-    """The publishers and clients of a member of a domain; once `stopped`, nothing waits any more.
+    """The publishers and clients of a replay; they leave the graph when the membership ends.
 
-    They are taken off the graph when the membership ends.
+    All waits end when `stopped` is set.
     """
 
     def __init__(self, membership: Membership) -> None:
@@ -69,23 +70,23 @@ class ReplaySession:
         self._clients: list[Client] = []
 
     def settle(self, quiet_s: float = QUIET_S) -> None:
-        """Return when everybody in the domain is known; at once where there was nobody.
+        """Wait until every process in the domain is discovered; not at all where there was none.
 
-        That is when each has been heard, and for `quiet_s` nothing new has been seen of others.
+        That is when each has announced itself, and nothing changed for `quiet_s` seconds.
         """
         if not self._is_alone:
             self._discovery.wait(quiet_s, self._joined + SETTLE_S, self.stopped)
 
     def count_subscribers(self, topic: str) -> int:
-        """How many subscribe to the topic, in the whole domain."""
+        """Return how many subscriptions the topic has in the domain."""
         return int(self._node.count_subscribers(topic))
 
     def count_servers(self, service: str) -> int:
-        """How many serve the service, in the whole domain."""
+        """Return how many servers the service has in the domain."""
         return int(self._node.count_services(service))
 
     def publishers_of(self, topic: str) -> list[str]:
-        """The full names of the other nodes that publish the topic."""
+        """Return the full names of the other nodes that publish on the topic."""
         return sorted(
             f"{info.node_namespace.rstrip('/')}/{info.node_name}"
             for info in endpoints.publishers(self._node, topic)
@@ -93,7 +94,7 @@ class ReplaySession:
         )
 
     def robots_with_daemon(self) -> list[str]:
-        """The names of the robots whose daemons are in this domain, whoever runs them."""
+        """Return the names of the robots whose daemons are in this domain, of any user."""
         return sorted(
             info.node_namespace.strip("/") or "robot"
             for topic, types in endpoints.topics(self._node).items()
@@ -103,20 +104,27 @@ class ReplaySession:
         )
 
     def check_type(self, type_name: str) -> None:
-        """Raise Unpublishable unless the type is installed."""
+        """Check that the type is installed.
+
+        Raises:
+            Unpublishable: It is not, or cannot be loaded.
+        """
         _installed_class(type_name)
 
     def is_same_type(self, type_name: str, type_hash: str) -> bool:
-        """Whether the installed type has the recorded hash, or one of both is not known."""
+        """Return whether the installed type has the recorded hash, or one of the two is unknown."""
         installed = type_hash_of(type_name)
         return not (installed and type_hash) or installed == type_hash
 
     def open(
         self, topic: str, type_name: str, offered_qos: str, *, keep_all: bool
     ) -> Callable[[bytes], bool]:
-        """Make a publisher; returns what sends a serialized message through it.
+        """Create a publisher, and return a function that sends a serialized message.
 
-        With `keep_all` sending waits for slow subscribers, within limits. Raises Unpublishable.
+        With `keep_all`, it waits for slow subscribers, at most `BLOCKED_S` seconds.
+
+        Raises:
+            Unpublishable: ROS does not allow the name, or the type cannot be published here.
         """
         try:
             publisher = self._node.create_publisher(
@@ -132,9 +140,10 @@ class ReplaySession:
         return patient_sender(publisher, self.stopped)
 
     def open_requests(self, service: str, event_type: str) -> Callable[[bytes], bool | None]:
-        """Make a client; returns what sends the request of a serialized introspection event.
+        """Create a client, and return a function that sends the request of a serialized event.
 
-        Raises Unpublishable.
+        Raises:
+            Unpublishable: ROS does not allow the name, or the type cannot be loaded.
         """
         event_class = _installed_class(event_type)
         service_class = _installed_class(event_type.removesuffix("_Event"))
@@ -146,17 +155,17 @@ class ReplaySession:
         return RequestSender(client, event_class)
 
     def open_clock(self, topic: str) -> Callable[[int], bool]:
-        """Make a publisher of the time; returns what sends one in ns."""
-        qos = QoSProfile(depth=10)  # reliable: whoever asks for less gets it, too
+        """Create a publisher of the time, and return a function that sends a time in ns."""
+        qos = QoSProfile(depth=10)  # reliable: matches best-effort subscriptions too
         publisher = self._node.create_publisher(_installed_class(CLOCK_TYPE), topic, qos)
         return clock_sender(publisher)
 
     def count_matched(self) -> int:
-        """How many subscribers have matched, over all topics."""
+        """Return how many subscriptions have matched, over all topics."""
         return sum(publisher.get_subscription_count() for publisher in self._publishers)
 
     def wait_for_subscribers(self, expected: int, tell: Callable[[int], object]) -> None:
-        """Return when so many subscribers have matched, over all topics; `tell` hears how many."""
+        """Wait until `expected` subscriptions have matched; call `tell` with each new count."""
         matched = -1
         while not self.stopped.wait(_POLL_S):
             if self.count_matched() != matched:
@@ -167,9 +176,9 @@ class ReplaySession:
                 return
 
     def wait_for_matches(self) -> None:
-        """Return when the subscribers and servers that are known have matched and know it.
+        """Wait until discovered subscriptions and servers have matched on both sides.
 
-        Waits for 2 s at most, and not at all where nobody is there.
+        The wait takes 2 s at most, and none where there is no other process.
         """
         if self._is_alone:
             return
@@ -182,7 +191,7 @@ class ReplaySession:
                 return
 
     def wait_until_received(self) -> None:
-        """Return when reliable subscribers have acknowledged everything, or after 7 s."""
+        """Wait until reliable subscriptions have acknowledged all messages, 7 s at most."""
         until = time.monotonic() + ACKNOWLEDGE_S
         for publisher in self._publishers:
             if publisher.qos_profile.reliability is ReliabilityPolicy.RELIABLE:

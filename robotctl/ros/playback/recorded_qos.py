@@ -1,4 +1,4 @@
-"""From the QoS that a recording says its publishers offered to the one that its replay offers."""
+"""The QoS that a replay offers, from the QoS that the recorded publishers offered."""
 
 from __future__ import annotations
 
@@ -14,30 +14,31 @@ from robotctl.kernel.units import NS_PER_S
 MAX_TEXT: Final = 1 << 20
 MAX_DEPTH: Final = 10_000
 VOLATILE_DEPTH: Final = 1000
-"""At least so much, for subscribers do not see it, and a shallow queue loses what comes at once."""
+"""The least depth of a volatile topic: subscribers do not see it; a shallow queue loses bursts."""
 
 _INFINITE_SEC: Final = 2_147_483_647
-"""What recorders before Jazzy wrote for `for ever`; later ones wrote more."""
+"""What recorders before Jazzy wrote for an infinite time; later ones write a larger number."""
 
 _RELIABILITY = {"1": ReliabilityPolicy.RELIABLE, "2": ReliabilityPolicy.BEST_EFFORT}
 _DURABILITY = {"1": DurabilityPolicy.TRANSIENT_LOCAL, "2": DurabilityPolicy.VOLATILE}
 _RELIABILITY |= {policy.short_key: policy for policy in _RELIABILITY.values()}
 _DURABILITY |= {policy.short_key: policy for policy in _DURABILITY.values()}
-"""With the numbers of rmw/types.h, which rosbag2 wrote before version 9 of its metadata."""
+"""Policies by name, and by the numbers of rmw/types.h that rosbag2 wrote before version 9 of its
+metadata."""
 
 
 def replay_qos(offered: str, *, keep_all: bool = False) -> QoSProfile:
-    """What to offer so that every subscriber of the recorded publishers matches again.
+    """Return a profile that matches every subscriber of the recorded publishers.
 
-    `offered` is the `offered_qos_profiles` of a recording: the strongest of several profiles
-    counts, and reliable and volatile where it says nothing that can be understood. `keep_all`
-    makes a reliable publisher wait rather than lose a message.
+    `offered` is the `offered_qos_profiles` of a recording. The strongest of several profiles
+    counts; text that cannot be read means reliable and volatile. With `keep_all`, a reliable
+    publisher waits rather than loses a message.
     """
     profiles = _profiles(offered)
     reliable = ReliabilityPolicy.RELIABLE in [_reliability(each) for each in profiles]
     latched = DurabilityPolicy.TRANSIENT_LOCAL in [_durability(each) for each in profiles]
     reliable = reliable or not profiles
-    # An unknown depth of a latched topic: DDS does not tell it, and most latch one message.
+    # DDS does not announce the depth: of a latched topic 1 is assumed, the most common one.
     depth = sum(max(_depth(each), 1) for each in profiles)
     if not latched:
         depth = max(depth, VOLATILE_DEPTH)
@@ -52,7 +53,7 @@ def replay_qos(offered: str, *, keep_all: bool = False) -> QoSProfile:
 
 
 def latched_depth(offered: str) -> int:
-    """How many messages late subscribers still get; 0 for a topic that is not latched."""
+    """Return how many latched messages a late subscriber gets, 0 where the topic is volatile."""
     qos = replay_qos(offered)
     return int(qos.depth) if qos.durability is DurabilityPolicy.TRANSIENT_LOCAL else 0
 
@@ -82,7 +83,7 @@ def _depth(profile: Mapping[str, Any]) -> int:
 
 
 def _common(profiles: Sequence[Mapping[str, Any]], policy: str) -> Duration:
-    """The span of time that all profiles agree on; else none is promised (0 is unspecified)."""
+    """Return the duration that all profiles have in common, else 0 (unspecified)."""
     spans = {_span_ns(each.get(policy)) for each in profiles}
     return Duration(nanoseconds=spans.pop() if len(spans) == 1 else 0)
 

@@ -1,4 +1,4 @@
-"""What sends the messages of a replay: through a publisher, as a service call, or as /clock."""
+"""Functions that send the messages of a replay: to a topic, to a service, or as /clock."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from robotctl.cdr.reader import ENCAPSULATION
 from robotctl.kernel.units import NS_PER_S
 
 BLOCKED_S: Final = 5.0
-"""How long a subscriber that reads nothing may hold up a replay at full speed."""
+"""How long a subscriber that takes nothing may hold up a replay at full speed."""
 
 MAX_OPEN_REQUESTS: Final = 10_000
-"""Requests of which the second of two reports may still come."""
+"""Limit on the requests that are remembered until their second event comes."""
 
 _CLOCK = struct.Struct("<4siI")
 """rosgraph_msgs/Clock: encapsulation, seconds, nanoseconds."""
 
 
 def sender(publisher: Publisher) -> Callable[[bytes], bool]:
-    """Sending that answers whether the middleware took the message."""
+    """Return a function that publishes a message, and returns whether the middleware took it."""
     publish = publisher.publish
 
     def send(data: bytes) -> bool:
@@ -43,7 +43,7 @@ def sender(publisher: Publisher) -> Callable[[bytes], bool]:
 
 
 def patient_sender(publisher: Publisher, stopped: threading.Event) -> Callable[[bytes], bool]:
-    """Sending that tries again while the queue is full: rcl gives up after 0.1 s."""
+    """Return a `sender` that tries again while the queue is full: rcl gives up after 0.1 s."""
     send_once = sender(publisher)
 
     def send(data: bytes) -> bool:
@@ -59,7 +59,7 @@ def patient_sender(publisher: Publisher, stopped: threading.Event) -> Callable[[
 
 
 def clock_sender(publisher: Publisher) -> Callable[[int], bool]:
-    """Sending of a time in ns."""
+    """Return a function that publishes a time in ns, and returns whether the middleware took it."""
     send_once = sender(publisher)
 
     def send(time_ns: int) -> bool:
@@ -69,20 +69,20 @@ def clock_sender(publisher: Publisher) -> Callable[[int], bool]:
 
 
 class RequestSender:
-    """Sends the request that an introspection event holds; called with the serialized event.
+    """Sends the request of an introspection event; called with the serialized event.
 
-    Client and server may both have told of a request, under identities of their own: what one of
-    them told is not sent again when the other does. Answers are not waited for.
+    Client and server may both have recorded an event of the same request, under different
+    identities: the request is sent for the first event only. Responses are not waited for.
     """
 
     def __init__(self, client: Client, event_type: Any) -> None:
         self._client = client
         self._event_type = event_type
         self._told: OrderedDict[tuple[int, str], int] = OrderedDict()
-        """How many more reports of a request came from clients than from servers."""
+        """Request -> number of client events minus number of server events."""
 
     def __call__(self, data: bytes) -> bool | None:
-        """Whether the request was sent; None where there is none, or it was sent before."""
+        """Return whether the request was sent; None where the event has none, or was the second."""
         try:
             event = deserialize_message(data, self._event_type)
         except _rclpy.RCLError:

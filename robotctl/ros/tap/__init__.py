@@ -1,1 +1,1 @@
-"""The tap: every topic of the graph as raw bytes, for the recorder."""
+"""The tap: subscribes to every topic of the graph and hands over serialized messages."""

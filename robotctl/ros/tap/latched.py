@@ -1,8 +1,8 @@
-"""Latched messages, each once: beside those of publishers that latch nothing, and again and again.
+"""Removes the duplicates of latched messages, so that each message is recorded once.
 
-A subscription gets what was latched before it came, or the messages of publishers that latch
-nothing, never both (DDS 1.4, 2.2.3.4): a topic that has both kinds takes two subscriptions. And
-each new subscription gets what is latched once more.
+A subscription gets either latched messages or the messages of volatile publishers, never both
+(DDS 1.4, 2.2.3.4), so a topic with both kinds of publisher takes two subscriptions. Each new
+subscription gets the latched messages again.
 """
 
 from __future__ import annotations
@@ -12,19 +12,20 @@ from typing import TypeVar
 from robotctl.ros.executor import SerializedData, ViewSink
 
 Span = tuple[int, int]
-"""The first and the last sequence number that one subscription delivered of a publisher."""
+"""The first and the last sequence number that one subscription delivered from a publisher."""
 
 NOTHING: Span = (1, 0)
 MAX_PUBLISHERS = 1024
-"""Remembered of a topic; what one that is forgotten repeats is recorded twice."""
+"""Limit on remembered publishers of a topic; latched messages of a forgotten one are recorded
+again."""
 
 T = TypeVar("T")
 
 
 class LatchedMerge:
-    """Hands each message of the subscriptions of a topic to the sink once.
+    """Hands each message to the sink once, though two subscriptions may deliver it.
 
-    Each subscription delivers the messages of a publisher in their order.
+    Each subscription delivers the messages of one publisher in order.
     """
 
     def __init__(self, sink: ViewSink) -> None:
@@ -32,12 +33,12 @@ class LatchedMerge:
         self._live: dict[bytes, Span] = {}
         self._latched: dict[bytes, Span] = {}
         self._known: dict[bytes, int] = {}
-        """The last number of each publisher that earlier subscriptions delivered."""
+        """The last sequence number that earlier subscriptions delivered, by publisher."""
 
     def live(
         self, data: SerializedData, received_ns: int, source_ns: int, sequence: int, gid: bytes
     ) -> None:
-        """Take a message of the subscription that gets what every publisher sends from now on."""
+        """Take a message of the volatile subscription: a new one, of any publisher."""
         first, _ = self._live.get(gid, (sequence, sequence))
         _keep(self._live, gid, (first, sequence))
         first_latched, last_latched = self._latched.get(gid, NOTHING)
@@ -47,17 +48,17 @@ class LatchedMerge:
     def latched(
         self, data: SerializedData, received_ns: int, source_ns: int, sequence: int, gid: bytes
     ) -> None:
-        """Take a message of the subscription that gets what publishers have latched, and send."""
+        """Take a message of the transient-local subscription: a latched one, or a new one."""
         _, last = self._latched.get(gid, NOTHING)
         if 0 < sequence <= max(last, self._known.get(gid, 0)):
-            return  # a publisher that was lost for a while and is found again repeats it, too
+            return  # a publisher that is discovered again after a loss repeats it as well
         if gid not in self._live or sequence < self._live[gid][0]:
             first, _ = self._latched.get(gid, (sequence, sequence))
             _keep(self._latched, gid, (first, sequence))
             self._sink(data, received_ns, source_ns, sequence, gid)
 
-    def subscribe_anew(self) -> None:
-        """From now on others deliver; what they repeat is known already."""
+    def restart(self) -> None:
+        """Expect new subscriptions, which repeat what the earlier ones delivered."""
         for spans in (self._live, self._latched):
             for gid, (_, last) in spans.items():
                 _keep(self._known, gid, max(last, self._known.get(gid, 0)))
@@ -65,7 +66,7 @@ class LatchedMerge:
 
 
 def _keep(known: dict[bytes, T], gid: bytes, what: T) -> None:
-    """Remember it of a publisher, and forget the one that has been known for longest."""
+    """Remember a value of a publisher; at the limit, forget the oldest publisher."""
     if gid not in known and len(known) >= MAX_PUBLISHERS:
         del known[next(iter(known))]
     known[gid] = what

@@ -16,15 +16,15 @@ from robotctl.ros.messages.type_definition import holds_bytes
 from robotctl.ros.tap.latched import LatchedMerge
 
 LATENCY_S = 0.05
-"""How long messages may wait to be taken together: waking costs more than taking. Their times
-are the middleware's, so nothing shows in the recording."""
+"""How long messages are collected before they are taken together, which costs less. Their time
+stamps are the middleware's, so the recording does not show the delay."""
 
 Requests = tuple[QoSProfile, QoSProfile | None]
-"""What is asked for all messages and, besides, for the latched ones."""
+"""The QoS requested for all messages, and that of a second subscription for latched ones."""
 
 
 class TappedSubscription:
-    """Hands the messages of a topic to its sink until it is closed."""
+    """Hands the messages of one topic to its sink until it is closed."""
 
     def __init__(
         self,
@@ -34,14 +34,14 @@ class TappedSubscription:
         sink: ViewSink,
         offered: Sequence[QoSProfile],
     ) -> None:
-        """Subscribe to publishers that offer this."""
+        """Subscribe to publishers that offer these profiles."""
         self.topic = topic
         self.type_name = type_name
         self.publishers = 0
-        """How many there were when somebody last looked."""
+        """The number of publishers at the last look."""
 
         self.abandoned_since: float | None = None
-        """Since when on the steady clock [s] nobody publishes it, None while somebody does."""
+        """When the last publisher went, on the steady clock [s]; None while there is one."""
 
         self._node = node
         self._sink = sink
@@ -51,9 +51,12 @@ class TappedSubscription:
         self._subscribe(self._requests)
 
     def adapt(self, offered: Sequence[QoSProfile]) -> None:
-        """Ask for what the publishers can give; what is sent meanwhile is lost and counted so.
+        """Subscribe again where publishers now offer other profiles.
 
-        Raises what rclpy raises; then nothing is subscribed, and the next call tries it again.
+        Messages that are sent meanwhile are lost, and counted as lost.
+
+        Raises:
+            Exception: rclpy could not subscribe; the next call tries again.
         """
         requests = self._requests_for(offered)
         if requests != self._requests or not self._subscriptions:
@@ -62,17 +65,17 @@ class TappedSubscription:
             self._requests = requests
 
     def close(self) -> None:
-        """Subscribe no more."""
+        """Destroy the subscriptions."""
         while self._subscriptions:
             self._node.destroy_subscription(self._subscriptions.pop())
 
     def _subscribe(self, requests: Requests) -> None:
-        self._merge.subscribe_anew()
+        self._merge.restart()
         try:
             for sink, requested in self._sinks(requests):
                 self._subscriptions.append(self._create(sink, requested))
         except BaseException:
-            self.close()  # half of it would be recorded as if it were all
+            self.close()  # one alone would record a part of the messages as if it were all
             raise
 
     def _sinks(self, requests: Requests) -> Iterator[tuple[ViewSink, QoSProfile]]:
@@ -91,7 +94,7 @@ class TappedSubscription:
 
     def _create(self, sink: ViewSink, requested: QoSProfile) -> Any:
         tap = RawTap(sink, latency_s=LATENCY_S, views=True)
-        # rclpy's own types know a callback of one argument only.
+        # rclpy's types allow a callback of one argument only.
         callback: Any = tap
         return self._node.create_subscription(
             message_class(self.type_name),

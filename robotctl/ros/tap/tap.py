@@ -1,4 +1,4 @@
-"""Every topic of the graph as raw bytes, handed to a sink that neither knows nor needs ROS."""
+"""Subscribes to every topic of the graph, and hands its serialized messages to a sink."""
 
 from __future__ import annotations
 
@@ -24,34 +24,31 @@ POLL_S = 0.05
 """A foreign topic is found within twice this."""
 
 LOOKS_PER_COUNT = 4
-"""Every so many looks the publishers of a topic that is tapped are counted..."""
+"""Looks at the graph from one count of a tapped topic's publishers to the next..."""
 
 LOOKS_PER_INSPECTION = 20
-"""...and inspected, also where their number is the same: one may have replaced another."""
+"""...and from one inspection of them to the next: with the same count, one may have replaced
+another."""
 
 TOPICS_PER_TURN = 50
-"""Looked at in one turn of the loop, which has more urgent things to do."""
+"""Topics that are looked at in one turn of the loop, so that the loop is not held up."""
 
 ABANDONED_S = 60.0
-"""A topic that nobody publishes for so long is given back; a node that restarts is awaited."""
+"""A topic without publishers for this long is released; a restarting node comes back sooner."""
 
 RESERVED_FILES = 256
-"""Open files that the rest of the process may need; each subscription takes one."""
+"""File descriptors that are left for the rest of the process; each subscription takes one."""
 
 MAX_TYPES_NAMED = 5
-"""Other types of a topic that its sentence names."""
+"""Limit on the other types of a topic that its sentence names."""
 
 
 class TooManyTopics(Exception):
-    """Another subscription would take what the rest of the process needs."""
+    """One more subscription would use a file descriptor that is reserved for other parts."""
 
 
 class Tap:
-    """Node `recorder`; subscribes to every topic that appears, once, whatever its publishers offer.
-
-    `open_sink` is called in the loop for each new topic and returns what takes its messages.
-    `wanted(topic, type)` says which to take.
-    """
+    """Node `recorder`; subscribes once to every topic, with the QoS that its publishers offer."""
 
     def __init__(
         self,
@@ -59,6 +56,10 @@ class Tap:
         open_sink: Callable[[TopicDescription], ViewSink],
         wanted: Callable[[str, str], bool] = lambda topic, type_name: True,
     ) -> None:
+        """Call `open_sink` in the loop for each new topic; it returns the sink of its messages.
+
+        Topics for which `wanted(topic, type)` is false are not subscribed to.
+        """
         self._node = session.node(RECORDER_NODE)
         self._open_sink = open_sink
         self._wanted = wanted
@@ -66,13 +67,13 @@ class Tap:
         self._own: set[str] = set()
         self._tapped: dict[str, TappedSubscription] = {}
         self._left_out: dict[str, list[str]] = {}
-        """Topic -> its types when it was found that none of them is to be taken."""
+        """Topic -> its types at the time when it was decided not to record it."""
 
         self._failed: set[str] = set()
-        """Topics that are left out for a failure that may pass; they are tried again."""
+        """Topics that are left out after a failure that may be temporary; they are tried again."""
 
         self._awaited: dict[str, str] = {}
-        """Topics whose type is being loaded, with that type."""
+        """Topic -> its type that is being loaded."""
 
         self._types = TypeLoader()
         self._looks = count()
@@ -105,7 +106,7 @@ class Tap:
                 await asyncio.sleep(0)
             try:
                 self._look_at(topic, type_names, (look + number) % LOOKS_PER_INSPECTION)
-            except Exception as error:  # noqa: BLE001 - somebody else's topic must not stop us
+            except Exception as error:  # noqa: BLE001 - a foreign topic must not stop the others
                 self._give_up(topic, type_names, error)
         for topic in self._awaited.keys() - present.keys():
             self.unrecorded.miss(topic, self._awaited.pop(topic))
@@ -127,9 +128,10 @@ class Tap:
                 self._tap(topic, type_names)
 
     def _tap(self, topic: str, type_names: list[str]) -> None:
-        """Subscribe to what is published there, if it can be had and is wanted.
+        """Subscribe to the topic if it has a publisher, is wanted and its type can be loaded.
 
-        Raises whatever rclpy and the sink raise.
+        Raises:
+            Exception: rclpy or the sink failed.
         """
         if topic.startswith(self_test.TOPIC_PREFIX):
             return
@@ -158,7 +160,7 @@ class Tap:
         self._leave_out(topic, type_names, problem)
 
     def _await(self, topic: str, type_name: str) -> None:
-        """Look again when the type is loaded; say it where that takes long."""
+        """Remember that the topic's type is loading; note the topic where that takes long."""
         self._awaited[topic] = type_name
         if self._types.is_slow(type_name):
             problem = f"its type {type_name} is not loaded after {SLOW_LOAD_S:g} s"
@@ -170,7 +172,7 @@ class Tap:
             self.unrecorded.note(topic, f"{short_name(topic)} is not recorded: {problem}")
 
     def _give_up(self, topic: str, type_names: list[str], error: Exception) -> None:
-        """Go on without a topic that cannot be subscribed to, for now."""
+        """Leave out a topic that cannot be subscribed to, until it is tried again."""
         if isinstance(error, TooManyTopics):
             problem = f"there are {error}"
         else:
@@ -183,7 +185,7 @@ class Tap:
             self._leave_out(topic, type_names, problem)
 
     def _follow(self, tapped: TappedSubscription, *, inspect: bool) -> None:
-        """Go along with publishers that come and go, and with what they offer."""
+        """Adapt the subscription to publishers that came, went or offer another QoS."""
         topic = tapped.topic
         publishers = self._node.count_publishers(topic)
         if publishers == tapped.publishers and not inspect:
@@ -194,12 +196,12 @@ class Tap:
             tapped.abandoned_since = None
             tapped.adapt(offered[tapped.type_name])
         elif topic not in self._own and (offered or _is_abandoned(tapped)):
-            self._tapped.pop(topic).close()  # what came back as something else is tapped anew
+            self._tapped.pop(topic).close()  # with another type it is tapped again
             return
         self._tell_types(topic, tapped.type_name, list(offered))
 
     def _tell_types(self, topic: str, recorded: str, published: list[str]) -> None:
-        """Name the types of a topic that are published and not recorded."""
+        """Note the types of a topic that are published and not recorded."""
         names = [short_name(name) for name in published if name != recorded]
         others = ", ".join(names[:MAX_TYPES_NAMED])
         if len(names) > MAX_TYPES_NAMED:
@@ -210,7 +212,12 @@ class Tap:
             self.unrecorded.clear([topic])
 
     def _subscribe(self, topic: str, type_name: str, offered: list[QoSProfile]) -> None:
-        """Raises whatever rclpy raises, and TooManyTopics."""
+        """Subscribe to a topic with a loaded type.
+
+        Raises:
+            TooManyTopics: The remaining file descriptors are reserved.
+            Exception: rclpy or the sink failed.
+        """
         limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
         if len(self._tapped) >= max(limit - RESERVED_FILES, limit // 2):
             raise TooManyTopics(f"more topics than {limit} open files allow (see ulimit -n)")
@@ -218,7 +225,7 @@ class Tap:
         self._tapped[topic] = TappedSubscription(self._node, topic, type_name, sink, offered)
 
     def _offered(self, topic: str) -> dict[str, list[QoSProfile]]:
-        """What the publishers of a topic offer, by its types; the one with most comes first."""
+        """Return type -> the profiles its publishers offer; the most published type comes first."""
         found: dict[str, list[QoSProfile]] = {}
         for info in endpoints.publishers(self._node, topic):
             found.setdefault(info.topic_type, []).append(info.qos_profile)
@@ -226,7 +233,7 @@ class Tap:
 
 
 def _is_abandoned(tapped: TappedSubscription) -> bool:
-    """Whether nobody has published the topic for long; to be asked while nobody does."""
+    """Return whether a topic that has no publisher now has had none for ABANDONED_S."""
     now = time.monotonic()
     if tapped.abandoned_since is None:
         tapped.abandoned_since = now

@@ -1,4 +1,4 @@
-"""Loads the types of foreign topics beside the loop: each takes tens of milliseconds."""
+"""Loads the types of foreign topics in threads: each takes tens of milliseconds."""
 
 from __future__ import annotations
 
@@ -13,35 +13,38 @@ from robotctl.ros.messages.classes import UnusableType, message_class, parse_typ
 from robotctl.ros.messages.type_definition import definition_of, type_hash_of
 
 SLOW_LOAD_S = 2.0
-"""A load that takes longer does not keep the next one waiting; usual ones take 0.1 s."""
+"""A load that takes longer does not delay the next one; most take 0.1 s."""
 
 MAX_LOADS = 4
-"""Loads at once. More than one only where the others are slow: each competes with the loop."""
+"""Limit on simultaneous loads. A second one begins only while all others are slow, because each
+competes with the loop for the GIL."""
 
 MAX_REMEMBERED = 4096
-"""Types of which it is remembered what came of them; more may be announced than are installed."""
+"""Limit on remembered results; other processes may announce any number of types."""
 
 
 class TypeLoader:
-    """Belongs to the loop's thread. What loading a type raises, or how long it takes, harms nobody.
+    """Loads types without holding up the loop, whatever their modules raise.
 
-    The threads are daemons: one that never comes back does not keep the process.
+    Used in the loop's thread only. It loads in daemon threads: one that never ends does not keep
+    the process alive.
     """
 
     def __init__(self) -> None:
         self._problems: dict[str, str] = {}
-        """Type -> "" once it is loaded, or why it cannot be."""
+        """Type -> why it cannot be loaded, "" where it is loaded."""
 
         self._waiting: dict[str, None] = {}
         self._loading: dict[str, float] = {}
-        """Type -> since when on the steady clock [s]."""
+        """Type -> when its load began, on the steady clock [s]."""
 
         self._all_loaded = asyncio.Event()
 
     def problem(self, type_name: str) -> str | None:
-        """Return "" where a type is loaded, why it cannot be, or None while it is being loaded.
+        """Return why a type cannot be loaded, "" where it is loaded, None while it is loading.
 
-        The reason goes on after "the type, which". The first question begins to load the type.
+        The reason continues the words "the type, which". The first call for a type begins to load
+        it.
         """
         known = self._problems.get(type_name)
         if known is not None:
@@ -56,12 +59,12 @@ class TypeLoader:
         return self._problems.get(type_name)
 
     def is_slow(self, type_name: str) -> bool:
-        """Whether a type has been loading for suspiciously long."""
+        """Return whether a type has been loading for more than SLOW_LOAD_S."""
         since_s = self._loading.get(type_name)
         return since_s is not None and time.monotonic() - since_s > SLOW_LOAD_S
 
     async def pause(self, at_most_s: float) -> None:
-        """Sleep until what is waited for is loaded, or for so long."""
+        """Sleep until all requested types are loaded, but at most `at_most_s` seconds."""
         self._all_loaded.clear()
         with suppress(TimeoutError):
             async with asyncio.timeout(at_most_s):
@@ -85,7 +88,7 @@ class TypeLoader:
 
     def _load(self, loop: asyncio.AbstractEventLoop, type_name: str) -> None:
         problem = load_type(type_name)
-        with suppress(RuntimeError):  # the loop is closed: nobody waits any more
+        with suppress(RuntimeError):  # the loop is closed: nothing waits for the type
             loop.call_soon_threadsafe(self._loaded, type_name, problem)
 
     def _loaded(self, type_name: str, problem: str) -> None:
@@ -102,13 +105,13 @@ class TypeLoader:
 
 
 def load_type(type_name: str) -> str:
-    """Load all that a subscription needs of a type; return "" or why it cannot be had."""
+    """Load all that a subscription needs of a type; return why it cannot be loaded, or ""."""
     try:
         check_for_type_support(message_class(type_name))
         definition_of(type_name)
         type_hash_of(type_name)
     except UnusableType as error:
         return str(error)
-    except BaseException as error:  # noqa: BLE001 - also SystemExit: it is somebody else's module
+    except BaseException as error:  # noqa: BLE001 - also SystemExit: foreign modules run here
         return f"cannot be loaded ({type(error).__name__}: {error})"
     return ""
