@@ -163,11 +163,11 @@ def test_a_robot_without_a_battery_topic_has_no_trouble_with_it(cause: Cause) ->
     for level in (None, 0.0, 9.0):
         health = replace(HEALTHY, battery_level=level, battery_t_ns=0)
         assert uncleared(cause, health, params, NOW_NS) is None
-        assert not RULE_OF[cause].present(health, params, NOW_NS)
+        assert not RULE_OF[cause].check(health, params, NOW_NS)
 
 
 def test_a_battery_at_its_stop_level_is_said_with_both_levels() -> None:
-    low = RULE_OF[Cause.BATTERY_LOW].present
+    low = RULE_OF[Cause.BATTERY_LOW].check
     said = "the battery is at 15%, at or below 15%"
     assert low(replace(HEALTHY, battery_level=0.15), PARAMS, NOW_NS) == said
     assert low(replace(HEALTHY, battery_level=0.16), PARAMS, NOW_NS) == ""

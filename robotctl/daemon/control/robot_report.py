@@ -8,11 +8,12 @@ from collections.abc import Iterator
 from robotctl.daemon.control.dispatcher import Control
 from robotctl.ipc.answers import DrivenPath, RobotFacts
 from robotctl.kernel.battery import is_level
+from robotctl.kernel.checks import FOREIGN_COMMAND_S
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.health import Health
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.remedies import Remedy
-from robotctl.kernel.safety import FOREIGN_COMMAND_S, RULE_OF, remedies_for
+from robotctl.kernel.safety import RULE_OF, remedies_for
 from robotctl.kernel.types import Cause
 from robotctl.kernel.units import NS_PER_S
 
@@ -74,7 +75,7 @@ class RobotReport:
     def missing(self) -> list[str]:
         """Say what the configuration expects of a robot and discovery has not found, or not yet."""
         health, now = self._control.state.health, time.monotonic_ns()
-        found = (RULE_OF[cause].present(health, self._params, now) for cause in _EXPECTED)
+        found = (RULE_OF[cause].check(health, self._params, now) for cause in _EXPECTED)
         missing = [text for text in found if text]
         if health.command_topic.listeners is None:
             missing.append("the nodes that take the velocity command are not known yet")
@@ -109,7 +110,7 @@ class RobotReport:
         """Say what is wrong with the robot, or could be."""
         health, now_ns = self._control.state.health, time.monotonic_ns()
         for cause in WARNED:
-            problem = RULE_OF[cause].present(health, self._params, now_ns)
+            problem = RULE_OF[cause].check(health, self._params, now_ns)
             if problem:
                 yield problem
         yield from _recent(health, now_ns)

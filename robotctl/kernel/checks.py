@@ -1,0 +1,160 @@
+"""The checks of the safety table: each returns what is wrong now, "" if nothing is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import inf, isfinite
+
+from robotctl.kernel.battery import is_level
+from robotctl.kernel.health import Health
+from robotctl.kernel.params import KernelParams
+from robotctl.kernel.types import Cause
+from robotctl.kernel.units import NS_PER_S
+
+FOREIGN_COMMAND_S = 1.0
+"""How long a command of another node prevents motion; its publisher may send only rarely."""
+
+
+def _age_s(then_ns: int, t_ns: int) -> float:
+    """Return the age of a time [s]; a time in the future counts as equally stale."""
+    return abs(t_ns - then_ns) / NS_PER_S
+
+
+Check = Callable[[Health, KernelParams, int], str]
+"""Takes health, parameters and the steady time [ns]; returns what is wrong, "" if nothing is."""
+
+
+def healthy(health: Health, params: KernelParams, t_ns: int) -> str:
+    """Return "": a cause that only events or requests raise."""
+    return ""
+
+
+def reported(cause: Cause) -> Check:
+    """Return the check for a cause that the daemon reports."""
+
+    def check(health: Health, params: KernelParams, t_ns: int) -> str:
+        for reported, detail in health.reported:
+            if reported is cause:
+                return detail or cause.value
+        return ""
+
+    return check
+
+
+def battery_at_stop(health: Health, params: KernelParams, t_ns: int) -> str:
+    """Say that the battery is at or below the level at which the robot stops."""
+    level, stop_level = health.battery_level, params.battery.stop_level
+    if not params.battery.topic or not is_level(level) or level > stop_level:
+        return ""
+    return f"the battery is at {_shown(level)}, at or below {stop_level:.0%}"
+
+
+def battery_before_clear(health: Health, params: KernelParams, t_ns: int) -> str:
+    """Say that the battery is below the level at which the stop clears."""
+    level, clear_level = health.battery_level, params.battery.clear_level
+    if not params.battery.topic or (is_level(level) and level >= clear_level):
+        return ""
+    return f"the battery is at {_shown(level)}, not yet at {clear_level:.0%}"
+
+
+def _shown(level: float | None) -> str:
+    return f"{level:.0%}" if is_level(level) else "an unknown level"
+
+
+def battery_unknown(health: Health, params: KernelParams, t_ns: int) -> str:
+    """Say that no battery level is known, or that it is no level, or too old."""
+    if not params.battery.topic:
+        return ""
+    if health.battery_level is None:
+        return f"no battery level was received on {params.battery.topic} yet"
+    if not is_level(health.battery_level):
+        full, reported = (100, 100.0) if health.battery_in_percent else (1, 1.0)
+        return f"the battery reports {health.battery_level * reported:g}, not 0 to {full}"
+    age_s = _age_s(health.battery_t_ns, t_ns)
+    return f"no battery level for {age_s:.1f} s" if age_s > params.battery.timeout_s else ""
+
+
+def odometry_wrong(health: Health, params: KernelParams, t_ns: int) -> str:
+    """Say why no sample of odometry could be used for the timeout."""
+    if not health.odometry_fault or not odometry_lost(health, params, t_ns):
+        return ""
+    return health.odometry_fault
+
+
+def odometry_lost(health: Health, params: KernelParams, t_ns: int) -> str:
+    """Say that there is no odometry, or that the last usable sample is too old."""
+    if health.odometry is None:
+        return f"no odometry was received on {params.odometry.topic} yet"
+    age_s = _age_s(health.odometry_t_ns, t_ns)
+    if age_s <= params.odometry.timeout_s:
+        return ""
+    return f"no odometry on {params.odometry.topic} for {age_s:.2f} s"
+
+
+def odometry_contradicted(health: Health, params: KernelParams, t_ns: int) -> str:
+    """Say that a second publisher of odometry reports another pose."""
+    second, limits = health.odometry_sources.second, params.odometry
+    if second is None or _age_s(second.t_ns, t_ns) > limits.timeout_s:
+        return ""
+    if second.distance_m <= limits.max_jump_m and second.angle_rad <= limits.max_jump_rad:
+        return ""
+    apart = f"{second.distance_m:.2f} m and {second.angle_rad:.2f} rad apart"
+    if not isfinite(second.distance_m + second.angle_rad):
+        apart = "not both finite"
+    return f"{_two_sources(health)}, and they are {apart}"
+
+
+def second_odometry(health: Health, params: KernelParams, t_ns: int) -> str:
+    """Say that two nodes publish odometry."""
+    second = health.odometry_sources.second
+    if second is None or _age_s(second.t_ns, t_ns) > params.odometry.timeout_s:
+        return ""
+    return _two_sources(health)
+
+
+def _two_sources(health: Health) -> str:
+    sources = health.odometry_sources
+    assert sources.second is not None
+    names = sources.name_of(sources.followed), sources.name_of(sources.second.source)
+    return f"odometry comes from two publishers, {names[0]} and {names[1]}"
+
+
+def tracking_lost(health: Health, params: KernelParams, t_ns: int) -> str:
+    """Say that the robot is too far from the reference of its drive."""
+    error_m, limit_m = health.path_error_m, params.tracking.max_error_m
+    if error_m <= limit_m:
+        return ""
+    if error_m == inf:
+        return "the robot is further from where it should be than the pattern is large"
+    return f"the robot is {error_m:.2f} m from where it should be, more than {limit_m:g} m"
+
+
+def foreign_publisher(health: Health, params: KernelParams, t_ns: int) -> str:
+    """Say that another node publishes velocity commands, or did a moment ago."""
+    if health.foreign_publishers:
+        names = ", ".join(health.foreign_publishers)
+        verb = "publishes" if len(health.foreign_publishers) == 1 else "publish"
+        return f"{names} also {verb} velocity commands"
+    topic = health.command_topic
+    if topic.foreign_t_ns is None or _age_s(topic.foreign_t_ns, t_ns) > FOREIGN_COMMAND_S:
+        return ""
+    return f"{topic.foreign_by} also published a velocity command"
+
+
+def command_unheard(health: Health, params: KernelParams, t_ns: int) -> str:
+    """Say that no node takes the velocity command."""
+    topic = health.command_topic
+    if topic.listeners is None or topic.listeners > 0:
+        return ""
+    if not topic.other_types:
+        return f"no node subscribes to {params.command.topic}"
+    types = ", ".join(topic.other_types)
+    return f"the robot takes {types} on {params.command.topic}, not geometry_msgs/msg/Twist"
+
+
+def tick_overrun(health: Health, params: KernelParams, t_ns: int) -> str:
+    """Say that the time between two events was too long, or negative."""
+    gap_s = health.tick_gap_s
+    if gap_s < 0.0:
+        return f"the steady clock went back by {-gap_s:.2f} s"
+    return f"no control tick for {gap_s:.2f} s" if gap_s > 0.0 else ""

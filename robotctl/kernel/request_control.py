@@ -1,0 +1,170 @@
+"""The part of the kernel that answers requests: each one gets exactly one reply."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from robotctl.kernel.drive import MAX_LAPS, Drive, Progress
+from robotctl.kernel.mode_control import ModeControl
+from robotctl.kernel.modes import REQUESTS, TRANSITIONS, Guard, Mode, Trigger
+from robotctl.kernel.patterns import Pattern
+from robotctl.kernel.remedies import Remedy
+from robotctl.kernel.safety import failed_start_condition, raised, remedies_to_move, uncleared
+from robotctl.kernel.types import (
+    ZERO,
+    Cause,
+    DriveRequested,
+    ModeChanged,
+    ModeRequested,
+    Phase,
+    PublishTwist,
+    ResetRequested,
+)
+
+MAX_WAITING = 64
+"""How many requests may wait for a ramp to end; one more is refused."""
+
+STOPPING_REFUSAL = "the robot is stopping: ask again when it is IDLE"
+
+_OPERATOR_CAUSES = {
+    Mode.ERROR: Cause.OPERATOR_ERROR,
+    Mode.EMERGENCY_STOP: Cause.OPERATOR_STOP,
+}
+
+VALID_MODES = ", ".join(f"{mode.value} {mode.name}" for mode in Mode)
+
+
+class RequestControl(ModeControl):
+    """Decides on requests for a mode, a reset or a drive."""
+
+    def _request(self, event: ModeRequested) -> None:
+        try:
+            requested = Mode(event.requested)
+        except ValueError:
+            self._refuse(event.request_id, f"{event.requested} is not a mode: use {VALID_MODES}")
+            return
+        reason = f"requested by {event.source}"
+        self._decide(event.t_ns, event.request_id, REQUESTS[requested], reason)
+
+    def _reset(self, event: ResetRequested) -> None:
+        self._decide(event.t_ns, event.request_id, Trigger.RESET, f"reset by {event.source}")
+
+    def _decide(self, t_ns: int, request_id: int, trigger: Trigger, reason: str) -> None:
+        """Do what the table has for this request."""
+        mode = self.state.mode
+        transition = TRANSITIONS[mode, trigger]
+        match transition.guard:
+            case Guard.NEVER:
+                self._refuse_here(request_id, trigger)
+            case Guard.CAUSE_GONE:
+                self._release(t_ns, request_id, trigger, reason)
+            case Guard.RAMP_DOWN:
+                self._ramp_down(request_id, reason)
+            case Guard.START_CONDITIONS:
+                self._start(t_ns, request_id, self.params.pattern, 0, reason)
+            case Guard.NONE if transition.target is not mode:
+                self._stand(trigger, reason, _OPERATOR_CAUSES.get(transition.target))
+                self._accept(request_id, f"Mode changed to {transition.target.name}")
+            case Guard.NONE:
+                self._stay(request_id, trigger)
+
+    def _stay(self, request_id: int, trigger: Trigger) -> None:
+        state = self.state
+        if state.phase is Phase.STOPPING:
+            self._refuse(request_id, STOPPING_REFUSAL)
+            return
+        if state.mode is not Mode.MOVING:
+            self._effects.append(PublishTwist(ZERO))
+        if trigger is Trigger.RESET:
+            self._accept(request_id, f"Nothing to reset: mode is {state.mode.name}")
+        else:
+            self._accept(request_id, f"Mode is already {state.mode.name}")
+
+    def _request_drive(self, event: DriveRequested) -> None:
+        state = self.state
+        refusal = event.pattern.refusal() or _laps_refusal(event.laps)
+        remedies: tuple[Remedy, ...] = ()
+        if not refusal:
+            if TRANSITIONS[state.mode, Trigger.REQUEST_MOVING].guard is Guard.NEVER:
+                self._refuse_here(event.request_id, Trigger.REQUEST_MOVING)
+                return
+            if state.phase is Phase.STOPPING:
+                refusal = STOPPING_REFUSAL
+            elif state.mode is Mode.MOVING and not event.replace:
+                refusal, remedies = "the robot is MOVING", (Remedy.STOP_OR_REPLACE,)
+        if refusal:
+            self._refuse(event.request_id, refusal, remedies)
+            return
+        reason = f"requested by {event.source}"
+        self._start(event.t_ns, event.request_id, event.pattern, event.laps, reason)
+
+    def _start(self, t_ns: int, request_id: int, pattern: Pattern, laps: int, reason: str) -> None:
+        self._notice_gap(t_ns)
+        finding = failed_start_condition(self.state.health, self.params, t_ns)
+        if finding is not None:
+            self._refuse(request_id, finding.detail, finding.remedies)
+            return
+        odometry = self.state.health.odometry
+        assert odometry is not None, "a rule refuses to start without odometry"
+        self._end_drive("replaced by another drive")
+        previous, command = self.state.mode, self.state.command
+        # A drive that replaces another begins at the speed that the robot has.
+        progress = Progress(speed=max(command.linear, 0.0))
+        self.state = replace(
+            self.state,
+            mode=Mode.MOVING,
+            phase=Phase.DRIVING,
+            reason=reason,
+            drive=Drive(request_id, pattern, laps, odometry.pose, progress),
+        )
+        if previous is not Mode.MOVING:
+            self._effects.append(ModeChanged(previous, Mode.MOVING, reason))
+            self._accept(request_id, "Mode changed to MOVING")
+        else:
+            self._accept(request_id, "Drive replaced: mode is MOVING")
+
+    def _ramp_down(self, request_id: int, reason: str) -> None:
+        state = self.state
+        if len(state.waiting) >= MAX_WAITING:
+            self._refuse(request_id, "too many requests wait for the stop already")
+            return
+        self.state = replace(
+            state,
+            phase=Phase.STOPPING,
+            stop_reason=state.stop_reason or reason,
+            waiting=(*state.waiting, request_id),
+        )
+
+    def _release(self, t_ns: int, request_id: int, trigger: Trigger, reason: str) -> None:
+        state = self.state
+        cause = state.cause
+        finding = None if cause is None else uncleared(cause, state.health, self.params, t_ns)
+        # Not released either is what a second fault would stop again in the same moment.
+        finding = finding or raised(Mode.IDLE, state.health, self.params, t_ns)
+        if finding is not None:
+            refusal = f"the cause of {state.mode.name} is not gone: {finding.detail}"
+            self._refuse(request_id, refusal, finding.remedies)
+            return
+        released = state.mode
+        self._stand(trigger, reason, None)
+        if trigger is Trigger.RESET:
+            verb = "released" if released is Mode.EMERGENCY_STOP else "cleared"
+            self._accept(request_id, f"{released.name} {verb}: mode changed to IDLE")
+        else:
+            self._accept(request_id, "Mode changed to IDLE")
+
+    def _refuse_here(self, request_id: int, trigger: Trigger) -> None:
+        """Refuse what the table of modes does not allow in this mode."""
+        state = self.state
+        if state.mode is Mode.MOVING:
+            self._refuse(request_id, "the robot is MOVING", (Remedy.STOP_FIRST,))
+            return
+        asked = trigger.value.removeprefix("request ")
+        refusal = f"{asked} is refused in {state.mode.name} ({state.reason})"
+        self._refuse(request_id, refusal, remedies_to_move(state.cause or Cause.OPERATOR_STOP))
+
+
+def _laps_refusal(laps: int) -> str:
+    if 0 <= laps <= MAX_LAPS:
+        return ""
+    return f"{laps} laps: use 0 (until stopped) to {MAX_LAPS}"
