@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-calls=False
 """The part of an executor that exists only while it is open."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-calls=False
 """AsyncioExecutor: rclpy's callbacks in the asyncio loop, without a spinning thread.
 
 rclpy's own executors build a wait set for every message. This one lets rcl write to an eventfd

@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-calls=False
 """Sends one real message through the ctypes path, before anything depends on it."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-calls=False
 """A topic of robotctl's own: the role that publishes it declares it, and the tap reads that."""
 
 from __future__ import annotations

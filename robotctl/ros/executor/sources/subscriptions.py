@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-calls=False
 """Subscriptions: taken as bytes past rclpy, and made into messages where a callback wants these."""
 
 from __future__ import annotations
