@@ -217,6 +217,7 @@ Event = (
     | FaultReported
     | FaultCleared
 )
+"""Everything that `Kernel.step` takes."""
 
 
 # Effects
@@ -296,3 +297,4 @@ Decision = PublishTwist | ModeChanged | LatchEmergencyStop | ReleaseEmergencySto
 """The effects that a kernel of another version must decide as well."""
 
 Effect = Decision | DriveEnded
+"""Everything that `Kernel.step` returns."""

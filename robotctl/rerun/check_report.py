@@ -69,7 +69,7 @@ class Report:
     violation_count: int = 0
     missing: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
-    _other_rules: bool = False
+    _other_rules: bool = field(default=False, init=False)
 
     @property
     def same_version(self) -> bool:
