@@ -1,7 +1,7 @@
-"""Recordings: write, read, recover and clip MCAP files that are valid at any moment. Knows no ROS.
+"""Recordings: write, read, recover and clip MCAP files that are valid at any moment. Without ROS.
 
 A library user may rely on the names in `__all__`; the modules below may change. Each name is
-imported when it is used.
+imported on first use.
 """
 
 from __future__ import annotations

@@ -48,7 +48,7 @@ from tests.support.waiting import until
 KIB = 1 << 10
 CURES = {
     errno.ENOSPC: "; free disk space",
-    errno.EDQUOT: "; free disk space, or have the quota raised",
+    errno.EDQUOT: "; free disk space, or ask for a higher quota",
     errno.EIO: "; check the disk and its cable (sudo dmesg)",
     errno.EROFS: "; mount the disk writable, and check why it is not (sudo dmesg)",
     errno.EACCES: "; give this user the right to write there",

@@ -1,7 +1,7 @@
-"""Who may read a recording: its owner alone, or the group as well; never others.
+"""Who may read a recording: its owner, or the group as well; never other users.
 
-The umask has no say. What is made of a recording (its list, clips, repaired and recovered files)
-is shared with the group if the recording is.
+The umask has no effect. Files made from a recording (its list, clips, repaired and recovered files)
+are shared with the group if the recording is.
 """
 
 from __future__ import annotations
@@ -13,11 +13,15 @@ from pathlib import Path
 
 _OWNER_READS = {False: 0o600, True: 0o700}
 _GROUP_READS = {False: 0o640, True: 0o750}
-"""Of a file, of a folder."""
+"""Keys are False for a file, True for a folder."""
 
 
 def open_private(path: Path, flags: int) -> int:
-    """Open a file, creating it for its owner alone if `flags` say so. Raises OSError."""
+    """Open a file. If `flags` contain O_CREAT, it is created for its owner only.
+
+    Raises:
+        OSError: The file cannot be opened.
+    """
     descriptor = os.open(path, flags | os.O_CLOEXEC, _OWNER_READS[False])
     if flags & os.O_CREAT:
         with suppress(OSError):  # a file system without permissions
@@ -26,7 +30,11 @@ def open_private(path: Path, flags: int) -> int:
 
 
 def make_folder(path: Path, *, shared: bool) -> None:
-    """Create a folder that must not exist, and the missing ones above it. Raises OSError."""
+    """Create a folder that must not exist, and its missing parents.
+
+    Raises:
+        OSError: The folder exists, or cannot be created.
+    """
     missing = [folder for folder in path.parents if not folder.exists()]
     for folder in (*reversed(missing), path):
         folder.mkdir(_OWNER_READS[True], exist_ok=folder != path)
@@ -34,25 +42,37 @@ def make_folder(path: Path, *, shared: bool) -> None:
 
 
 def share_with_group(path: Path) -> None:
-    """Let the group read a file or a folder of ours. Raises OSError if there is none."""
+    """Let the group read a file or folder of this user.
+
+    Raises:
+        OSError: There is no such file.
+    """
     _set(path, _GROUP_READS[path.is_dir()])
 
 
 def share_like(path: Path, source: Path) -> None:
-    """Let the group read what was made of `source` if it may read that. Raises OSError."""
+    """Let the group read `path` if it may read `source`, from which it was made.
+
+    Raises:
+        OSError: One of them does not exist.
+    """
     if is_shared(source):
         share_with_group(path)
 
 
 def is_shared(path: Path) -> bool:
-    """Whether the group may read what others may not. Raises OSError."""
+    """Return whether the group may read `path` and other users may not.
+
+    Raises:
+        OSError: There is no such file.
+    """
     return path.stat().st_mode & (stat.S_IRGRP | stat.S_IROTH) == stat.S_IRGRP
 
 
 def _set(path: Path, mode: int) -> None:
     before = path.stat().st_mode
     if stat.S_ISDIR(before):
-        mode |= before & stat.S_ISGID  # what is made in the folder gets its group
+        mode |= before & stat.S_ISGID  # new files in the folder inherit its group
     if stat.S_IMODE(before) != mode:
         with suppress(OSError):  # a file system without permissions
             path.chmod(mode)

@@ -1,4 +1,4 @@
-"""What somebody can do about an error that ends a recording."""
+"""What a user can do about an error that ends a recording."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Final
 
 _CURES: Final[Mapping[int, str]] = {
     errno.ENOSPC: "free disk space",
-    errno.EDQUOT: "free disk space, or have the quota raised",
+    errno.EDQUOT: "free disk space, or ask for a higher quota",
     errno.EFBIG: "raise the limit of file sizes (ulimit -f)",
     errno.EIO: "check the disk and its cable (sudo dmesg)",
     errno.EROFS: "mount the disk writable, and check why it is not (sudo dmesg)",
@@ -16,21 +16,21 @@ _CURES: Final[Mapping[int, str]] = {
     errno.EPERM: "give this user the right to write there",
     errno.EMFILE: "raise the limit of open files (ulimit -n)",
     errno.ENFILE: "raise the limit of open files of this machine (sysctl fs.file-max)",
-    errno.ENOENT: "see that the disk is mounted and nobody removes the folder",
-    errno.ESTALE: "see that the disk is mounted",
-    errno.ENODEV: "see that the disk is mounted",
-    errno.ENXIO: "see that the disk is mounted",
+    errno.ENOENT: "check that the disk is mounted and the folder is not removed",
+    errno.ESTALE: "check that the disk is mounted",
+    errno.ENODEV: "check that the disk is mounted",
+    errno.ENXIO: "check that the disk is mounted",
     errno.ENOMEM: "free memory",
 }
 
 
 def reason_of(error: BaseException) -> str:
-    """What went wrong, in words."""
+    """Return what went wrong, in words."""
     return (error.strerror if isinstance(error, OSError) else None) or repr(error)
 
 
 def cure_of(error: BaseException) -> str:
-    """What to do about it; for an error that no disk gives, where to look."""
+    """Return what to do about the error."""
     if isinstance(error, MemoryError):
         return _CURES[errno.ENOMEM]
     if isinstance(error, OSError) and error.errno is not None:

@@ -1,4 +1,4 @@
-"""A file that is there as a whole, or not at all."""
+"""A new file that is created completely or not at all."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from robotctl.recording.disk.storage import DiskFile, Storage
 
 @contextmanager
 def new_file(target: Path, open_file: Callable[[Path], Storage] = DiskFile) -> Iterator[Storage]:
-    """Create `target` for the block; where that raises, there is no `target` afterwards.
+    """Create `target` for the block; if the block raises, `target` is removed.
 
-    Raises Refused where it exists already or cannot be written.
+    Raises:
+        Refused: `target` exists already, or cannot be written.
     """
     try:
         storage = open_file(target)

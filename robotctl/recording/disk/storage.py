@@ -1,4 +1,4 @@
-"""The file under a recording: positioned writes, truncation, and forcing data to the disk."""
+"""The file of a recording: positioned writes, truncation, and sync to the disk."""
 
 from __future__ import annotations
 
@@ -26,20 +26,24 @@ class Storage(Protocol):
     """What the writer needs of a file; every method may raise OSError."""
 
     def write_at(self, parts: Sequence[Buffer], offset: int) -> None:
-        """Write all of `parts`, one behind the other, at `offset` [bytes]."""
+        """Write all of `parts`, concatenated, at `offset` [bytes]."""
 
     def truncate(self, size: int) -> None:
         """Cut the file to `size` bytes."""
 
     def sync(self) -> None:
-        """Return when everything written so far would survive a power cut; it has a name then."""
+        """Return when everything written so far, and the file's name, would survive a power cut."""
 
     def close(self) -> None:
-        """Give the file back to the system."""
+        """Close the file."""
 
 
 def is_being_written(path: Path) -> bool:
-    """Whether a living process has `path` open as a DiskFile. Raises OSError."""
+    """Return whether a running process has `path` open as a DiskFile.
+
+    Raises:
+        OSError: The file cannot be opened.
+    """
     fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)
     try:
         return is_locked(fd)
@@ -48,7 +52,11 @@ def is_being_written(path: Path) -> bool:
 
 
 def is_locked(fd: int) -> bool:
-    """Whether somebody else writes the file that is open as `fd`. Raises OSError."""
+    """Return whether another process writes the file that is open as `fd`.
+
+    Raises:
+        OSError: The file system has no locks.
+    """
     try:
         flock(fd, LOCK_SH | LOCK_NB)
     except BlockingIOError:
@@ -58,7 +66,7 @@ def is_locked(fd: int) -> bool:
 
 
 def _lock(fd: int) -> None:
-    """Lock for writing. Somebody who looks whether it is locked is in the way for a moment only."""
+    """Lock for writing. Retry for a while, because `is_locked` holds the lock for a moment."""
     for _ in range(_LOCK_TRIES):
         try:
             flock(fd, LOCK_EX | LOCK_NB)
@@ -84,18 +92,22 @@ def _sync_folder(folder: Path) -> None:
 class DiskFile:
     """A new file on disk, private to its owner, locked while it is open.
 
-    The kernel gets each `write_at` as one `pwritev` where it can.
+    Each `write_at` is one `pwritev` if possible.
     """
 
     def __init__(self, path: Path, *, new: bool = True) -> None:
-        """Create `path`, which must not exist, or open it if not `new`. Raises OSError."""
+        """Create `path`, which must not exist, or open it if not `new`.
+
+        Raises:
+            OSError: The file cannot be created or opened.
+        """
         flags = os.O_WRONLY | os.O_NOFOLLOW
         if new:
             flags |= os.O_CREAT | os.O_EXCL
         self._fd = open_private(path, flags)
         try:
             _lock(self._fd)
-            _sync_folder(path.parent)  # the name itself must survive a power cut, too
+            _sync_folder(path.parent)  # the name must survive a power cut, too
         except BaseException:
             os.close(self._fd)
             if new:
@@ -104,7 +116,11 @@ class DiskFile:
             raise
 
     def write_at(self, parts: Sequence[Buffer], offset: int) -> None:
-        """Write all of `parts` at `offset`. Raises OSError."""
+        """Write all of `parts` at `offset`.
+
+        Raises:
+            OSError: The disk is full or fails.
+        """
         rest = [memoryview(part) for part in parts if len(part)]
         while rest:
             written = os.pwritev(self._fd, rest[:MAX_PARTS], offset)
@@ -117,17 +133,29 @@ class DiskFile:
                 rest[0] = rest[0][written:]
 
     def truncate(self, size: int) -> None:
-        """Cut the file to `size` bytes. Raises OSError."""
+        """Cut the file to `size` bytes.
+
+        Raises:
+            OSError: The disk fails.
+        """
         os.ftruncate(self._fd, size)
 
     def sync(self) -> None:
-        """Force the data to the disk. Raises OSError, also where somebody has removed the file."""
+        """Force the data to the disk.
+
+        Raises:
+            OSError: The disk fails, or the file was removed.
+        """
         os.fdatasync(self._fd)
         if os.fstat(self._fd).st_nlink == 0:
-            raise OSError(errno.ENOENT, "somebody has removed the file")
+            raise OSError(errno.ENOENT, "the file was removed")
 
     def close(self) -> None:
-        """Close the descriptor; closing twice is harmless. Raises OSError."""
+        """Close the descriptor; closing twice is harmless.
+
+        Raises:
+            OSError: The disk fails.
+        """
         descriptor, self._fd = self._fd, -1
         if descriptor >= 0:
             os.close(descriptor)

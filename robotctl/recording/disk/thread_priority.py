@@ -1,4 +1,4 @@
-"""Ranking a thread that works in the background below those that somebody waits for."""
+"""Lower the scheduling priority of a background thread."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from contextlib import suppress
 from typing import Final
 
 SLICE_NS: Final = 20_000_000
-"""Since Linux 6.12 a thread that wakes up displaces one whose slice is longer than its own, which
-is 3 ms unless it asks for another; the end of a shorter one it has to wait for."""
+"""Time slice of the thread. Since Linux 6.12 a waking thread preempts one with a longer slice than
+its own (3 ms by default), and waits for the end of a shorter one."""
 
 _SCHED_SETATTR: Final = {"x86_64": 314, "aarch64": 274}
-"""The number of the system call; no library wraps it."""
+"""Number of the system call, which no library wraps."""
 
 
 class _Attributes(ctypes.Structure):
-    """`struct sched_attr`, its first version; sched_setattr(2)."""
+    """`struct sched_attr`, first version; see sched_setattr(2)."""
 
     _fields_ = (
         ("size", ctypes.c_uint32),
@@ -32,9 +32,10 @@ class _Attributes(ctypes.Structure):
 
 
 def rank_below(nice: int) -> None:
-    """Let the calling thread, and it alone, displace no other and be displaced by any that wakes.
+    """Let the calling thread preempt no other thread, and be preempted by each that wakes.
 
-    Its share, where all cores are busy, is that of its niceness, `nice` more than before.
+    When all cores are busy, its share of CPU time is that of its niceness, increased by `nice`.
+    Other threads are not affected.
     """
     os.nice(nice)
     with suppress(OSError):  # a container may forbid it

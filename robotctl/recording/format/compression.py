@@ -1,4 +1,4 @@
-"""The compressions that the recorder offers, listed here and nowhere else."""
+"""The compressions that the recorder offers; this is the only list of them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import Enum
 
 
 class Compression(Enum):
-    """How the recorder stores chunks; the value is the one of `recording.compression`."""
+    """How the recorder stores chunks; the values are those of `recording.compression`."""
 
     ZSTD = "zstd"
     NONE = "none"

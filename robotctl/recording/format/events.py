@@ -17,12 +17,12 @@ from robotctl.recording.format.metadata_names import EVENT_RECORD
 from robotctl.recording.format.records import MAX_TIME_NS
 
 MAX_LAPS = 1_000_000
-"""What claims more is no drive of ours."""
+"""A record that claims more was not written by robotctl."""
 
 
 @dataclass(frozen=True, slots=True)
 class RecordedEvent:
-    """One event; `log_ns` since the epoch, `laps` those of a drive that ended."""
+    """One event; `log_ns` since the epoch, `laps` of the drive that ended."""
 
     kind: EventKind
     log_ns: int
@@ -30,7 +30,7 @@ class RecordedEvent:
     laps: int = 0
 
     def values(self) -> Mapping[str, str]:
-        """As the metadata of a file holds it."""
+        """Return the event as the metadata of a file holds it."""
         values = {"kind": self.kind.value, "log_ns": str(self.log_ns), "text": self.text}
         if self.kind is EventKind.DRIVE_ENDED:
             values["laps"] = str(self.laps)
@@ -38,7 +38,12 @@ class RecordedEvent:
 
     @classmethod
     def from_values(cls, values: Mapping[str, str]) -> Self:
-        """The event in the metadata of a file. Raises ValueError or KeyError where it is none."""
+        """Return the event in the metadata of a file.
+
+        Raises:
+            ValueError: A value is not allowed.
+            KeyError: A value is missing.
+        """
         log_ns, laps = int(values["log_ns"]), int(values.get("laps", 0))
         if not (0 <= log_ns <= MAX_TIME_NS and 0 <= laps <= MAX_LAPS):
             raise ValueError("a number is out of range")
@@ -46,7 +51,7 @@ class RecordedEvent:
 
 
 def events_in(metadata: Iterable[Metadata]) -> list[RecordedEvent]:
-    """The events among these records, in their order; what is not understood is passed over."""
+    """Return the events among these records, in their order; unknown records are skipped."""
     events = []
     for record in metadata:
         if record.name == EVENT_RECORD:

@@ -14,7 +14,7 @@ TYPE_NAME = "robot_controller/msg/JournalEntry"
 
 
 MAX_TEXT_BYTES = 256 << 10
-"""The JSON of an entry. A request that reaches the kernel has at most 64 kB, a snapshot some."""
+"""Maximum size of the JSON of an entry. A request to the kernel has at most 64 kB."""
 
 
 class EntryKind(IntEnum):
@@ -26,7 +26,7 @@ class EntryKind(IntEnum):
 
 
 class JournalEntry(NamedTuple):
-    """One entry: `seq` counts from 0 without a gap, `t_ns` is steady, `data` is JSON."""
+    """One entry: `seq` counts from 0 without gaps, `t_ns` is steady time, `data` is JSON."""
 
     seq: int
     t_ns: int
@@ -52,13 +52,17 @@ def encode(entry: JournalEntry) -> bytes:
 
 
 def decode(serialized: bytes) -> JournalEntry:
-    """Return the entry that `encode` wrote; raises UnreadableFile where it is not one."""
+    """Return the entry that `encode` wrote.
+
+    Raises:
+        UnreadableFile: The bytes are not a journal entry.
+    """
     try:
         encapsulation, seq, t_ns, kind, name_size = _HEAD.unpack_from(serialized)
         if encapsulation[:2] != LITTLE_ENDIAN:
             raise ValueError("not little-endian CDR")
         if kind >= len(_KINDS):
-            raise ValueError(f"{kind} is no kind of entry")
+            raise ValueError(f"{kind} is not a kind of entry")
         start = _HEAD.size
         name = serialized[start : start + name_size - 1].decode()
         start += name_size + -name_size % 4

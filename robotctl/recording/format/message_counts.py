@@ -1,4 +1,4 @@
-"""The counters of the loss ledger, listed here and nowhere else."""
+"""The counters of the loss ledger; this is the only list of them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Final
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MessageCounts:
-    """What became of messages: received = written + queued + dropped."""
+    """What happened to messages: received = written + queued + dropped."""
 
     received: int = 0
     written: int = 0
@@ -19,16 +19,16 @@ class MessageCounts:
     """Sent between two messages that were received: gaps in a publisher's sequence numbers."""
 
     unseen: int = 0
-    """Sent by a publisher before the first of its messages that was received."""
+    """Sent by a publisher before its first message that was received."""
 
     not_repeated: int = 0
-    """Latched messages that later files lack at their beginning: no memory, or no room there."""
+    """Latched messages that later files do not repeat, for lack of memory or room in the file."""
 
 
 COUNTERS: Final = tuple(field.name for field in fields(MessageCounts))
 
 
 def total(counts: Iterable[MessageCounts]) -> dict[str, int]:
-    """Return the sum of each counter, by its name."""
+    """Return the sum of each counter, by name."""
     each = list(counts)
     return {name: sum(getattr(one, name) for one in each) for name in COUNTERS}

@@ -1,4 +1,4 @@
-"""What marks a file as ours, and the names of the metadata records in it."""
+"""The names in header and metadata by which robotctl recognizes its own files and records."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ import robotctl
 
 PROFILE = "ros2"
 OWN_LIBRARY = "robotctl "
-"""What the library in the header of a file of ours begins with."""
+"""The beginning of the library name in the header of each file that robotctl writes."""
 
 LIBRARY = OWN_LIBRARY + robotctl.__version__
 INFO_RECORD = "robotctl"
-"""What the daemon says about itself and the robot when a file begins."""
+"""The robot, and what made the recording; written when a file begins."""
 
 EVENT_RECORD = "robotctl.event"
-"""Something to look for in the recording, written as it happens: see `events`."""
+"""One event of the recording, written as it happens: see `events`."""
 
 LEDGER_RECORD = "robotctl.ledger"
-"""The loss ledger since the recording began, one JSON object per topic; the last thing written:
-then the file is finished. Queued is what came while the file was being finished."""
+"""The loss ledger since the recording began, one JSON object per topic. It is the last record of a
+finished file. Its queued messages arrived while the file was being finished."""
 
 CLIP_RECORD = "robotctl.clip"
-"""In a file made by `clip`: out of which recording, around what, and what of it is missing."""
+"""In a clip: the recording it was cut from, the event, and what is missing."""
 
 RECOVERY_RECORD = "robotctl.recovery"
-"""In a file made by `recover`: from which file, and what is lost."""
+"""In a recovered file: the file it was made from, and what is lost."""
 
 MADE_BY = f"Python {platform.python_version()}, {' '.join(platform.libc_ver())}".rstrip()
-"""Where floats come from: the last bit of sin and cos belongs to Python and libc."""
+"""Python and libc: the last bit of sin and cos depends on them."""

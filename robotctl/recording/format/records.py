@@ -1,7 +1,7 @@
-"""The MCAP format as far as it is written: the records, and the bytes of a chunk.
+"""The parts of the MCAP format that are written: records, and the bytes of a chunk.
 
-Specification: https://mcap.dev/spec. The records come from the `mcap` package, except for what
-is written per message or per chunk (message, message index, head of a chunk).
+Specification: https://mcap.dev/spec. The records come from the `mcap` package, except those written
+per message or per chunk (message, message index, head of a chunk).
 """
 
 from __future__ import annotations
@@ -24,27 +24,27 @@ PlainMessage = tuple[int, bytes, int, int, int]
 
 MAX_TIME_NS: Final = 2**64 - 1
 MAX_SEQUENCE: Final = 2**32 - 1
-"""What the fields of the format hold: larger times are clamped, sequence numbers wrap."""
+"""Limits of the fields of the format: larger times are clamped, sequence numbers wrap."""
 
 MESSAGE_HEAD: Final = struct.Struct("<BQHIQQ")
-"""opcode, record length, channel id, sequence, log time [ns], publish time [ns]."""
+"""Opcode, record length, channel id, sequence, log time [ns], publish time [ns]."""
 
 MESSAGE_FIELDS_BYTES: Final = 22
-"""What the record length of a message counts besides its data."""
+"""The part of a message's record length that is not its data."""
 
 RECORD_HEAD_BYTES: Final = 9
-"""What precedes the content of each record: its opcode, and the length of the content."""
+"""Opcode and content length, before the content of each record."""
 
 UNWRITTEN_CHUNK: Final = b"\x86"
-"""An opcode of ours in place of a chunk's while the chunk is being written: the specification
-leaves 0x80 and above to applications, and readers skip what they do not know."""
+"""Private opcode in place of a chunk's while the chunk is being written. The specification reserves
+0x80 and above for applications, and readers skip unknown opcodes."""
 
 _CHUNK_HEAD = struct.Struct("<BQQQQI")
 _MESSAGE_INDEX_HEAD = struct.Struct("<BQHI")
 
 
 def record_bytes(record: McapRecord) -> bytes:
-    """The record as it stands in a file, with opcode and length."""
+    """Return the record as it stands in a file, with opcode and length."""
     builder = RecordBuilder()
     record.write(builder)
     data: bytes = builder.end()  # the package leaves it untyped
@@ -53,11 +53,11 @@ def record_bytes(record: McapRecord) -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """Messages to be written as one MCAP chunk.
+    """Messages to write as one MCAP chunk.
 
-    `parts` are the chunk's records as they will be stored (compressed or not); `indexes` gives,
-    for each channel in it, an array('Q') of log time [ns] and offset in the uncompressed chunk,
-    alternating; start and end are the lowest and highest log time [ns].
+    `parts` are the chunk's records as they will be stored (compressed or not). `indexes` gives, for
+    each channel in it, an array('Q') that alternates log time [ns] and offset in the uncompressed
+    chunk. `start_ns` and `end_ns` are the lowest and highest log time [ns].
     """
 
     parts: Sequence[Buffer]
@@ -75,31 +75,31 @@ class Chunk:
 
 
 class PlacedChunk(NamedTuple):
-    """A chunk as it stands at one place of a file: its record, then its message indexes."""
+    """A chunk at a certain offset of a file: its record, then its message indexes."""
 
     head: bytes
-    """The record's beginning, before the stored messages."""
+    """The beginning of the record, before the stored messages."""
 
     parts: Sequence[Buffer]
-    """The stored messages, the rest of the record."""
+    """The stored messages, which are the rest of the record."""
 
     message_indexes: bytes
     entry: ChunkIndex
-    """What the summary says of it."""
+    """The entry of the chunk in the summary."""
 
     @property
     def indexes_offset(self) -> int:
-        """Where the message indexes begin, behind the record."""
+        """Where the message indexes begin, after the record."""
         return self.entry.chunk_start_offset + self.entry.chunk_length
 
     @property
     def end(self) -> int:
-        """The offset behind record and message indexes."""
+        """The offset after record and message indexes."""
         return self.indexes_offset + self.entry.message_index_length
 
 
 def place(chunk: Chunk, offset: int) -> PlacedChunk:
-    """The chunk as it stands at `offset` of a file."""
+    """Return the chunk as it stands at `offset` of a file."""
     compression = chunk.compression.encode()
     stored_size = chunk.stored_size
     head = (

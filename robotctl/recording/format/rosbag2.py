@@ -1,7 +1,8 @@
-"""rosbag2's own layout: a folder, its `metadata.yaml` (version 9), and the same text in each file.
+"""rosbag2's layout: a folder, its `metadata.yaml` (version 9), and the same text in each file.
 
-Written as rosbag2 of Jazzy writes it, so that `ros2 bag info` and `ros2 bag play` take the folder.
-The text is put together here: a YAML emitter would hold the interpreter for 50 ms at each split.
+Written as rosbag2 of Jazzy writes it, so that `ros2 bag info` and `ros2 bag play` accept the
+folder. The text is formatted here, because a YAML emitter would hold the interpreter lock for 50 ms
+at each split.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ METADATA_FILE = "metadata.yaml"
 METADATA_RECORD = "rosbag2"
 _VERSION = 9
 _MAX_METADATA_CHARACTERS = 4 << 20
-"""Of a `metadata.yaml`: room for 8,000 topics; what comes later is not looked at."""
+"""Maximum that is read of a `metadata.yaml`: room for 8,000 topics."""
 
 _NO_START_NS = 2**63 - 1
 """What rosbag2 writes as the start of a recording without messages."""
@@ -55,12 +56,16 @@ class BagFile:
 
 
 def serialized_metadata(topics: Iterable[Topic], files: Sequence[BagFile]) -> str:
-    """The body of `metadata.yaml`, without its root key."""
+    """Return the body of `metadata.yaml`, without its root key."""
     return "\n".join(_body(topics, files))
 
 
 def write_metadata(folder: Path, topics: Iterable[Topic], files: Sequence[BagFile]) -> None:
-    """Write `metadata.yaml` into `folder`, whole or not at all. Raises OSError."""
+    """Write `metadata.yaml` into `folder`, completely or not at all.
+
+    Raises:
+        OSError: It cannot be written.
+    """
     lines = ["rosbag2_bagfile_information:", *_indented(_body(topics, files), 2), ""]
     unfinished = folder / f".{METADATA_FILE}.tmp"
     descriptor = open_private(unfinished, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW)
@@ -73,19 +78,20 @@ def write_metadata(folder: Path, topics: Iterable[Topic], files: Sequence[BagFil
 
 
 def metadata_text(path: Path) -> str:
-    """The `metadata.yaml` of a recording, a folder or one of its files; "" if none can be read."""
+    """Return the `metadata.yaml` of a recording (a folder or one of its files), or ""."""
     try:
         folder = path if path.is_dir() else path.parent
         with TextIOWrapper(open_regular(folder / METADATA_FILE), encoding="utf-8") as stream:
             return stream.read(_MAX_METADATA_CHARACTERS)
     except (OSError, ValueError):
-        return ""  # the files speak for themselves
+        return ""
 
 
 def files_in(text: str) -> list[str]:
-    """The file names in the text of a `metadata.yaml`; none where there is no such list.
+    """Return the file names in the text of a `metadata.yaml`; empty if there is no such list.
 
-    Only the list as rosbag2 and we write it, a line each: a YAML parser takes a second for 1 MB.
+    Only the list as rosbag2 and robotctl write it, one name per line, is understood: a YAML parser
+    takes a second for 1 MB.
     """
     block = _FILE_LIST.search(text)
     if block is None:
@@ -95,12 +101,12 @@ def files_in(text: str) -> list[str]:
 
 
 def message_counts_in(text: str) -> dict[str, int]:
-    """The messages that the text of a `metadata.yaml` counts in each file, by its name."""
+    """Return the message count of each file, by file name, from the text of a `metadata.yaml`."""
     return {Path(name.strip("\"' ")).name: int(count) for name, count in _FILE_COUNT.findall(text)}
 
 
 def total_count_in(text: str) -> int:
-    """The messages that the text of a `metadata.yaml` counts in all files; 0 if it does not."""
+    """Return the message count of all files from the text of a `metadata.yaml`; 0 without one."""
     found = _TOTAL_COUNT.search(text)
     return int(found[1]) if found else 0
 
@@ -164,13 +170,13 @@ def _indented(lines: Iterable[str], columns: int) -> list[str]:
 
 
 def _quoted(text: str) -> str:
-    """A double-quoted scalar: JSON's is YAML's, as far as names of topics and files go."""
+    """Return a double-quoted scalar. JSON and YAML agree for the names of topics and files."""
     return json.dumps(text, ensure_ascii=not text.isprintable())
 
 
 @lru_cache(maxsize=256)
 def _qos_lines(text: str) -> Sequence[str]:
-    """The lines of a list of profiles; none where the text is anything else, for readers insist."""
+    """Return the lines of a list of profiles; none for other text, which readers would reject."""
     lines = text.rstrip().split("\n")
     if not lines[0].startswith("- ") or not all(map(_QOS_LINE.fullmatch, lines)):
         return ()

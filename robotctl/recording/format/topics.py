@@ -1,4 +1,4 @@
-"""What is known and counted about each recorded topic."""
+"""What a file says about a topic, and the counts of one."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from robotctl.recording.format.message_counts import MessageCounts, total
 class Topic:
     """What a file says about a topic.
 
-    `definition` is the ros2msg text ("" if unknown); `offered_qos` the YAML list that rosbag2
+    `definition` is the ros2msg text, "" if unknown. `offered_qos` is the YAML list that rosbag2
     writes, one entry per publisher.
     """
 
@@ -25,7 +25,7 @@ class Topic:
 
     @property
     def latched(self) -> bool:
-        """Whether a publisher offers its last message to those who come later."""
+        """Whether a publisher offers its last message to late subscribers."""
         return "durability: transient_local" in self.offered_qos
 
 
@@ -39,7 +39,7 @@ class TopicStats(MessageCounts):
 
 
 def by_topic(channels: Iterable[TopicStats]) -> list[TopicStats]:
-    """Return one entry for each topic and type, in their order: several channels may share it."""
+    """Return one entry for each topic and type, in their order, as the sum of its channels."""
     groups: dict[tuple[str, str], list[TopicStats]] = {}
     for channel in channels:
         groups.setdefault((channel.name, channel.type_name), []).append(channel)

@@ -1,4 +1,4 @@
-"""What stands behind the data of an MCAP file: DataEnd, summary, footer, magic."""
+"""What follows the data of an MCAP file: DataEnd, summary, footer, magic."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ _GROUPS = (
     Opcode.CHUNK_INDEX,
     Opcode.STATISTICS,
 )
-"""In the order in which they stand. What each chunk changes comes last, so that a commit which
-adds nothing but a chunk writes only the end of the summary again."""
+"""In the order in the file. What each chunk changes comes last, so that a commit that adds only a
+chunk rewrites only the end of the summary."""
 
 _CRC = struct.Struct("<I")
 _DATA_END_BYTES = 13
 FOOTER_BYTES = 29 + len(MAGIC)
-"""Of footer and magic."""
+"""Size of footer and magic."""
 
 
 @dataclass(frozen=True, slots=True)
 class WrittenFile:
     """The end of a valid file without attachments, as it was read.
 
-    `data_end` is the offset of its DataEnd record, `data_crc` the checksum therein; `groups`
-    holds the summary's records by their opcode, the way they stand there.
+    `data_end` is the offset of its DataEnd record, `data_crc` the checksum in it. `groups` holds
+    the records of the summary, concatenated, by their opcode.
     """
 
     data_end: int
@@ -50,7 +50,7 @@ class WrittenFile:
 
 @dataclass(frozen=True, slots=True)
 class TrailerState:
-    """What a file held at one moment: enough to make the trailer of then, also later."""
+    """What a file held at one moment: enough to write the trailer of that moment again."""
 
     data_end: int
     data_crc: int
@@ -60,15 +60,15 @@ class TrailerState:
 
     @property
     def kept_bytes(self) -> int:
-        """How far the trailer's bytes stay the same when nothing but a chunk is added."""
+        """Bytes at the beginning of the trailer that do not change when only a chunk is added."""
         return _DATA_END_BYTES + sum(self.group_sizes.values())
 
     def distant_footer(self) -> bytes:
-        """Footer and magic for an end of the file that leads back to this trailer, where it is."""
+        """Return footer and magic for a later end of the file that point back to this trailer."""
         return record_bytes(Footer(self.data_end + _DATA_END_BYTES, 0, 0)) + MAGIC
 
     def moved_to(self, data_end: int) -> TrailerState:
-        """The same content behind more data, whose checksum is not given (0)."""
+        """Return the same content after more data, whose checksum is left out (0)."""
         return replace(self, data_end=data_end, data_crc=0)
 
 
@@ -79,7 +79,7 @@ class Trailer(NamedTuple):
     """The DataEnd record."""
 
     summary: list[Buffer]
-    """The groups, one behind the other."""
+    """The groups, in their order."""
 
     offsets: bytes
     """The summary offsets."""
@@ -89,16 +89,16 @@ class Trailer(NamedTuple):
 
     @property
     def parts(self) -> list[Buffer]:
-        """All of it."""
+        """All parts."""
         return [*self.before_footer, self.footer]
 
     @property
     def before_footer(self) -> list[Buffer]:
-        """All but footer and magic."""
+        """All parts but footer and magic."""
         return [self.data_end, *self.summary, self.offsets]
 
     def behind(self, position: int) -> list[Buffer]:
-        """What stands `position` bytes behind its beginning, and after that."""
+        """Return everything from `position` bytes after the beginning of the trailer."""
         parts: list[Buffer] = []
         for part in self.parts:
             parts.append(memoryview(part)[max(position, 0) :])
@@ -107,29 +107,29 @@ class Trailer(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Bytes."""
+        """Size in bytes."""
         return sum(map(len, self.parts))
 
 
 class Summary:
-    """What the file holds and where; it only grows."""
+    """What the file holds and where. Records are only added."""
 
     def __init__(self) -> None:
         self.counts: dict[int, int] = {}
-        """Messages per channel id, of channels that have any."""
+        """Messages per channel id, of channels with messages."""
 
         self.start_ns = 0
-        """Lowest log time in the file [ns]; 0 while it holds no message."""
+        """Lowest log time in the file [ns]; 0 without messages."""
 
         self.end_ns = 0
-        """Highest log time in the file [ns]; 0 while it holds no message."""
+        """Highest log time in the file [ns]; 0 without messages."""
 
         self._groups = {opcode: bytearray() for opcode in _GROUPS}
         self._numbers: Counter[Opcode] = Counter()
 
     @classmethod
     def of(cls, written: WrittenFile) -> Self:
-        """That of a file which is to be continued."""
+        """Return the summary of a file that is to be continued."""
         self = cls()
         for opcode, group in self._groups.items():
             group += written.groups.get(opcode, b"")
@@ -145,11 +145,11 @@ class Summary:
 
     @property
     def index_bytes(self) -> int:
-        """Bytes that the index of the chunks takes."""
+        """Size of the chunk index in bytes."""
         return len(self._groups[Opcode.CHUNK_INDEX])
 
     def add(self, opcode: Opcode, record: bytes) -> None:
-        """Take in a record that stands in the summary."""
+        """Add a record of the summary."""
         self._groups[opcode] += record
         self._numbers[opcode] += 1
 
@@ -162,7 +162,7 @@ class Summary:
             self.counts[channel] = self.counts.get(channel, 0) + len(entries) // 2
 
     def go_back_to(self, state: TrailerState | None) -> None:
-        """Count again what was counted at `state`, after a write that failed; None: nothing."""
+        """Restore the counts of `state` after a failed write; None means no messages."""
         counted = None
         if state is not None:
             content = BytesIO(state.statistics[RECORD_HEAD_BYTES:])
@@ -172,7 +172,7 @@ class Summary:
         self.end_ns = counted.message_end_time if counted else 0
 
     def state(self, data_end: int, data_crc: int) -> TrailerState:
-        """The state of now; `data_end` is where the data ends, `data_crc` their checksum."""
+        """Return the current state; `data_end` is where the data ends, `data_crc` its checksum."""
         statistics = Statistics(
             attachment_count=self._numbers[Opcode.ATTACHMENT_INDEX],
             channel_count=self._numbers[Opcode.CHANNEL],
@@ -192,7 +192,7 @@ class Summary:
         )
 
     def trailer(self, state: TrailerState) -> Trailer:
-        """The trailer that belongs to `state`."""
+        """Return the trailer for `state`."""
         data_end = record_bytes(DataEnd(data_section_crc=state.data_crc))
         summary_start = state.data_end + len(data_end)
         groups: list[Buffer] = []

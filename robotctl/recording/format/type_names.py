@@ -1,4 +1,4 @@
-"""The names of types as recordings of different tools hold them."""
+"""The names of types, as recordings of different tools store them."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ _TWO_PARTS = re.compile(r"([a-z][a-z0-9_]*)/([A-Z][A-Za-z0-9]*)")
 
 
 def type_name_of(channel: Channel, schema: Schema | None) -> str:
-    """Return the type of a channel, "" where it has none.
+    """Return the type of a channel, "" if it has none.
 
-    `pkg/T`, as some tools write for messages of ROS 2, is `pkg/msg/T`.
+    `pkg/T`, which some tools write for ROS 2 messages, becomes `pkg/msg/T`.
     """
     name = schema.name if schema else ""
     if channel.message_encoding != "cdr":

@@ -1,4 +1,4 @@
-"""The files of one recording folder, in rosbag2's layout. Synchronous: the writer thread's part."""
+"""The files of one recording folder, in rosbag2's layout. Used by the writer thread only."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ from robotctl.recording.write.recorder_options import RecorderOptions
 from robotctl.recording.write.recording_file import RecordingFile
 
 METADATA_PERIOD_S = 10.0
-"""How old the counts in `metadata.yaml` may be; those in the file itself are always its own."""
+"""Maximum age of the counts in `metadata.yaml`; the counts in an MCAP file are always current."""
 
 MAX_EVENTS = 1000
-"""In one file: each takes room in the summary, which is rewritten four times a second."""
+"""Maximum per file: each event takes room in the summary, which is written four times a second."""
 
 MAX_INDEX_BYTES = 8 << 20
-"""Of chunks, in one file: each adds 10 bytes for each topic in it to what is rewritten."""
+"""Maximum size of the chunk index of a file: each chunk adds 10 bytes for each topic in it."""
 
 
 class BagWriter:
-    """Writes chunks of messages into the folder's current file, and begins the next one in time.
+    """Writer of the files of one folder: writes chunks, and begins the next file in time.
 
-    Not thread-safe. `channels` may grow; a topic's position in it is its channel id. Every
-    method may raise OSError; after that only `abandon` may be called.
+    Not thread-safe. `channels` may grow; a channel's position in it is its channel id. Every method
+    may raise OSError; after that only `abandon` may be called.
     """
 
     def __init__(
@@ -47,10 +47,11 @@ class BagWriter:
         on_split: Callable[[Path], None] = lambda path: None,
         on_full: Callable[[Path], None] | None = None,
     ) -> None:
-        """Create the first file in `folder`, which exists; `on_split` gets each later one.
+        """Create the first file in `folder`, which must exist.
 
-        `metadata` is asked when a file begins, for what is kept in it. A full file is followed by
-        the next one, or, where there is `on_full`, that is called with it, once.
+        `metadata` is called for each file and returns what is stored in it. `on_split` is called
+        with the path of each later file. A full file is followed by the next one; with `on_full`,
+        that is called instead, once for each file.
         """
         self._folder = folder
         self._options = options
@@ -62,10 +63,11 @@ class BagWriter:
         self._finished: list[BagFile] = []
         self._finished_bytes = 0
         self._newest_ns = 0
-        """Highest log time in the last chunk; not in all: the clock may have been set back."""
+        """Highest log time in the last chunk. The file may hold a higher one if the clock was set
+        back."""
 
         self.warning = ""
-        """What the operator should know before it becomes an error."""
+        """A sentence about a problem that may become an error, or ""."""
 
         self.check_space()
         self._listed_topics = 0
@@ -88,7 +90,8 @@ class BagWriter:
     def write(self, packed: PackedMessages) -> None:
         """Write `packed` as a chunk, and count its messages as written.
 
-        Raises OutOfMemory; the next chunk may be written all the same.
+        Raises:
+            OutOfMemory: The chunk is not written; the next one may be.
         """
         self._replace_full()
         self._file.write(packed)
@@ -97,20 +100,20 @@ class BagWriter:
             self._channels[channel].written += len(index) // 2
 
     def write_topics(self) -> None:
-        """Write the topics that were added, also if they have no message yet."""
+        """Write the topics that were added, even if they have no messages yet."""
         self._file.write_topics()
 
     def write_event(self, event: RecordedEvent) -> None:
-        """Name `event` in the current file."""
+        """Write `event` into the metadata of the current file."""
         self._replace_full()
         self._file.write_event(event)
 
     def sync(self) -> None:
-        """Force what was written to the disk."""
+        """Force the written data to the disk."""
         self._file.sync()
 
     def split(self) -> None:
-        """Finish the current file and go on in the next one, which repeats latched messages."""
+        """Finish the current file and continue in a new one, which repeats the latched messages."""
         successor = self._new_file()
         try:
             self._file.finish()
@@ -133,11 +136,15 @@ class BagWriter:
             for channel, *_ in messages:
                 self._channels[channel].not_repeated += 1
         self._write_metadata()
-        with suppress(Exception):  # a listener that is gone must not stop the recording
+        with suppress(Exception):  # a failing listener must not stop the recording
             self._on_split(successor.path)
 
     def check_space(self) -> None:
-        """Warn when the disk gets full; raises OSError before it is."""
+        """Set `warning` when disk space is low.
+
+        Raises:
+            OSError: Less than `stop_free_bytes` are left.
+        """
         free = self._options.free_space(self._folder)
         stop, warn = self._options.stop_free_bytes, self._options.warn_free_bytes
         if free < stop:
@@ -147,28 +154,30 @@ class BagWriter:
             self.warning = f"{_mb(free)} left on the disk; recording stops at {_mb(stop)}"
 
     def list_new_topics(self) -> None:
-        """Have `metadata.yaml` name the topics that are new; a player reads no others."""
+        """Write `metadata.yaml` if there are new topics: a player reads only the topics listed
+        there.
+        """
         if len(self._channels) > self._listed_topics:
             self._write_metadata()
 
     def refresh_metadata(self) -> None:
-        """Have `metadata.yaml` tell what is there by now; counts and times from time to time.
+        """Write `metadata.yaml` if it is older than METADATA_PERIOD_S or lists a removed file.
 
-        A player that opens a folder believes it. Retention removes the oldest file first.
+        Players rely on it. Retention removes the oldest file first, so only that one is checked.
         """
         removed = bool(self._finished) and not self._is_there(self._finished[0])
         if removed or time.monotonic() >= self._metadata_due:
             self._write_metadata()
 
     def close(self) -> None:
-        """Finish the file and the folder."""
+        """Finish the current file and `metadata.yaml`."""
         self._file.finish()
         self._write_metadata()
 
     def abandon(self) -> None:
-        """After an OSError: leave the file as the last good write had left it."""
+        """Restore the file to its state after the last good write. Call it after an OSError."""
         self._file.abandon()
-        with suppress(OSError):  # on a full disk: the one written before stays
+        with suppress(OSError):  # on a full disk the previous one stays
             self._write_metadata()
 
     def _replace_full(self) -> None:
@@ -192,7 +201,7 @@ class BagWriter:
         while True:
             path = self._folder / f"{self._folder.name}_{self._files_begun}.mcap"
             self._files_begun += 1
-            with suppress(FileExistsError):  # somebody's: nothing is overwritten
+            with suppress(FileExistsError):  # never overwrite a file
                 return RecordingFile(path, self._options, self._metadata(), self._channels)
 
     def _write_metadata(self) -> None:
@@ -214,7 +223,11 @@ def begin_bag(
     on_split: Callable[[Path], None],
     on_full: Callable[[Path], None] | None,
 ) -> BagWriter:
-    """Create `folder` and its writer. Raises Refused where that cannot be, and leaves nothing."""
+    """Create `folder` and its writer.
+
+    Raises:
+        Refused: The folder cannot be written; it is then removed again.
+    """
     created = False
     try:
         make_folder(folder, shared=options.group_readable)

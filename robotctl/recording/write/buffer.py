@@ -1,9 +1,9 @@
-"""Where messages wait, packed as MCAP records, between the loop and the writer thread.
+"""Buffers of packed MCAP records between the event loop and the writer thread.
 
-No lock: one thread packs, one other takes. The packer writes a message behind `end`, then its
-index entry, and moves `end` last; what lies below `end` never changes until the buffer is
-recycled. So the other thread may take everything below `end` at any moment. (Each of these steps
-is one bytecode or one C call under the interpreter lock.)
+There is no lock: one thread packs, another takes. The packer writes a message at `end`, then its
+index entry, and increases `end` last. Data below `end` does not change until the buffer is
+recycled, so the other thread may take it at any time. Each of these steps is one bytecode or one C
+call, and therefore atomic under the interpreter lock.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from robotctl.recording.format.records import MESSAGE_FIELDS_BYTES, MESSAGE_HEAD
 
 @dataclass(frozen=True, slots=True)
 class PackedMessages:
-    """Messages taken from a buffer.
+    """Messages taken from a buffer, as the records of an uncompressed chunk.
 
-    `parts`, one behind the other, are the records of an uncompressed chunk; `indexes` gives for
-    each channel in it an array('Q') of log time [ns] and offset in the chunk, alternating; start
-    and end are the lowest and highest log time [ns].
+    `parts`, concatenated, are the records. `indexes` gives, for each channel in it, an array('Q')
+    that alternates log time [ns] and offset in the chunk. `start_ns` and `end_ns` are the lowest
+    and highest log time [ns].
     """
 
     parts: Sequence[Buffer]
@@ -34,42 +34,47 @@ class PackedMessages:
 
 
 class PackBuffer:
-    """Room for many messages; packed by `Recorder.write`, which knows these attributes.
+    """Room for many messages. `Recorder.write` packs into it and uses these attributes directly.
 
-    `limit` is where packing must end: the packer moves on to another buffer when a message
-    would pass it. The taker sets it to 0 to ask for that. `unordered` are the channels whose log
-    times may step back in it: all others need not be searched for their lowest and highest.
+    A message that would pass `limit` does not fit; the packer then changes to another buffer. The
+    taker sets `limit` to 0 to request that. `unordered` holds the channels whose log times may step
+    back; the others need no search for their lowest and highest time.
     """
 
     __slots__ = ("_taken", "data", "end", "indexes", "limit", "size", "unordered")
 
     def __init__(self, capacity: int) -> None:
-        """Make room for `capacity` bytes of records."""
+        """Allocate `capacity` bytes for records."""
         self.data = bytearray(capacity)
         self.end = 0
         self.limit = capacity
         self.indexes: list[array[int]] = []
         self.unordered: set[int] = set()
         self.size = capacity
-        """Bytes of memory it holds, without those of its indexes before `weigh`."""
+        """Bytes of memory in use, without the indexes until `weigh` is called."""
 
         self._taken = 0
 
     def weigh(self) -> int:
-        """Add the bytes of the indexes to `size`, and return them. For the packer, at its end."""
+        """Add the bytes of the indexes to `size`, and return them. Called by the packer when it is
+        done.
+        """
         added = sum(len(index) * index.itemsize for index in self.indexes)
         self.size += added
         return added
 
     def make_indexes(self, channels: int) -> None:
-        """See that there is an index for each of so many channels. For the packer."""
+        """Create indexes for channels 0 to `channels` - 1. Called by the packer."""
         while len(self.indexes) < channels:
             self.indexes.append(array("Q"))
 
     def take(self) -> PackedMessages | None:
-        """What was packed since the last take, or None. Valid until `recycle`. For the taker.
+        """Return what was packed since the last take, or None. Called by the taker.
 
-        Raises MemoryError; then nothing is taken.
+        The result is valid until `recycle`.
+
+        Raises:
+            MemoryError: Nothing is taken.
         """
         base, end = self._taken, self.end
         if base == end:
@@ -95,7 +100,9 @@ class PackBuffer:
         return result
 
     def drop(self) -> dict[int, int]:
-        """Take what was packed and throw it away: number of messages by channel. For the taker."""
+        """Discard what was packed, and return the number of messages by channel. Called by the
+        taker.
+        """
         end = self.end
         counts = {channel: _entries_below(index, end) for channel, index in enumerate(self.indexes)}
         for channel, count in counts.items():
@@ -104,7 +111,7 @@ class PackBuffer:
         return {channel: count // 2 for channel, count in counts.items()}
 
     def recycle(self) -> None:
-        """Make it empty again. Only after a take that nothing was packed behind."""
+        """Make it empty again. Only allowed after a take that returned everything."""
         self._taken = 0
         self.end = 0
         self.limit = self.size = len(self.data)
@@ -112,30 +119,34 @@ class PackBuffer:
 
 
 class LargeMessage:
-    """One message too large for a PackBuffer, kept by reference instead of copied."""
+    """One message too large for a PackBuffer. It is kept by reference instead of copied."""
 
     __slots__ = ("_message",)
 
     def __init__(self, message: PlainMessage) -> None:
-        """Keep a message whose numbers are within the fields of the format."""
+        """Keep a message whose numbers fit into the fields of the format."""
         self._message = message
 
     @property
     def size(self) -> int:
-        """Bytes of memory it holds."""
+        """Bytes of memory in use."""
         return len(self._message[1])
 
     def take(self) -> PackedMessages:
-        """The message as a chunk of its own. Raises MemoryError."""
+        """Return the message as a chunk of its own.
+
+        Raises:
+            MemoryError: There is no memory for it.
+        """
         return pack([self._message])
 
     def drop(self) -> dict[int, int]:
-        """Its channel, and 1."""
+        """Return its channel, and the count 1."""
         return {self._message[0]: 1}
 
 
 def _entries_below(index: array[int], end: int) -> int:
-    """Numbers in the entries of messages below `end`; the packer may be adding another one."""
+    """Return the length of the index entries below `end`; the packer may be adding another one."""
     count = len(index) & ~1
     while count and index[count - 1] >= end:
         count -= 2
@@ -143,7 +154,7 @@ def _entries_below(index: array[int], end: int) -> int:
 
 
 def pack(messages: Iterable[PlainMessage]) -> PackedMessages:
-    """These messages, at least one, as one chunk, without a buffer; their data is not copied."""
+    """Return one or more messages as one chunk. Their data is not copied."""
     parts: list[Buffer] = []
     indexes: dict[int, array[int]] = {}
     times: list[int] = []

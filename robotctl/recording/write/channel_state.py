@@ -1,4 +1,4 @@
-"""What the recorder keeps and counts of each channel."""
+"""What the recorder remembers and counts for each channel."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from robotctl.recording.format.topics import Topic, TopicStats
 from robotctl.recording.write.sequence_gaps import SequenceGaps
 
 MAX_PACKERS = 128
-"""Message sizes of a topic for which a packer is kept; each takes some hundred bytes."""
+"""Maximum number of message sizes per channel with a packer; each takes a few hundred bytes."""
 
 MAX_LATCHED = 64
-"""Publishers of a topic whose last latched message is kept."""
+"""Maximum number of publishers per topic whose last latched message is kept."""
 
 Packer = tuple[Callable[..., None], bytes, int]
-"""`pack_into` of one message size, the constant first bytes, and the length of the record."""
+"""`pack_into` for one message size, the constant first bytes, and the length of the record."""
 
 
 class LatchedMessage(NamedTuple):
@@ -32,62 +32,62 @@ class LatchedMessage(NamedTuple):
 
 @dataclass(slots=True)
 class ChannelState:
-    """The running counts of one topic. Each count is changed by one thread only."""
+    """The running counts and latched messages of one channel. Only one thread changes each count."""
 
     topic: Topic
     received: int = 0
-    """By the loop, before anything else happens to the message."""
+    """Changed by the loop before it does anything else with the message."""
 
     size: int = 0
-    """By the loop: bytes of received data."""
+    """Changed by the loop: bytes of received data."""
 
     newest_ns: int = 0
-    """By the loop: log time of the last message."""
+    """Changed by the loop: log time of the last message."""
 
     not_kept: int = 0
-    """By the loop: latched messages that later files do not repeat, for there was no memory."""
+    """Changed by the loop: latched messages without memory; later files lack them."""
 
     dropped_by_loop: int = 0
-    """By the loop: dropped, for there was no room, or the recorder has ended."""
+    """Changed by the loop: dropped because there was no room, or because the recorder has ended."""
 
     gaps: SequenceGaps = field(default_factory=SequenceGaps)
     expected: dict[bytes, int] = field(init=False)
-    """The gaps's own map, one attribute nearer to the hot path."""
+    """`gaps.expected`; a shorter path for the hot path."""
 
     packers: dict[int, Packer] = field(default_factory=dict)
-    """How the recorder packs messages of a size."""
+    """Packers by message size."""
 
     latched: dict[bytes, LatchedMessage] | None = field(init=False)
-    """The last message of each publisher, by the loop; None where the topic is not latched."""
+    """The last message of each publisher, changed by the loop; None if the topic is not latched."""
 
     written: int = 0
-    """By the writer thread: in the file, below a valid footer."""
+    """Changed by the writer thread: in the file, before a valid footer."""
 
     not_repeated: int = 0
-    """By the writer thread: latched messages that a later file had no room for."""
+    """Changed by the writer thread: latched messages that a later file had no room for."""
 
     dropped_by_writer: int = 0
-    """By the writer thread: dropped from the queue, for the file has failed."""
+    """Changed by the writer thread: taken from the queue, but not written."""
 
     def __post_init__(self) -> None:
-        """Reach through to the gaps, and see whether the topic is latched."""
+        """Set `expected`, and `latched` if the topic is latched."""
         self.expected = self.gaps.expected
         self.latched = {} if self.topic.latched else None
 
     def keep_latched(
         self, gid: bytes, data: Buffer, log_ns: int, publish_ns: int, sequence: int, room: int
     ) -> int:
-        """Remember the last message of publisher `gid` where `room` bytes are enough for it.
+        """Keep the last message of publisher `gid` if it fits into `room` bytes.
 
-        Returns by how many bytes the memory that is taken has grown. What has no room is counted
-        in `not_kept`; the older message is not kept in its place, for it holds no more.
+        Return the change in memory use [bytes]. A message that does not fit is counted in
+        `not_kept`; the older message is discarded too, because it is out of date.
         """
         if self.latched is None:
             return 0
         before = self.latched.pop(gid, None)
         freed = len(before.data) if before else 0
         try:
-            own = bytes(data) if len(data) <= room + freed else None  # of bytes this is no copy
+            own = bytes(data) if len(data) <= room + freed else None  # no copy if it is bytes
         except MemoryError:
             own = None
         if own is None:
@@ -101,19 +101,19 @@ class ChannelState:
         return len(own) - freed
 
     def latched_messages(self) -> list[LatchedMessage]:
-        """A copy, for the writer thread."""
+        """Return a copy, for the writer thread."""
         return list(self.latched.values()) if self.latched else []
 
     @property
     def settled(self) -> bool:
-        """No message of the topic is queued or being packed."""
-        received = self.received  # read first: then a message in the making cannot be overlooked
+        """Whether no message of the channel is queued or being packed."""
+        received = self.received  # read first, or a message that is being packed could be missed
         return received == self.written + self.dropped_by_writer + self.dropped_by_loop
 
     def stats(self) -> TopicStats:
-        """A copy in which the counts agree."""
+        """Return a copy in which the counts agree."""
         written, dropped = self.written, self.dropped_by_loop + self.dropped_by_writer
-        received = self.received  # read last: the others never overtake it
+        received = self.received  # read last, so that queued is never negative
         return TopicStats(
             name=self.topic.name,
             type_name=self.topic.type_name,

@@ -1,4 +1,4 @@
-"""Turning packed messages into what a chunk record holds."""
+"""Encodes packed messages as chunks."""
 
 from __future__ import annotations
 
@@ -14,30 +14,35 @@ from robotctl.recording.format.records import Chunk
 from robotctl.recording.write.buffer import PackedMessages
 
 _CACHED = {"window_log": 18, "hash_log": 13}
-"""Tables that fit into the nearest caches: on odometry a third faster, and no larger."""
+"""Tables that fit into the L1 and L2 caches: on odometry a third faster, with the same result
+size."""
 
 JOINED_BYTES = 8 << 20
-"""Two parts of so many bytes are copied into one piece: zstd takes a tenth longer for a stream."""
+"""Two parts up to this size are copied into one, because zstd takes a tenth longer for a stream."""
 
 
 class OutOfMemory(MemoryError):
-    """There was no memory to encode a chunk. Nothing was written, and the next one may succeed."""
+    """No memory to encode a chunk. Nothing was written, and the next chunk may succeed."""
 
 
 class ChunkEncoder:
-    """Compresses and sums up. Not thread-safe; the work itself releases the interpreter lock."""
+    """Compresses chunks and computes checksums. Not thread-safe; releases the interpreter lock."""
 
     def __init__(self, compression: Compression, level: int) -> None:
-        """`level` is zstd's own; it means nothing without compression."""
+        """Set up the compressor; `level` is zstd's level, ignored without compression."""
         self._compression = compression
         parameters = ZstdCompressionParameters.from_level(level, **_CACHED if level == 1 else {})
         self._compressor = ZstdCompressor(compression_params=parameters)
 
     def encode(self, packed: PackedMessages) -> Chunk:
-        """The chunk of these messages, of which there is at least one. Raises OutOfMemory."""
+        """Return one or more messages as a chunk.
+
+        Raises:
+            OutOfMemory: There is no memory to compress them.
+        """
         try:
             return self._encode(packed)
-        except (MemoryError, ZstdError) as error:  # zstd gives no other while it compresses
+        except (MemoryError, ZstdError) as error:  # zstd has no other error while compressing
             raise OutOfMemory("no memory to compress messages") from error
 
     def _encode(self, packed: PackedMessages) -> Chunk:

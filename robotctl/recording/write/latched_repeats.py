@@ -9,16 +9,16 @@ from robotctl.recording.format.records import PlainMessage
 from robotctl.recording.write.channel_state import ChannelState
 
 MAX_SHARE: Final = 0.25
-"""Of a file's size that repeats may take: else it is full at once, and so is the next one."""
+"""Maximum share of a file that repeats may take. Otherwise each new file could be full at once."""
 
 
 def repeats(
     channels: Sequence[ChannelState], newest_ns: int, split_bytes: int
 ) -> list[PlainMessage]:
-    """The last latched message of each publisher, as if it came just now, as many as fit.
+    """Return the last latched message of each publisher, as if it came just now.
 
-    `newest_ns` is the log time that they get, 0 for their own. The smallest go first; those that
-    do not fit are counted by their topic as `not_repeated`.
+    `newest_ns` is the log time that they get; 0 keeps their own. If not all fit, the smallest are
+    chosen, and the others are counted in `not_repeated` of their channel.
     """
     latched = [
         (

@@ -1,25 +1,25 @@
 """A writer whose MCAP file is complete and valid after every write.
 
-Each `commit` puts what is new at the end of the data, and behind that a whole trailer: DataEnd,
-summary, footer, magic. The next commit overwrites that trailer. So any reader opens the file at
-any moment, also after the process was killed, without a recovery step.
+Each `commit` appends the new records to the data, followed by a complete trailer: DataEnd, summary,
+footer, magic. The next commit overwrites that trailer. So a reader can open the file at any moment,
+also after the process was killed, without a recovery step.
 
-A positioned write is not atomic: Linux looks for a fatal signal between pages. A kill inside a
-write can only harm what the write puts in place of a trailer or behind it, so the moment of danger
-is as long as that takes. A commit therefore takes the cheaper of two ways:
+A positioned write is not atomic: Linux checks for fatal signals between pages. A kill during a
+write can only damage what that write puts in the place of a trailer or behind it. The file is at
+risk for as long as such a write takes. A commit therefore chooses the cheaper of two ways:
 
-- A chunk that is smaller than the trailer goes out with the new trailer, in one write.
-- A larger one would make the moment longer by its own size. It is written in an order that keeps
-  the file valid between any two writes, and none of them harms a trailer for longer than it takes
-  to write a few hundred bytes:
-  (1) far behind the old trailer, at the coming end of the file, a footer that leads back to it;
-  (2) before that footer the message indexes and the old trailer, moved to where they belong behind
-  the coming chunk, and (3) its own footer: readers of the index find their way without the old
-  trailer from now on;
-  (4) in place of the old trailer the head of a record which sequential readers skip, as long as the
-  chunk; (5) the chunk within it; (6) the chunk's opcode;
-  (7) the end of the new trailer, which is all that has changed; (8) the checksum of the data, which
-  (2) had left out.
+- A chunk smaller than the trailer is written together with the new trailer, in one write.
+- A larger chunk would extend the risk by its own size. It is written in an order that keeps
+  the file valid between any two writes, and no write puts a trailer at risk for longer than it
+  takes to write a few hundred bytes:
+  (1) far behind the old trailer, at the future end of the file: a footer that points back to it;
+  (2) before that footer: the message indexes and a copy of the old trailer, where they belong
+  behind the chunk; (3) the footer of that copy: from now on, readers of the index do not need the
+  old trailer;
+  (4) in place of the old trailer: the head of a record that sequential readers skip, as long as
+  the chunk; (5) the chunk in that record; (6) the opcode of the chunk;
+  (7) the end of the new trailer, the only part that has changed; (8) the checksum of the data,
+  which (2) had left out.
 """
 
 from __future__ import annotations
@@ -53,9 +53,9 @@ from robotctl.recording.format.trailer import FOOTER_BYTES, Summary, TrailerStat
 
 
 class McapFile:
-    """The one writer of one MCAP file. Not thread-safe.
+    """The only writer of one MCAP file. Not thread-safe.
 
-    Records are collected by the `add_` methods and reach the file with the next `commit`.
+    The `add_` methods collect records; the next `commit` writes them.
     """
 
     def __init__(self, storage: Storage, *, profile: str, library: str) -> None:
@@ -65,18 +65,20 @@ class McapFile:
         """Bytes of the file, trailer included."""
 
         self.trailer_bytes = 0
-        """Bytes written so far that a later commit overwrote or will overwrite."""
+        """Bytes of trailers written so far, including those that were overwritten."""
 
         self._storage = storage
         self._pending = bytearray(MAGIC + record_bytes(Header(profile, library)))
         self._data_end = 0
         self._data_crc = 0
         self._good: TrailerState | None = None
-        """That of the last write that succeeded."""
+        """The state after the last successful write."""
 
     @classmethod
     def resume(cls, storage: Storage, written: WrittenFile) -> Self:
-        """Go on writing a finished file: what is added goes between its data and a new trailer."""
+        """Return a writer that continues a finished file: new records go between its data and a new
+        trailer.
+        """
         self = cls(storage, profile="", library="")
         self._pending.clear()
         self._data_end = written.data_end
@@ -91,13 +93,13 @@ class McapFile:
         self.summary.add(Opcode.SCHEMA, data)
 
     def add_channel(self, channel: Channel) -> None:
-        """Add a channel; its id must be new and its schema added before."""
+        """Add a channel; its id must be new, and its schema must have been added."""
         data = record_bytes(channel)
         self._pending += data
         self.summary.add(Opcode.CHANNEL, data)
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Add a named map of strings; what is no UTF-8, as in a file's name, is escaped."""
+        """Add a named map of strings. Text that is not UTF-8 (from a file name, say) is escaped."""
         plain = {_utf8(key): _utf8(value) for key, value in values.items()}
         data = record_bytes(Metadata(name=name, metadata=plain))
         offset = self._data_end + len(self._pending)
@@ -106,7 +108,7 @@ class McapFile:
         self.summary.add(Opcode.METADATA_INDEX, record_bytes(index))
 
     def add_attachment(self, attachment: Attachment) -> None:
-        """Add a file of another kind."""
+        """Add an attachment."""
         data = record_bytes(attachment)
         index = AttachmentIndex(
             offset=self._data_end + len(self._pending),
@@ -121,11 +123,13 @@ class McapFile:
         self.summary.add(Opcode.ATTACHMENT_INDEX, record_bytes(index))
 
     def commit(self, chunk: Chunk | None = None, *, finished: bool = True) -> None:
-        """Write what was added, then `chunk`, then the trailer.
+        """Write the added records, then `chunk`, then the trailer.
 
-        Without the trailer (`finished` False) the file is not valid before another commit: for
-        files that nobody needs before they are complete. Raises OSError; the file may then be
-        torn until `cut_back` has repaired it.
+        With `finished` False the trailer is left out, and the file is not valid before another
+        commit: use that for files that are not read before they are complete.
+
+        Raises:
+            OSError: The file may be torn until `cut_back` has repaired it.
         """
         if chunk is not None and finished and self._is_larger_than_trailer(chunk):
             if self._pending:
@@ -168,7 +172,7 @@ class McapFile:
         write_at([placed.message_indexes, *moved.before_footer], placed.indexes_offset)
         write_at([moved.footer], footer_offset)
         self.trailer_bytes += moved.size + FOOTER_BYTES
-        del moved  # the summary cannot grow while a trailer looks at it
+        del moved  # the summary cannot grow while a memoryview of it exists
 
         opcode, length = placed.head[:1], placed.head[1:RECORD_HEAD_BYTES]
         write_at([UNWRITTEN_CHUNK, length], start)
@@ -194,7 +198,9 @@ class McapFile:
         self.summary.add(Opcode.CHUNK_INDEX, record_bytes(placed.entry))
 
     def _crc_with(self, parts: Sequence[Buffer]) -> int:
-        """The checksum of the data with `parts` behind them; 0, not given, where theirs is not."""
+        """Return the checksum of the data followed by `parts`; 0 (unknown) if that of the data is
+        0.
+        """
         if not self._data_crc and self._data_end:
             return 0
         crc = self._data_crc
@@ -203,9 +209,13 @@ class McapFile:
         return crc
 
     def cut_back(self) -> None:
-        """After a failed `commit`: restore the file as the last good commit had left it.
+        """Restore the file to its state after the last successful commit. Call it after a failed
+        one.
 
-        Nothing may be added or committed afterwards. Raises OSError.
+        Nothing may be added or committed afterwards.
+
+        Raises:
+            OSError: The file cannot be written.
         """
         good = self._good
         self.summary.go_back_to(good)
@@ -217,11 +227,19 @@ class McapFile:
         self._storage.truncate(good.data_end + trailer.size)
 
     def sync(self) -> None:
-        """Force everything committed to the disk. Raises OSError."""
+        """Force everything committed to the disk.
+
+        Raises:
+            OSError: The disk fails, or the file was removed.
+        """
         self._storage.sync()
 
     def close(self) -> None:
-        """Close the file as the last commit has left it. Raises OSError."""
+        """Close the file as the last commit left it.
+
+        Raises:
+            OSError: The disk fails.
+        """
         self._storage.close()
 
 

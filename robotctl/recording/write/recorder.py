@@ -1,8 +1,8 @@
-"""The flight recorder: messages in from the event loop, an always-valid MCAP file out.
+"""The flight recorder: takes messages from the event loop and writes an always-valid MCAP file.
 
-`Recorder.write` packs into memory and never waits; one thread compresses and writes. What does
-not fit into the bounded queue is dropped and counted: for each topic
-received = written + queued + dropped, always, and queued is 0 after `close`.
+`Recorder.write` packs into memory and never waits; one thread compresses and writes. Messages that
+do not fit into the bounded queue are dropped and counted. For each topic received = written +
+queued + dropped at any time, and queued is 0 after `close`.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ MAX_TOPICS: Final = 1 << 16
 """A channel id of MCAP has 16 bits."""
 
 _PREFIX = struct.Struct("<BQH")
-"""What is the same in all messages of a channel and a size: opcode, record length, channel id."""
+"""The constant part of all messages of a channel and a size: opcode, record length, channel id."""
 
 
 class Recorder:
-    """Records into one folder, in rosbag2's layout.
+    """A recorder that writes one folder in rosbag2's layout.
 
-    `add_topic`, `write` and `split` belong to one thread, the event loop's; the others may be
-    called from any.
+    `add_topic`, `write` and `split` must be called from one thread, the event loop's. The other
+    methods may be called from any thread.
     """
 
     def __init__(
@@ -56,13 +56,16 @@ class Recorder:
         on_split: Callable[[Path], None] = lambda path: None,
         on_full: Callable[[Path], None] | None = None,
     ) -> None:
-        """Create `folder` with its first file in it, and start the writer thread.
+        """Create `folder` with its first file, and start the writer thread.
 
-        `metadata` is asked when a file begins, for what is kept in it; `on_failure` is called
-        at most once, with a sentence for the operator; `on_split` with each later file once it
-        is begun. A full file is followed by the next one by itself, or `on_full` is called with
-        it, once, and is to see that `split` is called. All are called from the writer thread,
-        `metadata` for the first file from here. Raises Refused where nothing can be written.
+        `metadata` is called when a file begins and returns what is stored in it. `on_failure` is
+        called at most once, with a sentence for the operator. `on_split` is called with each later
+        file when it has begun. A full file is followed by the next one; with `on_full`, that is
+        called instead, once, and must cause a call of `split`. All are called in the writer thread,
+        except `metadata` for the first file.
+
+        Raises:
+            Refused: The folder cannot be written.
         """
         options = options or RecorderOptions()
         self._channels: list[ChannelState] = []
@@ -80,7 +83,11 @@ class Recorder:
         )
 
     def add_topic(self, topic: Topic) -> int:
-        """Return the topic's channel, a new one if it is new. Raises Refused at MAX_TOPICS."""
+        """Return the channel of the topic, and add it if it is new.
+
+        Raises:
+            Refused: There are MAX_TOPICS topics already.
+        """
         known = self._channel_of.get(topic)
         if known is not None:
             return known
@@ -95,10 +102,10 @@ class Recorder:
     def write(
         self, channel: int, data: Buffer, log_ns: int, publish_ns: int, sequence: int, gid: bytes
     ) -> None:
-        """Keep a message, or count it as dropped. Never waits. The data is copied or immutable.
+        """Record a message, or count it as dropped. Never waits; the data is copied or immutable.
 
-        Times in nanoseconds since the epoch; `sequence` counts the messages of the publisher
-        `gid`, 0 where it does not count.
+        Times are in nanoseconds since the epoch. `sequence` is the sequence number that publisher
+        `gid` gave the message, 0 if it has none.
         """
         state = self._channels[channel]
         state.received += 1
@@ -131,15 +138,16 @@ class Recorder:
                     buffer.end = end
                     return
             except (KeyError, struct.error):
-                pass  # a size met for the first time, or a number outside its field
+                pass  # a new message size, or a number that does not fit into its field
             self._write_carefully(channel, data, log_ns, publish_ns, sequence)
         except MemoryError:
             self._drop_for_memory(state, channel)
 
     def split(self) -> None:
-        """Go on in a new file, without a gap: what is written from now on is in that.
+        """Continue in a new file, without a gap: messages written from now on go into that one.
 
-        Returns at once; `on_split` is told when it is begun. Does nothing once it is closed.
+        Returns at once; `on_split` is called when the new file has begun. Does nothing after
+        `close`.
         """
         if self._closed:
             return
@@ -148,11 +156,11 @@ class Recorder:
         self._thread.queue.put(WriterCommand.SPLIT)
 
     def add_event(self, event: RecordedEvent) -> None:
-        """Name `event` in the metadata of the current file. Never waits."""
+        """Store `event` in the metadata of the current file. Never waits."""
         self._thread.queue.put(event)
 
     def stats(self) -> RecorderStats:
-        """The counts at this instant."""
+        """Return the counts at this instant."""
         topics = tuple(state.stats() for state in list(self._channels))
         return RecorderStats(
             state=self._state(),
@@ -166,9 +174,9 @@ class Recorder:
         )
 
     def close(self) -> RecorderStats:
-        """Write what is queued, finish file and folder. Blocks; a second call changes nothing.
+        """Write what is queued, and finish file and folder. Blocks; a second call has no effect.
 
-        What `write` is given from now on counts as dropped.
+        Messages passed to `write` from now on count as dropped.
         """
         self._closed = True
         self._thread.stop()
@@ -182,7 +190,7 @@ class Recorder:
     def _write_carefully(
         self, channel: int, data: Buffer, log_ns: int, publish_ns: int, sequence: int
     ) -> None:
-        """Pack what `write` could not: change buffers, clamp numbers, or count a drop."""
+        """Handle what the hot path could not: change buffers, clamp numbers, or count a drop."""
         state = self._channels[channel]
         if self._closed or self._thread.failure:
             state.dropped_by_loop += 1
@@ -212,7 +220,7 @@ class Recorder:
         buffer.end = start + length
 
     def _drop_for_memory(self, state: ChannelState, channel: int) -> None:
-        """Count a message as dropped that could not be packed, or only half of its index entry."""
+        """Count a dropped message that found no memory, and remove the half of its index entry."""
         index = self._buffer.indexes[channel]
         if len(index) % 2:
             index.pop()
@@ -220,7 +228,9 @@ class Recorder:
         self._no_memory += 1
 
     def _buffer_with_room(self, length: int) -> PackBuffer | None:
-        """The active buffer, or a new active one, with room for `length` bytes."""
+        """Return the active buffer, or a new active one, with room for `length` bytes; None without
+        memory.
+        """
         buffer = self._buffer
         if buffer.end + length <= buffer.limit:
             return buffer
@@ -231,7 +241,7 @@ class Recorder:
 
     def _queue_large(self, message: LargeMessage) -> None:
         if self._buffer.end:
-            self._change_buffer()  # what came before it stays before it
+            self._change_buffer()  # keep the order
         self._acquired += message.size
         self._thread.queue.put(message)
 
@@ -240,7 +250,7 @@ class Recorder:
         return waiting + size <= self._memory_bytes
 
     def _change_buffer(self) -> None:
-        """Hand the active buffer to the writer thread and go on in an empty one."""
+        """Pass the active buffer to the writer thread, and continue in an empty one."""
         spare = self._thread.spare
         buffer = spare.popleft() if spare else PackBuffer(self._chunk_bytes)
         buffer.make_indexes(len(self._channels))
@@ -250,7 +260,7 @@ class Recorder:
 
 
 def _new_packer(state: ChannelState, channel: int, size: int) -> Packer:
-    """What packs messages of `size` bytes of this channel: record head and data in one call."""
+    """Return the packer for messages of `size` bytes: it packs record head and data in one call."""
     prefix = _PREFIX.pack(Opcode.MESSAGE, MESSAGE_FIELDS_BYTES + size, channel)
     layout = struct.Struct(f"<{_PREFIX.size}sIQQ{size}s")
     packer = layout.pack_into, prefix, layout.size

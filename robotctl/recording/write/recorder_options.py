@@ -1,4 +1,4 @@
-"""How the recorder writes."""
+"""The options of the recorder."""
 
 from __future__ import annotations
 
@@ -12,7 +12,11 @@ from robotctl.recording.format.compression import Compression
 
 
 def free_space(folder: Path) -> int:
-    """Bytes that this user may still write below `folder`. Raises OSError."""
+    """Return the bytes that this user may still write below `folder`.
+
+    Raises:
+        OSError: The folder cannot be examined.
+    """
     disk = os.statvfs(folder)
     return disk.f_bavail * disk.f_frsize
 
@@ -21,12 +25,12 @@ def free_space(folder: Path) -> int:
 class RecorderOptions:
     """Sizes and times of the recorder.
 
-    A footer follows the data after `chunk_bytes` or `flush_s`, whichever comes first; after
-    `sync_s` data survives a power cut. `memory_bytes` is the budget for all that waits in memory:
-    for the disk and, up to a third of it, latched messages for the next file, which repeats them.
-    What does not fit is counted. A file is followed by another at `split_bytes` or after `split_s`.
-    The recorder warns when the disk has less than `warn_free_bytes` left, and stops at
-    `stop_free_bytes`. If `group_readable`, the group may read what is recorded, otherwise only the
+    A footer follows the data after `chunk_bytes` or `flush_s`, whichever comes first; data survives
+    a power cut after `sync_s`. `memory_bytes` is the budget for everything in memory: messages that
+    wait for the disk and, up to a third of it, the latched messages that the next file repeats.
+    Messages that do not fit are counted. A new file begins at `split_bytes` or after `split_s`. The
+    recorder warns when the disk has less than `warn_free_bytes` left, and stops at
+    `stop_free_bytes`. With `group_readable` the group may read the recording, otherwise only its
     owner may.
     """
 

@@ -1,4 +1,4 @@
-"""What can be asked of the recorder: how it is, and what became of the messages."""
+"""What the recorder reports: its state, and the counts of messages."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from robotctl.recording.format.topics import TopicStats
 
 
 class RecorderState(StrEnum):
-    """What the recorder does with a message: keeps it, or counts it as dropped."""
+    """Whether the recorder keeps messages, or counts them as dropped."""
 
     RECORDING = "recording"
     FAILED = "failed"
@@ -22,8 +22,8 @@ class RecorderState(StrEnum):
 class RecorderStats(MessageCounts):
     """The recorder at one instant; the counts are the sums over `topics`.
 
-    `file` is the current file, `bytes` the size of all files on disk. Of the dropped messages,
-    `no_memory` found no memory. `failure` and `warning` are sentences, empty where all is well.
+    `file` is the current file, `bytes` the size of all files on disk. `no_memory` of the dropped
+    messages were dropped for lack of memory. `failure` and `warning` are sentences, or "".
     """
 
     state: RecorderState

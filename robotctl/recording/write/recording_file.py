@@ -1,4 +1,4 @@
-"""One file of a recording: messages, their topics, and what explains them."""
+"""One file of a recording: messages, their topics, and metadata."""
 
 from __future__ import annotations
 
@@ -27,9 +27,10 @@ from robotctl.recording.write.recorder_options import RecorderOptions
 
 
 class RecordingFile:
-    """Not thread-safe. `channels` may grow; a topic's position in it is its channel id.
+    """Writer of one file. Not thread-safe.
 
-    Every method may raise OSError; after that only `abandon` may be called.
+    `channels` may grow; a channel's position in it is its channel id. Every method may raise
+    OSError; after that only `abandon` may be called.
     """
 
     def __init__(
@@ -39,7 +40,9 @@ class RecordingFile:
         metadata: Mapping[str, str],
         channels: Sequence[ChannelState],
     ) -> None:
-        """Create the file; it is valid and on the disk when this returns, or it is not there."""
+        """Create the file and sync it: it is valid when this returns. After an error there is no
+        file.
+        """
         self.path = path
         self._channels = channels
         self._encoder = ChunkEncoder(options.compression, options.compression_level)
@@ -70,41 +73,45 @@ class RecordingFile:
 
     @property
     def holds_messages(self) -> bool:
-        """Whether there is any message in it."""
+        """Whether the file has any message."""
         return bool(self._mcap.summary.counts)
 
     @property
     def index_bytes(self) -> int:
-        """Bytes of the summary that grow with the chunks."""
+        """Bytes of the summary that grow with the number of chunks."""
         return self._mcap.summary.index_bytes
 
     @property
     def trailer_bytes(self) -> int:
-        """Bytes of summaries and footers written so far."""
+        """Bytes of trailers written so far."""
         return self._mcap.trailer_bytes
 
     def write(self, packed: PackedMessages) -> None:
-        """Write `packed` as a chunk. Raises OutOfMemory, and then is as it was before."""
+        """Write `packed` as a chunk.
+
+        Raises:
+            OutOfMemory: The file is unchanged.
+        """
         chunk = self._encoder.encode(packed)
         self._announce_topics()
         self._mcap.commit(chunk)
         self._synced = False
 
     def write_topics(self) -> None:
-        """Write the topics that were added, also if they have no message yet."""
+        """Write the topics that were added, even if they have no messages yet."""
         if self._announce_topics():
             self._mcap.commit()
             self._synced = False
 
     def write_event(self, event: RecordedEvent) -> None:
-        """Write something to look for into the metadata."""
+        """Write an event into the metadata."""
         self._mcap.add_metadata(EVENT_RECORD, event.values())
         self._mcap.commit()
         self._synced = False
         self.event_count += 1
 
     def sync(self) -> None:
-        """Force what was written to the disk."""
+        """Force the written data to the disk."""
         if not self._synced:
             self._mcap.sync()
             self._synced = True
@@ -121,7 +128,7 @@ class RecordingFile:
         self._mcap.close()
 
     def abandon(self) -> None:
-        """After an OSError: leave the file as the last good write had left it."""
+        """Restore the file to its state after the last good write. Call it after an OSError."""
         if self._finished:
             return
         self._finished = True
@@ -131,12 +138,12 @@ class RecordingFile:
             self._mcap.close()
 
     def describe(self) -> BagFile:
-        """What `metadata.yaml` says about the file."""
+        """Return the entry of the file in `metadata.yaml`."""
         summary = self._mcap.summary
         return BagFile(self.path.name, summary.start_ns, summary.end_ns, dict(summary.counts))
 
     def _announce_topics(self) -> bool:
-        """Add schema and channel of each topic that is new to the file; False if none is."""
+        """Add schema and channel of each topic that is new to the file; return False if none is."""
         known = len(self._channels)
         if self._announced == known:
             return False

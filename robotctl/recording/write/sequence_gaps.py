@@ -1,23 +1,23 @@
-"""Which messages a publisher sent and we never saw: sequence gaps, per publisher."""
+"""Messages that publishers sent and we did not receive: sequence gaps, per publisher."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
 MAX_PUBLISHERS = 1024
-"""Publishers remembered per topic; a topic whose publishers keep restarting forgets the oldest."""
+"""Maximum number of remembered publishers per topic; beyond that the oldest is forgotten."""
 
 MAX_MISSING = 64
-"""Missing numbers remembered per publisher: a message that only comes late is not lost."""
+"""Missing numbers remembered per publisher, because a message that arrives late is not lost."""
 
 
 @dataclass(slots=True)
 class SequenceGaps:
-    """The gaps of one topic.
+    """The gaps in the sequence numbers of one topic.
 
-    `expected` maps each publisher (its gid) to the sequence number that should come next: the
-    hot path may compare with it and advance it itself, and calls `note` for everything else.
-    Sequence number 0 means that the publisher does not count.
+    `expected` maps each publisher (its gid) to its next sequence number. The hot path compares with
+    it and advances it itself, and calls `note` in all other cases. Sequence number 0 means that the
+    publisher does not count its messages.
     """
 
     expected: dict[bytes, int] = field(default_factory=dict)
@@ -25,12 +25,12 @@ class SequenceGaps:
     """Messages missing between two that were received."""
 
     unseen: int = 0
-    """Messages that publishers had sent before the first one received of each."""
+    """Messages that publishers sent before the first one received from them."""
 
     _missing: dict[bytes, set[int]] = field(default_factory=dict)
 
     def note(self, gid: bytes, sequence: int) -> None:
-        """Account for a message that is not the expected one, and expect its successor."""
+        """Count a message that is not the expected one, and expect its successor."""
         if sequence <= 0:
             return
         expected = self.expected.get(gid)
@@ -49,7 +49,7 @@ class SequenceGaps:
                 missing.discard(sequence)
                 self.lost -= 1
                 return
-            missing.clear()  # numbers start over: the publisher restarted under its old gid
+            missing.clear()  # the publisher restarted with its old gid
         self.expected[gid] = sequence + 1
 
     def _remember(self, gid: bytes, gap: range) -> None:

@@ -1,4 +1,4 @@
-"""Which topics are recorded: names and types, as patterns."""
+"""Which topics are recorded: patterns for names and types."""
 
 from __future__ import annotations
 
@@ -7,15 +7,16 @@ from collections.abc import Iterable
 from fnmatch import translate
 
 TYPE_PREFIX = "type:"
-"""Before a pattern that a topic's type has to match, not its name."""
+"""Prefix of a pattern that is matched against the type instead of the name."""
 
 
 class TopicFilter:
-    """Records a topic that `include` names, or any where it is empty, unless `exclude` names it.
+    """A filter that accepts a topic if `include` matches it or is empty, and `exclude` does not
+    match.
 
-    A pattern is a name (`/cmd_vel`), a name with the wildcards `*`, `?` and `[...]`, of which `*`
-    also matches `/` (`/camera/*`), or either for the type (`type:sensor_msgs/msg/Image`). The
-    topics in `always` are recorded whatever the patterns say.
+    A pattern is a name (`/cmd_vel`), a name with the wildcards `*`, `?` and `[...]` (`*` also
+    matches `/`: `/camera/*`), or one of these for the type (`type:sensor_msgs/msg/Image`). The
+    topics in `always` are recorded regardless of the patterns.
     """
 
     def __init__(
@@ -29,7 +30,7 @@ class TopicFilter:
         self._always = frozenset(always)
 
     def records(self, topic: str, type_name: str) -> bool:
-        """Say whether the topic is recorded."""
+        """Return whether the topic is recorded."""
         if topic in self._always:
             return True
         if any(pattern.matches(topic, type_name) for pattern in self._exclude):
@@ -38,7 +39,7 @@ class TopicFilter:
         return not self._include or any(included)
 
     def can_leave_out(self, topic: str) -> bool:
-        """Say whether a pattern could keep the topic from being recorded."""
+        """Return whether a pattern can exclude the topic."""
         return topic not in self._always
 
 

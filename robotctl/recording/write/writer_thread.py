@@ -1,4 +1,4 @@
-"""The writer thread: takes packed messages from the queue and has them written."""
+"""The writer thread: takes packed messages from the queue and writes them."""
 
 from __future__ import annotations
 
@@ -20,32 +20,32 @@ from robotctl.recording.write.chunk_encoder import OutOfMemory
 from robotctl.recording.write.recorder_options import RecorderOptions
 
 SPARE_BUFFERS = 2
-"""Empty buffers kept for the loop: one to change to, one for a burst; the rest is given back."""
+"""Empty buffers kept for the loop: one to change to, one for a burst. Further ones are freed."""
 
 NICE = 5
-"""How far the thread ranks below the loop: where all cores are busy, the loop's share is three
-times that of the compression."""
+"""How far the thread's priority is below the loop's. When all cores are busy, the loop gets three
+times the CPU time of the compression."""
 
 _BREATH_S = 0.001
-"""Before something is tried again that failed or was not ready."""
+"""Pause before a retry of something that failed or was not ready."""
 
 _SETTLE_S = 1.0
 """How long `stop` waits for a message that is being packed; packing takes a microsecond."""
 
 
 class WriterCommand(Enum):
-    """What the loop may ask for through the queue, besides writing."""
+    """What the loop may request through the queue, besides writing."""
 
     SPLIT = "go on in a new file"
     STOP = "finish"
 
 
 class WriterThread:
-    """Owns the thread and, through it, the files.
+    """The thread that writes the files.
 
-    The loop puts full buffers into `queue`; after `flush_s` the thread takes what lies in the
-    active one by itself. The first error ends the file and is kept; from then on what is queued
-    is counted as dropped_by_writer.
+    The loop puts full buffers into `queue`. Every `flush_s` the thread also takes what is in the
+    active buffer. The first error ends the file and is kept in `failure`; queued messages are
+    counted as dropped from then on.
     """
 
     def __init__(
@@ -56,17 +56,17 @@ class WriterThread:
         active: Callable[[], PackBuffer],
         on_failure: Callable[[str], None],
     ) -> None:
-        """Start the thread; `active` gives the buffer that the loop is packing."""
+        """Start the thread; `active` returns the buffer that the loop is packing."""
         self.queue: SimpleQueue[PackBuffer | LargeMessage | RecordedEvent | WriterCommand] = (
             SimpleQueue()
         )
         self.spare: deque[PackBuffer] = deque()
         self.released = 0
-        """Bytes of buffers and messages that were queued and are free again."""
+        """Bytes of queued buffers and messages that are free again."""
 
         self.failure = ""
         self.no_memory = 0
-        """Messages that were dropped because there was no memory to write them."""
+        """Messages dropped because there was no memory to write them."""
 
         self._writer = writer
         self._options = options
@@ -97,17 +97,17 @@ class WriterThread:
         self._survive(lambda: self._attempt(self._writer.close))
 
     def _survive(self, work: Callable[[], object]) -> None:
-        """Do `work`; what it raises ends the file, and not the thread: that would tell nobody."""
+        """Call `work`; an exception ends the file but not the thread, so it can be reported."""
         try:
             work()
         except Exception as error:  # noqa: BLE001
             try:
                 self._fail(error)
-            except Exception:  # noqa: BLE001  # not even memory to say so: the next turn tries again
+            except Exception:  # noqa: BLE001  # no memory to report it: the next turn retries
                 time.sleep(_BREATH_S)
 
     def _turn(self) -> None:
-        """Take what is queued, and do in time what is due."""
+        """Handle one queued item, and the periodic work that is due."""
         wait = max(min(self._next_flush, self._next_sync) - time.monotonic(), 0.0)
         with suppress(Empty):
             self._handle(self.queue.get(timeout=wait))
@@ -133,12 +133,12 @@ class WriterThread:
     def _flush_active(self) -> None:
         buffer = self._active()
         if not self.queue.empty():
-            return  # what was packed before goes first
+            return  # keep the order
         buffer.limit = 0
         try:
             packed = buffer.take()
         except MemoryError:
-            if self._stopping:  # there is no later
+            if self._stopping:  # there is no next turn
                 self._drop(buffer.drop())
             return
         if packed is None:
@@ -176,16 +176,16 @@ class WriterThread:
             self._drop({channel: len(index) // 2 for channel, index in packed.indexes.items()})
 
     def _drop(self, counts: Mapping[int, int]) -> None:
-        """Count messages as dropped, by channel: for want of memory, unless the file has failed."""
+        """Count messages as dropped, by channel: for lack of memory, unless the file has failed."""
         for channel, count in counts.items():
             self._channels[channel].dropped_by_writer += count
             if not self.failure:
                 self.no_memory += count
 
     def _attempt(self, work: Callable[[], None]) -> bool:
-        """Do `work` unless the file has failed; the first error is latched and told.
+        """Call `work` unless the file has failed, and return whether it succeeded.
 
-        A lack of memory that leaves the file as it was is no failure.
+        The first error is kept. A lack of memory that leaves the file unchanged is not an error.
         """
         if self.failure:
             return False
@@ -193,7 +193,7 @@ class WriterThread:
             work()
         except OutOfMemory:
             return False
-        except Exception as error:  # noqa: BLE001  # the robot must learn of it, whatever it is
+        except Exception as error:  # noqa: BLE001  # any error must be reported to the robot
             self._fail(error)
             return False
         return True
@@ -204,10 +204,10 @@ class WriterThread:
         text = f"recording stopped: {reason_of(error)} ({self._writer.path})"
         try:
             self._writer.abandon()
-        except Exception as second:  # noqa: BLE001  # the disk may be gone altogether
+        except Exception as second:  # noqa: BLE001  # the disk may be gone
             text += f"; the end of the file could not be repaired: {reason_of(second)}"
         text += f"; {cure_of(error)}"
         self.failure = text
         self._active().limit = 0
-        with suppress(Exception):  # a listener that is gone must not stop the counting
+        with suppress(Exception):  # a failing listener must not stop the counting
             self._on_failure(text)
