@@ -161,6 +161,14 @@ def test_past_a_corner_the_overshoot_counts() -> None:
     assert isclose(path.distance_to(Pose(1.04, 0.0, 0.5), 1, 0.5), 0.04)
 
 
+@pytest.mark.parametrize("turn", [1, 3, 5, 7])
+def test_a_robot_that_turns_may_stand_on_the_side_before_or_after_the_corner(turn: int) -> None:
+    path = lap_of(PatternKind.SQUARE, 1.0)
+    before, after = path.segments[turn - 1], path.segments[(turn + 1) % 8]
+    for on_the_path in (before.pose_at(0.8), after.pose_at(0.2)):
+        assert isclose(path.distance_to(on_the_path, turn, 0.5), 0.0, abs_tol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("pose", "faster", "left"),
     [
