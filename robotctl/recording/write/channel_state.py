@@ -32,7 +32,7 @@ class LatchedMessage(NamedTuple):
 
 @dataclass(slots=True)
 class ChannelState:
-    """The running counts and latched messages of one channel. Only one thread changes each count."""
+    """The running counts and latched messages of one channel; each count has one thread."""
 
     topic: Topic
     received: int = 0
