@@ -212,12 +212,12 @@ def test_a_drive_of_impossible_figures_is_refused(pattern: Pattern, laps: int) -
     assert bench.state.mode is Mode.IDLE
 
 
-@pytest.mark.parametrize("number", [-1, 4, 7, 255, 2**63])
+@pytest.mark.parametrize("number", [-1, len(Mode), 255, 2**63])
 def test_an_unknown_mode_is_refused_with_the_valid_ones(number: int) -> None:
     bench = moving()
     before = bench.state
     bench.request(number)
-    assert bench.replies[-1].message.endswith("use 0 IDLE, 1 MOVING, 2 ERROR, 3 EMERGENCY_STOP")
+    assert "use 0 IDLE, 1 MOVING, 2 ERROR, 3 EMERGENCY_STOP" in bench.replies[-1].message
     assert bench.state == before
 
 

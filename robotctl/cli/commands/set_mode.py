@@ -17,9 +17,7 @@ app = new_app()
 def set_mode(
     mode: Annotated[
         str,
-        typer.Argument(
-            metavar="MODE", help="idle, moving, error or emergency-stop, in any case, or 0 to 3."
-        ),
+        typer.Argument(metavar="MODE", help=f"{quick_actions.VALID_MODES}; names in any case."),
     ],
     robot: Robot = DEFAULT_ROBOT,
     as_json: Json = False,

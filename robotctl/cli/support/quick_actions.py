@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 MODES = {"idle": 0, "moving": 1, "error": 2, "emergency-stop": EMERGENCY_STOP_MODE}
 
+VALID_MODES = f"{', '.join(MODES)}, or 0 to {max(MODES.values())}"
+
 STOP_DEADLINE_S = 30.0
 """How long the daemon may take to ramp down, write the rest of the recording and sync it."""
 
@@ -83,7 +85,7 @@ def mode_number(text: str) -> int:
         return MODES[name]
     if name in [str(number) for number in MODES.values()]:
         return int(name)
-    raise UsageError(f"no mode {text!r}", f"use {', '.join(MODES)}, or 0 to {max(MODES.values())}")
+    raise UsageError(f"no mode {text!r}", f"use {VALID_MODES}")
 
 
 def request_source(command: str) -> str:
