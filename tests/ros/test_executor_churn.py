@@ -83,12 +83,12 @@ async def test_each_entity_names_its_path_at_debug_level(
     node.create_client(SetBool, topic)
     await until(lambda: len(caplog.messages) >= 4)
     text = "\n".join(caplog.messages)
-    assert f"/tested: tap of {topic} comes by eventfd, collected" in text
+    assert f"/tested: tap of {topic} is woken by eventfd, collected" in text
     assert "/tested: timer of 1 s" in text
-    assert "comes by timerfd" in text
+    assert "is woken by timerfd" in text
     assert "guard condition" in text
-    assert "comes by wait-set thread" in text
-    assert f"/tested: client {topic} comes by eventfd" in text
+    assert "is woken by wait-set thread" in text
+    assert f"/tested: client {topic} is woken by eventfd" in text
 
 
 @pytest.mark.parametrize("from_thread", [False, True])

@@ -53,23 +53,23 @@ async def test_a_tap_takes_what_collected_in_one_look(
     publisher = node.create_publisher(UInt64, topic, 1000)
     await asyncio.sleep(0.01)
     (source,) = (s for s in sources_of(executor).values() if "tap" in s.where)
-    looks = 0
-    look = source.look
+    polls = 0
+    poll = source.poll
 
     def counted() -> bool:
-        nonlocal looks
-        left: bool = look()
-        looks += not left  # what is left at the end of a slice is looked at in the next
+        nonlocal polls
+        left: bool = poll()
+        polls += not left  # what is left at the end of a slice is looked at in the next
         return left
 
-    source.look = counted
+    source.poll = counted
     begun = time.monotonic()
     await publish_from_a_thread(publisher, 200, 0.0005)
     await until(lambda: len(values) == 200)
     took_s = time.monotonic() - begun
     assert values == list(range(200))
     # A rest of 10 ms after each look collects some 20 of them; a look at each would be 200.
-    assert looks <= took_s / 0.01 + 2
+    assert polls <= took_s / 0.01 + 2
 
 
 def test_a_flooded_pool_rests_for_less_until_it_is_calm(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -87,7 +87,7 @@ def test_a_flooded_pool_rests_for_less_until_it_is_calm(monkeypatch: pytest.Monk
     class Source:
         taking_ns: tuple[int, ...] = ()
 
-        def look(self) -> bool:
+        def poll(self) -> bool:
             clock.now_ns += self.taking_ns[0]
             self.taking_ns = self.taking_ns[1:]
             return bool(self.taking_ns)
@@ -100,7 +100,7 @@ def test_a_flooded_pool_rests_for_less_until_it_is_calm(monkeypatch: pytest.Monk
         source.taking_ns = tuple(round(ms * 1e6) for ms in taking_ms)
         rests.clear()
         for _ in taking_ms:
-            pool._look()
+            pool._poll()
         return rests
 
     with os.fdopen(os.eventfd(1), "rb", 0) as ready:
@@ -269,18 +269,18 @@ async def test_a_look_that_raises_leaves_the_pool_working(until: Until) -> None:
     fd = os.eventfd(1, os.EFD_NONBLOCK)
 
     class Failing:
-        looks = 0
+        polls = 0
 
-        def look(self) -> bool:
-            self.looks += 1
-            if self.looks < 3:
+        def poll(self) -> bool:
+            self.polls += 1
+            if self.polls < 3:
                 raise ValueError("no")
             os.eventfd_read(fd)
             return False
 
     source = Failing()
     pool.add(fd, source)
-    await until(lambda: source.looks == 3)
+    await until(lambda: source.polls == 3)
     assert [str(error) for error in told] == ["no", "no"]
     pool.remove(fd)
     pool.close()

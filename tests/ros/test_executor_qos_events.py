@@ -179,5 +179,5 @@ async def test_message_lost_events_are_watched_without_inventing_any(
     await feed(subscription, [1, 2, 3])
     await until(lambda: got == [1, 2, 3])
     assert seen == []
-    paths = [source.path for source in sources_of(executor).values() if "LOST" in source.where]
+    paths = [source.woken_by for source in sources_of(executor).values() if "LOST" in source.where]
     assert paths == ["eventfd"]

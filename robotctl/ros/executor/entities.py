@@ -1,4 +1,4 @@
-"""Which entities are attached to the loop, and by which path each of them comes."""
+"""The entities that are attached to the loop, each by a source of its kind."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ class Attachments:
         self._wait_set = wait_set
         self._executor = executor
         self._broken: set[Any] = set()
-        """Entities that could not be attached: reported once, and not tried again."""
+        """Entities that could not be attached; they are reported once and not tried again."""
         self.sources: dict[Any, Source] = {}
 
     def __contains__(self, entity: object) -> bool:
         return entity in self.sources
 
     def follow(self, present: dict[Any, Node]) -> None:
-        """Attach what is new, detach what is gone; `present` is each entity with its node."""
+        """Attach the new entities of `present` (entity -> node); detach all that are not in it."""
         for entity in [entity for entity in self.sources if entity not in present]:
             source = self.sources.pop(entity)
             if is_destroyed(source.handle):
@@ -56,7 +56,7 @@ class Attachments:
                 self._attach(entity, node)
 
     def detach_all(self) -> None:
-        """Let go of every entity, and end the calls that wait."""
+        """Detach every entity; calls that wait for a response fail."""
         sources, self.sources = self.sources, {}
         for source in sources.values():
             _fail_pending(source, "the executor was shut down while a call waited")
@@ -67,13 +67,13 @@ class Attachments:
             source = self._source_of(entity, node.get_fully_qualified_name())
             source.attach()
         except InvalidHandle:
-            return  # Destroyed between its node's list and here.
+            return  # It was destroyed after its node listed it.
         except Exception as error:  # noqa: BLE001 - handed to the one handler
             self._broken.add(entity)
-            self._runtime.report(error, f"{type(entity).__name__}, which therefore stays silent")
+            self._runtime.report(error, f"{type(entity).__name__}, which is not served")
             return
         self.sources[entity] = source
-        log.debug("%s comes by %s", source.where, source.path)
+        log.debug("%s is woken by %s", source.where, source.woken_by)
 
     def _source_of(self, entity: Any, name: str) -> Source:
         runtime, wait_set, executor = self._runtime, self._wait_set, self._executor

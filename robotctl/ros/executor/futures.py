@@ -1,8 +1,8 @@
-"""The one bridge from rclpy's Future to asyncio.
+"""Awaiting rclpy's futures in asyncio.
 
-`rclpy.task.Future.__await__` is a bare `yield`: awaited in an asyncio task it turns the loop at
-100 % CPU until the result is there. While an AsyncioExecutor is open, awaiting one *in its loop*
-goes through `wait` instead; everywhere else rclpy's own behaviour stays.
+`rclpy.task.Future.__await__` is a bare `yield`: awaited in an asyncio task, it keeps the loop at
+100 % CPU until the result is there. While an AsyncioExecutor is open, `await future` in its loop
+uses `wait` instead; elsewhere rclpy's own method stays.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ _rclpy_await: Callable[[Future], Generator[Any, None, Any]] = Future.__await__
 
 
 async def wait(future: Future) -> Any:
-    """The result of an rclpy Future, awaited without turning the loop.
+    """Return the result of an rclpy Future; the loop sleeps until then.
 
-    Being cancelled cancels the future, which makes its client forget the request.
+    A cancellation cancels the future as well, so that its client forgets the request.
 
     Raises:
-        asyncio.CancelledError: the future was cancelled.
-        Exception: whatever the future holds.
+        asyncio.CancelledError: The future was cancelled.
+        Exception: The exception of the future.
     """
     loop = asyncio.get_running_loop()
     waiter: asyncio.Future[Any] = loop.create_future()
@@ -45,7 +45,7 @@ async def wait(future: Future) -> Any:
         if _running_loop() is loop:
             settle()
         else:
-            # A closed loop has no waiter left to tell.
+            # In a closed loop nothing waits.
             with suppress(RuntimeError):
                 loop.call_soon_threadsafe(settle)
 
@@ -62,13 +62,13 @@ async def wait(future: Future) -> Any:
 
 
 def open_bridge(loop: asyncio.AbstractEventLoop) -> None:
-    """Let `await future` in this loop go through `wait`, until `close_bridge`."""
+    """Let `await future` in this loop use `wait`, until `close_bridge`."""
     _bridged_loops[loop] += 1
     _set_await(_await_bridged)
 
 
 def close_bridge(loop: asyncio.AbstractEventLoop) -> None:
-    """Undo one `open_bridge`; with the last one rclpy's own method comes back."""
+    """Undo one `open_bridge`; the last one restores rclpy's own method."""
     _bridged_loops[loop] -= 1
     if not _bridged_loops[loop]:
         del _bridged_loops[loop]
@@ -93,42 +93,47 @@ def _running_loop() -> asyncio.AbstractEventLoop | None:
         return None
 
 
-class CallbacksNow:
-    """Stands in for an executor while a future is resolved: runs done callbacks at once.
+class ImmediateCallbacks:
+    """An executor for a future that is being set: it runs the done callbacks at once.
 
-    rclpy's futures hand their callbacks to an executor's `create_task`, which would cost a turn
-    of the loop a response.
+    rclpy's futures pass their callbacks to `create_task` of an executor, which would run them a
+    turn of the loop later.
     """
 
     def __init__(self, report: Callable[[Exception, str], None]) -> None:
         self._report = report
 
     def create_task(self, callback: Callable[[Future], object], future: Future) -> None:
-        """Run one done callback of the future."""
+        """Run a done callback of the future."""
         try:
             callback(future)
-        except Exception as error:  # noqa: BLE001 - handed to the executor's one handler
+        except Exception as error:  # noqa: BLE001 - goes to the handler
             self._report(error, "done callback of a future")
 
 
 @contextmanager
-def callbacks_at_once(future: Future, now: CallbacksNow, executor: Any) -> Iterator[None]:
-    """While inside, resolving the future runs its callbacks; later ones go to the executor.
+def callbacks_at_once(
+    future: Future, immediate: ImmediateCallbacks, executor: Any
+) -> Iterator[None]:
+    """Let setting the future within the `with` block run its done callbacks at once.
 
-    Not for longer: rclpy would run a later one under the future's lock.
+    Afterwards it passes them to `executor`: rclpy would otherwise run a callback that is added
+    later under the future's lock.
     """
-    future._set_executor(now)
+    future._set_executor(immediate)
     try:
         yield
     finally:
         future._set_executor(executor)
 
 
-def fail_pending(pending: dict[Any, Future], error: Exception, now: CallbacksNow) -> None:
-    """Give every future of `pending` the error, so that nobody waits for ever."""
+def fail_pending(
+    pending: dict[Any, Future], error: Exception, immediate: ImmediateCallbacks
+) -> None:
+    """Set the error in every future of `pending`, so that all waits end."""
     for future in list(pending.values()):
-        with callbacks_at_once(future, now, None):
+        with callbacks_at_once(future, immediate, None):
             future.set_exception(error)
-        # Fetched here: otherwise rclpy prints it where nobody waited for this one.
+        # Fetched: otherwise rclpy prints it where nothing waited for the future.
         future.exception()
     pending.clear()

@@ -1,4 +1,4 @@
-"""The way into the loop's thread, from that thread and from any other."""
+"""Calling functions in the loop's thread, from any thread."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from collections.abc import Callable
 
 
 class LoopThread:
-    """Runs in the loop what any thread hands over; until there is a loop, it waits for one."""
+    """Runs in the loop what any thread passes in; calls from before the loop runs are kept."""
 
     def __init__(self) -> None:
         self._loop: AbstractEventLoop | None = None
         self._thread_id: int | None = None
         self._waiting: list[Callable[[], object]] = []
         self._given_up = False
-        # A signal handler may come in here again, in the midst of it.
+        # Reentrant: a signal handler may interrupt a call and call again.
         self._lock = threading.RLock()
 
     def is_current(self) -> bool:
-        """Whether the caller runs in the loop's thread."""
+        """Return whether the caller runs in the loop's thread."""
         return threading.get_ident() == self._thread_id
 
     def open(self, loop: AbstractEventLoop) -> None:
-        """Let everything in, what waited first; to be called in the loop's thread."""
+        """Run the calls that were kept, then later ones; must be called in the loop's thread."""
         with self._lock:
             self._loop, self._thread_id = loop, threading.get_ident()
             waiting, self._waiting = self._waiting, []
@@ -31,7 +31,7 @@ class LoopThread:
             loop.call_soon(callback)
 
     def give_up(self) -> None:
-        """No loop will come: run here what waits for it, and what comes later where it comes."""
+        """Run kept and later calls in the thread of their caller, because no loop will run."""
         with self._lock:
             self._given_up = True
             waiting, self._waiting = self._waiting, []
@@ -39,10 +39,10 @@ class LoopThread:
             callback()
 
     def call_soon(self, callback: Callable[[], object]) -> None:
-        """Run it in one of the loop's next turns.
+        """Call `callback` in one of the loop's next turns.
 
         Raises:
-            RuntimeError: the loop is closed.
+            RuntimeError: The loop is closed.
         """
         with self._lock:
             if self._loop is None and not self._given_up:

@@ -1,4 +1,4 @@
-"""The nodes of one executor, and the entities that they have now."""
+"""The nodes of one executor, and their current entities."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rclpy.node import Node
 
 
 class Nodes:
-    """The nodes of one executor; each of them knows whose it is, as in rclpy."""
+    """The nodes of one executor; each holds a reference to it, as in rclpy."""
 
     def __init__(self, executor: Any) -> None:
         self._executor = executor
@@ -21,10 +21,10 @@ class Nodes:
         return iter(list(self._nodes))
 
     def add(self, node: Node) -> bool:
-        """Take the node in; False where it is here already.
+        """Add the node; return False where it was added before.
 
         Raises:
-            RuntimeError: another live executor has the node.
+            RuntimeError: Another live executor has the node.
         """
         if node in self._nodes:
             return False
@@ -38,13 +38,13 @@ class Nodes:
                 f"node {node.get_fully_qualified_name()} belongs to another executor; "
                 "call its remove_node first"
             )
-        # First, because the setter calls the executor's `add_node` again.
+        # Before the setter, which calls the executor's `add_node` again.
         self._nodes[node] = None
         _set_executor(node, self._executor)
         return True
 
     def remove(self, node: Node) -> bool:
-        """Let the node go; False where it is not here."""
+        """Remove the node; return False where it was not added."""
         try:
             del self._nodes[node]
         except KeyError:
@@ -54,23 +54,23 @@ class Nodes:
         return True
 
     def clear(self) -> None:
-        """Let all of them go."""
+        """Remove all nodes."""
         for node in self:
             self.remove(node)
 
     def entities(self) -> dict[Any, Node]:
-        """Every entity, with its node; a node that was destroyed is forgotten."""
+        """Return every entity with its node; nodes that were destroyed are removed."""
         found: dict[Any, Node] = {}
         for node in self:
             if is_destroyed(node.handle):
-                self._nodes.pop(node, None)  # Another thread may have been faster.
+                self._nodes.pop(node, None)  # Another thread may have removed it.
             else:
                 found.update(dict.fromkeys(_entities_of(node), node))
         return found
 
 
 def is_destroyed(handle: Any) -> bool:
-    """Whether rclpy has given up what is behind the handle."""
+    """Return whether rclpy has destroyed the object of the handle."""
     try:
         with handle:
             return False
@@ -90,7 +90,7 @@ def _entities_of(node: Node) -> Iterator[Any]:
 
 
 def _executor_of(node: Node) -> Any:
-    # rclpy's types know its own executors only.
+    # rclpy's types allow its own executors only.
     return node.executor
 
 

@@ -1,9 +1,9 @@
-"""Sources that are looked at together, now and then, instead of at every single message.
+"""Polls many sources together from time to time, instead of waking the loop for each message.
 
-Waking up for one message costs more than taking it: some 50 us against 2 to 10. What nobody waits
-for (a recorder's taps) and what comes faster than anybody can care about (a flooded topic)
-therefore collects for a moment, as a network driver lets packets collect under load. The DDS
-thread goes on writing to the eventfds; a second epoll keeps them apart from the loop's own.
+Waking up for one message costs about 50 us, taking it 2 to 10. So messages that may come late (a
+recorder's taps, a flooded topic) are collected for a while, as network drivers collect packets
+under load. The DDS threads still write to the eventfds; a second epoll keeps these apart from the
+loop's own.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from robotctl.ros.executor.time_limits import FLOOD_REST_S, FLOODED_SHARE, TURN_
 
 
 class Pooled(Protocol):
-    """What a pool looks after."""
+    """A source in a pool."""
 
-    def look(self) -> bool:
-        """Deliver what is there; whether something is left because the slice is over."""
+    def poll(self) -> bool:
+        """Deliver what is there; return whether the slice ended before all was delivered."""
 
 
 class Pool:
-    """Wakes the loop for the first message after a rest, and rests `rest_s` after each look.
+    """Polls its sources at the first message, then rests for `rest_s` seconds after each poll.
 
-    While nothing comes, nothing turns. In a flood it rests for FLOOD_REST_S: the more messages
-    wait, the longer Fast DDS takes to add one, so a long rest costs more than it saves.
+    Without messages it does not wake the loop. In a flood it rests for FLOOD_REST_S only: the more
+    messages wait, the longer Fast DDS takes to add one, so a long rest costs more than it saves.
     """
 
     def __init__(self, loop: AbstractEventLoop, rest_s: float) -> None:
@@ -41,17 +41,17 @@ class Pool:
         self._watch()
 
     def add(self, fd: int, source: Pooled) -> None:
-        """Look after the source whose eventfd this is."""
+        """Poll `source` when its eventfd `fd` becomes readable."""
         self._members[fd] = source
         self._epoll.register(fd, select.EPOLLIN)
 
     def remove(self, fd: int) -> None:
-        """Look after it no more; the descriptor must still be open."""
+        """Stop polling the source of `fd`, which must still be open."""
         del self._members[fd]
         self._epoll.unregister(fd)
 
     def close(self) -> None:
-        """Give everything back."""
+        """Stop polling, and close the epoll."""
         self._unwatch()
         if self._resting is not None:
             self._resting.cancel()
@@ -64,7 +64,7 @@ class Pool:
     def _watch(self) -> None:
         if not self._watching:
             self._watching = True
-            self._loop.add_reader(self._epoll.fileno(), self._look)
+            self._loop.add_reader(self._epoll.fileno(), self._poll)
 
     def _unwatch(self) -> None:
         if self._watching:
@@ -72,7 +72,7 @@ class Pool:
             if not self._loop.is_closed():
                 self._loop.remove_reader(self._epoll.fileno())
 
-    def _look(self) -> None:
+    def _poll(self) -> None:
         self._resting = None
         if self._is_closed():
             return
@@ -82,16 +82,16 @@ class Pool:
             return
         self._unwatch()
         begun_ns = time.monotonic_ns()
-        left = True  # Also where a look ends in an exception: the others go on.
+        left = True  # Also after an exception: the other sources continue.
         try:
-            left = self._look_at(ready, begun_ns + TURN_NS)
+            left = self._poll_ready(ready, begun_ns + TURN_NS)
         finally:
             if not self._is_closed():
                 rest_s = self._rest_after(begun_ns, left=left)
-                self._resting = self._loop.call_later(rest_s, self._look)
+                self._resting = self._loop.call_later(rest_s, self._poll)
 
     def _rest_after(self, begun_ns: int, *, left: bool) -> float:
-        """Return how long to rest: by the share that taking had since the rest before."""
+        """Return how long to rest, by the share of time that polling took since the last rest."""
         now_ns = time.monotonic_ns()
         self._busy_ns += now_ns - begun_ns
         if left:
@@ -100,12 +100,12 @@ class Pool:
         self._busy_ns, self._rested_ns = 0, now_ns
         return min(self._rest_s, FLOOD_REST_S) if flooded else self._rest_s
 
-    def _look_at(self, ready: list[tuple[int, int]], end: int) -> bool:
+    def _poll_ready(self, ready: list[tuple[int, int]], end: int) -> bool:
         left = False
         for fd, _ in ready:
             source = self._members.get(fd)
             if source is not None:
-                left |= source.look()
+                left |= source.poll()
             if self._is_closed():
                 return False
             if time.monotonic_ns() > end:

@@ -40,7 +40,7 @@ class RawTap:
     an ordinary callback; the gid is then `UNKNOWN_GID`.
     """
 
-    __slots__ = ("__weakref__", "latency_s", "look", "sink", "views")
+    __slots__ = ("__weakref__", "latency_s", "poll", "sink", "views")
 
     def __init__(self, sink: Sink, *, latency_s: float = 0.01, views: bool = False) -> None:
         """Call `sink` at most about `latency_s` seconds late; 0 means at once for each message.
@@ -50,7 +50,7 @@ class RawTap:
         self.sink = sink
         self.latency_s = latency_s
         self.views = views
-        self.look: Callable[[], None] = _nothing
+        self.poll: Callable[[], None] = _nothing
         """Takes the messages that have arrived, without waiting for more to collect; set by the
         AsyncioExecutor that serves the subscription."""
 

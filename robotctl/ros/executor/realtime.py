@@ -1,4 +1,4 @@
-"""SCHED_FIFO for the thread of the loop, where it is permitted."""
+"""SCHED_FIFO for the loop's thread, where it is permitted."""
 
 from __future__ import annotations
 
@@ -7,27 +7,27 @@ import threading
 
 
 def check_priority(priority: int) -> None:
-    """Refuse what is no SCHED_FIFO priority.
+    """Check a SCHED_FIFO priority.
 
     Raises:
-        ValueError: the priority is outside 1..99.
+        ValueError: The priority is outside 1..99.
     """
     if not 1 <= priority <= 99:
         raise ValueError(f"a SCHED_FIFO priority must be 1 to 99, not {priority}")
 
 
 class FifoScheduling:
-    """Ranks the calling thread above all ordinary ones, until `restore`.
+    """Runs the calling thread under SCHED_FIFO until `restore`.
 
-    Threads that it starts later do not inherit the rank: a DDS thread that outranks the robot's
-    other threads would be worse than none.
+    Threads that it starts later do not inherit this: a DDS thread under SCHED_FIFO would delay
+    the robot's other threads.
     """
 
     def __init__(self, priority: int) -> None:
-        """Ask for SCHED_FIFO at `priority`, 1 (low) to 99; `description` says what came of it.
+        """Request SCHED_FIFO at `priority`, 1 (low) to 99; `description` says if it was granted.
 
         Raises:
-            ValueError: the priority is outside 1..99.
+            ValueError: The priority is outside 1..99.
         """
         check_priority(priority)
         self._former: tuple[int, os.sched_param] | None = None
@@ -52,7 +52,7 @@ class FifoScheduling:
         return self._former is not None
 
     def restore(self) -> None:
-        """Give the thread back the scheduling from before; from any thread."""
+        """Restore the thread's former scheduling; may be called from any thread."""
         if self._former is not None:
             policy, parameter = self._former
             self._former = None

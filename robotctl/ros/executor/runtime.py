@@ -1,4 +1,4 @@
-"""What the sources of one executor share: its loop, its tasks, its one exception handler."""
+"""What the sources of one executor share: loop, tasks, pools and exception handler."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from robotctl.ros.executor.time_limits import SHORTEST_SLICE_NS, SLICE_NS, TURN_
 log = logging.getLogger("robotctl.ros.executor")
 
 ExceptionHandler = Callable[[Exception, str], None]
-"""Told about every exception of a callback: the exception, and whose callback raised it."""
+"""Called with each exception that a callback raises, and a text that names the callback."""
 
 
 class Resumable(Protocol):
-    """Waits for its callback group to become free."""
+    """A source that waits for its callback group."""
 
     def resume(self) -> None:
-        """Look for work again."""
+        """Deliver again what is there."""
 
 
 class Runtime:
@@ -38,7 +38,7 @@ class Runtime:
         self.loop = loop
         self.sync = sync
         self.stale = False
-        """An entity was created or destroyed: call `sync` before the next callback."""
+        """Whether an entity was created or destroyed, so that `sync` must precede a callback."""
         self.tasks: set[asyncio.Task[None]] = set()
         self.slow = SlowCallbacks()
         self.slice_ns = SLICE_NS
@@ -49,11 +49,11 @@ class Runtime:
         self._parked: dict[CallbackGroup, dict[Resumable, None]] = {}
 
     def report(self, error: Exception, where: str) -> None:
-        """Hand the exception of a callback to the one handler."""
+        """Pass the exception of a callback to the exception handler."""
         if self._on_exception is not None:
             try:
                 self._on_exception(error, where)
-            except Exception as second:  # noqa: BLE001 - reported below, with its cause
+            except Exception as second:  # noqa: BLE001 - reported below
                 second.__context__ = error
                 error, where = second, f"exception handler, for {where}"
             else:
@@ -63,25 +63,25 @@ class Runtime:
         )
 
     def pool(self, rest_s: float) -> Pool:
-        """The pool of all sources that may wait so long."""
+        """Return the pool of the sources that may wait `rest_s` seconds."""
         if rest_s not in self._pools:
             self._pools[rest_s] = Pool(self.loop, rest_s)
         return self._pools[rest_s]
 
     def close_pools(self) -> None:
-        """Give the descriptors of the pools back, once no source is in them."""
+        """Close the file descriptors of the pools; all sources must be detached."""
         for pool in self._pools.values():
             pool.close()
         self._pools.clear()
 
-    def flooded(self, source: object) -> None:
-        """The source had more than its slice allowed: from now on it shares a turn with others."""
+    def mark_flooded(self, source: object) -> None:
+        """Share a turn of the loop between this source and the other flooded ones."""
         if source not in self._flooded:
             self._flooded.add(source)
             self._share_turn()
 
-    def drained(self, source: object) -> None:
-        """The source has nothing left."""
+    def mark_drained(self, source: object) -> None:
+        """Note that the source has nothing left: it is not flooded."""
         if source in self._flooded:
             self._flooded.remove(source)
             self._share_turn()
@@ -96,7 +96,7 @@ class Runtime:
         where: str,
         finished: Callable[[], None] | None = None,
     ) -> asyncio.Task[None]:
-        """Run an async callback as a task of its own; `finished` is called however it ends."""
+        """Run an async callback as a task; call `finished` when it ends in any way."""
 
         async def run() -> None:
             try:
@@ -106,7 +106,7 @@ class Runtime:
 
         def end(task: asyncio.Task[None]) -> None:
             self.tasks.discard(task)
-            # Cancelled before its first step, it would warn about never having been awaited.
+            # Otherwise, if cancelled before its first step, it warns that it was never awaited.
             coroutine.close()
             if finished is not None:
                 finished()
@@ -119,22 +119,22 @@ class Runtime:
         return task
 
     def on_idle(self, callback: Callable[[], None]) -> None:
-        """Call back when no task runs any more, which may be at once."""
+        """Call `callback` when no task runs any more, at once if none does."""
         self._on_idle = callback
         if not self.tasks:
             callback()
 
     def park(self, group: CallbackGroup, source: Resumable) -> None:
-        """Resume the source when the group becomes free."""
+        """Resume the source when its callback group becomes free."""
         self._parked.setdefault(group, {})[source] = None
 
     def release(self, group: CallbackGroup) -> None:
-        """The group became free: its parked sources look for work again."""
+        """Resume the parked sources of a callback group that became free."""
         for source in self._parked.pop(group, ()):
             source.resume()
 
 
 def name_of(callback: Any) -> str:
-    """What a log calls a callback."""
+    """Return the name of a callback for the log."""
     name = getattr(callback, "__qualname__", None)
     return name if isinstance(name, str) else repr(callback)

@@ -1,4 +1,4 @@
-"""Callbacks that hold the loop for so long that others notice: they are named."""
+"""Warnings about callbacks that hold the loop too long."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ _log = logging.getLogger("robotctl.ros.executor")
 
 
 class SlowCallbacks:
-    """Names the callbacks that hold the loop, each once in `SLOW_WARNING_PAUSE_NS`."""
+    """Warns about callbacks that hold the loop, at most once per SLOW_WARNING_PAUSE_NS for each."""
 
     def __init__(self) -> None:
         self._quiet_until_ns: dict[str, int] = {}
         self._unsaid: Counter[str] = Counter()
 
     def check(self, where: str, elapsed_ns: int) -> None:
-        """Warn about a callback that held the loop for too long."""
+        """Warn about a callback if it held the loop for more than SLOW_CALLBACK_NS."""
         if elapsed_ns > SLOW_CALLBACK_NS:
             self._warn(where, elapsed_ns)
 
@@ -44,7 +44,7 @@ class SlowCallbacks:
 
 
 class TimedSteps:
-    """Awaits a coroutine and warns about each step between two awaits that blocks the loop."""
+    """Awaits a coroutine; warns about each step between two awaits that holds the loop too long."""
 
     __slots__ = ("_coroutine", "_slow", "_where")
 
@@ -73,5 +73,5 @@ class TimedSteps:
             except GeneratorExit:
                 coroutine.close()
                 raise
-            except BaseException as error:  # noqa: BLE001 - cancellation too goes to the coroutine
+            except BaseException as error:  # noqa: BLE001 - cancellation goes to the coroutine too
                 thrown = error

@@ -1,5 +1,5 @@
 # mypy: disallow-untyped-calls=False
-"""What `create_task` of an executor starts, and the futures that it returns."""
+"""The tasks that `create_task` starts, and the futures that it returns."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from typing import Any
 
 from rclpy.task import Future
 
-from robotctl.ros.executor.futures import CallbacksNow, callbacks_at_once
+from robotctl.ros.executor.futures import ImmediateCallbacks, callbacks_at_once
 from robotctl.ros.executor.loop_thread import LoopThread
 from robotctl.ros.executor.runtime import Runtime, log, name_of
 
 
 class ExecutorTask(Future):
-    """What `create_task` returns: an rclpy Future whose `cancel` reaches the running coroutine."""
+    """An rclpy Future whose `cancel` also cancels the running coroutine."""
 
     def __init__(self, executor: Any, loop_thread: LoopThread) -> None:
         super().__init__(executor=executor)
         self._loop_thread = loop_thread
         self.running: asyncio.Task[None] | None = None
-        """The coroutine, once it has been started; used in the loop's thread only."""
+        """The task of the coroutine once it has started; used in the loop's thread only."""
 
     def cancel(self) -> None:
-        """Cancel the future, and the coroutine behind it; from any thread."""
+        """Cancel the future and its coroutine; may be called from any thread."""
         super().cancel()
         if self.cancelled():
-            with suppress(RuntimeError):  # The loop is closed: nothing runs any more.
+            with suppress(RuntimeError):  # The loop is closed: nothing runs.
                 self._loop_thread.call_soon(self._cancel_running)
 
     def _cancel_running(self) -> None:
@@ -39,9 +39,10 @@ class ExecutorTask(Future):
 
 
 class Tasks:
-    """Runs functions and coroutines in the loop and settles the future of each.
+    """Runs functions and coroutines in the loop, and sets the future of each.
 
-    An exception that no done callback of its future takes up goes to the exception handler.
+    An exception goes into the future, and to the exception handler as well unless the future has
+    a done callback.
     """
 
     def __init__(self, executor: Any, loop_thread: LoopThread) -> None:
@@ -51,18 +52,18 @@ class Tasks:
         self._closed = False
 
     def open(self, runtime: Runtime) -> None:
-        """Begin to run them: the loop is there."""
+        """Begin to run tasks in the loop of `runtime`."""
         self._runtime = runtime
 
     def close(self) -> None:
-        """Cancel from now on whatever was not begun yet."""
+        """Cancel the tasks that have not begun."""
         self._closed = True
 
     def create(self, callback: Any, args: tuple[Any, ...], kwargs: dict[str, Any]) -> ExecutorTask:
         """Run a function, a coroutine function or a coroutine in the loop, soon.
 
         Raises:
-            RuntimeError: the loop is closed.
+            RuntimeError: The loop is closed.
         """
         task = ExecutorTask(self._executor, self._loop_thread)
         if inspect.iscoroutine(callback):
@@ -81,7 +82,7 @@ class Tasks:
         begun = time.monotonic_ns()
         try:
             result = function(*args, **kwargs)
-        except Exception as error:  # noqa: BLE001 - in the future, and reported
+        except Exception as error:  # noqa: BLE001 - goes into the future
             self._fail(task, error, name_of(function))
             return
         finally:
@@ -95,7 +96,7 @@ class Tasks:
         async def run() -> None:
             try:
                 result = await coroutine
-            except Exception as error:  # noqa: BLE001 - in the future, and reported
+            except Exception as error:  # noqa: BLE001 - goes into the future
                 self._fail(task, error, name_of(coroutine))
             else:
                 self._settle(task, lambda: task.set_result(result))
@@ -112,15 +113,15 @@ class Tasks:
         task.running = self._runtime.spawn(run(), f"task {name_of(coroutine)}", finished)
 
     def _fail(self, task: ExecutorTask, error: Exception, name: str) -> None:
-        somebody_listens = bool(task._callbacks)
+        has_done_callback = bool(task._callbacks)
         self._settle(task, lambda: task.set_exception(error))
-        if not somebody_listens:
-            task.exception()  # Reported here: rclpy need not print it as well.
+        if not has_done_callback:
+            task.exception()  # Fetched: otherwise rclpy prints it as well.
             self._report(error, f"task {name}")
 
     def _settle(self, task: ExecutorTask, settle: Callable[[], None]) -> None:
         later = None if self._closed else self._executor
-        with callbacks_at_once(task, CallbacksNow(self._report), later):
+        with callbacks_at_once(task, ImmediateCallbacks(self._report), later):
             settle()
 
     def _report(self, error: Exception, where: str) -> None:

@@ -19,9 +19,8 @@ MAX_HZ = 10_000.0
 class Tick:
     """One tick of a `Ticker`; times are steady nanoseconds (`time.monotonic_ns`).
 
-    t_ns is when it was delivered, due_ns when it should have been, and missed is the number of
-    ticks between the one before and this one that passed while the loop was busy: they are
-    skipped, never delivered in a burst.
+    t_ns is when the tick was delivered, due_ns when it was due. missed is the number of ticks
+    before it that were skipped because the loop was busy; they are never delivered in a burst.
     """
 
     t_ns: int
@@ -32,14 +31,15 @@ class Tick:
 class Ticker:
     """Ticks on an absolute schedule of the steady clock, for one task at a time.
 
-    The first tick comes one period after the first wait, and every further one at a multiple of
-    the period, however late the last was taken. A kernel timer drives it, because asyncio's own
-    timers round up to 1 ms.
+    The first tick comes one period after the first wait, and later ones at multiples of the
+    period after it, even if a tick was taken late. A kernel timer drives it, because asyncio's
+    own timers round up to 1 ms.
 
         async for tick in Ticker(50.0):
             step(tick.t_ns)
 
-    Leaving the loop lets the ticker go; `close`, or `async with`, does so at a known point.
+    The timer is released when the ticker is garbage collected; `close` or `async with` releases
+    it at a known point.
     """
 
     def __init__(self, hz: float) -> None:
@@ -65,8 +65,8 @@ class Ticker:
         """Wait for the next tick.
 
         Raises:
-            StopAsyncIteration: the ticker was closed.
-            RuntimeError: another task waits already, or the ticker runs in another loop.
+            StopAsyncIteration: The ticker was closed.
+            RuntimeError: Another task waits already, or the ticker runs in another loop.
         """
         if self._waiter is not None:
             raise RuntimeError("another task waits for this ticker; give each task its own")
@@ -92,7 +92,7 @@ class Ticker:
         self.close()
 
     def close(self) -> None:
-        """Stop ticking and end a waiting `async for`; a second time does nothing."""
+        """Stop ticking, and end an `async for` that waits; a second call does nothing."""
         self._closed = True
         timer, self._timer = self._timer, None
         if timer is not None:
@@ -116,14 +116,14 @@ class Ticker:
             self._timer = TimerFd()
             self._due_ns = time.monotonic_ns()
             self._timer.arm_periodic(self._due_ns + self.period_ns, self.period_ns)
-            # The loop must not keep a ticker alive that nobody iterates any more.
+            # A weak reference: the loop must not keep an unused ticker alive.
             loop.add_reader(self._timer.fd, _wake, weakref.ref(self))
         elif loop is not self._loop:
             raise RuntimeError("this ticker runs in another event loop; give each loop its own")
 
     def _on_expiry(self) -> None:
-        # Read even when nobody waits: a readable descriptor would keep the loop turning.
-        # And only here, in a turn of the loop: a task that is always late cannot starve it.
+        # Read even when no task waits: a readable descriptor would keep waking the loop.
+        # Read only here, in a turn of the loop: a task that is always late cannot starve it.
         if self._timer is not None:
             self._expired += self._timer.read()
         self._release()

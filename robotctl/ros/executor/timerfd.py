@@ -1,6 +1,6 @@
-"""A Linux timer as a file descriptor: nanoseconds where asyncio's own timers round to 1 ms.
+"""A Linux timer as a file descriptor; asyncio's own timers round to 1 ms.
 
-Through ctypes, because `os.timerfd_create` came with Python 3.13.
+It uses ctypes, because `os.timerfd_create` came with Python 3.13.
 """
 
 from __future__ import annotations
@@ -49,10 +49,10 @@ class TimerFd:
     __slots__ = ("_closed", "fd")
 
     def __init__(self) -> None:
-        """Create it disarmed.
+        """Create a disarmed timer.
 
         Raises:
-            OSError: no descriptor is left.
+            OSError: No file descriptor is left.
         """
         self._closed = False
         self.fd: int = _libc().timerfd_create(_CLOCK_MONOTONIC, _TFD_NONBLOCK | _TFD_CLOEXEC)
@@ -61,7 +61,7 @@ class TimerFd:
             raise _fail("timerfd_create")
 
     def arm_after(self, delay_ns: int) -> None:
-        """Expire once, `delay_ns` from now; a delay that is over already expires at once."""
+        """Expire once, `delay_ns` from now; at once if the delay is not positive."""
         self._set(0, max(delay_ns, 1), 0)
 
     def arm_periodic(self, first_ns: int, period_ns: int) -> None:
@@ -69,18 +69,18 @@ class TimerFd:
         self._set(_TFD_TIMER_ABSTIME, max(first_ns, 1), period_ns)
 
     def disarm(self) -> None:
-        """Expire no more until it is armed again."""
+        """Stop the timer until it is armed again."""
         self._set(0, 0, 0)
 
     def read(self) -> int:
-        """How often it expired since the last read; 0 where it did not."""
+        """Return how many times it expired since the last read."""
         try:
             return int.from_bytes(os.read(self.fd, 8), "little")
         except BlockingIOError:
             return 0
 
     def close(self) -> None:
-        """Give the descriptor back; a second time does nothing."""
+        """Close the file descriptor; a second call does nothing."""
         if not self._closed:
             self._closed = True
             os.close(self.fd)

@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-calls=False
 """Topics and endpoints of the graph as bytes: rclpy's calls fail on names that are not UTF-8."""
 
 from __future__ import annotations

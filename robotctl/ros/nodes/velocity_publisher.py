@@ -77,7 +77,7 @@ class VelocityPublisher:
             event_callbacks=NO_SUBSCRIPTION_EVENTS,
             raw=True,
         )
-        return lambda: tap.look()
+        return lambda: tap.poll()
 
     def name_of(self, gid: bytes) -> str:
         """Return the name of the node whose commands carry this gid, "" where unknown."""

@@ -1,1 +1,1 @@
-"""Where data comes from: one file for each kind of entity."""
+"""The sources of callbacks: one file for each kind of entity."""

@@ -1,4 +1,4 @@
-"""Action servers and clients: three services or five sources behind one eventfd."""
+"""Action servers and clients: their services and topics announce on one eventfd."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from rclpy.action.server import ActionServer
 from rclpy.executors import ShutdownException
 
 from robotctl.ros.executor.announcements import Announcement
-from robotctl.ros.executor.futures import CallbacksNow, fail_pending
+from robotctl.ros.executor.futures import ImmediateCallbacks, fail_pending
 from robotctl.ros.executor.runtime import Runtime
 from robotctl.ros.executor.sources.source import EventFdSource
 
 EXPIRY_POLL_S = 1.0
-"""How often finished goals are looked at: rcl keeps their expiry in a timer of its own."""
+"""The time between two checks for expired goals: rcl does not announce their expiry."""
 
 
 class _ActionSource(EventFdSource):
-    """What the two have in common: rclpy's Waitable takes and executes, we say when."""
+    """The common part: rclpy's Waitable takes and executes, the source says when."""
 
     def __init__(
         self, runtime: Runtime, entity: Any, handle: Any, where: str, executor: Any
@@ -40,7 +40,7 @@ class _ActionSource(EventFdSource):
 
 
 class ActionServerSource(_ActionSource):
-    """An action server; finished goals are forgotten when their result timeout is over."""
+    """An action server; a finished goal is removed when its result timeout is over."""
 
     announcements = (
         Announcement.GOAL_REQUEST,
@@ -54,7 +54,7 @@ class ActionServerSource(_ActionSource):
 
     def attach(self) -> None:
         super().attach()
-        self._look_for_expired_later()
+        self._schedule_expiry_check()
 
     def detach(self) -> None:
         if self._expiry is not None:
@@ -65,7 +65,7 @@ class ActionServerSource(_ActionSource):
         return self._take(expired=False)
 
     def deliver(self, item: Any) -> Coroutine[Any, Any, Any] | None:
-        self._look_for_expired_later()
+        self._schedule_expiry_check()
         return super().deliver(item)
 
     def _take(self, *, expired: bool) -> Any:
@@ -76,16 +76,16 @@ class ActionServerSource(_ActionSource):
         server._is_goal_expired = expired
         return server.take_data() or None
 
-    def _look_for_expired_later(self) -> None:
+    def _schedule_expiry_check(self) -> None:
         if self._expiry is None:
             self._expiry = self.runtime.loop.call_later(EXPIRY_POLL_S, self._expire)
 
     def _expire(self) -> None:
         self._expiry = None
         if self.closed or not self.entity._goal_handles:
-            return  # Until the next goal there is nothing to look for.
-        self._look_for_expired_later()
-        if self._free or self.group.can_execute(self.entity):
+            return  # There is nothing to expire until the next goal.
+        self._schedule_expiry_check()
+        if self._reentrant or self.group.can_execute(self.entity):
             data = self._take(expired=True)
             if data is not None and data.get("expired"):
                 self.run_async(self._execute(data))
@@ -94,8 +94,8 @@ class ActionServerSource(_ActionSource):
 class ActionClientSource(_ActionSource):
     """An action client.
 
-    Its callback group holds back feedback only, which runs a callback; responses and status just
-    resolve futures (see `ClientSource`).
+    Its callback group holds back feedback only, which runs a callback; responses and status only
+    set futures (see `ClientSource`).
     """
 
     announcements = (
@@ -108,7 +108,7 @@ class ActionClientSource(_ActionSource):
 
     def __init__(self, runtime: Runtime, client: ActionClient, where: str, executor: Any) -> None:
         super().__init__(runtime, client, client._client_handle, where, executor)
-        self._strict = False
+        self._custom_group = False
 
     def blocked(self) -> bool:
         return False
@@ -125,17 +125,17 @@ class ActionClientSource(_ActionSource):
     def deliver(self, item: Any) -> Coroutine[Any, Any, Any] | None:
         feedback = item.pop("feedback", None)
         if item:
-            # Nothing in there awaits anything: one step is the whole of it.
+            # Nothing in it awaits: one step runs all of it.
             with suppress(StopIteration):
                 self._execute(item).send(None)
         return None if feedback is None else self._execute({"feedback": feedback})
 
     def fail_pending(self, reason: str) -> None:
-        """Nobody will answer any more: end every call that waits."""
+        """End every call that waits, with an error that names `reason`."""
         error = ShutdownException(f"{self.where}: {reason}")
         for pending in (
             self.entity._pending_goal_requests,
             self.entity._pending_cancel_requests,
             self.entity._pending_result_requests,
         ):
-            fail_pending(pending, error, CallbacksNow(self.runtime.report))
+            fail_pending(pending, error, ImmediateCallbacks(self.runtime.report))

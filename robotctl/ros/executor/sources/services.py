@@ -11,13 +11,13 @@ from rclpy.executors import ShutdownException
 from rclpy.service import Service
 
 from robotctl.ros.executor.announcements import Announcement
-from robotctl.ros.executor.futures import CallbacksNow, callbacks_at_once, fail_pending
+from robotctl.ros.executor.futures import ImmediateCallbacks, callbacks_at_once, fail_pending
 from robotctl.ros.executor.runtime import Runtime
 from robotctl.ros.executor.sources.source import EventFdSource, TakeFailed
 
 
 class ServiceSource(EventFdSource):
-    """A service, with a synchronous or an async handler."""
+    """A service with a synchronous or async handler."""
 
     announcements = (Announcement.REQUEST,)
 
@@ -33,7 +33,7 @@ class ServiceSource(EventFdSource):
                 raise TakeFailed(error) from error
             if header is not None:
                 return request, header
-            # rmw drops a request that it cannot read as if there were none; one may stand behind.
+            # rmw drops an unreadable request as if there were none; another may follow it.
             if self.announced <= 0:
                 return None
 
@@ -51,19 +51,19 @@ class ServiceSource(EventFdSource):
 
 
 class ClientSource(EventFdSource):
-    """A client: resolves the future of each request that was answered.
+    """A client; it sets the future of each request whose response came.
 
-    Whatever its callback group does: a response runs no callback of the group, and an async
-    callback that awaits one from a client of its own group would otherwise wait for ever.
+    Its callback group does not hold back responses: a response runs no callback of the group, and
+    an async callback that awaits a client of its own group would otherwise never end.
     """
 
     announcements = (Announcement.RESPONSE,)
 
     def __init__(self, runtime: Runtime, client: Client, where: str, executor: Any) -> None:
         super().__init__(runtime, client, client.handle, where)
-        self._free, self._strict = True, False
+        self._reentrant, self._custom_group = True, False
         self._executor = executor
-        self._now = CallbacksNow(runtime.report)
+        self._immediate = ImmediateCallbacks(runtime.report)
 
     def take(self) -> Any:
         try:
@@ -77,11 +77,11 @@ class ClientSource(EventFdSource):
         try:
             future = self.entity.get_pending_request(header.request_id.sequence_number)
         except KeyError:
-            return  # Cancelled, or its deadline has passed.
-        with callbacks_at_once(future, self._now, self._executor):
+            return  # The request was cancelled, or its deadline passed.
+        with callbacks_at_once(future, self._immediate, self._executor):
             future.set_result(response)
 
     def fail_pending(self, reason: str) -> None:
-        """Nobody will answer any more: end every call that waits."""
+        """End every call that waits, with an error that names `reason`."""
         error = ShutdownException(f"{self.where}: {reason}")
-        fail_pending(self.entity._pending_requests, error, self._now)
+        fail_pending(self.entity._pending_requests, error, self._immediate)

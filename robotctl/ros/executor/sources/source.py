@@ -1,4 +1,4 @@
-"""What brings an entity's data from rcl into the loop, and into its callback: the common part."""
+"""The base classes of sources, which pass an entity's data from rcl to its callback."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ RETRY_AFTER_FAILED_TAKE_S = 0.1
 
 
 class Source:
-    """An entity on its way into the loop: attached once, detached once, parked in between.
+    """Runs the callback of one entity in the loop, from `attach` to `detach`.
 
-    A callback group that is busy with an async callback parks the source; the end of that
+    While its callback group is busy with an async callback, the source is parked; the end of that
     callback resumes it.
     """
 
-    path: ClassVar[str]
-    """How it comes here, for the debug log."""
+    woken_by: ClassVar[str]
+    """What wakes the loop for it, for the debug log."""
 
     def __init__(self, runtime: Runtime, entity: Any, handle: Any, where: str) -> None:
         self.runtime = runtime
@@ -37,10 +37,10 @@ class Source:
         self.where = where
         self.closed = False
         self.group: Any = entity.callback_group
-        self._free = type(self.group) is ReentrantCallbackGroup
-        # Synchronous callbacks of one loop exclude each other anyway; a group of the user's own
-        # making is asked for each of them.
-        self._strict = type(self.group) not in (
+        self._reentrant = type(self.group) is ReentrantCallbackGroup
+        # Synchronous callbacks of one loop exclude each other anyway. A group of a user's own class
+        # is asked before each callback.
+        self._custom_group = type(self.group) not in (
             ReentrantCallbackGroup,
             MutuallyExclusiveCallbackGroup,
         )
@@ -49,45 +49,45 @@ class Source:
         """Begin to deliver.
 
         Raises:
-            InvalidHandle: the entity was destroyed meanwhile.
-            OSError: no file descriptor is left.
+            InvalidHandle: The entity was destroyed meanwhile.
+            OSError: No file descriptor is left.
         """
         raise NotImplementedError
 
     def detach(self) -> None:
-        """Deliver nothing more and let go of the entity; a second time does nothing."""
+        """Stop delivering, and release the entity; a second call does nothing."""
         raise NotImplementedError
 
     def resume(self) -> None:
-        """The callback group became free: look for work again."""
+        """Deliver again what is there: the callback group became free."""
         raise NotImplementedError
 
     def blocked(self) -> bool:
-        """Whether the callback group forbids a callback now; then the source is parked."""
-        if self._free:
+        """Park the source if its callback group forbids a callback now; return whether it does."""
+        if self._reentrant:
             return False
-        if self._strict:
+        if self._custom_group:
             if self.group.can_execute(self.entity):
                 return False
         elif self.group._active_entity is None:
-            # What can_execute would find out with a lock and a weak reference, at every message.
+            # As can_execute finds out, but without its lock and weak reference at every message.
             return False
         self.runtime.park(self.group, self)
         return True
 
-    def call_back(self, callback: Callable[[], Any]) -> bool:
-        """Run one callback; False where the group forbids it after all, and parks the source."""
-        if self._strict and not self.group.beginning_execution(self.entity):
+    def run_callback(self, callback: Callable[[], Any]) -> bool:
+        """Run one callback; where the group forbids it, park the source and return False."""
+        if self._custom_group and not self.group.beginning_execution(self.entity):
             self.runtime.park(self.group, self)
             return False
         begun = time.monotonic_ns()
         rest = None
         try:
             rest = callback()
-        except Exception as error:  # noqa: BLE001 - handed to the one handler
+        except Exception as error:  # noqa: BLE001 - goes to the exception handler
             self.runtime.report(error, self.where)
         finally:
-            if self._strict:
+            if self._custom_group:
                 self._end_async()
         self.runtime.slow.check(self.where, time.monotonic_ns() - begun)
         if isinstance(rest, CoroutineType):
@@ -95,7 +95,7 @@ class Source:
         return True
 
     def run_async(self, coroutine: Coroutine[Any, Any, Any]) -> None:
-        """Run the callback's coroutine as a task that occupies the callback group."""
+        """Run the coroutine of an async callback as a task that occupies the callback group."""
         self.group.beginning_execution(self.entity)
         self.runtime.spawn(coroutine, self.where, self._end_async)
 
@@ -105,22 +105,22 @@ class Source:
 
 
 class EventFdSource(Source):
-    """An entity for which rcl writes to an eventfd that asyncio watches."""
+    """A source for whose entity rcl writes to an eventfd that asyncio watches."""
 
-    path = "eventfd"
+    woken_by = "eventfd"
     announcements: ClassVar[tuple[Announcement, ...]]
     drains_first: ClassVar[bool] = True
-    """Whether there may be data from before the attachment that nobody announces."""
+    """Whether there may be earlier data that is not announced after the attachment."""
     announced = 0
-    """How many times rcl had signalled when the eventfd was last read."""
+    """The number of announcements when the eventfd was last read."""
 
     pool: Pool | None = None
-    """Who looks after the eventfd; without a pool the loop does."""
+    """The pool that polls the eventfd; None where the loop watches it."""
 
     _listening = False
 
     def attach(self) -> None:
-        # Held from now on: rclpy destroys the entity only after `detach`.
+        # Held until `detach`, so that rclpy does not destroy the entity earlier.
         self.handle.__enter__()
         try:
             self._fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
@@ -141,7 +141,7 @@ class EventFdSource(Source):
         if self.closed:
             return
         self.closed = True
-        self.runtime.drained(self)
+        self.runtime.mark_drained(self)
         for each in self.announcements:
             try:
                 announcements.unwatch(each, self.handle.pointer)
@@ -152,10 +152,10 @@ class EventFdSource(Source):
         self.handle.__exit__(None, None, None)
 
     def listen(self, pool: Pool | None) -> None:
-        """Let the pool look after the eventfd; without one the loop does, at every message."""
+        """Let the pool poll the eventfd; without one, the loop watches it, at every message."""
         self._stop_listening()
         if pool is None:
-            self.runtime.loop.add_reader(self._fd, self.look)
+            self.runtime.loop.add_reader(self._fd, self.poll)
         else:
             pool.add(self._fd, self)
         self.pool, self._listening = pool, True
@@ -173,8 +173,8 @@ class EventFdSource(Source):
         if not self.closed:
             os.eventfd_write(self._fd, 1)
 
-    def look(self) -> bool:
-        """Deliver what is there; whether something is left because the slice is over."""
+    def poll(self) -> bool:
+        """Deliver what is there; return whether the slice ended before all was delivered."""
         self.announced = os.eventfd_read(self._fd)
         if self.runtime.stale:
             self.runtime.sync()
@@ -185,28 +185,28 @@ class EventFdSource(Source):
         return self.drain()
 
     def drain(self) -> bool:
-        """Deliver until nothing is left or the slice is over; then the others have a turn."""
+        """Deliver until nothing is left or the slice ends; return True if the slice ended first."""
         runtime = self.runtime
         last = time.monotonic_ns()
         end = last + runtime.slice_ns
         while True:
-            if self._strict and not self.group.beginning_execution(self.entity):
+            if self._custom_group and not self.group.beginning_execution(self.entity):
                 runtime.park(self.group, self)
                 return False
             rest = None
             try:
                 item = self.take()
                 if item is None:
-                    runtime.drained(self)
+                    runtime.mark_drained(self)
                     return False
                 rest = self.deliver(item)
             except TakeFailed as failure:
                 self.retry_later(failure.reason)
                 return False
-            except Exception as error:  # noqa: BLE001 - handed to the one handler
+            except Exception as error:  # noqa: BLE001 - goes to the exception handler
                 runtime.report(error, self.where)
             finally:
-                if self._strict:
+                if self._custom_group:
                     self._end_async()
             now = time.monotonic_ns()
             if now - last > SLOW_CALLBACK_NS:
@@ -222,18 +222,18 @@ class EventFdSource(Source):
                 return self.to_be_continued()
 
     def retry_later(self, reason: Exception) -> None:
-        """rcl could not hand over a datum: report, and do not ask again at once."""
+        """Report a failed take, and try again after RETRY_AFTER_FAILED_TAKE_S."""
         self.runtime.report(reason, self.where)
         self.runtime.loop.call_later(RETRY_AFTER_FAILED_TAKE_S, self.resume)
 
     def to_be_continued(self) -> bool:
-        """The slice is over: look again in the next turn of the loop."""
-        self.runtime.flooded(self)
+        """Continue in the next turn of the loop, because the slice ended."""
+        self.runtime.mark_flooded(self)
         os.eventfd_write(self._fd, 1)
         return True
 
     def take(self) -> Any:
-        """The next datum, or None.
+        """Return the next item, or None.
 
         Raises:
             TakeFailed: rcl could not hand it over.
@@ -241,18 +241,18 @@ class EventFdSource(Source):
         raise NotImplementedError
 
     def deliver(self, item: Any) -> Coroutine[Any, Any, Any] | None:
-        """Run the callback; what it returns is the rest of an async one."""
+        """Run the callback; return its coroutine if it is async."""
         raise NotImplementedError
 
 
 class TakeFailed(Exception):
-    """rcl could not hand over a datum; asking again at once would fail again."""
+    """rcl could not hand over an item; trying again at once would fail again."""
 
     def __init__(self, reason: Exception) -> None:
         super().__init__(str(reason))
         self.reason = reason
 
 
-def rest_of(result: Any) -> Coroutine[Any, Any, Any] | None:
-    """What a callback has left to do, if it is async."""
+def coroutine_of(result: Any) -> Coroutine[Any, Any, Any] | None:
+    """Return a callback's result if it is a coroutine, else None."""
     return result if isinstance(result, CoroutineType) else None

@@ -1,4 +1,4 @@
-"""Subscriptions: taken as bytes past rclpy, and made into messages where a callback wants these."""
+"""Subscriptions: messages are taken as bytes past rclpy, and decoded for typed callbacks."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from robotctl.ros.executor.decoder import decoder_of
 from robotctl.ros.executor.errors import RclCallFailed
 from robotctl.ros.executor.runtime import Runtime
 from robotctl.ros.executor.serialized_taker import SerializedTaker
-from robotctl.ros.executor.sources.source import EventFdSource, TakeFailed, rest_of
+from robotctl.ros.executor.sources.source import EventFdSource, TakeFailed, coroutine_of
 from robotctl.ros.executor.time_limits import (
-    CALM_VERDICT_NS,
+    CALM_BEYOND_NS,
     FASTEST_TOPIC_HZ,
     FLOOD_REST_S,
-    FLOODED_VERDICT_NS,
-    LOOKS_PER_VERDICT,
+    FLOODED_WITHIN_NS,
+    POLLS_PER_RATE_CHECK,
     SLOW_CALLBACK_NS,
 )
 
 
 class _TakenSource(EventFdSource):
-    """Whatever is taken serialized, message by message, until nothing is left."""
+    """The base of subscriptions, whose messages are taken serialized."""
 
     announcements = (Announcement.MESSAGE,)
 
@@ -39,7 +39,7 @@ class _TakenSource(EventFdSource):
         self._taker = SerializedTaker(self.handle.pointer, views=views)
 
     def receiver(self) -> Callable[..., Any]:
-        """What is called with a `TakenMessage`, field by field."""
+        """Return the function that gets the fields of each `TakenMessage`."""
         raise NotImplementedError
 
     def detach(self) -> None:
@@ -54,12 +54,12 @@ class _TakenSource(EventFdSource):
             raise TakeFailed(error) from error
 
     def deliver(self, item: Any) -> Coroutine[Any, Any, Any] | None:
-        return rest_of(self.receiver()(*item))
+        return coroutine_of(self.receiver()(*item))
 
     def drain(self) -> bool:
-        if self._strict:
+        if self._custom_group:
             return super().drain()
-        # The same as there, for speed without its calls.
+        # The same as the base class does, without its calls, for speed.
         runtime = self.runtime
         take, receive = self._taker.take, self.receiver()
         clock = time.monotonic_ns
@@ -72,12 +72,12 @@ class _TakenSource(EventFdSource):
                 self.retry_later(error)
                 return False
             if item is None:
-                runtime.drained(self)
+                runtime.mark_drained(self)
                 return False
             result = None
             try:
                 result = receive(*item)
-            except Exception as error:  # noqa: BLE001 - handed to the one handler
+            except Exception as error:  # noqa: BLE001 - goes to the exception handler
                 runtime.report(error, self.where)
             now = clock()
             if now - last > SLOW_CALLBACK_NS:
@@ -98,16 +98,15 @@ class _TakenSource(EventFdSource):
 class SubscriptionSource(_TakenSource):
     """A subscription, typed or raw, with a callback of one argument or two.
 
-    One that comes faster than 2 kHz, and has a queue of 100 or more, moves into a pool, and back
-    when it has calmed down: its messages then collect for two milliseconds, which saves a third
-    of what each of them costs.
+    While it receives more than 2 kHz, and its queue holds 100 messages or more, it is in a pool:
+    its messages are collected for 2 ms, which saves a third of their cost.
     """
 
     def __init__(self, runtime: Runtime, subscription: Subscription, where: str) -> None:
         super().__init__(runtime, subscription, where)
         self._decode = bytes if subscription.raw else decoder_of(subscription.msg_type)
-        self._looks = 0
-        self._judged_ns = 0
+        self._polls = 0
+        self._rate_checked_ns = 0
         self._rest_s = affordable_rest_s(FLOOD_REST_S, subscription.qos_profile)
 
     def receiver(self) -> Callable[..., Any]:
@@ -118,26 +117,26 @@ class SubscriptionSource(_TakenSource):
         return lambda data, *_: callback(decode(data), info())
 
     def drain(self) -> bool:
-        self._looks += 1
-        if self._looks >= LOOKS_PER_VERDICT:
-            self._judge_rate()
+        self._polls += 1
+        if self._polls >= POLLS_PER_RATE_CHECK:
+            self._check_rate()
         return super().drain()
 
-    def _judge_rate(self) -> None:
+    def _check_rate(self) -> None:
         now = time.monotonic_ns()
-        took_ns = now - self._judged_ns
-        self._looks, self._judged_ns = 0, now
-        if self.pool is None and self._rest_s > 0.0 and took_ns < FLOODED_VERDICT_NS:
-            with suppress(OSError):  # Without a descriptor for the pool it goes on as it is.
+        took_ns = now - self._rate_checked_ns
+        self._polls, self._rate_checked_ns = 0, now
+        if self.pool is None and self._rest_s > 0.0 and took_ns < FLOODED_WITHIN_NS:
+            with suppress(OSError):  # Without a descriptor for a pool it stays as it is.
                 self.listen(self.runtime.pool(self._rest_s))
-        elif self.pool is not None and took_ns > CALM_VERDICT_NS:
+        elif self.pool is not None and took_ns > CALM_BEYOND_NS:
             self.listen(None)
 
 
 class RawTapSource(_TakenSource):
-    """A raw subscription with a `RawTap`: straight into the sink."""
+    """A raw subscription with a `RawTap`, whose sink gets the messages directly."""
 
-    path = "eventfd, collected"
+    woken_by = "eventfd, collected"
 
     def __init__(self, runtime: Runtime, subscription: Subscription, where: str) -> None:
         super().__init__(runtime, subscription, where, views=subscription.callback.views)
@@ -147,13 +146,13 @@ class RawTapSource(_TakenSource):
 
     def attach(self) -> None:
         super().attach()
-        self.entity.callback.look = self.look_now
+        self.entity.callback.poll = self.poll_now
 
-    def look_now(self) -> None:
-        """Take what has come by now; nothing where nothing was announced."""
+    def poll_now(self) -> None:
+        """Take the messages that were announced by now."""
         if not self.closed:
             with suppress(BlockingIOError):
-                self.look()
+                self.poll()
 
     def receiver(self) -> Callable[..., Any]:
         sink: Callable[..., Any] = self.entity.callback.sink
@@ -161,10 +160,10 @@ class RawTapSource(_TakenSource):
 
 
 def affordable_rest_s(wanted_s: float, qos: QoSProfile) -> float:
-    """Return how long messages may collect: at most `wanted_s`, and until the queue may be full.
+    """Return how long messages may be collected: at most `wanted_s`, and until a queue may be full.
 
-    0 where that is less than FLOOD_REST_S: so short a rest saves nothing. Sources whose rests are
-    equal share a pool.
+    0 where that is less than FLOOD_REST_S: such a short rest saves nothing. Sources with the same
+    rest share a pool.
     """
     if qos.history == HistoryPolicy.KEEP_ALL:
         return wanted_s

@@ -1,4 +1,4 @@
-"""rclpy's timers in the loop: a timerfd keeps the deadline, rcl decides what is due."""
+"""rclpy's timers: a timerfd wakes the loop, rcl decides whether the timer is due."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from robotctl.ros.executor.runtime import Runtime
 from robotctl.ros.executor.sources.source import Source
 from robotctl.ros.executor.timerfd import TimerFd
 
-# Every step of a clock counts: rcl's on-reset callback is silent when /clock moves.
+# Every step of the clock: rcl's on-reset callback is not called when /clock moves.
 _ANY_JUMP = JumpThreshold(
     min_forward=Duration(nanoseconds=1),
     min_backward=Duration(nanoseconds=-1),
@@ -24,13 +24,13 @@ _ANY_JUMP = JumpThreshold(
 
 
 class TimerSource(Source):
-    """A timer on the steady, system or ROS clock, with its cancel and reset.
+    """A timer on the steady, system or ROS clock, with cancel and reset.
 
-    While /clock drives a ROS clock no kernel timer can know the deadline: each step of the clock
-    is looked at instead.
+    While /clock drives a ROS clock, no kernel timer can know the deadline; then each step of the
+    clock checks the timer.
     """
 
-    path = "timerfd"
+    woken_by = "timerfd"
 
     def __init__(self, runtime: Runtime, timer: Timer, where: str) -> None:
         super().__init__(runtime, timer, timer.handle, where)
@@ -94,7 +94,7 @@ class TimerSource(Source):
         self.resume()
 
     def _on_jump(self, _: object) -> None:
-        # In whichever thread sets the clock, and inside the setting: look at it afterwards.
+        # Called in the thread that sets the clock, during the setting: check afterwards.
         self.runtime.loop.call_soon_threadsafe(self.resume)
 
     def _on_expiry(self) -> None:
@@ -106,11 +106,11 @@ class TimerSource(Source):
                 return
         if self.blocked():
             return
-        # Only rcl knows: cancelled or reset meanwhile, or its clock runs slower than ours.
+        # Only rcl knows whether it was cancelled or reset meanwhile, or its clock runs slower.
         if self.handle.is_timer_canceled() or not self.handle.is_timer_ready():
             self.resume()
             return
-        if self.call_back(self._fire):
+        if self.run_callback(self._fire):
             self.resume()
 
     def _fire(self) -> Any:

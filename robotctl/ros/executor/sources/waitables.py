@@ -1,4 +1,4 @@
-"""What has no callback in rcl and is waited for in the wait-set thread."""
+"""Guard conditions and foreign Waitables, which rcl does not announce on an eventfd."""
 
 from __future__ import annotations
 
@@ -30,24 +30,25 @@ class GuardSource(WaitSetSource):
     def fill(self, wait_set: Any) -> None:
         wait_set.add_guard_condition(self.handle)
 
-    def fire(self, wait_set: Any) -> None:
+    def run_if_ready(self, wait_set: Any) -> None:
         if self.handle.pointer in wait_set.get_ready_entities("guard_condition"):
             self._call()
 
     def resume(self) -> None:
-        # Waiting has reset the condition: only we know that it was triggered.
+        # Waiting has reset the condition: only this source knows that it was triggered.
         if self._triggered and not self.closed:
             self._call()
 
     def _call(self) -> None:
         if self.entity.callback is not None:
-            self._triggered = self.blocked() or not self.call_back(self.entity.callback)
+            self._triggered = self.blocked() or not self.run_callback(self.entity.callback)
 
 
 class WaitableSource(WaitSetSource):
-    """A Waitable that is none of rclpy's own.
+    """A Waitable of a class that is not rclpy's.
 
-    Where one of its methods raises it is left alone for a moment: what made it ready stays there.
+    After an exception of one of its methods it is not waited for during a pause, because it stays
+    ready.
     """
 
     def __init__(
@@ -65,7 +66,7 @@ class WaitableSource(WaitSetSource):
     def counts(self) -> tuple[int, int, int, int, int, int]:
         try:
             number = self.entity.get_num_entities()
-        except Exception as error:  # noqa: BLE001 - handed to the one handler
+        except Exception as error:  # noqa: BLE001 - goes to the exception handler
             self._fail_in_thread(error)
             return (0, 0, 0, 0, 0, 0)
         return (
@@ -84,15 +85,15 @@ class WaitableSource(WaitSetSource):
             self.entity.add_to_wait_set(wait_set)
         except InvalidHandle:
             raise
-        except Exception as error:  # noqa: BLE001 - handed to the one handler
+        except Exception as error:  # noqa: BLE001 - goes to the exception handler
             self._fail_in_thread(error)
 
-    def fire(self, wait_set: Any) -> None:
+    def run_if_ready(self, wait_set: Any) -> None:
         if self.parked:
             return
         try:
             self._ready = self.entity.is_ready(wait_set)
-        except Exception as error:  # noqa: BLE001 - handed to the one handler
+        except Exception as error:  # noqa: BLE001 - goes to the exception handler
             self._retry_later(error)
         if self._ready:
             self._execute()
@@ -102,7 +103,7 @@ class WaitableSource(WaitSetSource):
             self._execute()
 
     def _execute(self) -> None:
-        # While parked it may stay ready: waiting for it would turn the thread.
+        # While parked it may stay ready: waiting for it would keep the thread busy.
         self.parked = self.blocked()
         if self.parked:
             return
@@ -113,13 +114,13 @@ class WaitableSource(WaitSetSource):
             for future in waitable._futures:
                 future._set_executor(self._executor)
             self.run_async(waitable.execute(data))
-        except Exception as error:  # noqa: BLE001 - handed to the one handler
+        except Exception as error:  # noqa: BLE001 - goes to the exception handler
             self._retry_later(error)
         self._thread.refresh()
 
     def _fail_in_thread(self, error: Exception) -> None:
         self.parked = True
-        with suppress(RuntimeError):  # The loop is closed: nobody is left to tell.
+        with suppress(RuntimeError):  # The loop is closed: nothing handles the error.
             self.runtime.loop.call_soon_threadsafe(self._retry_later, error)
 
     def _retry_later(self, error: Exception) -> None:

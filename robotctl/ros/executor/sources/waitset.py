@@ -1,7 +1,7 @@
-"""The slow path: one thread waits in a wait set for what has no callback in rcl.
+"""The wait-set thread: it waits for entities that rcl does not announce on an eventfd.
 
-That is guard conditions and foreign Waitables. The thread only waits; taking and executing
-happen in the loop, while the thread stands still.
+These are guard conditions and foreign Waitables. The thread only waits; the loop takes and
+executes, while the thread pauses.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from rclpy.signals import SignalHandlerGuardCondition
 from robotctl.ros.executor.runtime import Runtime, log
 from robotctl.ros.executor.sources.source import Source
 
-SHUTDOWN_LOOK_S = 0.005
-SHUTDOWN_LOOKS = 200
-"""After a signal the context is looked at so often: a second in all."""
+SHUTDOWN_POLL_S = 0.005
+SHUTDOWN_POLLS = 200
+"""How many times the context is checked after a signal: for one second in all."""
 
 
 class WaitSetSource(Source):
-    """An entity that is waited for in the thread."""
+    """A source whose entity the thread waits for."""
 
-    path = "wait-set thread"
+    woken_by = "wait-set thread"
 
     def __init__(
         self, runtime: Runtime, entity: Any, handle: Any, where: str, thread: WaitSetThread
@@ -48,24 +48,24 @@ class WaitSetSource(Source):
         self._thread.remove(self)
 
     def release(self) -> None:
-        """The thread waits for it no more: the entity may be destroyed."""
+        """Let rclpy destroy the entity: the thread no longer waits for it."""
         self.handle.__exit__(None, None, None)
 
     def counts(self) -> tuple[int, int, int, int, int, int]:
-        """How many subscriptions, guards, timers, clients, services and events it waits for."""
+        """Return the number of its subscriptions, guards, timers, clients, services and events."""
         raise NotImplementedError
 
     def fill(self, wait_set: Any) -> None:
         """Add them to a wait set."""
         raise NotImplementedError
 
-    def fire(self, wait_set: Any) -> None:
-        """In the loop: run the callback if the wait set says so."""
+    def run_if_ready(self, wait_set: Any) -> None:
+        """Run the callback, in the loop, if the wait set shows the entity as ready."""
         raise NotImplementedError
 
 
 class WaitSetThread:
-    """One thread that waits; started with the first source, ended with the executor."""
+    """The thread; it starts with the first source and ends with the executor."""
 
     def __init__(
         self, runtime: Runtime, context: Context, on_context_down: Callable[[], None]
@@ -83,19 +83,19 @@ class WaitSetThread:
         self._signals: GuardCondition | None = None
 
     def watch_signals(self) -> None:
-        """Notice when rclpy's own signal handlers shut the context down: nothing else tells."""
+        """Notice when rclpy's signal handlers shut the context down; no callback reports it."""
         self._signals = SignalHandlerGuardCondition(self._context)
         self._start()
 
     def add(self, source: WaitSetSource) -> None:
-        """Wait for it too."""
+        """Begin to wait for a source."""
         with self._lock:
             self._sources[source] = None
         self._start()
         self.refresh()
 
     def remove(self, source: WaitSetSource) -> None:
-        """Wait for it no more; it is released when the thread has let go of it."""
+        """Stop waiting for a source; it is released when the thread no longer uses it."""
         with self._lock:
             if source in self._sources:
                 del self._sources[source]
@@ -103,7 +103,7 @@ class WaitSetThread:
         self.refresh()
 
     def refresh(self) -> None:
-        """Look again at what to wait for."""
+        """Build the wait set again."""
         if self._wake is not None:
             self._wake.trigger()
 
@@ -171,26 +171,26 @@ class WaitSetThread:
             if self._signals is not None:
                 pointers = wait_set.get_ready_entities("guard_condition")
                 if self._signals.handle.pointer in pointers:
-                    self._look_for_shutdown(SHUTDOWN_LOOKS)
+                    self._poll_shutdown(SHUTDOWN_POLLS)
             for source in sources:
                 if self._runtime.stale:
                     self._runtime.sync()
                 if not source.closed:
-                    source.fire(wait_set)
+                    source.run_if_ready(wait_set)
         finally:
             self._taken.release()
 
-    def _look_for_shutdown(self, looks: int) -> None:
-        # rclpy's signal handler wakes us before it shuts the context down, and not again after.
+    def _poll_shutdown(self, polls: int) -> None:
+        # rclpy's signal handler wakes the thread before it shuts the context down, not after.
         if not self._context.ok():
             self._on_context_down()
-        elif looks and not self._stopping.is_set():
-            self._runtime.loop.call_later(SHUTDOWN_LOOK_S, self._look_for_shutdown, looks - 1)
+        elif polls and not self._stopping.is_set():
+            self._runtime.loop.call_later(SHUTDOWN_POLL_S, self._poll_shutdown, polls - 1)
 
     def _post(self, callback: Callable[..., None], *args: Any) -> bool:
         try:
             self._runtime.loop.call_soon_threadsafe(callback, *args)
-        except RuntimeError:  # The loop is closed: nobody is left to tell.
+        except RuntimeError:  # The loop is closed: nothing handles it.
             return False
         return True
 
