@@ -1,4 +1,4 @@
-"""How full the battery is, whatever its gauge calls full."""
+"""The battery level, from gauges that count to 1 or to 100."""
 
 from __future__ import annotations
 
@@ -7,26 +7,26 @@ from typing import TypeGuard
 from robotctl.kernel.params import BatteryScale
 
 FULLEST_LEVEL = 1.05
-"""Gauges overshoot; a level above this one is of a gauge that counts in percent, or broken."""
+"""The highest valid level: gauges overshoot. A higher value is in percent, or wrong."""
 
 
 def counts_in_percent(raw: float, before: bool, scale: BatteryScale) -> bool:
-    """Say whether the gauge that reports `raw` counts to 100; `before` is what was said last."""
+    """Return whether the gauge that reports `raw` counts to 100; `before` is the last answer."""
     if scale is BatteryScale.AUTO:
         return before or FULLEST_LEVEL < raw <= 100.0 * FULLEST_LEVEL
     return scale is BatteryScale.PERCENT
 
 
 def level_of(raw: float, in_percent: bool) -> float:
-    """Return the level, 0..1 where the gauge is right."""
+    """Return the level: 0..1 for a gauge that works."""
     return raw / 100.0 if in_percent else raw
 
 
 def full_level(scale: BatteryScale) -> float:
-    """Return what a gauge of this scale reports of a full battery."""
+    """Return the value that a gauge of this scale reports when the battery is full."""
     return 100.0 if scale is BatteryScale.PERCENT else 1.0
 
 
 def is_level(level: float | None) -> TypeGuard[float]:
-    """Say whether this is how full a battery can be; NaN is not."""
+    """Return whether the level is possible; None and NaN are not."""
     return level is not None and 0.0 <= level <= FULLEST_LEVEL

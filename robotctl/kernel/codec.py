@@ -1,7 +1,7 @@
-"""Kernel values as JSON and back, bit for bit: how the journal writes events, effects and states.
+"""Writes kernel values as JSON and reads them back bit for bit; the journal is written this way.
 
-A float is written as its repr, which reads back to the same bits; nan and inf, which JSON does not
-have, are written as strings.
+A float is written as its repr, which reads back to the same bits. JSON has no nan and no inf, so
+they are written as strings.
 """
 
 from __future__ import annotations
@@ -19,16 +19,19 @@ T = TypeVar("T")
 
 
 def to_json(value: Any) -> str:
-    """Return the JSON text of a dataclass of the kernel, or of any value in one."""
+    """Return the JSON text of a kernel dataclass, or of any value in one."""
     kind: Any = type(value)
     return _writer(kind)(value)
 
 
 def from_json(kind: Callable[..., T], text: str) -> T:
-    """Return the `kind` that `to_json` wrote; raises ValueError where the text is not one.
+    """Return the value of type `kind` that `to_json` wrote.
 
-    A field that another version of robotctl did not write yet takes its default; a field that
-    this version does not have is passed over.
+    A field that is missing in the text takes its default; a field that `kind` does not have is
+    ignored. So journals of other versions can be read.
+
+    Raises:
+        ValueError: The text is not a value of that type.
     """
     try:
         value: T = _reader(kind)(json.loads(text))
@@ -39,7 +42,7 @@ def from_json(kind: Callable[..., T], text: str) -> T:
 
 @lru_cache(maxsize=256)
 def _writer(kind: Any) -> Callable[[Any], str]:
-    """Return the function that writes a `kind`; half the time that `json.dumps` needs."""
+    """Return the function that writes a `kind`, in half the time of `json.dumps`."""
     if kind is float:
         return _write_float
     if kind is bool:
@@ -73,7 +76,7 @@ def _fields_writer(kind: Any) -> Callable[[Any], str]:
 
 @lru_cache(maxsize=256)
 def _reader(kind: Any) -> Callable[[Any], Any]:
-    """Return the function that makes a `kind` of what `json.loads` returned."""
+    """Return the function that converts a result of `json.loads` to a `kind`."""
     if kind is float:
         return float
     if kind in (int, str, bool):

@@ -1,4 +1,4 @@
-"""Progress along a path: where the reference is, and how well the robot has followed it."""
+"""A drive along a path: how far the reference has come, and how well the robot follows it."""
 
 from __future__ import annotations
 
@@ -14,21 +14,22 @@ from robotctl.kernel.types import DriveReport
 MAX_LAPS = 100_000
 
 SETTLE_S = 0.6
-"""How long the reference waits at a stop for the robot to arrive."""
+"""The longest time that the reference waits at a stop for the robot to arrive."""
 
 SETTLED_M, SETTLED_RAD = 0.005, 0.01
-"""A robot this close to a stop has arrived."""
+"""The largest distance and angle from a stop at which the robot has arrived."""
 
 SPEED_SHARE, ACCEL_SHARE = 0.9, 0.6
-"""Of each limit, what the reference uses; the rest is left to the robot's lag and to tracking."""
+"""The share of each limit that the reference uses; the rest is for lag and tracking errors."""
 
 
 @dataclass(frozen=True, slots=True)
 class Progress:
     """How far the reference has come.
 
-    `length` is driven within segment `segment` and `speed` its rate (m or rad, and per second);
-    `closure_m` is how far from the drive's origin the robot was when the last lap ended.
+    `length` is its position in segment `segment` (m, or rad in a turn) and `speed` its rate per
+    second. `settling_s` is how long it has waited at a stop. `closure_m` is the distance of the
+    robot from the origin of the drive at the end of the last lap, NaN before that.
     """
 
     laps: int = 0
@@ -43,9 +44,9 @@ class Progress:
 class Score:
     """How well the robot followed so far: sums over the odometry samples.
 
-    `error_m` is how far the last sample was from the reference, along the path and across it; inf
-    where that is more than the pattern's size: from a robot that stands still, too, the reference
-    of a small circle is never far.
+    `error_m` is the distance of the last sample from the reference pose. It is inf when that is
+    more than the size of the pattern: a robot that stands still never comes far from the reference
+    of a small circle, so a fixed limit alone would not notice it.
     """
 
     samples: int = 0
@@ -57,7 +58,7 @@ class Score:
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """One drive of `laps` laps (0: without end), its path laid from `origin` in the odom frame."""
+    """A drive of `laps` laps (0: until stopped); its path begins at `origin` in the odom frame."""
 
     request_id: int
     pattern: Pattern
@@ -68,7 +69,7 @@ class Drive:
 
     @property
     def path(self) -> Path:
-        """One lap of the pattern, in the frame of `origin`."""
+        """The path of one lap, in the frame of `origin`."""
         return lap_of(self.pattern.kind, self.pattern.size_m)
 
     @property
@@ -77,7 +78,7 @@ class Drive:
         return 0 < self.laps <= self.progress.laps
 
     def reference(self) -> Reference:
-        """Return where the robot should be now, in the odom frame."""
+        """Return the reference of this moment, in the odom frame."""
         at = self.progress
         segment = self.path.segments[at.segment]
         pose = self.origin.compose(segment.pose_at(at.length))
@@ -86,7 +87,7 @@ class Drive:
         return Reference(pose, at.speed, segment.curvature_at(at.length), 0.0)
 
     def advance(self, dt_s: float, pose: Pose, limits: VelocityLimits) -> Drive:
-        """Return the drive `dt_s` later, with the robot at `pose`."""
+        """Return the drive after `dt_s` seconds, with the robot at `pose`."""
         at = self.progress
         segments = self.path.segments
         segment = segments[at.segment]
@@ -119,11 +120,11 @@ class Drive:
         return self._next_segment(0.0, 0.0, pose)
 
     def from_standstill(self) -> Drive:
-        """Return the drive whose reference goes on from where it is, at first without speed."""
+        """Return the drive with a reference that continues from its place at speed 0."""
         return self._at(replace(self.progress, speed=0.0))
 
     def measured(self, pose: Pose, moved_m: float) -> Drive:
-        """Return the drive with one more measurement: the robot is at `pose`, `moved_m` further."""
+        """Return the drive with one more sample: the robot moved by `moved_m` and is at `pose`."""
         at, so_far = self.progress, self.score
         path, local = self.path, self.origin.express(pose)
         cross_m = path.distance_to(local, at.segment, at.length)
@@ -138,7 +139,7 @@ class Drive:
         return Drive(self.request_id, self.pattern, self.laps, self.origin, at, score)
 
     def report(self) -> DriveReport:
-        """Return the figures of the drive so far."""
+        """Return how well the path was followed so far."""
         score = self.score
         mean_square = score.squared_error_sum / score.samples if score.samples else 0.0
         return DriveReport(

@@ -7,20 +7,20 @@ from math import atan2, cos, hypot, nan, pi, sin, tau
 
 
 def wrap_angle(angle_rad: float) -> float:
-    """Return the same direction in [-pi, pi)."""
+    """Return the angle in [-pi, pi) that has the same direction."""
     return (angle_rad + pi) % tau - pi
 
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Where and which way: x, y [m], theta [rad]."""
+    """A position x, y [m] and a heading theta [rad]."""
 
     x: float = 0.0
     y: float = 0.0
     theta: float = 0.0
 
     def compose(self, local: Pose) -> Pose:
-        """Return `local`, given in this pose's frame, in the frame of this pose."""
+        """Return `local`, a pose relative to this one, in the frame that this pose is given in."""
         c, s = cos(self.theta), sin(self.theta)
         return Pose(
             self.x + c * local.x - s * local.y,
@@ -29,7 +29,7 @@ class Pose:
         )
 
     def express(self, other: Pose) -> Pose:
-        """Return `other`, given in the frame of this pose, as seen from this pose."""
+        """Return `other`, given in the same frame as this pose, relative to this pose."""
         c, s = cos(self.theta), sin(self.theta)
         dx, dy = other.x - self.x, other.y - self.y
         return Pose(c * dx + s * dy, c * dy - s * dx, wrap_angle(other.theta - self.theta))
@@ -43,13 +43,13 @@ ORIGIN = Pose()
 
 
 QUATERNION_TOLERANCE = 0.1
-"""How far the length of an orientation may be from 1, for drivers that round."""
+"""How far the length of a quaternion may be from 1: some drivers round."""
 
 _SHORTEST, _LONGEST = (1.0 - QUATERNION_TOLERANCE) ** 2, (1.0 + QUATERNION_TOLERANCE) ** 2
 
 
 def yaw_of(x: float, y: float, z: float, w: float) -> float:
-    """Return the rotation about the vertical [rad] of a quaternion, NaN where it is none."""
+    """Return the rotation about the z axis [rad] of a quaternion; NaN if its length is not 1."""
     if not _SHORTEST <= x * x + y * y + z * z + w * w <= _LONGEST:
         return nan
     return atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

@@ -1,4 +1,4 @@
-"""What the kernel knows of everything that motion depends on."""
+"""What the kernel knows about everything that motion depends on."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from robotctl.kernel.types import Cause, Odometry
 
 @dataclass(frozen=True, slots=True)
 class SecondOdometry:
-    """The last sample of a publisher of odometry that is not followed.
+    """The last sample of an odometry publisher that the robot does not follow.
 
-    `distance_m` and `angle_rad` are how far its pose was from that of the followed publisher.
+    `distance_m` and `angle_rad` compare its pose with that of the followed publisher.
     """
 
     source: int
@@ -22,10 +22,10 @@ class SecondOdometry:
 
 @dataclass(frozen=True, slots=True)
 class OdometrySources:
-    """Who publishes odometry: the robot follows one publisher at a time, by its number.
+    """The publishers of odometry. The robot follows one at a time; `followed` is its number.
 
-    `names` are (number, node) of the publishers found last. `dropped` counts the samples that were
-    not used: those of other publishers, and those that cannot be true.
+    `names` holds (number, node name) of the last publishers found. `dropped` counts the samples
+    that were not used: those of other publishers, and impossible ones.
     """
 
     followed: int = 0
@@ -34,17 +34,17 @@ class OdometrySources:
     second: SecondOdometry | None = None
 
     def name_of(self, source: int) -> str:
-        """Return the node of a publisher, in words where it is not known."""
+        """Return the node name of a publisher, or a phrase when the name is unknown."""
         return dict(self.names).get(source) or "a publisher without a name"
 
 
 @dataclass(frozen=True, slots=True)
 class CommandTopic:
-    """Who else uses the velocity command.
+    """Other nodes on the velocity command topic.
 
-    `foreign_t_ns` and `foreign_by` are of the last command that another node published; None
-    where there was none. `listeners` take the type that we send (None: not looked at yet), and
-    `other_types` are those with which others subscribe.
+    `foreign_t_ns` and `foreign_by` are time and publisher of the last command of another node,
+    None and "" if there was none. `listeners` is the number of subscriptions with the type that
+    robotctl sends, None before discovery. `other_types` are the types of other subscriptions.
     """
 
     foreign_t_ns: int | None = None
@@ -55,7 +55,7 @@ class CommandTopic:
 
 @dataclass(frozen=True, slots=True)
 class Stalls:
-    """How often the control loop stalled, and its last stall: when, how long and why."""
+    """The number of stalls of the control loop, and the time, length and reason of the last one."""
 
     count: int = 0
     last_t_ns: int = 0
@@ -65,12 +65,12 @@ class Stalls:
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """What the kernel knows of everything that motion depends on; "" and () mean healthy.
+    """What the kernel knows about everything that motion depends on; "" and () mean healthy.
 
-    `odometry` is the last sample that could be true and `odometry_t_ns` when it came;
-    `odometry_stamp_ns` and `odometry_fault` are of the last sample of all. These are of the
-    publisher that is followed. `battery_in_percent` says that `battery.scale: auto` has met a
-    level above 1.
+    The odometry fields describe the followed publisher. `odometry` is its last usable sample, and
+    `odometry_t_ns` the time when new odometry last came; `odometry_stamp_ns` and `odometry_fault`
+    are of its last sample, usable or not. `reported` holds the faults that the daemon reported.
+    `battery_in_percent` means that `battery.scale: auto` has seen a level above 1.
     """
 
     odometry: Odometry | None = None

@@ -1,4 +1,4 @@
-"""The single owner of mode and command: `Kernel.step` is total and deterministic."""
+"""The kernel: the only code that decides mode and command. `Kernel.step` is deterministic."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ from robotctl.kernel.types import (
 
 
 class Kernel(RequestControl):
-    """Decides mode and command; `state` is replaced as a whole by each step."""
+    """Decides mode and command; each step replaces `state` as a whole."""
 
     def step(self, event: Event) -> tuple[Effect, ...]:
-        """Take one event and return what must be done, in order."""
+        """Take one event and return the effects that the caller must carry out, in order."""
         self._effects = []
         match event:
             case Tick():
@@ -93,7 +93,7 @@ class Kernel(RequestControl):
     # Measurements
 
     def _odometry(self, event: OdomReceived) -> None:
-        """Take a sample that can be true; while MOVING, drop any other and count on the next."""
+        """Take a sample of odometry; while MOVING, an impossible one is dropped and counted."""
         self._notice_gap(event.t_ns)
         state, odometry, health = self.state, event.odometry, self.state.health
         sources = health.odometry_sources
@@ -106,13 +106,13 @@ class Kernel(RequestControl):
         drive, error_m, last = state.drive, health.path_error_m, health.odometry
         if drive is not None and last is not None and not fault:
             drive = drive.measured(odometry.pose, last.pose.distance(odometry.pose))
-            # A robot that ramps down leaves a reference that stands; that is no loss of tracking.
+            # While the robot ramps down the reference stands still: the distance is no error.
             error_m = drive.score.error_m if state.phase is Phase.DRIVING else 0.0
         unusable = fault and (state.mode is Mode.MOVING or not is_finite(odometry))
         if unusable:
             sources = replace(sources, dropped=sources.dropped + 1)
         is_news = not fault and not is_repeated(health, odometry)
-        # Written out, as in `_move`: with `replace` a step would take a tenth longer.
+        # Without `replace`, as in `_move`: it would make a step a tenth slower.
         health = Health(
             odometry=last if unusable else odometry,
             odometry_t_ns=event.t_ns if is_news else health.odometry_t_ns,
@@ -154,7 +154,7 @@ class Kernel(RequestControl):
         )
 
     def _stalled(self, event: LoopStalled) -> None:
-        """Go on from the zeros that the watchdog has sent; stop where they were too many."""
+        """Continue from the zeros of the watchdog; raise a fault if the stall was too long."""
         state, limit_s = self.state, self.params.max_tick_gap_s
         stalls = Stalls(state.health.stalls.count + 1, event.t_ns, event.stalled_s, event.detail)
         drive = None if state.drive is None else state.drive.from_standstill()

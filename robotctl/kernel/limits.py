@@ -1,4 +1,4 @@
-"""What a command may be: finite, within its velocity limits, changing no faster than allowed."""
+"""The limits of a command: finite, not too fast, and not changing too fast."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from robotctl.kernel.types import Twist
 
 
 def clamp(value: float, bound: float) -> float:
-    """Return `value` within [-bound, bound]; what is not finite becomes 0, never full speed."""
+    """Return `value` limited to [-bound, bound]; nan and inf become 0, never full speed."""
     if not isfinite(value):
         return 0.0
     return min(max(value, -bound), bound)
@@ -22,14 +22,14 @@ def _approach(current: float, target: float, max_step: float) -> float:
 
 
 def allowed(command: Twist, limits: VelocityLimits) -> Twist:
-    """Return the command nearest to this one that is finite and not too fast."""
+    """Return the command limited to the velocity limits; nan and inf become 0."""
     return Twist(
         clamp(command.linear, limits.linear_mps), clamp(command.angular, limits.angular_rps)
     )
 
 
 def limit(current: Twist, target: Twist, dt_s: float, limits: VelocityLimits) -> Twist:
-    """Return the command nearest to `target` that `dt_s` after `current` is allowed."""
+    """Return the command nearest to `target` that is allowed `dt_s` seconds after `current`."""
     linear = clamp(target.linear, limits.linear_mps)
     angular = clamp(target.angular, limits.angular_rps)
     return Twist(
@@ -39,5 +39,5 @@ def limit(current: Twist, target: Twist, dt_s: float, limits: VelocityLimits) ->
 
 
 def within(command: Twist, limits: VelocityLimits) -> bool:
-    """Say whether the command is finite and not faster than allowed."""
+    """Return whether the command is finite and within the velocity limits."""
     return abs(command.linear) <= limits.linear_mps and abs(command.angular) <= limits.angular_rps

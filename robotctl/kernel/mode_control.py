@@ -1,4 +1,4 @@
-"""The part of the kernel that changes the mode: faults, stops, replies."""
+"""The part of the kernel that changes the mode and replies to requests."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from robotctl.kernel.units import NS_PER_S
 
 
 class ModeControl:
-    """Holds the parameters, the state and the effects of the present step.
+    """The parameters, the state, and the effects that the present step has collected.
 
-    `state` is replaced as a whole; no other code assigns to it.
+    Every change of the mode but the start of a drive goes through `_stand`.
     """
 
     def __init__(self, params: KernelParams, state: State | None = None) -> None:
-        """`state` may come from a kernel with other limits."""
+        """Begin in `state`; its command is reduced to the limits of `params`."""
         self.params = params
         state = state or State()
         self.state = replace(state, command=allowed(state.command, params.limits))
@@ -43,7 +43,10 @@ class ModeControl:
         return 0.0 if tick_t_ns is None else (t_ns - tick_t_ns) / NS_PER_S
 
     def _notice_gap(self, t_ns: int) -> None:
-        """Whatever is learned first after a gap shows it: all else that is stale is its fruit."""
+        """Record a gap between ticks before anything else is checked.
+
+        Data that became stale during the gap follows from it and must not be named as the cause.
+        """
         gap_s, health = self._tick_gap_s(t_ns), self.state.health
         late_s = gap_s if abs(gap_s) > self.params.max_tick_gap_s else 0.0
         if late_s != health.tick_gap_s:
@@ -58,7 +61,7 @@ class ModeControl:
         self._stand(FAULT_TRIGGERS[finding.rule.action], finding.detail, finding.cause)
 
     def _stand(self, trigger: Trigger, reason: str, cause: Cause | None) -> None:
-        """Go where `trigger` leads, with the command exactly zero, and say so."""
+        """Take the transition of `trigger` with the command exactly zero; reply to all who wait."""
         previous = self.state.mode
         target = TRANSITIONS[previous, trigger].target
         self._effects.append(PublishTwist(ZERO))

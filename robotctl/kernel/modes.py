@@ -18,7 +18,7 @@ class Mode(IntEnum):
 
 
 class Trigger(Enum):
-    """What may change the mode: four requests, the reset, and what the kernel itself finds."""
+    """What can change the mode: four requests, the reset, faults, and the end of a ramp."""
 
     REQUEST_IDLE = "request idle"
     REQUEST_MOVING = "request moving"
@@ -31,7 +31,7 @@ class Trigger(Enum):
 
 
 class Guard(Enum):
-    """What must hold before a transition is taken."""
+    """The condition of a transition."""
 
     NONE = "always"
     START_CONDITIONS = "every start condition holds"
@@ -42,7 +42,7 @@ class Guard(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Transition:
-    """Where a trigger leads, and under which guard; NEVER leaves the mode as it is."""
+    """The target of a trigger and its condition; with NEVER the mode does not change."""
 
     target: Mode
     guard: Guard = Guard.NONE
@@ -66,7 +66,10 @@ def _table() -> dict[tuple[Mode, Trigger], Transition]:
 
 
 TRANSITIONS: Mapping[tuple[Mode, Trigger], Transition] = MappingProxyType(_table())
-"""Every mode and every trigger; a row of `_table` reads IDLE, MOVING, ERROR, EMERGENCY_STOP."""
+"""The transition for each mode and trigger.
+
+The columns of a row in `_table` are the modes IDLE, MOVING, ERROR and EMERGENCY_STOP.
+"""
 
 REQUESTS: Mapping[Mode, Trigger] = MappingProxyType(
     {

@@ -1,4 +1,4 @@
-"""Which odometry can be true, which is news, and which publisher of it is followed."""
+"""Which odometry samples are possible, which are new, and which publisher is followed."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from robotctl.kernel.types import Odometry, OdometrySourceFound, OdomReceived
 from robotctl.kernel.units import NS_PER_S
 
 MAX_NAMED_SOURCES = 16
-"""Publishers of odometry whose names are kept; a graph may make new ones without end."""
+"""How many names of odometry publishers are kept: their number has no limit."""
 
 
 def odometry_fault(health: Health, odometry: Odometry, params: OdometryParams) -> str:
-    """Return why this sample cannot be true, "" if it can.
+    """Return why this sample is impossible, "" if it is possible.
 
-    Stamps are compared with the sample before, true or not: they come from a wall clock, which may
-    be set back once without harm.
+    Its stamp is compared with that of the previous sample, even an impossible one: when the wall
+    clock is set back, only one sample is dropped.
     """
     last = health.odometry
     if not is_finite(odometry):
@@ -34,21 +34,21 @@ def odometry_fault(health: Health, odometry: Odometry, params: OdometryParams) -
     if jump_m > params.max_jump_m:
         return f"odometry jumped by {jump_m:.2f} m"
     turned_rad = abs(wrap_angle(odometry.pose.theta - last.pose.theta))
-    if not turned_rad <= params.max_jump_rad:  # so is NaN, between two huge angles
+    if not turned_rad <= params.max_jump_rad:  # also true for NaN, from two huge angles
         return f"odometry jumped by {turned_rad:.2f} rad"
     return ""
 
 
 def is_repeated(health: Health, odometry: Odometry) -> bool:
-    """Say whether this is the sample before once more, as a source that hangs sends it.
+    """Return whether this sample equals the previous one, as a hanging source sends it.
 
-    Without a stamp, 0, nobody can tell it from a robot that stands still.
+    Without a stamp (0) it counts as new: it may be from a robot that stands still.
     """
     return odometry.stamp_ns != 0 and odometry == health.odometry
 
 
 def is_finite(odometry: Odometry) -> bool:
-    """Say whether every number of it is one."""
+    """Return whether every number of the sample is finite."""
     pose, velocity = odometry.pose, odometry.velocity
     return (
         isfinite(pose.x)
@@ -60,23 +60,23 @@ def is_finite(odometry: Odometry) -> bool:
 
 
 def source_found(sources: OdometrySources, event: OdometrySourceFound) -> OdometrySources:
-    """Return the sources with the name of one of them."""
+    """Return the sources with the name that the event tells."""
     others = tuple(named for named in sources.names if named[0] != event.source)
     names = (*others, (event.source, event.name))[-MAX_NAMED_SOURCES:]
     return replace(sources, names=names)
 
 
 def may_follow(health: Health, event: OdomReceived, params: OdometryParams) -> bool:
-    """Say whether a robot that stands may change to the publisher of this sample.
+    """Return whether a robot that stands may change to the publisher of this sample.
 
-    It may where the publisher that it follows has sent nothing usable for the timeout.
+    It may when the followed publisher has sent nothing usable for `odometry.timeout_s`.
     """
     age_s = abs(event.t_ns - health.odometry_t_ns) / NS_PER_S
     return health.odometry is None or age_s > params.timeout_s
 
 
 def dropped(health: Health, event: OdomReceived) -> OdometrySources:
-    """Return the sources after a sample of a publisher that is not followed."""
+    """Return the sources after a dropped sample of a publisher that is not followed."""
     last, pose = health.odometry, event.odometry.pose
     distance_m = angle_rad = 0.0
     if last is not None:

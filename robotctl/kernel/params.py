@@ -1,6 +1,6 @@
-"""Every number that shapes a decision of the kernel, with its unit and its limits.
+"""The parameters of the kernel, each with its default, limits and unit.
 
-The limits stand beside the defaults; `robotctl.config` reads both and checks a file against them.
+`robotctl.config` checks a configuration file against these limits.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from robotctl.kernel.ranges import bounded, topic
 
 @dataclass(frozen=True, slots=True)
 class VelocityLimits:
-    """The fastest command, and how fast a command may change."""
+    """The largest velocity of a command, and the largest change of it per second."""
 
     linear_mps: float = bounded(0.6, 0.01, 10.0, "m/s")
     angular_rps: float = bounded(1.5, 0.01, 20.0, "rad/s")
@@ -24,7 +24,7 @@ class VelocityLimits:
 
 @dataclass(frozen=True, slots=True)
 class TrackingParams:
-    """Gains of the path tracking law, and how far from the path the robot may be."""
+    """The gains of the tracking law, and the largest distance from the reference."""
 
     k_x: float = bounded(3.5, 0.0, 100.0, "1/s")
     k_y: float = bounded(20.0, 0.0, 1000.0, "1/m^2")
@@ -34,14 +34,14 @@ class TrackingParams:
 
 @dataclass(frozen=True, slots=True)
 class CommandParams:
-    """Where the velocity command goes."""
+    """The topic of the velocity command."""
 
     topic: str = topic("cmd_vel")
 
 
 @dataclass(frozen=True, slots=True)
 class OdometryParams:
-    """Where odometry comes from, and when it counts as lost or as wrong."""
+    """The topic of the odometry, and the limits beyond which it is lost or wrong."""
 
     topic: str = topic("odom")
     timeout_s: float = bounded(0.5, 0.05, 10.0, "s")
@@ -50,7 +50,7 @@ class OdometryParams:
 
 
 class BatteryScale(Enum):
-    """What a full battery is: 1 (REP-147), 100, or 100 once a level above 1 was seen."""
+    """The value of a full battery: 1 (REP-147), 100, or 100 once a level above 1 was seen."""
 
     AUTO = "auto"
     ONE = "1"
@@ -59,7 +59,7 @@ class BatteryScale(Enum):
 
 @dataclass(frozen=True, slots=True)
 class BatteryParams:
-    """When the battery allows motion; a robot that reports none has "" as its topic."""
+    """The topic of the battery ("" for a robot without one), and the levels that allow motion."""
 
     topic: str = topic("battery_state", optional=True)
     scale: BatteryScale = BatteryScale.ONE
@@ -70,7 +70,7 @@ class BatteryParams:
 
 @dataclass(frozen=True, slots=True)
 class KernelParams:
-    """Everything that `Kernel.step` depends on besides its state and the event."""
+    """All parameters of `Kernel.step`."""
 
     rate_hz: float = bounded(50.0, 5.0, 1000.0, "Hz")
     max_tick_gap_s: float = bounded(0.3, 0.05, 5.0, "s")

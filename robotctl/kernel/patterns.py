@@ -1,7 +1,7 @@
-"""Paths to drive: from arc length to reference pose and curvature.
+"""The patterns that a robot drives, and their paths: from length to pose and curvature.
 
-A path is one closed lap of segments in the frame of the pose where the drive begins. Length means
-metres along a line or a curve, and radians within a turn on the spot.
+A path is one closed lap of segments, in the frame of the pose where the drive begins. The length of
+a line or a curve is in metres, that of a turn on the spot in radians.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from robotctl.kernel.ranges import bounded
 
 
 class PatternKind(Enum):
-    """The shapes that a robot drives by name."""
+    """The patterns by name."""
 
     SQUARE = "square"
     CIRCLE = "circle"
@@ -39,14 +39,14 @@ MIN_SPEED_MPS, MAX_SPEED_MPS = 0.01, 10.0
 
 @dataclass(frozen=True, slots=True)
 class Pattern:
-    """A shape, its size (side of the square, radius of the circles) [m] and its speed [m/s]."""
+    """A kind, its size (side of the square, radius of the circles) [m] and its speed [m/s]."""
 
     kind: PatternKind = PatternKind.SQUARE
     size_m: float = bounded(1.0, MIN_SIZE_M, MAX_SIZE_M, "m")
     speed_mps: float = bounded(0.5, MIN_SPEED_MPS, MAX_SPEED_MPS, "m/s")
 
     def refusal(self) -> str:
-        """Return why nobody drives this, "" if a robot can."""
+        """Return why this pattern cannot be driven, "" if it can."""
         size_m, speed_mps = self.size_m, self.speed_mps
         if not MIN_SIZE_M <= size_m <= MAX_SIZE_M:
             return f"a size of {size_m:g} m: use {MIN_SIZE_M:g} to {MAX_SIZE_M:g} m"
@@ -58,8 +58,8 @@ class Pattern:
 class Segment(Protocol):
     """A piece of a path.
 
-    `turns` tells a turn on the spot, whose length is in rad; `stops` that the robot stands still
-    at its end; `top_curvature` is the largest curvature [1/m], or 1 for a turn.
+    `turns` is true for a turn on the spot, whose length is in rad. `stops` is true if the robot
+    stands still at the end. `top_curvature` is the largest curvature [1/m], 1 for a turn.
     """
 
     @property
@@ -72,18 +72,18 @@ class Segment(Protocol):
     def top_curvature(self) -> float: ...
 
     def pose_at(self, length: float) -> Pose:
-        """Return the reference pose `length` along the segment, in the frame of the drive."""
+        """Return the pose at `length` along the segment, in the frame of the drive."""
 
     def curvature_at(self, length: float) -> float:
-        """Return the signed change of heading per length; for a turn its sense, +1 or -1."""
+        """Return the signed change of heading per length; +1 or -1 for a turn, by its direction."""
 
     def distance_to(self, point: Pose, guess: float) -> float:
-        """Return the distance to the nearest place, which is around length `guess` [m]."""
+        """Return the distance to the nearest point of the segment [m], searched near `guess`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """Straight ahead; the robot stops at its end."""
+    """A straight line; the robot stops at its end."""
 
     start: Pose
     length: float
@@ -92,16 +92,16 @@ class Line:
     top_curvature: float = 0.0
 
     def pose_at(self, length: float) -> Pose:
-        """Return the pose `length` m from the start."""
+        """Return the pose at `length` m from the start."""
         theta = self.start.theta
         return Pose(self.start.x + length * cos(theta), self.start.y + length * sin(theta), theta)
 
     def curvature_at(self, length: float) -> float:
-        """Return 0."""
+        """Return 0: a line is straight."""
         return 0.0
 
     def distance_to(self, point: Pose, guess: float) -> float:
-        """Return the distance to the nearest place, also an end [m]."""
+        """Return the distance to the nearest point of the line, ends included [m]."""
         c, s = cos(self.start.theta), sin(self.start.theta)
         dx, dy = point.x - self.start.x, point.y - self.start.y
         along = min(max(c * dx + s * dy, 0.0), self.length)
@@ -123,7 +123,7 @@ class Turn:
         return Pose(self.start.x, self.start.y, self.start.theta + length)
 
     def curvature_at(self, length: float) -> float:
-        """Return 1: to the left."""
+        """Return 1: the turn is to the left."""
         return 1.0
 
     def distance_to(self, point: Pose, guess: float) -> float:
@@ -133,7 +133,7 @@ class Turn:
 
 @dataclass(frozen=True, slots=True)
 class Circle:
-    """A whole circle to the left, from the origin."""
+    """A full circle to the left that begins at the origin."""
 
     radius: float
     turns: bool = False
@@ -146,16 +146,16 @@ class Circle:
 
     @property
     def top_curvature(self) -> float:
-        """The curvature everywhere [1/m]."""
+        """The curvature, the same everywhere [1/m]."""
         return 1.0 / self.radius
 
     def pose_at(self, length: float) -> Pose:
-        """Return the pose `length` m along the circle."""
+        """Return the pose at `length` m along the circle."""
         theta = length / self.radius
         return Pose(self.radius * sin(theta), self.radius * (1.0 - cos(theta)), theta)
 
     def curvature_at(self, length: float) -> float:
-        """Return the curvature, the same everywhere."""
+        """Return the curvature, the same everywhere [1/m]."""
         return 1.0 / self.radius
 
     def distance_to(self, point: Pose, guess: float) -> float:
@@ -164,17 +164,17 @@ class Circle:
 
 
 EIGHT_SWING_RAD = 2.404825557695773
-"""First zero of the Bessel function J0: the swing at which a sine-generated curve closes."""
+"""First zero of the Bessel function J0: with this swing a sine-generated curve closes."""
 
 _EIGHT_PIECES = 720
 
 
 @dataclass(frozen=True, slots=True)
 class FigureEight:
-    """A figure eight of `length` m from its crossing; `points` lie evenly along it.
+    """A figure eight of `length` m that begins at its crossing; `points` lie evenly along it.
 
-    Its heading is a cosine of the arc length: the sine-generated curve of Langbein and Leopold
-    (1966). So its curvature has no step, and is 0 at the crossing.
+    Its heading is a cosine of the length: the sine-generated curve of Langbein and Leopold (1966).
+    So the curvature has no step, and it is 0 at the crossing.
     """
 
     length: float
@@ -184,11 +184,11 @@ class FigureEight:
 
     @property
     def top_curvature(self) -> float:
-        """The curvature at the ends of the two lobes [1/m]."""
+        """The largest curvature, at the ends of the two loops [1/m]."""
         return EIGHT_SWING_RAD * tau / self.length
 
     def pose_at(self, length: float) -> Pose:
-        """Return the pose `length` m along the eight."""
+        """Return the pose at `length` m along the figure eight."""
         at = length / self.length * _EIGHT_PIECES
         index = min(int(at), _EIGHT_PIECES - 1)
         share = at - index
@@ -200,7 +200,7 @@ class FigureEight:
         return self.top_curvature * sin(tau * length / self.length)
 
     def distance_to(self, point: Pose, guess: float) -> float:
-        """Return the distance to the nearest place around length `guess` [m]."""
+        """Return the distance to the nearest point of the curve near length `guess` [m]."""
         near = self.pose_at(guess % self.length).express(point)
         nearest = self.pose_at((guess + near.x) % self.length)
         return abs(nearest.express(point).y)
@@ -222,21 +222,21 @@ def _figure_eight(length: float) -> FigureEight:
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """One closed lap of segments; its last pose is its first."""
+    """One closed lap of segments; it ends at the pose where it begins."""
 
     segments: tuple[Segment, ...]
 
     def distance_to(self, point: Pose, index: int, length: float) -> float:
-        """Return how far `point` is from the path near `length` in segment `index` [m]."""
+        """Return the distance of `point` from the path near `length` in segment `index` [m]."""
         segment = self.segments[index]
         if not segment.turns:
             return segment.distance_to(point, length)
-        # The robot turns in a corner: it may stand on the way in, or on the way out.
+        # In a corner the robot may stand on the side before it or on the side after it.
         before, after = self.segments[index - 1], self.segments[(index + 1) % len(self.segments)]
         return min(before.distance_to(point, before.length), after.distance_to(point, 0.0))
 
     def outline(self, pieces_per_curve: int = 180) -> tuple[Pose, ...]:
-        """Return the corners of the lap, and poses along its curves."""
+        """Return the corners of the lap and poses along its curves, to draw it."""
         poses = [self.segments[0].pose_at(0.0)]
         for segment in self.segments:
             pieces = 1 if segment.turns or not segment.top_curvature else pieces_per_curve
@@ -265,7 +265,7 @@ def _figure_eight_lap(radius_m: float) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """What a pattern of one kind is: the name of its size, its default size, and its lap."""
+    """The properties of one kind of pattern: the name of its size, a default size, its path."""
 
     size_name: SizeName
     default_size_m: float

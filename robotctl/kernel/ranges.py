@@ -1,4 +1,4 @@
-"""What a value of the configuration may be, kept beside its default."""
+"""The allowed values of the configuration, declared together with their defaults."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 
 class Range(NamedTuple):
-    """What a number may be, both ends included."""
+    """The smallest and the largest allowed value, and the unit."""
 
     low: float
     high: float
@@ -15,10 +15,10 @@ class Range(NamedTuple):
 
 
 def bounded(default: float, low: float, high: float, unit: str = "") -> Any:
-    """Make a dataclass field whose metadata holds the Range that a configuration must respect."""
+    """Return a dataclass field with a default, and with its `Range` in the metadata."""
     return field(default=default, metadata={"range": Range(low, high, unit)})
 
 
 def topic(default: str, *, optional: bool = False) -> Any:
-    """Make a dataclass field for the name of a ROS topic; "" means none where it is `optional`."""
+    """Return a dataclass field for the name of a ROS topic; "" is allowed if `optional`."""
     return field(default=default, metadata={"topic": True, "optional": optional})

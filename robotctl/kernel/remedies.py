@@ -1,6 +1,6 @@
 """What an operator can do when the robot may not move.
 
-A remedy is data; `robotctl.ipc.advice` makes the text of it, with the commands for one robot.
+A remedy is data; `robotctl.ipc.advice` turns it into a text with the commands for one robot.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from enum import Enum
 
 
 class Remedy(Enum):
-    """One thing to do."""
+    """One thing that the operator can do."""
 
     RELEASE_STOP = "release the emergency stop"
     CLEAR_ERROR = "clear the error"
@@ -33,4 +33,4 @@ class Remedy(Enum):
 
 
 RESETTING = frozenset({Remedy.RELEASE_STOP, Remedy.CLEAR_ERROR, Remedy.RESET})
-"""The remedies that are a reset themselves: no further one is needed after them."""
+"""The remedies that are a reset; after any other one a reset is still needed."""

@@ -1,4 +1,4 @@
-"""The part of the kernel that answers requests: each one gets exactly one reply."""
+"""The part of the kernel that decides on requests; each request gets exactly one reply."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from robotctl.kernel.types import (
 )
 
 MAX_WAITING = 64
-"""How many requests may wait for a ramp to end; one more is refused."""
+"""The largest number of requests that wait for a ramp to end; one more is refused."""
 
 STOPPING_REFUSAL = "the robot is stopping: ask again when it is IDLE"
 
@@ -50,7 +50,7 @@ class RequestControl(ModeControl):
         self._decide(event.t_ns, event.request_id, Trigger.RESET, f"reset by {event.source}")
 
     def _decide(self, t_ns: int, request_id: int, trigger: Trigger, reason: str) -> None:
-        """Do what the table has for this request."""
+        """Decide on a request by the table of transitions."""
         mode = self.state.mode
         transition = TRANSITIONS[mode, trigger]
         match transition.guard:
@@ -108,7 +108,7 @@ class RequestControl(ModeControl):
         assert odometry is not None, "a rule refuses to start without odometry"
         self._end_drive("replaced by another drive")
         previous, command = self.state.mode, self.state.command
-        # A drive that replaces another begins at the speed that the robot has.
+        # A drive that replaces another one begins at the present speed.
         progress = Progress(speed=max(command.linear, 0.0))
         self.state = replace(
             self.state,
@@ -139,7 +139,7 @@ class RequestControl(ModeControl):
         state = self.state
         cause = state.cause
         finding = None if cause is None else uncleared(cause, state.health, self.params, t_ns)
-        # Not released either is what a second fault would stop again in the same moment.
+        # A second fault that would stop the robot again at once prevents the release, too.
         finding = finding or raised(Mode.IDLE, state.health, self.params, t_ns)
         if finding is not None:
             refusal = f"the cause of {state.mode.name} is not gone: {finding.detail}"
@@ -154,7 +154,7 @@ class RequestControl(ModeControl):
             self._accept(request_id, "Mode changed to IDLE")
 
     def _refuse_here(self, request_id: int, trigger: Trigger) -> None:
-        """Refuse what the table of modes does not allow in this mode."""
+        """Refuse a request that the table of transitions forbids in this mode."""
         state = self.state
         if state.mode is Mode.MOVING:
             self._refuse(request_id, "the robot is MOVING", (Remedy.STOP_FIRST,))

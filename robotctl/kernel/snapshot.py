@@ -1,4 +1,4 @@
-"""Everything that is needed to decide the rest again: it opens every recording."""
+"""The snapshot of a kernel: every recording begins with one, so that it can be re-run."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from robotctl.kernel.state import State
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """A kernel at rest between two events; `made_by` names what its floats depend on."""
+    """A kernel between two events; `made_by` names the Python and libc that computed its floats."""
 
     made_by: str
     params: KernelParams
     state: State
 
     def kernel(self) -> Kernel:
-        """Return a fresh kernel that goes on from here."""
+        """Return a new kernel that continues from this snapshot."""
         return Kernel(self.params, self.state)

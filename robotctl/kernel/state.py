@@ -1,4 +1,4 @@
-"""All that the kernel remembers between two events."""
+"""The memory of the kernel between two events."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ from robotctl.kernel.types import ZERO, Cause, Phase, Twist
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """All that the kernel remembers; with KernelParams it decides every later effect.
+    """The whole memory of the kernel: state, parameters and events determine every later effect.
 
-    `cause` is why the mode is ERROR or EMERGENCY_STOP; `waiting` are the requests for IDLE that
-    are answered when the ramp has ended.
+    `reason` says why the mode changed last; `cause` is why the mode is ERROR or EMERGENCY_STOP.
+    `stop_reason` is why the robot ramps down, and `waiting` are the ids of the requests for IDLE
+    that are answered at the end of the ramp. `tick_t_ns` is the time of the last tick.
     """
 
     mode: Mode = Mode.IDLE
@@ -31,5 +32,5 @@ class State:
 
 
 def latched(reason: str, cause: Cause = Cause.OPERATOR_STOP) -> State:
-    """Return the state to start in when an earlier emergency stop was never released."""
+    """Return the state of a robot whose emergency stop was not released before a restart."""
     return State(mode=Mode.EMERGENCY_STOP, reason=reason, cause=cause)

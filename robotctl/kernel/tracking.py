@@ -1,9 +1,9 @@
 """Closed-loop path tracking for a differential drive.
 
-The law is Samson's (1993), in the notation of Klancar and Skrjanc (2005), eq. 11: beside the terms
-of Kanayama (1990) it corrects the heading also while the reference turns on the spot. The curvature
-of the path is fed forward at the speed that is commanded, not at the reference's, so that a robot
-which catches up stays on the path.
+The law is Samson's (1993), as written by Klancar and Skrjanc (2005), eq. 11. Unlike the law of
+Kanayama (1990), it also corrects the heading while the reference turns on the spot. The curvature
+is fed forward at the commanded speed, not at that of the reference, so that a robot that catches
+up stays on the path.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from robotctl.kernel.types import Twist
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """Where the robot should be now and how it should move on.
+    """The pose that the robot should have now, and how the reference moves.
 
-    `linear` is the speed along the path [m/s], `curvature` that of the path [1/m], `turning` the
-    rate of a turn on the spot [rad/s].
+    `linear` is its speed along the path [m/s], `curvature` the curvature of the path [1/m], and
+    `turning` the rate of a turn on the spot [rad/s].
     """
 
     pose: Pose
@@ -32,7 +32,7 @@ class Reference:
 
 
 def track(reference: Reference, pose: Pose, gains: TrackingParams, limits: VelocityLimits) -> Twist:
-    """Return the command that leads `pose` to the moving reference."""
+    """Return the command that brings a robot at `pose` to the moving reference."""
     error = pose.express(reference.pose)
     sinc = sin(error.theta) / error.theta if abs(error.theta) > 1e-6 else 1.0
     linear = clamp(reference.linear * cos(error.theta) + gains.k_x * error.x, limits.linear_mps)

@@ -1,6 +1,6 @@
-"""The vocabulary of the kernel: measurements, the events that come in, the effects that go out.
+"""The values of the kernel: measurements, events (its input) and effects (its output).
 
-Every event carries `t_ns`, steady nanoseconds: the kernel has no clock of its own.
+Every event carries its steady time `t_ns` in nanoseconds: the kernel has no clock.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ ZERO = Twist()
 
 @dataclass(frozen=True, slots=True)
 class Odometry:
-    """One measurement: pose in the `odom` frame, velocity in the robot's; stamp of its header."""
+    """A sample of odometry: pose in the `odom` frame, velocity in the robot's own, header stamp."""
 
     pose: Pose
     velocity: Twist
@@ -35,7 +35,7 @@ class Odometry:
 
 
 class Cause(Enum):
-    """Why the robot may not move; `robotctl.kernel.safety` holds what each one leads to."""
+    """Why the robot may not move; `robotctl.kernel.safety` says what each cause leads to."""
 
     OPERATOR_STOP = "operator stop"
     BATTERY_LOW = "battery low"
@@ -57,7 +57,7 @@ class Cause(Enum):
 
 
 class Phase(Enum):
-    """What the robot does within its mode."""
+    """What the robot is doing within its mode."""
 
     STANDING = "standing"
     DRIVING = "driving"
@@ -69,7 +69,7 @@ class Phase(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """Time for the next command; `missed` ticks were skipped before this one."""
+    """The next command is due; `missed` ticks before it were skipped."""
 
     t_ns: int
     missed: int = 0
@@ -77,10 +77,10 @@ class Tick:
 
 @dataclass(frozen=True, slots=True)
 class OdomReceived:
-    """The robot measured where it is; values may be anything, also NaN.
+    """A sample of odometry arrived; its values may be anything, also NaN.
 
-    `source` is the number of the publisher (`OdometrySourceFound`), 0 if unknown, and `sequence`
-    the publisher's own number of the sample.
+    `source` is the number of the publisher (see `OdometrySourceFound`), 0 if unknown. `sequence`
+    is the number that the publisher gave the sample.
     """
 
     t_ns: int
@@ -91,10 +91,9 @@ class OdomReceived:
 
 @dataclass(frozen=True, slots=True)
 class OdometrySourceFound:
-    """A publisher of odometry sent its first sample, or its node became known.
+    """A publisher of odometry sent its first sample, or its node name became known.
 
-    From now on `source` is its number; `gid` is its DDS identity in hexadecimal digits, and `name`
-    its node, "" where that is not known yet.
+    `source` is its number from now on, `gid` its DDS identity, `name` its node name or "".
     """
 
     t_ns: int
@@ -105,7 +104,7 @@ class OdometrySourceFound:
 
 @dataclass(frozen=True, slots=True)
 class BatteryReceived:
-    """The battery's level as the gauge reports it; `battery.scale` says what is full."""
+    """The battery level as the gauge reports it; `battery.scale` says which value is full."""
 
     t_ns: int
     level: float
@@ -113,7 +112,7 @@ class BatteryReceived:
 
 @dataclass(frozen=True, slots=True)
 class ModeRequested:
-    """Somebody asks for a mode by its number, valid or not; answered by one Reply."""
+    """A request for a mode by its number, valid or not; it gets one `Reply`."""
 
     t_ns: int
     request_id: int
@@ -123,7 +122,7 @@ class ModeRequested:
 
 @dataclass(frozen=True, slots=True)
 class ResetRequested:
-    """Somebody asks to release EMERGENCY_STOP or ERROR; answered by one Reply."""
+    """A request to leave EMERGENCY_STOP or ERROR; it gets one `Reply`."""
 
     t_ns: int
     request_id: int
@@ -132,7 +131,7 @@ class ResetRequested:
 
 @dataclass(frozen=True, slots=True)
 class DriveRequested:
-    """Somebody asks to drive a pattern, `laps` times (0: until stopped); answered by one Reply."""
+    """A request to drive `laps` laps (0: until stopped) of a pattern; it gets one `Reply`."""
 
     t_ns: int
     request_id: int
@@ -144,7 +143,7 @@ class DriveRequested:
 
 @dataclass(frozen=True, slots=True)
 class CommandPublishersSeen:
-    """The nodes, other than ours, that publish the command topic now."""
+    """The other nodes that publish the command topic now."""
 
     t_ns: int
     names: tuple[str, ...]
@@ -152,7 +151,7 @@ class CommandPublishersSeen:
 
 @dataclass(frozen=True, slots=True)
 class ForeignCommandHeard:
-    """A velocity command that another node published reached the robot's command topic."""
+    """Another node published a velocity command."""
 
     t_ns: int
     publisher: str
@@ -160,9 +159,9 @@ class ForeignCommandHeard:
 
 @dataclass(frozen=True, slots=True)
 class CommandListenersSeen:
-    """How many nodes take the command with the type that we send.
+    """The number of subscriptions to the command topic with the type that robotctl sends.
 
-    `other_types` are the types with which others subscribe to the same topic.
+    `other_types` are the types of the other subscriptions to that topic.
     """
 
     t_ns: int
@@ -172,10 +171,10 @@ class CommandListenersSeen:
 
 @dataclass(frozen=True, slots=True)
 class LoopStalled:
-    """The control loop did not turn for `stalled_s`, and the watchdog stood in for it.
+    """The control loop stalled for `stalled_s` seconds, and the watchdog sent zeros meanwhile.
 
-    It sent `zeros` zero commands past the kernel, and replaced `withheld` commands of the kernel
-    by zeros; `detail` says what held the loop up.
+    It sent `zeros` zero commands without the kernel and withheld `withheld` commands of the
+    kernel. `detail` says what blocked the loop.
     """
 
     t_ns: int
@@ -187,7 +186,7 @@ class LoopStalled:
 
 @dataclass(frozen=True, slots=True)
 class FaultReported:
-    """A part of the daemon failed; `detail` says what."""
+    """A part of the daemon failed; `detail` says how."""
 
     t_ns: int
     cause: Cause
@@ -225,7 +224,7 @@ Event = (
 
 @dataclass(frozen=True, slots=True)
 class PublishTwist:
-    """Send this command to the robot."""
+    """The command to send to the robot."""
 
     twist: Twist
 
@@ -242,7 +241,7 @@ class ModeChanged:
 
 @dataclass(frozen=True, slots=True)
 class LatchEmergencyStop:
-    """Remember the emergency stop over restarts; a cause of None is the operator."""
+    """The emergency stop to keep over restarts; a cause of None means the operator."""
 
     reason: str
     cause: Cause | None = None
@@ -250,12 +249,12 @@ class LatchEmergencyStop:
 
 @dataclass(frozen=True, slots=True)
 class ReleaseEmergencyStop:
-    """Forget the latched emergency stop."""
+    """The end of the latched emergency stop."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """The one answer to a request; `remedies` is what to do, in order, about a refusal."""
+    """The answer to a request; `remedies` says what to do, in order, after a refusal."""
 
     request_id: int
     ok: bool
@@ -266,10 +265,10 @@ class Reply:
 
 @dataclass(frozen=True, slots=True)
 class DriveReport:
-    """How well a path was followed, measured against odometry.
+    """How well a drive followed its path, by odometry.
 
-    `closure_m` is the distance between where the drive began and where its last whole lap ended,
-    NaN before a lap is whole.
+    `closure_m` is the distance between the begin of the drive and the end of its last complete
+    lap, NaN before one is complete.
     """
 
     laps: int
@@ -281,7 +280,7 @@ class DriveReport:
 
 @dataclass(frozen=True, slots=True)
 class DriveEnded:
-    """The drive that `request_id` began is over; `completed` means all its laps were driven.
+    """The drive that `request_id` began has ended; `completed` means all its laps were driven.
 
     `cause` is why the robot had to stop, None where a request or the last lap ended the drive.
     """
