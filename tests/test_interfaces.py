@@ -1,5 +1,8 @@
 """The ROS interfaces as they were built: what they promise to programs of other people."""
 
+import ctypes
+import re
+import tomllib
 import xml.etree.ElementTree as ElementTree
 from importlib.metadata import files, version
 from pathlib import Path
@@ -71,3 +74,37 @@ def test_the_build_is_not_older_than_the_interface_files(source: str) -> None:
     ]
 
     assert [file.read_text() for file in installed] == [(ROOT / source).read_text()]
+
+
+@pytest.mark.parametrize("kind", ["c", "cpp", "fastrtps_c", "fastrtps_cpp"])
+def test_programs_in_c_and_cpp_find_the_type_support(kind: str) -> None:
+    """rosbag2 loads it for every type whose package is in the ament index."""
+    ctypes.CDLL(f"librobot_controller__rosidl_typesupport_{kind}.so")
+
+
+def test_the_package_names_what_it_imports_and_what_pip_alone_installs() -> None:
+    """Messages, rclpy and rosdep keys as dependencies; the rest in a comment, as pip names them."""
+    text = (ROOT / "package.xml").read_text()
+    named = {
+        each.text
+        for tag in ("depend", "exec_depend", "buildtool_depend")
+        for each in ElementTree.fromstring(text).iter(tag)
+    }
+    imported = {
+        name
+        for path in (ROOT / "robotctl").rglob("*.py")
+        for name in re.findall(
+            r"^ *(?:from|import) (rclpy|ament_index_python|\w+_msgs|std_srvs)\b",
+            path.read_text(),
+            re.MULTILINE,
+        )
+    }
+    assert imported <= named
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    wanted = {re.split(r"[\[=<>;]", each)[0] for each in project["dependencies"]}
+    as_rosdep = {"Pillow": "python3-pil", "PyYAML": "python3-yaml", "numpy": "python3-numpy"}
+    by_pip = {name for name in wanted if not name.startswith("ros-") and name not in as_rosdep}
+    pip_only = re.search(r"From pip only[^:]*: ([\w\s-]+) -->", text)
+    assert pip_only is not None
+    assert set(pip_only[1].split()) == by_pip
+    assert {as_rosdep[name] for name in wanted & set(as_rosdep)} <= named

@@ -20,6 +20,8 @@ from pathlib import Path
 from shutil import rmtree
 from typing import Any
 
+from ament_index_python.packages import get_package_prefix
+
 from robotctl.domains import reserved_domain
 from robotctl.recording.format.journal import JournalEntry, decode
 from robotctl.recording.keep.catalog import CLIPS_FOLDER
@@ -28,7 +30,16 @@ from robotctl.rerun.check_report import Verdict
 from tests.support.lines import Told, peer
 from tests.support.waiting import DEADLINE_S, until
 
-ROBOTCTL = str(Path(sys.executable).with_name("robotctl"))
+
+def installed_robotctl() -> str:
+    """The command as pip installs it, or else as colcon does, where `ros2 run` finds it."""
+    by_pip = Path(sys.executable).with_name("robotctl")
+    if by_pip.exists():
+        return str(by_pip)
+    return str(Path(get_package_prefix("robot_controller"), "lib/robot_controller/robotctl"))
+
+
+ROBOTCTL = installed_robotctl()
 SHARED_MEMORY = Path("/dev/shm")
 
 PATIENT = """\
