@@ -1,0 +1,45 @@
+# mypy: disallow-untyped-calls=False, disallow-subclassing-any=False
+"""Node `odom_subscriber` as the first-package tutorial has it: tells each tenth position."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from nav_msgs.msg import Odometry
+from rclpy.context import Context
+from rclpy.node import Node
+
+from robotctl.ros.executables.process import run_node
+from robotctl.ros.messages import qos
+
+TOLD_EVERY = 10
+
+
+class OdomSubscriber(Node):
+    """Counts the messages on `odom`, and logs the position of each tenth.
+
+    It takes odometry of any quality of service.
+    """
+
+    def __init__(self, context: Context | None = None, **options: Any) -> None:
+        """Create the node and its subscription; `options` are those of rclpy's Node."""
+        super().__init__("odom_subscriber", context=context, **options)
+        self._messages = 0
+        self.create_subscription(Odometry, "odom", self._take, qos.SENSOR)
+        self.get_logger().info("Odometry Subscriber Node started")
+
+    def get_total_messages(self) -> int:
+        """Return how many messages were received."""
+        return self._messages
+
+    def _take(self, message: Odometry) -> None:
+        self._messages += 1
+        if self._messages % TOLD_EVERY == 0:
+            at = message.pose.pose.position
+            self.get_logger().info(f"Position: x={at.x:.2f}, y={at.y:.2f}, z={at.z:.2f}")
+            self.get_logger().info(f"Messages received: {self._messages}")
+
+
+def main() -> int:
+    """Run the node until Ctrl-C; return the exit code."""
+    return run_node(OdomSubscriber, lambda node: None)

@@ -1,0 +1,268 @@
+# mypy: disallow-untyped-calls=False
+"""The tutorial's executables do what they log, and end with a zero."""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import rclpy
+from geometry_msgs.msg import Twist
+from nav_msgs.msg import Odometry
+from rclpy.context import Context
+from rclpy.node import Node
+from robot_controller.msg import RobotStatus
+
+from robotctl.errors import UsageError
+from robotctl.kernel.modes import Mode
+from robotctl.ros.executables.mode_client import mode_of
+from robotctl.ros.executables.sweep import sweep_mps
+from tests.support.waiting import until
+
+LINE = re.compile(r"^\[\w+\] \[[\d.]+\] \[[\w.]+\]: (.*)$", re.MULTILINE)
+"""Severity, time, node, and what is said."""
+
+CALL = "from robotctl.ros.executables import {name}; raise SystemExit({name}())"
+
+
+class Running:
+    """An executable under way."""
+
+    def __init__(self, log: Path, name: str, *arguments: str) -> None:
+        self._log = log
+        with log.open("w") as out:
+            self._process = subprocess.Popen(
+                [sys.executable, "-c", CALL.format(name=name), *arguments], stdout=out, stderr=out
+            )
+
+    @property
+    def lines(self) -> list[str]:
+        """What it has logged, without severity, time and node."""
+        return re.findall(
+            r"^\[\w+\] \[[\d.]+\] \[[\w.]+\]: (.*)$", self._log.read_text(), re.MULTILINE
+        )
+
+    def says(self, text: str) -> None:
+        """Wait until it has logged the line."""
+        until(lambda: text in self.lines or self._process.poll() is not None)
+        assert text in self.lines, self._log.read_text()
+
+    def end(self, number: signal.Signals = signal.SIGINT) -> int:
+        """Signal it, and return its exit code."""
+        self._process.send_signal(number)
+        code = self._process.wait(timeout=60)
+        assert "Traceback" not in self._log.read_text()
+        return code
+
+    def close(self) -> None:
+        """End it if it runs."""
+        if self._process.poll() is None:
+            self._process.kill()
+            self._process.wait()
+
+
+Start = Callable[..., Running]
+
+
+@pytest.fixture
+def start(tmp_path: Path, domain_id: int) -> Iterator[Start]:
+    """Start executables; they end with the test."""
+    running: list[Running] = []
+
+    def begin(name: str, *arguments: str) -> Running:
+        running.append(Running(tmp_path / f"{len(running)}.log", name, *arguments))
+        return running[-1]
+
+    yield begin
+    for each in running:
+        each.close()
+
+
+@pytest.fixture
+def node(domain_id: int) -> Iterator[Node]:
+    """A node of somebody else."""
+    context = Context()
+    rclpy.init(context=context, domain_id=domain_id)
+    made = Node("somebody_else", context=context)
+    yield made
+    made.destroy_node()
+    context.destroy()
+
+
+def client(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", CALL.format(name="mode_client"), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+
+
+def commands_heard_by(node: Node) -> list[tuple[float, float]]:
+    """Subscribe to the commands; the list that is returned grows while the node spins."""
+    heard: list[tuple[float, float]] = []
+
+    def take(twist: Any) -> None:
+        heard.append((twist.linear.x, twist.angular.z))
+
+    node.create_subscription(Twist, "cmd_vel", take, 100)
+    return heard
+
+
+def spin_until(nodes: list[Node], condition: Callable[[], object]) -> None:
+    """Run the callbacks of the nodes until the condition holds."""
+    executor = rclpy.executors.SingleThreadedExecutor(context=nodes[0].context)
+    for each in nodes:
+        executor.add_node(each)
+
+    def holds() -> bool:
+        executor.spin_once(timeout_sec=0.01)
+        return bool(condition())
+
+    until(holds)
+    executor.shutdown()
+
+
+def test_the_sweep_goes_in_exact_tenths_from_minus_2_to_2() -> None:
+    speeds = [sweep_mps(number) for number in range(81)]
+    assert [str(speed) for speed in speeds[:3]] == ["0.1", "0.2", "0.3"]
+    assert (speeds[19], speeds[20], speeds[39]) == (2.0, 1.9, 0.0)
+    assert (speeds[59], speeds[60], speeds[79], speeds[80]) == (-2.0, -1.9, 0.0, 0.1)
+    assert all(len(str(abs(speed))) == 3 for speed in speeds)
+
+
+def test_alone_the_velocity_publisher_sweeps_after_4_s_of_zeros(start: Start) -> None:
+    publisher = start("velocity_publisher")
+    publisher.says("Publishing: linear.x=0.3, angular.z=0.0")
+    zero = "Publishing: linear.x=0.0, angular.z=0.0"
+    speeds = [f"Publishing: linear.x={speed}, angular.z=0.0" for speed in (0.1, 0.2, 0.3)]
+    assert publisher.lines[:12] == ["Velocity Publisher Node started", *[zero] * 8, *speeds]
+    assert publisher.end() == 0
+    assert publisher.lines[-1] == "Shutting down ..."
+
+
+def test_the_velocity_publisher_moves_no_robot_that_it_does_not_know(
+    start: Start, node: Node
+) -> None:
+    heard = commands_heard_by(node)
+    publisher = start("velocity_publisher")
+    publisher.says(
+        "/somebody_else takes /cmd_vel and may be a robot: publishing zeros "
+        "(sweep all the same: --ros-args -p sweep:=true)"
+    )
+    spin_until([node], lambda: len(heard) > 2)
+    assert set(heard) == {(0.0, 0.0)}
+
+
+def test_the_last_command_of_a_sweep_is_zero(start: Start, node: Node) -> None:
+    heard = commands_heard_by(node)
+    publisher = start("velocity_publisher", "--ros-args", "-p", "sweep:=true")
+    spin_until([node], lambda: (0.2, 0.0) in heard)
+    assert publisher.end(signal.SIGTERM) == 0
+    spin_until([node], lambda: heard[-1] == (0.0, 0.0))
+
+
+def test_a_velocity_within_the_limits_passes_and_one_beyond_is_limited(node: Node) -> None:
+    from robot_controller.velocity_publisher import VelocityPublisher
+
+    publisher = VelocityPublisher(node.context)
+    heard = commands_heard_by(node)
+    publisher.set_velocity(0.5, -1.0)
+    spin_until([node, publisher], lambda: (0.5, -1.0) in heard)
+    publisher.set_velocity(9.0, -9.0)
+    spin_until([node, publisher], lambda: (2.0, -2.0) in heard)
+    with pytest.raises(ValueError, match="finite"):
+        publisher.set_velocity(float("nan"), 0.0)
+    publisher.destroy_node()
+
+
+def test_the_odom_subscriber_tells_each_tenth_position(start: Start, node: Node) -> None:
+    subscriber = start("odom_subscriber")
+    subscriber.says("Odometry Subscriber Node started")
+    publisher = node.create_publisher(Odometry, "odom", 10)
+    until(publisher.get_subscription_count)
+    message = Odometry()
+    message.pose.pose.position.x, message.pose.pose.position.y = 1.234, -0.5
+
+    def told() -> bool:
+        publisher.publish(message)
+        return "Messages received: 20" in subscriber.lines
+
+    until(told)
+    position = "Position: x=1.23, y=-0.50, z=0.00"
+    expected = [position, "Messages received: 10", position, "Messages received: 20"]
+    assert subscriber.lines[1:5] == expected
+    assert subscriber.end() == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "mode"),
+    [
+        *((mode.name, mode) for mode in Mode),
+        *((str(mode.value), mode) for mode in Mode),
+        ("moving", Mode.MOVING),
+        ("emergency-stop", Mode.EMERGENCY_STOP),
+        ("Emergency_Stop", Mode.EMERGENCY_STOP),
+    ],
+)
+def test_a_mode_is_asked_for_in_any_spelling_or_by_number(text: str, mode: Mode) -> None:
+    assert mode_of(text) is mode
+
+
+@pytest.mark.parametrize("text", ["", "fly", "4", "-1", "1.0"])
+def test_no_other_word_is_a_mode(text: str) -> None:
+    with pytest.raises(UsageError, match="use IDLE, MOVING, ERROR, EMERGENCY_STOP, or 0 to 3"):
+        mode_of(text)
+
+
+def test_the_tutorials_calls_are_answered_as_it_shows_them(start: Start) -> None:
+    service = start("mode_service")
+    service.says("Mode Service Node started")
+    answers = [client(mode) for mode in ("MOVING", "idle", "3", "moving")]
+    assert [answer.stdout for answer in answers] == [
+        "success=True, message='Mode changed to MOVING', current_mode=1\n",
+        "success=True, message='Mode changed to IDLE', current_mode=0\n",
+        "success=True, message='Mode changed to EMERGENCY_STOP', current_mode=3\n",
+        "success=False, message='refused in EMERGENCY_STOP: ask for IDLE first', current_mode=3\n",
+    ]
+    assert [answer.returncode for answer in answers] == [0, 0, 0, 4]
+    assert service.end() == 0
+
+
+def test_without_a_service_the_client_says_how_to_get_one(domain_id: int) -> None:
+    ran = client("MOVING")
+    assert ran.returncode == 3
+    assert ran.stderr == (
+        "mode_client: no service /set_mode within 5 s: start one: robotctl start, "
+        "or: ros2 run robot_controller mode_service\n"
+    )
+
+
+def test_the_mode_service_leaves_moving_when_a_robot_joins(start: Start, node: Node) -> None:
+    service = start("mode_service")
+    service.says("Mode Service Node started")
+    assert client("MOVING").returncode == 0
+    node.create_subscription(Twist, "cmd_vel", lambda _: None, 10)
+    service.says("MOVING -> IDLE")
+    refused = client("MOVING")
+    assert refused.returncode == 4
+    assert "velocity commands are taken, and this service drives no robot" in refused.stdout
+
+
+def test_two_robots_in_namespaces_of_their_own_do_not_hear_each_other(
+    start: Start, node: Node
+) -> None:
+    modes: dict[str, int] = {}
+    latched = rclpy.qos.QoSProfile(depth=1, durability=rclpy.qos.DurabilityPolicy.TRANSIENT_LOCAL)
+
+    def take(status: Any) -> None:
+        modes[status.robot_name] = status.mode
+
+    for robot in ("r1", "r2"):
+        start("mode_service", "--ros-args", "-r", f"__ns:=/{robot}")
+        node.create_subscription(RobotStatus, f"/{robot}/robot_status", take, latched)
+    spin_until([node], lambda: modes == {"r1": 0, "r2": 0})
+    assert client("MOVING", "--ros-args", "-r", "__ns:=/r1").returncode == 0
+    spin_until([node], lambda: modes == {"r1": 1, "r2": 0})
