@@ -1,1 +1,1 @@
-"""The daemon: where kernel, ROS, recorder and control socket are put together."""
+"""The daemon process: connects kernel, ROS, recorder and control socket."""

@@ -1,4 +1,4 @@
-"""The composition root: the life that every daemon has, whether it drives or only records."""
+"""The composition root: what every daemon does from start to end, driving or only recording."""
 
 from __future__ import annotations
 
@@ -28,15 +28,17 @@ from robotctl.ros.session import ros_session
 async def serve(
     options: DaemonOptions, notes: list[str], on_ready: Ready, at_end: ExitStack
 ) -> None:
-    """Run the daemon until it is told to stop; `on_ready` is called once with the summary.
+    """Run the daemon until it is told to stop; call `on_ready` once with the summary.
 
-    `at_end` leaves the ROS domain. The caller owns the robot's lock. Raises RobotctlError where it
-    cannot start, or ran out of memory.
+    The exit of `at_end` leaves the ROS domain. The caller owns the robot's lock.
+
+    Raises:
+        RobotctlError: The daemon cannot start, or ran out of memory.
     """
     stop = told_to_end()
     config = options.applied_to(load(options.config) if options.config else Config())
     address = socket_path(options.robot)
-    # Whose lock somebody removed still has the robot, and must not see commands of ours.
+    # A daemon whose lock file was deleted may still own the robot: it answers at the socket.
     remove_stale(address)
     alone = is_certainly_empty(options.domain_id)
     supervisor = Supervisor(stop.set)
@@ -56,7 +58,7 @@ async def serve(
             notes += chain_to(folder).group_writable()
         host = Host(options, config, alone, supervisor, stop, session, warnings=[])
         daemon: DaemonKind = Observer(host) if options.observe else Driver(host)
-        session.last.push_async_callback(daemon.recorder.close)  # when nothing is received any more
+        session.last.push_async_callback(daemon.recorder.close)  # when no message comes any more
         identity = Identity(options.robot, __version__, os.getpid())
         server = ControlServer(
             address, daemon.methods(), identity, on_unreachable=supervisor.unreachable
@@ -68,11 +70,11 @@ async def serve(
             await daemon.recorder.discard()
             raise
         gc.collect()
-        gc.freeze()  # a full collection over all that was imported would hold the loop for 70 ms
+        gc.freeze()  # a full collection over all imported objects would block the loop for 70 ms
 
         def ready(summary: StartSummary) -> None:
             on_ready(summary)
-            daemon.recorder.tidier.begin()  # not before: files of any number, size and origin
+            daemon.recorder.tidier.begin()  # not earlier: it may take long
 
         try:
             await daemon.run(server, notes, ready)

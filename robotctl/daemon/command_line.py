@@ -18,7 +18,7 @@ MAX_DOMAIN_ID = 232
 
 @dataclass(frozen=True, slots=True)
 class DaemonOptions:
-    """What a start decides; `sim` None means: unless somebody publishes odometry already."""
+    """The options of a start; `sim` None: simulate unless odometry has a publisher already."""
 
     robot: str
     config: Path | None
@@ -27,11 +27,11 @@ class DaemonOptions:
     sim: bool | None
     domain_id: int
     observe: bool = False
-    """Record, and do nothing else."""
+    """Record only."""
 
     include: tuple[str, ...] = ()
     exclude: tuple[str, ...] = ()
-    """Patterns of topics, beside those of the configuration."""
+    """Patterns of topics, added to those of the configuration."""
 
     @property
     def namespace(self) -> str:
@@ -39,14 +39,18 @@ class DaemonOptions:
         return namespace_of(self.robot)
 
     def applied_to(self, config: Config) -> Config:
-        """Return the configuration with what the command line adds to it."""
+        """Return the configuration with the topic patterns of the command line added."""
         given = config.recording
         include, exclude = (*given.include, *self.include), (*given.exclude, *self.exclude)
         return replace(config, recording=replace(given, include=include, exclude=exclude))
 
 
 def parse(arguments: list[str]) -> DaemonOptions:
-    """Return the options; raises UsageError where a name or number is not allowed."""
+    """Return the options.
+
+    Raises:
+        UsageError: A name or number is not allowed.
+    """
     parser = argparse.ArgumentParser(prog="python -m robotctl.daemon", description=__doc__)
     parser.add_argument("--robot", default=DEFAULT_ROBOT)
     parser.add_argument("--config", type=Path)
@@ -85,7 +89,7 @@ def _absolute(recordings: Path) -> Path:
 
 
 def _patterns(option: str, given: list[str]) -> tuple[str, ...]:
-    """Return the patterns of an option that may be repeated, and hold several between commas."""
+    """Return the patterns of a repeatable option; each use may hold several, with commas."""
     patterns = [pattern for text in given for pattern in text.split(",")]
     for pattern in patterns:
         if not is_topic_pattern(pattern):
@@ -94,7 +98,7 @@ def _patterns(option: str, given: list[str]) -> tuple[str, ...]:
 
 
 def parse_ready_fd(arguments: list[str]) -> int | None:
-    """Return where to say what came of the start, also of one whose other options are wrong."""
+    """Return the descriptor for the report of the start, even if other options are wrong."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("--ready-fd", type=int)
     descriptor: int | None = parser.parse_known_args(arguments)[0].ready_fd
@@ -102,7 +106,11 @@ def parse_ready_fd(arguments: list[str]) -> int | None:
 
 
 def resolve_domain_id(given: int | None) -> int:
-    """Return the given ROS domain, else that of ROS_DOMAIN_ID, else 0; raises UsageError."""
+    """Return the given ROS domain, else that of ROS_DOMAIN_ID, else 0.
+
+    Raises:
+        UsageError: The number is not a ROS domain.
+    """
     text = os.environ.get("ROS_DOMAIN_ID") or "0"
     name, value = ("--domain-id", str(given)) if given is not None else ("ROS_DOMAIN_ID", text)
     if not value.isdecimal() or int(value) > MAX_DOMAIN_ID:

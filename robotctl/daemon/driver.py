@@ -1,4 +1,4 @@
-"""The daemon that drives a robot, and records what it and everybody else does."""
+"""The daemon that drives a robot, and records the whole ROS graph."""
 
 from __future__ import annotations
 
@@ -58,20 +58,20 @@ from robotctl.ros.tap.subscription import LATENCY_S
 _log = logging.getLogger(__name__)
 
 READY_S = 10.0
-"""How long a start waits for odometry, battery level and a listener to the command, as the
-configuration expects them; Fast DDS needs 2.6 s at worst, a robot that boots as well more."""
+"""How long a start waits for what the configuration expects: odometry, battery level, and a
+subscriber of the command. Discovery by Fast DDS takes up to 2.6 s; a robot may still boot."""
 
 DRAIN_S = 1.0
-"""How long a stop waits for the recorder to see the last command."""
+"""How long a stop waits until the recorder has received the last command."""
 
 SHOW_PERIOD_S = 1.0
 
 MAX_COMMAND_LATENCY_S = 0.01
-"""How long commands collect where the ticks, which look at them, are more than 20 ms apart."""
+"""How long heard commands are batched if the ticks that check them are over 20 ms apart."""
 
 
 class Driver:
-    """Kernel, roles and recorder, connected."""
+    """Connects kernel, ROS roles and recorder."""
 
     def __init__(self, host: Host) -> None:
         self._host = host
@@ -141,7 +141,7 @@ class Driver:
         self._driving = DrivingMethods(self._control, self._robot_report, params, robot)
 
     def methods(self) -> Mapping[str, Method[Any]]:
-        """Return what the control socket offers."""
+        """Return the methods of the control socket."""
         return {
             **common_methods(self._status, self._host.stop),
             **recording_methods(self.recorder, self._host.options.robot),
@@ -171,11 +171,11 @@ class Driver:
             raise RobotctlError("the daemon was told to stop before it was ready")
 
     async def cut(self) -> None:
-        """Send a zero past everything else, and record it."""
+        """Send a zero directly, and record it."""
         try:
             self._velocity.publish(ZERO)
             await until(self._is_drained, DRAIN_S)
-        except Exception:  # noqa: BLE001 - what made the daemon fail is to be told, not this
+        except Exception:  # noqa: BLE001 - the first failure is the one to report
             _log.exception("no last zero could be sent")
 
     # Tasks
@@ -225,7 +225,7 @@ class Driver:
         )
 
     def _take_odometry(self, odometry: Odometry, source: int, sequence: int) -> None:
-        self._look_at_commands()  # with the ticks: twice as soon as with these alone
+        self._look_at_commands()  # twice as often as the ticks alone
         self._inputs.odometry(odometry, source, sequence)
 
     def _moves(self) -> bool:
@@ -244,7 +244,7 @@ class Driver:
             and received.get(self._modes.status_topic, 0) >= self._modes.published
         )
 
-    # Beginning
+    # Start
 
     async def _become_ready(self, notes: list[str], on_ready: Ready) -> bool:
         stop = self._host.stop

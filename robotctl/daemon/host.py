@@ -1,4 +1,4 @@
-"""What every daemon is put into, and what it must offer in return."""
+"""What the app gives to each kind of daemon, and what each kind must offer."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ Ready = Callable[[StartSummary], None]
 
 @dataclass(frozen=True, slots=True)
 class Host:
-    """What a daemon is made in."""
+    """The environment that a daemon is made in."""
 
     options: DaemonOptions
     config: Config
     alone: bool
-    """Nobody else was in the ROS domain when we came."""
+    """Whether no other process was in the ROS domain at the start."""
 
     supervisor: Supervisor
     stop: asyncio.Event
@@ -38,27 +38,27 @@ class Host:
     session: Session
 
     warnings: list[PartWarning]
-    """Each is asked at every `status`; what a part of the daemon has to say is appended here."""
+    """Called at each `status`; a part of the daemon appends its warning here."""
 
 
 class DaemonKind(Protocol):
-    """Made of its parts, in the order of dependence; nothing is published before it is recorded."""
+    """A kind of daemon: Driver or Observer. It publishes nothing before the recorder runs."""
 
     recorder: FlightRecorder
 
     def methods(self) -> Mapping[str, Method[Any]]:
-        """Return what the control socket offers."""
+        """Return the methods of the control socket."""
 
     async def run(self, server: ControlServer, notes: list[str], on_ready: Ready) -> None:
         """Run every task until the daemon is told to stop."""
 
     async def cut(self) -> None:
-        """Bring the robot to rest past everything else: the daemon is about to fail."""
+        """Stop the robot at once: the daemon is about to fail."""
 
 
 @asynccontextmanager
 async def running(supervisor: Supervisor, work: Mapping[str, Work]) -> AsyncIterator[None]:
-    """Run the tasks, supervised, until the end of the block."""
+    """Run the tasks under the supervisor until the end of the block."""
     async with asyncio.TaskGroup() as group:
         tasks = [group.create_task(supervisor.run(name, each)) for name, each in work.items()]
         yield

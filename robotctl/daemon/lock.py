@@ -1,4 +1,4 @@
-"""One daemon per robot: an flock that the kernel releases when its owner dies, however it dies."""
+"""One daemon for each robot: an flock, which Linux releases when its owner ends in any way."""
 
 from __future__ import annotations
 
@@ -14,12 +14,16 @@ from robotctl.ipc.client import command_for
 from robotctl.paths import make_private
 
 PID_S = 1.0
-"""How long the owner may take from its lock to its pid in the file."""
+"""How long the owner may take from the lock to writing its pid into the file."""
 
 
 @contextmanager
 def owned(path: Path, robot: str) -> Iterator[None]:
-    """Own the robot's lock within the block; raises AlreadyRunning, which names the owner's pid."""
+    """Own the robot's lock within the block.
+
+    Raises:
+        AlreadyRunning: Another daemon owns it; names that daemon's pid.
+    """
     make_private(path.parent)
     fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     try:
@@ -62,12 +66,12 @@ def _locked(fd: int) -> bool:
 
 
 def _living_owner(fd: int) -> int:
-    """Return the pid in the file; 0 where it is not there yet, or that of an owner who died."""
+    """Return the pid in the file; 0 if there is none yet, or its process has ended."""
     try:
         pid = int(os.pread(fd, 20, 0))
         os.kill(pid, 0)
     except (ValueError, ProcessLookupError):
         return 0
-    except PermissionError:  # it lives, under another uid
+    except PermissionError:  # the process runs, under another uid
         pass
     return pid

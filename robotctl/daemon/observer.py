@@ -1,4 +1,4 @@
-"""The daemon that only records, beside anybody's stack: it commands nothing, simulates nothing."""
+"""The daemon that only records, next to any other stack: no commands, no simulation."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _log = logging.getLogger(__name__)
 
 
 class Observer:
-    """The recorder and the control socket."""
+    """Connects the recorder and the control socket."""
 
     def __init__(self, host: Host) -> None:
         self._host = host
@@ -41,7 +41,7 @@ class Observer:
         host.supervisor.report_to(self._note)
 
     def methods(self) -> Mapping[str, Method[Any]]:
-        """Return what the control socket offers; whatever would move a robot is refused."""
+        """Return the methods of the control socket; those that move a robot are refused."""
         return {
             **common_methods(self._status, self._host.stop),
             **recording_methods(self.recorder, self._host.options.robot),
@@ -61,10 +61,10 @@ class Observer:
             _log.info("stopping")
 
     async def cut(self) -> None:
-        """There is no robot of ours to stop."""
+        """Do nothing: there is no robot to stop."""
 
     def facts(self) -> RobotFacts:
-        """Return the robot's part of the status: nothing is known."""
+        """Return the robot's part of the status: all unknown."""
         return {
             "mode": None,
             "phase": None,
@@ -82,7 +82,7 @@ class Observer:
         return ()
 
     def warnings(self) -> Iterator[str]:
-        """Say what failed in the daemon itself."""
+        """Yield the failures of the daemon itself."""
         yield from self._faults
 
     def _note(self, event: Event) -> None:

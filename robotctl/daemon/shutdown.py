@@ -1,4 +1,4 @@
-"""The end of a daemon: the robot stands, and the recording holds the last word."""
+"""The end of a daemon: stop the robot, and record its last command."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from robotctl.kernel.types import Cause, FaultReported, ModeRequested, Tick
 _log = logging.getLogger(__name__)
 
 RAMP_DOWN_S = 3.0
-"""How long a stop may take to ramp down before the command is cut to zero."""
+"""How long the ramp may take before the command is cut to zero."""
 
 LAST_ZERO_S = 1.0
-"""How long a stop tries to send its last zero; beyond it the robot's command timeout has acted."""
+"""How long the last zero is tried; after that the robot's command timeout has stopped it."""
 
 
 def told_to_end() -> asyncio.Event:
-    """Return an event that SIGINT and SIGTERM set, and SIGHUP unless it is ignored (nohup)."""
+    """Return an event that SIGINT, SIGTERM and, unless ignored as by nohup, SIGHUP set."""
     numbers = [signal.SIGINT, signal.SIGTERM]
     if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
         numbers.append(signal.SIGHUP)
@@ -40,10 +40,10 @@ async def stand_still(
     ramp_down_s: float = RAMP_DOWN_S,
     now_ns: Callable[[], int] = time.monotonic_ns,
 ) -> None:
-    """Ramp down, or cut the command where that takes too long; then send one more zero.
+    """Ramp down, or cut the command if that takes too long; then send one more zero.
 
-    No motion begins any more. `published()` counts the commands that were sent: a last zero that
-    fails, for want of memory or in the middleware, is sent again for LAST_ZERO_S.
+    From now on the kernel starts no motion. `published()` returns the number of commands sent: a
+    last zero that fails, from lack of memory or in the middleware, is repeated for LAST_ZERO_S.
     """
     detail = "the daemon is stopping"
     control.dispatch(FaultReported(now_ns(), Cause.DAEMON_ENDS, detail))
@@ -53,7 +53,7 @@ async def stand_still(
             try:
                 await asyncio.wait_for(control.request(request), ramp_down_s)
             except TimeoutError:
-                _log.error("not standing still after %g s", ramp_down_s)
+                _log.error("the robot has not stopped after %g s", ramp_down_s)
     sent = published()
 
     def sends_zero() -> bool:
@@ -61,4 +61,4 @@ async def stand_still(
         return published() > sent
 
     if not await until(sends_zero, LAST_ZERO_S):
-        _log.error("no last zero could be sent within %g s", LAST_ZERO_S)
+        _log.error("the last zero could not be sent within %g s", LAST_ZERO_S)

@@ -1,4 +1,4 @@
-"""The simulated robot in a process of its own, so that it outlives a daemon that dies."""
+"""The simulated robot as its own process, which outlives a daemon that dies."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ async def simulate(
     on_ready: Callable[[], None],
     at_end: ExitStack,
 ) -> None:
-    """Run the robot until it is told to end; `at_end` leaves the ROS domain."""
+    """Run the robot until a signal ends it; the exit of `at_end` leaves the ROS domain."""
     stop = told_to_end()
     topics = config.kernel
     async with ros_session(domain_id=domain_id, namespace=namespace, at_end=at_end) as session:

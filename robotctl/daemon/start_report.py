@@ -1,4 +1,4 @@
-"""Whoever started the daemon, and is told once what came of it."""
+"""The report of a start to the process that started the daemon: ready, or why not."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _STDOUT = 1
 
 
 class StartReport:
-    """A process that waits for one line on `ready_fd`; None: whoever has stdout and stderr."""
+    """Sends one report to the starter, on `ready_fd`, or on stdout and stderr if that is None."""
 
     def __init__(self, ready_fd: int | None) -> None:
         self._ready_fd = ready_fd
@@ -29,21 +29,24 @@ class StartReport:
             os.set_inheritable(ready_fd, False)
 
     def tell(self, said: Mapping[str, Any]) -> None:
-        """Say what came of the start; later calls in the background find nobody who waits."""
+        """Send the report; in the background only the first call sends.
+
+        If the starter of a ready daemon has ended, the daemon ends itself with SIGTERM.
+        """
         line = f"{json.dumps(said)}\n".encode()
-        if not self._in_background:  # who has stdout may not read it: the loop does not wait
+        if not self._in_background:  # stdout may block: the loop must not wait
             Thread(target=_write, args=(_STDOUT, line), daemon=True).start()
         elif self._ready_fd is not None:
             is_read = _write(self._ready_fd, line)
             os.close(self._ready_fd)
-            self._ready_fd = None  # the number is soon another file's
+            self._ready_fd = None  # the number will be reused
             if said["ready"] and not is_read:
                 signal.raise_signal(signal.SIGTERM)  # no user knows of this daemon
 
     def fail(self, error: RobotctlError) -> int:
-        """Say why the daemon ends; returns its exit code."""
+        """Report why the daemon ends; return its exit code."""
         if not self._in_background:
-            with suppress(OSError):  # nobody reads stderr
+            with suppress(OSError):  # stderr is closed
                 print(f"robotctl: {error}", file=sys.stderr)
         else:
             _log.error("%s", error)
@@ -52,7 +55,7 @@ class StartReport:
         return error.exit_code
 
     def fail_unexpectedly(self, error: Exception) -> int:
-        """As `fail`, for a bug of ours: its traceback goes into the log only."""
+        """Report a bug as `fail` does; its traceback goes into the log only."""
         if self._in_background:
             _log.error("the daemon failed", exc_info=error)
         return self.fail(RobotctlError(f"unexpected {type(error).__name__}: {error}"))

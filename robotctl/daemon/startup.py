@@ -1,4 +1,4 @@
-"""Runs a daemon from its command line, and says on `--ready-fd` what came of its start."""
+"""Run a daemon from its command line, and report the start on `--ready-fd`."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def main(arguments: list[str]) -> int:
 
 
 def _main(arguments: list[str], notes: list[str], at_end: ExitStack) -> int:
-    """As `main`; what has to be the last, after the log too, is left to `at_end`."""
+    """Run as `main` does; `at_end` holds what must happen after everything else, the log too."""
     starter = StartReport(command_line.parse_ready_fd(arguments))
     _allow_many_files()
     try:
@@ -37,12 +37,12 @@ def _main(arguments: list[str], notes: list[str], at_end: ExitStack) -> int:
         _run(options, starter.tell, notes, at_end)
     except RobotctlError as error:
         return starter.fail(error)
-    except KeyboardInterrupt:  # before the loop took the signals over
+    except KeyboardInterrupt:  # before the loop handles signals
         return INTERRUPTED_EXIT_CODE
     except OSError as error:
         where = f": {error.filename}" if error.filename else ""
         return starter.fail(RobotctlError(f"{error.strerror or error}{where}"))
-    except Exception as error:  # noqa: BLE001 - whatever it was, the starter is told
+    except Exception as error:  # noqa: BLE001 - the starter gets any error
         return starter.fail_unexpectedly(error)
     return 0
 
@@ -59,6 +59,6 @@ def _run(
 
 
 def _allow_many_files() -> None:
-    """Each recorded topic is one: the usual soft limit, 1024, is kept low for select(2) only."""
+    """Raise the limit: each recorded topic takes a file, and 1,024 is only for select(2)."""
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))

@@ -1,4 +1,4 @@
-"""Whatever fails in the daemon becomes an event: the kernel answers with zero and ERROR."""
+"""Turns failures in the daemon into events: the kernel answers with zero and ERROR."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from robotctl.kernel.types import Cause, Event, FaultCleared, FaultReported
 _log = logging.getLogger(__name__)
 
 RESTART_S = 1.0
-"""How long a task that died stays away: a fault that lasts must not fill log and journal."""
+"""Pause before a failed task runs again: a lasting fault must not fill log and journal."""
 
 MAX_DETAIL = 1000
-"""Characters of a fault that journal and status are told; the log has it whole."""
+"""Length of a fault in journal and status [characters]; the log has it whole."""
 
 RESERVE_BYTES = 16 * 1024 * 1024
-"""Given back when there is no memory left, so that the daemon can stop the robot and end. Its pages
-are never touched: it takes address space only."""
+"""Released when memory runs out, so that the daemon can stop the robot and end.
+
+Its pages are never touched: it takes only address space."""
 
 OUT_OF_MEMORY = "out of memory: the robot was stopped, and the daemon ends"
 
 Work = Callable[[], Coroutine[Any, Any, None]]
-"""Makes the coroutine of a task; called again for each restart."""
+"""Returns the coroutine of a task; called for each start of the task."""
 
 
 class Supervisor:
-    """Runs tasks and takes the exceptions that nobody else takes.
+    """Runs tasks, and handles the exceptions that no other code handles.
 
-    A task that died is started again, so that status, stop and zeros stay available; its fault
-    stays until the daemon is restarted. Without memory nothing can be relied on: then the robot is
-    stopped and the daemon told to end.
+    A failed task is started again, so that status, stop and zeros stay available. Its fault lasts
+    until the daemon is restarted. When memory runs out, the robot is stopped and the daemon ends.
     """
 
     def __init__(self, end: Callable[[], None]) -> None:
@@ -44,12 +44,16 @@ class Supervisor:
         self._reserve: mmap | None = mmap(-1, RESERVE_BYTES, MAP_PRIVATE | MAP_ANONYMOUS)
 
     def check(self) -> None:
-        """Raise RobotctlError if the daemon has run out of memory."""
+        """Check that the daemon has not run out of memory.
+
+        Raises:
+            RobotctlError: It has.
+        """
         if self._reserve is None:
             raise RobotctlError(OUT_OF_MEMORY)
 
     def report_to(self, dispatch: Callable[[Event], None]) -> None:
-        """Hand faults to the kernel from now on; before, they are only logged."""
+        """Pass faults to the kernel from now on; until then they are only logged."""
         self._dispatch = dispatch
 
     async def run(self, name: str, work: Work) -> None:
@@ -57,16 +61,16 @@ class Supervisor:
         while True:
             try:
                 return await work()
-            except Exception as error:  # noqa: BLE001 - whatever it was, the robot stops
+            except Exception as error:  # noqa: BLE001 - any failure stops the robot
                 self._report(error, f"the {name} task failed")
             await asyncio.sleep(RESTART_S)
 
     def callback_failed(self, error: Exception, where: str) -> None:
-        """Take the exception of a ROS callback; the exception handler of the executor."""
+        """Handle the exception of a ROS callback; the executor's exception handler."""
         self._report(error, f"the callback of {where} failed")
 
     def loop_failed(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-        """Take what asyncio has nobody else to tell of; the exception handler of the loop."""
+        """Handle an exception that no task awaits; the loop's exception handler."""
         error = context.get("exception")
         if isinstance(error, Exception):
             self._report(error, str(context.get("message", "a callback failed")))
@@ -74,7 +78,7 @@ class Supervisor:
             loop.default_exception_handler(context)
 
     def unreachable(self, problem: str) -> None:
-        """Take that the control socket cannot be reached, "" when it can again."""
+        """Report the problem that makes the control socket unreachable, "" once it is over."""
         if self._dispatch is not None:
             now, cause = time.monotonic_ns(), Cause.UNREACHABLE
             self._dispatch(
@@ -85,7 +89,7 @@ class Supervisor:
 
     def _report(self, error: Exception, what: str) -> None:
         while isinstance(error, ExceptionGroup) and len(error.exceptions) == 1:
-            (error,) = error.exceptions  # what a TaskGroup wraps around
+            (error,) = error.exceptions  # unwrap the group of a TaskGroup
         if isinstance(error, MemoryError):
             self._run_out(what)
             return
@@ -94,7 +98,7 @@ class Supervisor:
         self._stop_robot(detail[:MAX_DETAIL])
 
     def _run_out(self, what: str) -> None:
-        """End the daemon, once: what fails meanwhile for want of memory changes nothing more."""
+        """End the daemon, once; further failures from lack of memory are ignored."""
         if self._reserve is None:
             return
         self._reserve.close()

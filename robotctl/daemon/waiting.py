@@ -1,4 +1,4 @@
-"""Waiting in the loop for a condition, with a deadline."""
+"""Wait in the loop for a condition, with a deadline."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ POLL_S = 0.01
 
 
 async def until(condition: Callable[[], bool], deadline_s: float) -> bool:
-    """Wait until the condition holds or the time is over; say whether it holds."""
+    """Wait until the condition holds or the deadline is over; return whether it holds."""
     end = time.monotonic() + deadline_s
     while not condition():
         if time.monotonic() > end:

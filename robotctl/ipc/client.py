@@ -1,4 +1,4 @@
-"""The blocking client of the control socket, with the standard library alone."""
+"""The blocking client of the control socket; it needs only the standard library."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ from robotctl.paths import DEFAULT_ROBOT, chain_to, socket_path
 from robotctl.trust import user_text
 
 CALL_DEADLINE_S = 12.0
-"""Above the server's own deadline of a call, so that its answer says what was slow."""
+"""Longer than the server's deadline of a call, so that the server can answer what was slow."""
 
 LIVENESS_S = 5.0
-"""How often a call without a deadline makes sure that the daemon still answers."""
+"""Period in which a call without a deadline checks that the daemon still answers."""
 
 _RECEIVE_BYTES = 65536
 _TIMEVAL = struct.Struct("ll")
@@ -69,18 +69,20 @@ def call(
     *,
     deadline_s: float | None = CALL_DEADLINE_S,
 ) -> object:
-    """One call on a connection of its own; see Client.call."""
+    """Open a connection for one call; see Client.call."""
     with Client(robot) as client:
         return client.call(method, params, deadline_s=deadline_s)
 
 
 class Client:
-    """A connection to the daemon of `robot`; not usable any more once a call has raised NoDaemon.
+    """A connection to the daemon of `robot`.
 
-    Raises, when entered:
-        NoDaemon: The socket is absent, or nobody listens on it.
-        Refused: Another user's process listens on it.
-        UsageError: Another user could have put it where it is.
+    It cannot be used again after a call has raised NoDaemon. The `with` statement opens it.
+
+    Raises:
+        NoDaemon: The socket does not exist, or no process listens on it.
+        Refused: A process of another user listens on it.
+        UsageError: Another user could have created the socket or one of its folders.
     """
 
     def __init__(self, robot: str) -> None:
@@ -127,7 +129,7 @@ class Client:
 
     @property
     def daemon_pid(self) -> int:
-        """The process that listens; 0 where it lives in another pid namespace."""
+        """The pid of the process that listens; 0 if it is in another pid namespace."""
         return peer_of(self._sock).pid
 
     @overload
@@ -153,13 +155,13 @@ class Client:
         *,
         deadline_s: float | None = CALL_DEADLINE_S,
     ) -> object:
-        """Carry out `method` in the daemon and return its result.
+        """Call `method` in the daemon and return its result.
 
-        Without a deadline this waits for as long as the daemon answers others.
+        Without a deadline, wait as long as the daemon answers on a second connection.
 
         Raises:
-            NoDaemon: It did not answer in time, or closed the connection.
-            RobotctlError: The daemon's own error, of the class that its exit code names.
+            NoDaemon: The daemon did not answer in time, or closed the connection.
+            RobotctlError: The daemon's error, of the class that belongs to its exit code.
         """
         self._last_id += 1
         request = Request(self._last_id, method, params or {})
@@ -174,7 +176,7 @@ class Client:
             self._write(lines)
             if hello:
                 refusal = self._greet(until)
-                if refusal and not is_emergency_stop(request):  # which is taken all the same
+                if refusal and not is_emergency_stop(request):  # the daemon takes that one anyway
                     raise refusal
             return self._result(self._last_id, until)
         except TimeoutError:
@@ -185,7 +187,7 @@ class Client:
             raise RobotctlError(f"the daemon of robot {self._robot!r} answered: {error}") from error
 
     def _greet(self, until: float | None) -> Refused | None:
-        """Read the reply to hello; returns why the daemon will not listen, if it says so."""
+        """Read the reply to hello; return the daemon's refusal, None if it accepts this client."""
         try:
             version = self._result(_HELLO_ID, until).get("protocol")
         except Refused as refusal:
@@ -203,7 +205,7 @@ class Client:
         if isinstance(reply, Failure) and reply.id in (request_id, None):
             raise _error(reply)
         if reply.id != request_id or not isinstance(reply, Result):
-            raise ProtocolError(Code.INVALID_REQUEST, f"an answer to request {reply.id!r}")
+            raise ProtocolError(Code.INVALID_REQUEST, f"a reply to another request: {reply.id!r}")
         if not isinstance(reply.result, dict):
             raise ProtocolError(Code.INVALID_REQUEST, "a result that is not an object")
         return reply.result
@@ -214,10 +216,16 @@ class Client:
         except BlockingIOError:
             raise TimeoutError from None
         except BrokenPipeError:
-            pass  # it closed on us, and its reason waits to be read
+            pass  # the daemon closed the connection; its reason can still be read
 
     def _read_line(self, until: float | None) -> bytes:
-        """The next line; raises TimeoutError, ConnectionError or ProtocolError."""
+        """Return the next line.
+
+        Raises:
+            TimeoutError: No whole line came in time.
+            ConnectionError: The daemon closed the connection.
+            ProtocolError: The line is too long.
+        """
         while (line := self._lines.next_line()) is None:
             remaining = LIVENESS_S if until is None else until - time.monotonic()
             if remaining <= 0:
@@ -241,7 +249,7 @@ class Client:
             other._greet(time.monotonic() + LIVENESS_S)
 
     def _set_timeout(self, option: int, seconds: float) -> None:
-        microseconds = max(1, int(seconds * 1e6))  # 0 would mean for ever
+        microseconds = max(1, int(seconds * 1e6))  # 0 would mean no timeout
         value = _TIMEVAL.pack(*divmod(microseconds, 1_000_000))
         self._sock.setsockopt(socket.SOL_SOCKET, option, value)
 
@@ -261,7 +269,7 @@ class Client:
 
 
 def no_daemon(robot: str) -> NoDaemon:
-    """The error of every command that needs a daemon where there is none."""
+    """Return the error for a command that needs a daemon while none runs."""
     return NoDaemon(
         f"no daemon for robot {robot!r}",
         f"start one with: {command_for(robot, 'start')}",
@@ -270,7 +278,7 @@ def no_daemon(robot: str) -> NoDaemon:
 
 
 def command_for(robot: str, command: str) -> str:
-    """A command as its user would type it for this robot."""
+    """Return a command as a user types it for this robot."""
     return f"robotctl {command}" + ("" if robot == DEFAULT_ROBOT else f" --robot {robot}")
 
 

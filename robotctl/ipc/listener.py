@@ -1,4 +1,4 @@
-"""The socket file: private, of one owner, and made again if it is removed or replaced."""
+"""The listening socket: a private file, created again if it is removed or replaced."""
 
 from __future__ import annotations
 
@@ -20,18 +20,19 @@ from robotctl.paths import chain_to, make_private
 _log = logging.getLogger(__name__)
 
 BACKLOG = 1024
-"""Clients that may wait to be accepted. With a full backlog asyncio's own connect hands out a
-socket that is not connected, so the backlog takes the largest burst that is promised."""
+"""Clients that may wait to be accepted: the largest burst that the daemon promises to take.
+
+With a full backlog, asyncio's connect returns a socket that is not connected."""
 
 LOOK_S = 1.0
-"""How often a listener looks whether its file is still its own."""
+"""Period of the check that the socket file is still the listener's own."""
 
 _OUT_OF_RESOURCES = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
 _RETRY_ACCEPT_S = 0.1
 
 
 class Listener:
-    """Listens at `path` from `open` to `close`, which removes the file if it is ours."""
+    """Listens at `path` from `open` to `close`; `close` removes the file if it is still ours."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -39,20 +40,20 @@ class Listener:
         self._sock: socket.socket
 
     def open(self) -> None:
-        """Bind and listen: from here on clients wait instead of failing.
+        """Bind and listen; from now on the connect of a client succeeds.
 
         Raises:
-            UsageError: The folder is another user's, or something else lies at the path.
-            AlreadyRunning: Somebody answers there.
+            UsageError: The folder belongs to another user, or `path` is not a socket.
+            AlreadyRunning: Another process answers at `path`.
         """
         make_private(self._path.parent)
         remove_stale(self._path)
         self._sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
-            previous = os.umask(0o177)  # a chmod after bind would leave a moment open to everybody
+            previous = os.umask(0o177)  # with a chmod after bind, any user could connect before it
             try:
                 self._sock.bind(str(self._path))
-            except OSError as error:  # it does not say where
+            except OSError as error:  # the error does not name the path
                 raise OSError(error.errno, error.strerror, str(self._path)) from None
             finally:
                 os.umask(previous)
@@ -64,16 +65,16 @@ class Listener:
             raise
 
     def close(self) -> None:
-        """Leave nothing behind."""
+        """Stop listening, and remove the socket file."""
         self._sock.close()
         if self._is_in_place():
             self._path.unlink(missing_ok=True)
 
     async def accept(self, make_room: Callable[[], bool]) -> socket.socket:
-        """Return the next client.
+        """Wait for the next client and return its socket.
 
-        Without a free descriptor `make_room` is asked to close a connection; if it cannot, this
-        waits until there is one.
+        Where the process has no free descriptor, `make_room` is called to close a connection. It
+        returns whether it did; otherwise this waits until a descriptor is free.
         """
         while True:
             try:
@@ -90,16 +91,16 @@ class Listener:
                     raise
 
     async def lost(self) -> None:
-        """Wait until no client finds us at the path any more.
+        """Wait until clients no longer reach this process at the path.
 
-        The folder goes when its user logs out, a tidier removes old files, another user takes over
-        the folder, or another process the path.
+        A logout may remove the folder, a cleanup job may remove old files, another user may take
+        over the folder, or another process the path.
         """
         while self._is_in_place():  # noqa: ASYNC110 - nothing announces it
             await asyncio.sleep(LOOK_S)
 
     async def reopen(self, on_failure: Callable[[str], None]) -> None:
-        """Listen at the path again, as soon as that is possible; say each new reason why not."""
+        """Listen at the path again as soon as possible; pass each new reason to `on_failure`."""
         self._sock.close()
         said = ""
         while True:
@@ -125,11 +126,11 @@ def _id_of(path: Path) -> tuple[int, int]:
 
 
 def remove_stale(path: Path) -> None:
-    """Remove the socket that a dead daemon has left at `path`.
+    """Remove the socket file that a dead daemon has left at `path`.
 
     Raises:
-        UsageError: Something else lies there.
-        AlreadyRunning: Somebody answers there.
+        UsageError: `path` is not a socket.
+        AlreadyRunning: Another process answers at `path`.
     """
     with suppress(FileNotFoundError):
         if not stat.S_ISSOCK(path.lstat().st_mode):

@@ -1,4 +1,4 @@
-"""What each method takes, with its limits: decoded strictly, once, at the edge of the daemon."""
+"""The parameters of each method with their limits; decoded strictly, once, in the server."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ from robotctl.kernel.patterns import (
 )
 
 Source = Annotated[str, Meta(max_length=200)]
-"""Who asked, for the journal and the log."""
+"""The name of the requester, for the journal and the log."""
 
 Size = Annotated[float, Meta(ge=MIN_SIZE_M, le=MAX_SIZE_M)]
 
 
 class NoParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """For whatever takes none."""
+    """The parameters of a method that takes none."""
 
 
 class HelloParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """The version that the client speaks."""
+    """The protocol version of the client."""
 
     protocol: int
 
 
 class SetModeParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """`mode` is the uint8 of SetMode.srv: a number without a meaning is the kernel's to refuse."""
+    """The mode as the uint8 of SetMode.srv; the kernel refuses a number that is no mode."""
 
     mode: Annotated[int, Meta(ge=0, le=255)]
     source: Source
@@ -49,7 +49,7 @@ class ResetParams(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class EndDriveParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """Ramps a drive down to IDLE; in any other mode than MOVING nothing changes."""
+    """Ramps a drive down to IDLE; changes nothing in any mode but MOVING."""
 
     source: Source
 
@@ -62,7 +62,7 @@ class MarkParams(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class DriveParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """A pattern and its size; what is left out comes from the daemon's configuration.
+    """A pattern and its size; a value that is left out comes from the daemon's configuration.
 
     The limits are the kernel's; the configured speed limit may be lower.
     """
@@ -72,7 +72,7 @@ class DriveParams(Struct, frozen=True, forbid_unknown_fields=True):
     side_m: Size | None = None
     radius_m: Size | None = None
     laps: Annotated[int, Meta(ge=0, le=MAX_LAPS)] | None = None
-    """0 drives until stopped."""
+    """0: drive until stopped."""
     speed_mps: Annotated[float, Meta(ge=MIN_SPEED_MPS, le=MAX_SPEED_MPS)] | None = None
     replace: bool = False
     wait: bool = False
@@ -82,7 +82,11 @@ P = TypeVar("P")
 
 
 def decode(given: dict[str, Any], kind: type[P]) -> P:
-    """Return the parameters as `kind`; raises UsageError, which names value and limits."""
+    """Return the parameters as an object of `kind`.
+
+    Raises:
+        UsageError: A parameter is unknown, missing or not allowed; names the value and its limits.
+    """
     try:
         return msgspec.convert(given, type=kind)
     except msgspec.ValidationError:
@@ -104,7 +108,7 @@ def _refusal(given: dict[str, Any], kind: type[Any]) -> UsageError:
 
 
 def _allowed(kind: Any) -> str:
-    """Return in words what a parameter may be."""
+    """Return in words the values that a parameter may have."""
     from msgspec import inspect
 
     info = inspect.type_info(kind)

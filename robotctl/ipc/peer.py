@@ -1,4 +1,4 @@
-"""Who is at the other end of a Unix socket, as the kernel knows it."""
+"""The process at the other end of a Unix socket, as the Linux kernel knows it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _UCRED = struct.Struct("iII")
 
 
 class Peer(NamedTuple):
-    """struct ucred (unix(7)), as it was at connect or listen; pid 0 in another pid namespace."""
+    """The struct ucred of unix(7), from connect or listen; pid 0 for another pid namespace."""
 
     pid: int
     uid: int
@@ -18,6 +18,6 @@ class Peer(NamedTuple):
 
 
 def peer_of(sock: socket.socket) -> Peer:
-    """The process at the other end of a connected socket."""
+    """Return the process at the other end of a connected socket."""
     raw = sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _UCRED.size)
     return Peer(*_UCRED.unpack(raw))

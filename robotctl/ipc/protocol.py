@@ -1,12 +1,12 @@
-"""JSON-RPC 2.0, one object a line, without I/O and with the standard library alone.
+"""JSON-RPC 2.0, one object on each line; no I/O, and only the standard library.
 
     bytes -> LineBuffer.receive -> LineBuffer.next_line -> parse_request / parse_response
     request / result / error -> encode_* -> bytes with their newline
 
-Parsing is strict: what is not exactly one well-formed message ends in ProtocolError and in no
-other exception. Batches and notifications do not exist here: every request gets one reply.
+Parsing is strict: a line that is not exactly one well-formed message raises ProtocolError and no
+other exception. There are no batches and no notifications: each request gets one reply.
 
-The messages are NamedTuples because `dataclasses` imports `inspect`, 10 ms of every command.
+The messages are NamedTuples because `dataclasses` imports `inspect`, which takes 10 ms.
 """
 
 from __future__ import annotations
@@ -22,26 +22,26 @@ from robotctl.errors import RobotctlError
 PROTOCOL_VERSION = 1
 
 MAX_REQUEST_BYTES = 64 * 1024
-"""A request is a method and a few numbers: 100 times the longest one that a client sends."""
+"""About 100 times the longest request of a robotctl command."""
 
 MAX_RESPONSE_BYTES = 8 * 1024 * 1024
-"""`path` answers with every driven point: at 50 Hz and 40 bytes a point, an hour."""
+"""Room for the answer of `path` with each driven point: an hour at 50 Hz, 40 bytes a point."""
 
 MAX_DEPTH = 16
-"""The deepest message, `path`, has 4 levels; the decoder recurses, so depth is stack."""
+"""The deepest message, `path`, has 4 levels. Each level costs stack: the decoder recurses."""
 
 MAX_ID_LENGTH = 64
 MAX_ID = 2**53
-"""Up to here every JSON implementation keeps an integer exact."""
+"""Every JSON implementation represents integers up to this one exactly."""
 
 EMERGENCY_STOP_MODE = 3
 
 MAX_MARK_LENGTH = 1000
-"""Characters: a marker is a note, not a log."""
+"""In characters."""
 
 
 class Code(IntEnum):
-    """The error codes: those of JSON-RPC 2.0, then robotctl's own."""
+    """The error codes of JSON-RPC 2.0, then those of robotctl."""
 
     PARSE_ERROR = -32700
     INVALID_REQUEST = -32600
@@ -57,7 +57,7 @@ class Code(IntEnum):
 
 
 class ProtocolError(RobotctlError):
-    """The peer sent something that is not a message; `request_id` is None where none was read."""
+    """The peer sent a line that is not a message; `request_id` is None if it has no valid id."""
 
     def __init__(self, code: Code, text: str, request_id: int | str | None = None) -> None:
         super().__init__(text)
@@ -66,7 +66,7 @@ class ProtocolError(RobotctlError):
 
 
 class Request(NamedTuple):
-    """A call: the peer owes exactly one reply that carries `id`."""
+    """A call; the peer sends exactly one reply with the same `id`."""
 
     id: int | str
     method: str
@@ -81,7 +81,7 @@ class Result(NamedTuple):
 
 
 class Failure(NamedTuple):
-    """The reply to a request that failed; `id` is None where the request had none to name."""
+    """The reply to a request that failed; `id` is None if the request had no valid id."""
 
     id: int | str | None
     code: int
@@ -90,7 +90,7 @@ class Failure(NamedTuple):
 
 
 class LineBuffer:
-    """Cuts a byte stream into lines of at most `limit` bytes, however the bytes arrive."""
+    """Splits a byte stream into lines of at most `limit` bytes."""
 
     def __init__(self, limit: int) -> None:
         self._limit = limit
@@ -98,14 +98,14 @@ class LineBuffer:
         self._searched = 0
 
     def receive(self, data: bytes) -> None:
-        """Take the bytes of one read."""
+        """Append the bytes of one read."""
         self._buffer += data
 
     def next_line(self) -> bytes | None:
-        """The next whole line without its newline, or None until more bytes arrive.
+        """Return the next whole line without its newline, or None until more bytes arrive.
 
         Raises:
-            ProtocolError: The line is over the limit; the stream cannot be followed any further.
+            ProtocolError: The line is longer than the limit; the stream cannot be read further.
         """
         end = self._buffer.find(b"\n", self._searched)
         if (len(self._buffer) if end < 0 else end) > self._limit:
@@ -120,7 +120,11 @@ class LineBuffer:
 
 
 def encode_request(request_id: int, method: str, params: dict[str, Any]) -> bytes:
-    """One request line; raises ValueError when `params` holds NaN or infinity."""
+    """Encode one request line.
+
+    Raises:
+        ValueError: `params` holds NaN or infinity.
+    """
     return _encode({"jsonrpc": "2.0", "id": request_id, "method": method, "params": params})
 
 
@@ -131,16 +135,23 @@ def encode_error(
     exit_code: int = 1,
     details: Mapping[str, Any] | None = None,
 ) -> bytes:
-    """Encode one error line; raises ValueError when `details` holds NaN or infinity.
+    """Encode one error line.
 
-    `exit_code` is what the client's process ends with, `details` are those of a RobotctlError.
+    `exit_code` is the exit code of the client's process, `details` are those of a RobotctlError.
+
+    Raises:
+        ValueError: `details` holds NaN or infinity.
     """
     error = {"code": code, "message": message, "data": {"exit_code": exit_code, **(details or {})}}
     return _encode({"jsonrpc": "2.0", "id": request_id, "error": error})
 
 
 def parse_request(line: bytes) -> Request:
-    """Read one request; raises ProtocolError, and nothing else, for every other line."""
+    """Parse one request line.
+
+    Raises:
+        ProtocolError: The line is not a request; no other exception is raised.
+    """
     message = _parse_object(line)
     request_id = _id(message)
     if request_id is None:
@@ -159,7 +170,11 @@ def parse_request(line: bytes) -> Request:
 
 
 def parse_response(line: bytes) -> Result | Failure:
-    """Read one reply; raises ProtocolError, and nothing else, for every other line."""
+    """Parse one reply line.
+
+    Raises:
+        ProtocolError: The line is not a reply; no other exception is raised.
+    """
     message = _parse_object(line)
     request_id = _id(message)
     if ("result" in message) == ("error" in message):
@@ -178,7 +193,7 @@ def parse_response(line: bytes) -> Result | Failure:
 
 
 def is_emergency_stop(request: Request) -> bool:
-    """Whether this is the one request that is taken over the cap and before hello, too."""
+    """Return whether this request is taken even above the limit of clients and before hello."""
     mode = request.params.get("mode")
     return request.method == "set_mode" and type(mode) is int and mode == EMERGENCY_STOP_MODE
 
@@ -192,7 +207,7 @@ def _invalid(text: str, request_id: int | str | None) -> NoReturn:
 
 
 def _id(message: dict[str, Any]) -> int | str | None:
-    """The message's id where it is one, else None."""
+    """Return the message's id, None if it is not valid."""
     value = message.get("id")
     if isinstance(value, str) and len(value) <= MAX_ID_LENGTH:
         return value
@@ -202,7 +217,7 @@ def _id(message: dict[str, Any]) -> int | str | None:
 
 
 def _parse_object(line: bytes) -> dict[str, Any]:
-    """Decode one JSON-RPC object, refusing what JSON allows and a control protocol must not."""
+    """Decode one JSON-RPC object; refuse what is valid JSON but ambiguous or harmful."""
     _check_depth(line)
     try:
         message = _DECODER.decode(line.decode())
@@ -236,7 +251,7 @@ def _check_depth(line: bytes) -> None:
 
 
 def _refuse_lone_surrogates(message: object) -> None:
-    """Half a surrogate pair is no character: it could be neither logged nor recorded."""
+    """Refuse half a surrogate pair: it is no character, and cannot be logged or recorded."""
     json.dumps(message, ensure_ascii=False).encode()
 
 

@@ -1,4 +1,4 @@
-"""Waiting for a socket in the loop, and asking it now."""
+"""Wait for a socket in the loop, or check its state now."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import socket
 
 
 async def until_readable(sock: socket.socket) -> None:
-    """Wait until there is something to read or to accept.
+    """Wait until the socket has data, or a client to accept.
 
-    Nothing is taken from the socket: unlike with `loop.sock_recv` and `loop.sock_accept`, what
-    arrives as the waiting task is cancelled is not lost.
+    Nothing is read from the socket. So no data is lost if the waiting task is cancelled just as
+    data arrives, as it would be with `loop.sock_recv` and `loop.sock_accept`.
     """
     loop = asyncio.get_running_loop()
     readable = loop.create_future()
@@ -23,12 +23,12 @@ async def until_readable(sock: socket.socket) -> None:
 
 
 def is_readable(sock: socket.socket) -> bool:
-    """Whether there is something to read now, or the end of the stream."""
+    """Return whether the socket has data, or has reached the end of the stream."""
     return _has(sock, select.POLLIN)
 
 
 def is_hung_up(sock: socket.socket) -> bool:
-    """Whether the other end is closed in both directions."""
+    """Return whether the other end is closed in both directions."""
     return _has(sock, 0)
 
 

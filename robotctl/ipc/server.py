@@ -1,4 +1,4 @@
-"""The control socket of a daemon: who may come in, and how many."""
+"""The control socket of a daemon: accepts clients of the right user, up to a limit."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from robotctl.ipc.request_handler import Identity, log_failure
 _log = logging.getLogger(__name__)
 
 _FULL_POLL_S = 0.005
-"""How often a connection looks for a place while all the others are being answered."""
+"""Period in which a new connection tries again while all others are busy."""
 
 
 class ControlServer:
-    """Listens from `with` on, answers while `serve` runs, removes the socket at the end.
+    """Listens within the `with` block, and answers while `serve` runs.
 
-    What a dead daemon has left at `path` is replaced; the caller owns the robot's lock.
+    A socket that a dead daemon has left at `path` is replaced; the caller owns the robot's lock.
 
         with ControlServer(path, methods, identity) as server:
             tasks.create_task(server.serve())
@@ -44,7 +44,7 @@ class ControlServer:
         limits: ClientLimits = DEFAULT_LIMITS,
         on_unreachable: Callable[[str], None] = lambda problem: None,
     ) -> None:
-        """`on_unreachable(problem)` is told why no client finds us, "" when one can again."""
+        """`on_unreachable(problem)` gets the reason why no client can connect, "" once one can."""
         self._path = path
         self._listener = Listener(path)
         self._on_unreachable = on_unreachable
@@ -54,10 +54,10 @@ class ControlServer:
         self._limits = limits
         self._admitted = 0
         self._overflow: dict[asyncio.Task[None], Connection] = {}
-        """Over the cap, the oldest first."""
+        """Connections above the limit, the oldest first."""
 
     def __enter__(self) -> Self:
-        """Listen: from here on clients wait instead of failing. Raises as Listener.open does."""
+        """Listen; from now on the connect of a client succeeds. Raises as Listener.open does."""
         self._listener.open()
         return self
 
@@ -65,7 +65,7 @@ class ControlServer:
         self._listener.close()
 
     async def serve(self) -> None:
-        """Answer clients until cancelled; every connection is closed when this returns."""
+        """Answer clients until cancelled; then close every connection."""
         async with asyncio.TaskGroup() as tasks:
             while True:
                 accepting = tasks.create_task(self._accept_clients(tasks))
@@ -79,13 +79,13 @@ class ControlServer:
                 self._on_unreachable("")
 
     def warning(self) -> str:
-        """Say that the socket was lost, "" where it never was."""
+        """Return a sentence if the socket was lost, else ""."""
         if not self._lost:
             return ""
         times = "once" if self._lost == 1 else f"{self._lost} times"
         return (
             f"the control socket {self._path} was removed or replaced {times}, "
-            f"the last time found at {self._lost_at}: it was made again"
+            f"last noticed at {self._lost_at}: it was created again"
         )
 
     async def _accept_clients(self, connections: asyncio.TaskGroup) -> None:
@@ -98,7 +98,7 @@ class ControlServer:
                 sock.close()
                 raise
             self._take_in(sock, connections)
-            await asyncio.sleep(0)  # many that come at once must not hold up a tick
+            await asyncio.sleep(0)  # many clients at once must not delay a tick
 
     def _take_in(self, sock: socket.socket, connections: asyncio.TaskGroup) -> None:
         over_cap = self._admitted >= self._limits.clients
@@ -111,7 +111,7 @@ class ControlServer:
         else:
             self._admitted += 1
 
-        # Not in the task itself: one that is cancelled before its first step runs nothing.
+        # Not in the task itself: a task that is cancelled before its first step runs no code.
         def release(ended: asyncio.Task[None]) -> None:
             sock.close()
             self._admitted -= not over_cap
@@ -124,9 +124,9 @@ class ControlServer:
         return self._admitted >= limits.clients and len(self._overflow) >= limits.overflow
 
     def _dismiss_idle(self) -> bool:
-        """Close the connection over the cap that has been idle for the longest, if there is one.
+        """Close the longest idle connection above the limit; return whether there was one.
 
-        An emergency stop must find a place, however many connections say nothing.
+        So an emergency stop is read, even if many silent connections are open.
         """
         for task, connection in self._overflow.items():
             if connection.is_idle():
@@ -137,7 +137,7 @@ class ControlServer:
         return False
 
     async def _handle(self, sock: socket.socket, connection: Connection) -> None:
-        """Serve one client; whatever happens here, the others do not notice."""
+        """Serve one client; no failure here affects the others."""
         try:
             uid = peer_of(sock).uid
             if uid not in (0, os.getuid()):
@@ -146,7 +146,7 @@ class ControlServer:
                 await connection.refuse(Code.FORBIDDEN, Refused(text))
             else:
                 await connection.run()
-        except OSError as error:  # TimeoutError among them: a client that does not take its reply
+        except OSError as error:  # including TimeoutError: the client does not read its reply
             _log.debug("a client is gone: %s", error)
         except Exception:  # noqa: BLE001 - it ends this connection, not the daemon
             log_failure("a connection failed")

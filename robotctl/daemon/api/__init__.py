@@ -1,1 +1,1 @@
-"""What the control socket offers: one file for each group of methods."""
+"""The methods of the control socket: one file for each group."""

@@ -1,4 +1,4 @@
-"""What the control socket of every daemon offers."""
+"""The methods that the control socket of every daemon has."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from robotctl.ipc.params import NoParams
 
 
 def common_methods(status: StatusSource, stop: asyncio.Event) -> dict[str, Method[Any]]:
-    """Return `status`, and `stop`, which sets the event."""
+    """Return the methods `status`, and `stop`, which sets the event `stop`."""
 
     async def get_status(_: NoParams) -> Status:
         return status.status()

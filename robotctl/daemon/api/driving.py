@@ -1,4 +1,4 @@
-"""What the control socket offers to drive with; every method ends in an event for the kernel."""
+"""The methods of the control socket that drive; each becomes an event for the kernel."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ MODE_DEADLINE_S = 30.0
 
 
 class DrivingMethods:
-    """The handlers of the control socket that ask something of the robot."""
+    """The handlers of the methods that drive."""
 
     def __init__(
         self,
@@ -58,7 +58,7 @@ class DrivingMethods:
         size_m: float | None = None,
         speed_mps: float | None = None,
     ) -> Pattern:
-        """Return a pattern; what is left out comes from the configuration."""
+        """Return a pattern; a value that is None comes from the configuration."""
         configured = self._params.pattern
         if kind is None or kind is configured.kind:
             kind, default_m = configured.kind, configured.size_m
@@ -125,14 +125,14 @@ class DrivingMethods:
         return result
 
     async def _end_drive(self, params: EndDriveParams) -> ModeAnswer:
-        """Ramp down; unlike a request for IDLE this never releases an error or a latched stop."""
+        """Ramp down; unlike a request for IDLE, this releases no error and no latched stop."""
         state = self._control.state
         if state.mode is not Mode.MOVING:
             return {"message": f"The robot stands, in {state.mode.name}", "mode": state.mode.name}
         return self._answer(await self._control.request(self._idle_request(params.source)))
 
     def _end_unattended(self, event: DriveRequested) -> None:
-        """Ramp down the drive that `event` began: the client that waited for its end is gone."""
+        """Ramp down the drive that `event` started: the client that waited for it has left."""
         state = self._control.state
         is_ours = state.drive is not None and state.drive.request_id == event.request_id
         if is_ours and state.mode is Mode.MOVING:
@@ -143,7 +143,7 @@ class DrivingMethods:
         return ModeRequested(time.monotonic_ns(), request_id, Mode.IDLE, source)
 
     def _check_speed(self, speed_mps: float | None) -> None:
-        """Raise UsageError for a speed that this robot is configured not to drive."""
+        """Raise UsageError for a speed above the configured limit."""
         limit_mps = self._params.limits.linear_mps
         if speed_mps is not None and speed_mps > limit_mps:
             raise UsageError(

@@ -1,4 +1,4 @@
-"""What the control socket offers around the recording."""
+"""The methods of the control socket for the recording."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from robotctl.ipc.method_names import MARK, RECORD_COMMIT, RECORD_SPLIT, RECORD_
 from robotctl.ipc.params import MarkParams, NoParams
 
 SPLIT_DEADLINE_S = 5.0
-"""For the disk to finish one file and begin another."""
+"""How long the disk may take to finish one file and start the next."""
 
 COMMIT_DEADLINE_S = 5.0
-"""For the disk to take what is queued: the writer thread takes it four times a second."""
+"""How long the disk may take to write the queue; the thread writes four times a second."""
 
 
 def recording_methods(recorder: FlightRecorder, robot: str) -> dict[str, Method[Any]]:
@@ -33,7 +33,7 @@ def recording_methods(recorder: FlightRecorder, robot: str) -> dict[str, Method[
         }
 
     async def commit(_: NoParams) -> Committed:
-        """Answer once the file holds all that was received before this request."""
+        """Answer once the file holds every message received before this request."""
         received = recorder.stats().received
 
         def uncommitted() -> int:
@@ -53,7 +53,7 @@ def recording_methods(recorder: FlightRecorder, robot: str) -> dict[str, Method[
         if not await until(
             lambda: bool(recorder.failure) or _file_of(recorder) != before, SPLIT_DEADLINE_S
         ):
-            raise Refused("the disk is too slow: the next file is begun when it can be")
+            raise Refused("the disk is too slow: the next file starts as soon as it can")
         if recorder.failure:
             raise Refused(failure())
         file = _file_of(recorder)

@@ -1,4 +1,4 @@
-"""What `robotctl status` tells: the stable keys, gathered from every part."""
+"""The answer of `status`, collected from every part of the daemon."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from robotctl.kernel.remedies import Remedy
 from robotctl.paths import log_path, socket_path
 
 PartWarning = Callable[[], str]
-"""Returns what is wrong with a part of the daemon in a sentence, "" where nothing is."""
+"""Returns what is wrong with a part of the daemon as a sentence, else ""."""
 
 
 class RobotView(Protocol):
-    """What is known of the robot."""
+    """The state of the robot."""
 
     def facts(self) -> RobotFacts:
         """Return the robot's part of the status."""
@@ -30,11 +30,11 @@ class RobotView(Protocol):
         """Return what the operator can do about the mode."""
 
     def warnings(self) -> Iterator[str]:
-        """Say what is wrong, a sentence each."""
+        """Yield what is wrong, one sentence each."""
 
 
 class StatusSource:
-    """Gathers the status; `scheduling` is how the kernel schedules the loop's thread."""
+    """Collects the status; `scheduling` is the Linux scheduling of the loop's thread."""
 
     def __init__(
         self,
@@ -72,7 +72,7 @@ class StatusSource:
         }
 
     def summary(self, notes: list[str]) -> StartSummary:
-        """Return what a daemon that is ready says to whoever started it."""
+        """Return the report of a ready daemon to its starter."""
         status = self.status()
         return {
             "ready": True,

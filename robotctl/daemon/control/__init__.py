@@ -1,1 +1,1 @@
-"""What comes in becomes an event, the kernel decides, and its effects are carried out."""
+"""Input becomes an event, the kernel decides on it, and its effects are carried out."""

@@ -1,4 +1,4 @@
-"""The one place through which everything reaches the kernel, and its effects the world."""
+"""The one place where events enter the kernel and its effects leave it."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from robotctl.kernel.units import NS_PER_S
 Request = ModeRequested | ResetRequested | DriveRequested
 
 SNAPSHOT_PERIOD_NS = 10 * NS_PER_S
-"""So much of the journal, at most, must be decided again to know the state at some moment."""
+"""The longest part of the journal that must be re-run to know the state at one moment."""
 
 
 class Control:
-    """Owns the kernel. `dispatch` belongs to the loop's thread and is synchronous.
+    """Owns the kernel. `dispatch` is synchronous, and is called in the loop's thread only.
 
-    An event that is dispatched while another is being carried out waits its turn; nothing
-    overtakes. Each event and effect is journaled, an effect after it was carried out.
+    An event that is dispatched while another is handled waits in a FIFO. Each event is journaled
+    before it is handled, each effect after it is carried out.
     """
 
     def __init__(
@@ -44,10 +44,10 @@ class Control:
         on_failure: Callable[[Exception, str], None],
         urgent: Callable[[], Event | None] = lambda: None,
     ) -> None:
-        """`on_failure(error, where)` is told of an effect that could not be carried out.
+        """`on_failure(error, where)` is called for an effect that could not be carried out.
 
-        `urgent()` is asked before each event for what the kernel must know first: that the loop
-        has stalled.
+        `urgent()` is called before each event. It returns an event that the kernel must handle
+        first, that the loop has stalled, or None.
         """
         self._kernel = kernel
         self._journal = journal
@@ -62,11 +62,11 @@ class Control:
 
     @property
     def state(self) -> State:
-        """What the kernel knows now."""
+        """The kernel's current state."""
         return self._kernel.state
 
     def dispatch(self, event: Event) -> None:
-        """Let the kernel decide on `event`, and carry out what it decides."""
+        """Let the kernel decide on `event`, and carry out its effects."""
         if self._busy:
             self._events.append(event)
             return
@@ -82,16 +82,16 @@ class Control:
             self._busy = False
 
     def journal_snapshot(self, t_ns: int) -> None:
-        """Write the kernel's state into the journal, now and every 10 s from now on."""
+        """Write the kernel's state into the journal, now and then every 10 s."""
         self._snapshot_t_ns = t_ns
         self._journal.snapshot(t_ns, self._kernel)
 
     def new_request_id(self) -> int:
-        """Return a number for one request."""
+        """Return a new request id."""
         return self._requests.new_id()
 
     def begin(self, event: Request) -> asyncio.Future[Reply]:
-        """Dispatch a request now; its reply comes once what it confirms has happened."""
+        """Dispatch a request now; return the future of its reply, set after its effects happened."""
         reply = self._requests.expect_reply(event.request_id)
         try:
             self.dispatch(event)
@@ -105,7 +105,7 @@ class Control:
         return await self.begin(event)
 
     def expect_end(self, request_id: int) -> asyncio.Future[DriveEnded]:
-        """Return a future of the end of the drive that `request_id` is about to begin."""
+        """Return the future of the end of the drive that request `request_id` will start."""
         return self._requests.expect_end(request_id)
 
     def _step(self, event: Event) -> None:
@@ -120,7 +120,7 @@ class Control:
                 done = replace(effect, ok=False, message=f"{effect.message}, but {problem}")
             try:
                 self._carry_out(done)
-            except Exception as error:  # noqa: BLE001 - the other effects must happen all the same
+            except Exception as error:  # noqa: BLE001 - the other effects must still happen
                 problem = f"{type(effect).__name__} failed: {error}"
                 self._tell(error, problem)
             self._journal.effect(event.t_ns, effect)
@@ -128,6 +128,6 @@ class Control:
             self._failing = ""
 
     def _tell(self, error: Exception, problem: str) -> None:
-        if problem != self._failing:  # once, and not at each tick that it lasts
+        if problem != self._failing:  # once, and not at each tick
             self._failing = problem
             self._on_failure(error, problem)

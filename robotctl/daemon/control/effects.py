@@ -1,4 +1,4 @@
-"""What the kernel decided, done: each effect goes to the part that it belongs to."""
+"""Carries out the kernel's effects: passes each one to the part that does it."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from robotctl.recording.format.events import RecordedEvent
 _log = logging.getLogger(__name__)
 
 _NOTED = {Mode.EMERGENCY_STOP: EventKind.EMERGENCY_STOP, Mode.ERROR: EventKind.ERROR}
-"""Modes that somebody will look for in the recording."""
+"""Modes that are events of the recording."""
 
 
 class Effects:
-    """Carries out effects, in the loop's thread, without waiting for anything."""
+    """Carries out effects in the loop's thread, and never waits."""
 
     def __init__(
         self,
@@ -52,7 +52,7 @@ class Effects:
         self._robot = robot
 
     def carry_out(self, effect: Effect) -> None:
-        """Do it, or begin to; a reply is sent when all that came before it is done."""
+        """Carry out an effect, or start to; a reply is sent after the effects before it are done."""
         match effect:
             case PublishTwist():
                 self._publish_twist(effect.twist)

@@ -1,4 +1,4 @@
-"""Velocity commands that other nodes publish, however short their publishers live."""
+"""Velocity commands of other nodes, even if their publishers live only for a moment."""
 
 from __future__ import annotations
 
@@ -8,21 +8,22 @@ from collections.abc import Callable
 from robotctl.kernel.types import Event, ForeignCommandHeard
 
 REPEAT_NS = 200_000_000
-"""How often the kernel is told again while the robot does not move; a flood must not fill the
-journal."""
+"""Period of the events for one publisher while the robot does not move.
+
+A flood of commands must not fill the journal."""
 
 MAX_TOLD = 16
-"""Publishers of which the kernel is told within `REPEAT_NS` while the robot does not move."""
+"""Publishers that get an event within `REPEAT_NS` while the robot does not move."""
 
 NAMELESS = "a publisher that is gone, or has no name yet,"
 
 
 class ForeignCommands:
-    """Looks at the publisher of each recorded command, and tells the kernel of foreign ones.
+    """Checks the publisher of each heard command, and dispatches an event for a foreign one.
 
-    `name_of(gid)` returns the node that publishes with this identity, "" where unknown. While
-    `moves()` the kernel is told of each command, for the first one ends the motion; otherwise of
-    each publisher each 0.2 s.
+    `name_of(gid)` returns the name of the node with this publisher, "" if unknown. While `moves()`
+    returns true each foreign command is an event: the first one ends the motion. Otherwise each
+    publisher gets one event in 0.2 s.
     """
 
     def __init__(
@@ -37,10 +38,10 @@ class ForeignCommands:
         self._moves = moves
         self._dispatch = dispatch
         self._told_ns: dict[bytes, int] = {}
-        """When the kernel was told of each publisher, of those that were told of just now."""
+        """Time of the last event of each recent publisher [steady ns]."""
 
     def heard(self, gid: bytes) -> None:
-        """Take the identity of the publisher of one command."""
+        """Handle one command of the publisher with this gid."""
         if gid == self._own_gid:
             return
         now_ns = time.monotonic_ns()

@@ -1,4 +1,4 @@
-"""Who else is on the graph: whether a robot is there already, and who else commands it."""
+"""Watches the ROS graph: publishers of odometry, other publishers and subscribers of commands."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from robotctl.ros.nodes.odom_subscriber import OdomSubscriber
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
 
 DISCOVERY_S = 4.0
-"""How long a start listens for somebody else's odometry before it simulates a robot.
+"""How long a start waits for a publisher of odometry before it simulates a robot.
 
-Fast DDS finds a process of the same machine within 0.15 s mostly, and within 2.6 s at worst.
+Fast DDS usually discovers a process on the same machine within 0.15 s, at worst within 2.6 s.
 """
 
 PUBLISHER_POLL_S = 0.2
 
 LOOKS_PER_INSPECTION = 5
-"""How often the subscriptions are inspected though their number is the same."""
+"""Subscriptions are inspected at each such look, even if their number is the same."""
 
 
 async def has_odometry_publisher(odometry: OdomSubscriber, stop: asyncio.Event) -> bool:
-    """Listen for a robot that publishes odometry already; end early when told to stop."""
+    """Wait for a publisher of odometry; return whether there is one. `stop` ends the wait."""
     await until(lambda: odometry.count_publishers() > 0 or stop.is_set(), DISCOVERY_S)
     return odometry.count_publishers() > 0
 
@@ -33,9 +33,9 @@ async def has_odometry_publisher(odometry: OdomSubscriber, stop: asyncio.Event) 
 async def watch_graph(
     velocity: VelocityPublisher, odometry: OdomSubscriber, dispatch: Callable[[Event], None]
 ) -> None:
-    """Tell the kernel who else publishes the velocity command and who takes it, until cancelled.
+    """Dispatch changes of the command's other publishers and of its subscribers, until cancelled.
 
-    Also find the names of those who publish odometry.
+    Also find the names of the publishers of odometry.
     """
     publishers: tuple[str, ...] = ()
     listeners: tuple[int, tuple[str, ...]] | None = None

@@ -1,4 +1,4 @@
-"""Writes the journal: numbers the entries and hands each one on."""
+"""Writes the journal: numbers the entries and serializes each one."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from robotctl.recording.format.metadata_names import MADE_BY
 
 
 class Journal:
-    """Hands every entry, serialized as ROS does, to `write` in order."""
+    """Passes each entry, serialized as a ROS message, to `write` in order."""
 
     def __init__(self, write: Callable[[bytes, int], None]) -> None:
         """`write(serialized, seq)` is called for each entry."""
@@ -22,15 +22,15 @@ class Journal:
         self._seq = 0
 
     def event(self, event: Event) -> None:
-        """Note what comes in."""
+        """Write an event."""
         self._add(event.t_ns, EntryKind.EVENT, event)
 
     def effect(self, t_ns: int, effect: Effect) -> None:
-        """Note what was done, at the time of the event that asked for it."""
+        """Write an effect, with the time of the event that caused it."""
         self._add(t_ns, EntryKind.EFFECT, effect)
 
     def snapshot(self, t_ns: int, kernel: Kernel) -> None:
-        """Note all that is needed to go on from here."""
+        """Write a snapshot, from which a re-run can start."""
         self._add(t_ns, EntryKind.SNAPSHOT, Snapshot(MADE_BY, kernel.params, kernel.state))
 
     def _add(self, t_ns: int, kind: EntryKind, value: Any) -> None:

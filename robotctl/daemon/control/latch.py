@@ -1,4 +1,4 @@
-"""The emergency stop that outlives the process: a file, written off the loop and tried again."""
+"""The latched emergency stop: a file that outlives the process, written by a thread."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from robotctl.kernel.types import Cause
 _log = logging.getLogger(__name__)
 
 RETRY_S = 1.0
-"""How long after a failure the same change is tried again."""
+"""Pause before a failed change is tried again."""
 
 DISK_S = 2.0
-"""How long a reply waits for a disk that does not answer; the robot stands already."""
+"""How long a reply waits for a disk that hangs; the robot has stopped already."""
 
 Then = Callable[[str], None]
 
@@ -33,10 +33,10 @@ class _Change:
     number: int
     carry_out: Callable[[], None]
     fault: str
-    """What follows if it is not carried out."""
+    """The consequence if the change is not saved."""
 
     def failed(self, error: Exception) -> str:
-        """Say that it was not carried out, and why."""
+        """Return the sentence for a change that failed."""
         return f"{self.fault}: the emergency-stop latch could not be saved: {error}"
 
 
@@ -48,43 +48,44 @@ class _Waiter:
 
 
 class Latch:
-    """The latch of one robot, for the loop's thread.
+    """The latch of one robot, used in the loop's thread.
 
-    One change at a time is carried out, in a thread; of those that come meanwhile the last counts.
+    A thread carries out one change at a time; of the changes that arrive meanwhile, only the last
+    is carried out.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._work: SimpleQueue[_Change | None] = SimpleQueue()
         self._change: _Change | None = None
-        """The last one that was asked for."""
+        """The last change that was requested."""
         self._settled = 0
-        """The number of the last change that was carried out, or failed."""
+        """The number of the last change that was carried out or failed."""
         self._busy_since: float | None = None
         self._problem = ""
         self._waiters: list[_Waiter] = []
         self._retry: asyncio.TimerHandle | None = None
-        # A disk that hangs must not hold the process up at its end.
+        # A daemon thread: a disk that hangs must not delay the end of the process.
         self._thread = Thread(target=self._serve, name="latch", daemon=True)
 
     def read(self) -> LatchedStop | None:
-        """Return the latched stop, None where none is latched. Blocks."""
+        """Read the latched stop, None if there is none; this blocks."""
         return latch_file.read(self._path)
 
     def set(self, reason: str, cause: Cause) -> None:
-        """Begin to remember the stop."""
+        """Start to save a stop."""
         stop = LatchedStop(reason, cause)
         self._begin(partial(latch_file.write, self._path, stop), "a restart would forget this stop")
 
     def clear(self) -> None:
-        """Begin to forget the stop."""
+        """Start to remove the saved stop."""
         fault = "a restart would stop the robot again"
         self._begin(partial(latch_file.remove, self._path), fault)
 
     def when_settled(self, then: Then) -> None:
-        """Call `then(problem)` once every change so far is on the disk; "" where all went well.
+        """Call `then(problem)` once each change so far is on the disk, with "" for success.
 
-        A change that failed, or took longer than DISK_S, is a problem; it is tried again.
+        A change that failed, or takes longer than DISK_S, is a problem; it is tried again.
         """
         change = self._change
         if change is None or self._settled == change.number:
@@ -101,14 +102,14 @@ class Latch:
         self._waiters.append(waiter)
 
     def warning(self) -> str:
-        """Say that the disk does not hold what it should, "" where it does."""
+        """Return a sentence if the file is not up to date, else ""."""
         problem, since = self._problem, self._busy_since
         if since is not None and time.monotonic() - since > DISK_S and self._change is not None:
             problem = self._overdue(self._change)
         return f"{problem} (tried again each second)" if problem else ""
 
     async def close(self) -> None:
-        """Wait for the last change, for DISK_S at most."""
+        """Wait for the last change, at most DISK_S."""
         settled = asyncio.Event()
         self.when_settled(lambda _: settled.set())
         await settled.wait()
@@ -162,7 +163,7 @@ class Latch:
             problem = ""
             try:
                 change.carry_out()
-            except Exception as error:  # noqa: BLE001 - whatever it was, the change is not saved
+            except Exception as error:  # noqa: BLE001 - after any error the change is not saved
                 problem = change.failed(error)
-            with suppress(RuntimeError):  # the loop is closed: nobody is left to tell
+            with suppress(RuntimeError):  # the loop is closed
                 self._loop.call_soon_threadsafe(self._done, change, problem)

@@ -1,4 +1,4 @@
-"""The file that latches an emergency stop over restarts: the reason, then the cause."""
+"""The file that keeps an emergency stop across restarts: the reason, then the cause."""
 
 from __future__ import annotations
 
@@ -14,25 +14,27 @@ from robotctl.paths import chain_to, make_private
 from robotctl.regular_file import open_regular
 
 MAX_BYTES = 4096
-"""A reason is a sentence; a longer file is not one of ours, and is read up to here."""
+"""A reason is a sentence: of a longer file only this much is read."""
 
 _CAUSE = "cause: "
 _CAUSES = {rule.cause.value: rule.cause for rule in RULES if rule.action is Mode.EMERGENCY_STOP}
 
 
 class LatchedStop(NamedTuple):
-    """An emergency stop that nobody has released."""
+    """An emergency stop that is not released."""
 
     reason: str
     cause: Cause
 
 
 def read(path: Path) -> LatchedStop | None:
-    """Return the latched stop, None where none is latched; never waits for a FIFO or a device.
+    """Read the latched stop, None if there is none; never wait for a FIFO or a device.
 
-    What cannot be read is a stop by the operator, with the problem as its reason. So is a file
-    without a cause, as the first version wrote it. Raises UsageError if another user could have
-    removed the file.
+    A file that cannot be read is a stop by the operator, with the problem as its reason. A file
+    without a cause, which the first version wrote, is a stop by the operator as well.
+
+    Raises:
+        UsageError: Another user could have removed the file.
     """
     chain_to(path.parent).check()
     try:
@@ -52,16 +54,16 @@ def read(path: Path) -> LatchedStop | None:
 
 
 def write(path: Path, stop: LatchedStop) -> None:
-    """Write the file and sync it; a power cut leaves the old file or the new one.
+    """Write and sync the file; a power cut leaves either the old file or the new one.
 
     Raises:
-        OSError: The disk does not take it.
+        OSError: The file cannot be written.
         UsageError: Another user could change the folder.
     """
     make_private(path.parent)
     partial = path.with_suffix(".new")
     with suppress(FileNotFoundError):
-        partial.unlink()  # of a writer that was killed; or a FIFO, whose opening would wait
+        partial.unlink()  # left by a killed writer; or a FIFO, on which open would wait
     text = f"{' '.join(stop.reason.split())}\n{_CAUSE}{stop.cause.value}\n"
     descriptor = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
     with open(descriptor, "w", encoding="utf-8", errors="backslashreplace") as file:
@@ -73,7 +75,11 @@ def write(path: Path, stop: LatchedStop) -> None:
 
 
 def remove(path: Path) -> None:
-    """Remove the file, and sync its folder; raises OSError."""
+    """Remove the file, and sync its folder.
+
+    Raises:
+        OSError: The file cannot be removed.
+    """
     with suppress(FileNotFoundError):
         path.unlink()
         _sync_folder(path.parent)

@@ -1,4 +1,4 @@
-"""Who waits for what: requests for their reply, drives for their end."""
+"""Requests that wait for their reply, and drives that wait for their end."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from robotctl.kernel.types import DriveEnded, Reply
 
 @dataclass(frozen=True, slots=True)
 class UnsavedReply(Reply):
-    """The reply to a stop that happened, but that a restart would forget."""
+    """The reply to a stop that happened but could not be saved: a restart would forget it."""
 
 
 T = TypeVar("T", Reply, DriveEnded)
 
 
 class PendingRequests:
-    """Futures by request id; used in the loop's thread only."""
+    """The futures by request id; used in the loop's thread only."""
 
     def __init__(self) -> None:
         self._last_id = 0
@@ -26,24 +26,24 @@ class PendingRequests:
         self._ends: dict[int, asyncio.Future[DriveEnded]] = {}
 
     def new_id(self) -> int:
-        """Return a number for one request."""
+        """Return a new request id."""
         self._last_id += 1
         return self._last_id
 
     def expect_reply(self, request_id: int) -> asyncio.Future[Reply]:
-        """Return a future of the one reply to a request."""
+        """Return the future of the one reply to a request."""
         return _expect(self._replies, request_id)
 
     def expect_end(self, request_id: int) -> asyncio.Future[DriveEnded]:
-        """Return a future of the end of the drive that a request is about to begin."""
+        """Return the future of the end of the drive that a request will start."""
         return _expect(self._ends, request_id)
 
     def answer(self, reply: Reply) -> None:
-        """Hand a reply to whoever asked."""
+        """Set the future of a reply, if there is one."""
         _settle(self._replies, reply)
 
     def end_drive(self, ended: DriveEnded) -> None:
-        """Tell whoever waits for the end of the drive."""
+        """Set the future of the end of a drive, if there is one."""
         _settle(self._ends, ended)
 
 

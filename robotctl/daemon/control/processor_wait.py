@@ -1,4 +1,4 @@
-"""What the system's scheduler gives one thread, as Linux keeps account of it."""
+"""How long a thread has waited for a processor, from the accounting of Linux."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ import threading
 from typing import Final
 
 LINE_BYTES: Final = 128
-"""More than the line of `schedstat`: three numbers."""
+"""Longer than the line of `schedstat`, which has three numbers."""
 
 _PRESSURE = "/proc/pressure/cpu"
 
 
 class ProcessorWait:
-    """Account of the thread that makes this object; asked from any thread, until `close`.
+    """The waiting time of the thread that creates this object; read from any thread.
 
-    The file is opened here, once: later there may be no free descriptor.
+    The file is opened once, at the creation: later no descriptor may be free.
     """
 
     def __init__(self) -> None:
@@ -23,24 +23,24 @@ class ProcessorWait:
         try:
             path = f"/proc/self/task/{threading.get_native_id()}/schedstat"
             self._account = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
-        except OSError:  # this system keeps none
+        except OSError:  # this system has no accounting
             return
 
     def close(self) -> None:
-        """Give the account's descriptor back."""
+        """Close the file."""
         if self._account is not None:
             os.close(self._account)
             self._account = None
 
     def waited_ns(self) -> int:
-        """Return how long the thread has waited to run, up to when it last ran; 0 if unknown."""
+        """Return the total time that the thread has waited to run; 0 if unknown."""
         if self._account is None:
             return 0
         return int(os.pread(self._account, LINE_BYTES, 0).split()[1])
 
 
 def pressure() -> str:
-    """Return how short processors are, as a clause; "" where the system does not say (PSI)."""
+    """Return the CPU pressure (PSI) as a clause, "" if unknown."""
     try:
         with open(_PRESSURE, encoding="ascii") as file:
             fields = file.readline().split()

@@ -1,4 +1,4 @@
-"""What is known of the robot and its drive, as `robotctl status` and `path` tell it."""
+"""The robot and its drive, for the answers of `status` and `path`."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from robotctl.kernel.types import Cause
 from robotctl.kernel.units import NS_PER_S
 
 MAX_DRIVEN_POSES = 20_000
-"""Of the driven path; beyond it every second pose is forgotten."""
+"""Limit of the driven path; above it every second pose is removed."""
 
 WARNED = (Cause.FOREIGN_PUBLISHER, Cause.SECOND_ODOMETRY, Cause.COMMAND_UNHEARD)
-"""Failed start conditions that `status` tells also while nobody asks for motion."""
+"""Failed start conditions that are warnings even if no motion is requested."""
 
 RECENT_S = 600.0
-"""How long `status` goes on telling of what is over."""
+"""How long `status` mentions a problem that is over."""
 
 MIN_STEP_M = 0.005
-"""Poses nearer to the one before are not kept."""
+"""A pose nearer than this to the previous one is not kept."""
 
 _EXPECTED = (Cause.ODOMETRY_LOST, Cause.BATTERY_UNKNOWN, Cause.COMMAND_UNHEARD)
-"""What refuses a drive while the robot is not there."""
+"""Causes that refuse a drive until a robot is found."""
 
 
 class RobotReport:
-    """Looks at the kernel's state; `sim` says whether the robot is simulated."""
+    """Reads the kernel's state, and keeps the driven path; `sim`: the robot is simulated."""
 
     def __init__(self, control: Control, params: KernelParams) -> None:
         self.sim = False
@@ -45,7 +45,7 @@ class RobotReport:
         self._drive_id: int | None = None
 
     def drove_to(self, pose: Pose) -> None:
-        """Note a pose of the present drive."""
+        """Add a pose to the driven path of the present drive."""
         drive = self._control.state.drive
         assert drive is not None
         if drive.request_id != self._drive_id:
@@ -65,7 +65,7 @@ class RobotReport:
         }
 
     def is_connected(self) -> bool:
-        """Say whether odometry is fresher than its timeout."""
+        """Return whether odometry is younger than its timeout."""
         health = self._control.state.health
         if health.odometry is None:
             return False
@@ -73,12 +73,12 @@ class RobotReport:
         return age_s <= self._params.odometry.timeout_s
 
     def missing(self) -> list[str]:
-        """Say what the configuration expects of a robot and discovery has not found, or not yet."""
+        """Return sentences for what the configuration expects and discovery has not found yet."""
         health, now = self._control.state.health, time.monotonic_ns()
         found = (RULE_OF[cause].check(health, self._params, now) for cause in _EXPECTED)
         missing = [text for text in found if text]
         if health.command_topic.listeners is None:
-            missing.append("the nodes that take the velocity command are not known yet")
+            missing.append("the nodes that subscribe to the velocity command are not known yet")
         return missing
 
     def facts(self) -> RobotFacts:
@@ -107,7 +107,7 @@ class RobotReport:
         return remedies_for(self._control.state.cause)
 
     def warnings(self) -> Iterator[str]:
-        """Say what is wrong with the robot, or could be."""
+        """Yield what is wrong with the robot, or may be."""
         health, now_ns = self._control.state.health, time.monotonic_ns()
         for cause in WARNED:
             problem = RULE_OF[cause].check(health, self._params, now_ns)
@@ -123,7 +123,7 @@ class RobotReport:
 
 
 def _recent(health: Health, now_ns: int) -> Iterator[str]:
-    """Say what happened within RECENT_S and is over."""
+    """Yield problems of the last RECENT_S that are over."""
     stalls, topic = health.stalls, health.command_topic
     age_s = (now_ns - stalls.last_t_ns) / NS_PER_S
     if stalls.count and age_s <= RECENT_S:

@@ -1,4 +1,4 @@
-"""The last layer inside the process: a thread that stops the robot when the loop does not turn."""
+"""The watchdog: a thread that stops the robot while the loop is stalled."""
 
 from __future__ import annotations
 
@@ -15,52 +15,52 @@ from robotctl.kernel.types import Cause, FaultReported, LoopStalled
 from robotctl.kernel.units import NS_PER_S
 
 STALL_S = 0.1
-"""A loop that has not ticked for this long has stalled..."""
+"""A loop without a tick for this long has stalled..."""
 
 CONFIRM_S = 0.02
-"""...unless it ticks within this: after a pause of the whole process the loop catches up first."""
+"""...unless it ticks within this time: after a pause of the process, the loop catches up."""
 
 STALL_TICKS = 2.5
-"""...unless its ticks lie so far apart that it may only be late."""
+"""...or this many tick periods, whichever is longer."""
 
 ZERO_PERIOD_S = 0.05
-"""How often the thread repeats the zero while the loop stalls."""
+"""Period of the zeros while the loop is stalled."""
 
 SHOWN_FRAMES = 3
-"""How much of the stack a stall names: the innermost calls."""
+"""How many of the innermost calls a stall names."""
 
 BUSY_SHARE = 0.5
-"""A loop that waited for a processor for more of its stall than this was held up by others."""
+"""A stall with a larger share of waiting for a processor is blamed on the busy machine."""
 
 
 class Gate(Protocol):
-    """What stands between the loop and the robot."""
+    """The publisher of commands, as the watchdog uses it."""
 
     def close_gate(self) -> None:
-        """Let only zeros through from now on; called by the watchdog's thread."""
+        """Let only zeros pass from now on; called in the watchdog's thread."""
 
     def publish_zero(self) -> None:
-        """Send a zero past the loop while the gate is closed; called by the watchdog's thread."""
+        """Publish a zero while the gate is closed; called in the watchdog's thread."""
 
     def open_gate(self) -> tuple[int, int]:
-        """Let commands through; return the zeros that were sent and the commands withheld."""
+        """Let commands pass; return the counts of zeros sent and of commands withheld."""
 
 
 @dataclass(frozen=True, slots=True)
 class LoopTick:
-    """When the loop turned, and how long its thread had waited for a processor until then."""
+    """The time of a tick, and the total waiting time of its thread for a processor."""
 
     t_ns: int
     waited_ns: int
 
 
 class Watchdog:
-    """Watches the ticks from a thread, from the first `ping` to the end of the `with` block.
+    """Watches the ticks in a thread, from the first `ping` to the end of the `with` block.
 
-    When the ticks stop it closes the gate and sends zeros until the loop calls `take`. Before the
-    first zero is out, the thread opens no file, imports nothing, logs nothing and takes no lock but
-    the publisher's own, which it waits for at most `LOCK_TIMEOUT_S`. A C call that holds the GIL
-    holds this thread as well: then the robot's own command timeout is the last layer.
+    When the ticks stop, the thread closes the gate and sends zeros until the loop calls `take`.
+    Until the first zero is sent, it opens no file, imports no module, logs nothing, and takes no
+    lock but the publisher's, for which it waits at most `LOCK_TIMEOUT_S`. A C call that holds the
+    GIL blocks this thread as well: then only the robot's own command timeout stops the robot.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class Watchdog:
         now_ns: Callable[[], int] = time.monotonic_ns,
         ended: threading.Event | None = None,
     ) -> None:
-        """`ended` is set at the end of the block; the thread waits by its `wait` alone."""
+        """`ended` is set at the end of the block; all waits of the thread are its `wait`."""
         self._limit_ns = round(max(STALL_S, STALL_TICKS / rate_hz) * NS_PER_S)
         self._gate = gate
         self._now_ns = now_ns
@@ -94,15 +94,15 @@ class Watchdog:
         self._processor.close()
 
     def ping(self) -> None:
-        """Note that the loop turns: it has just carried out a tick."""
+        """Note that the loop has just handled a tick."""
         self._last = self._now()
         if self._thread.ident is None:
             self._thread.start()
 
     def take(self) -> LoopStalled | FaultReported | None:
-        """Return what the kernel must know before anything else, each once; open the gate.
+        """Open the gate after a stall; return an event that the kernel must handle first, or None.
 
-        Belongs to the loop's thread.
+        Each stall and each failure of the watchdog is returned once. Called in the loop's thread.
         """
         if self._holding:
             return self._end_stall()
@@ -116,7 +116,7 @@ class Watchdog:
     def _end_stall(self) -> LoopStalled:
         now, last = self._now(), self._last
         zeros, withheld = self._gate.open_gate()
-        self._holding = False  # a stall without a tick since goes on: only `ping` ends it
+        self._holding = False  # without a tick the stall continues: only `ping` ends it
         stalled_s = (now.t_ns - last.t_ns) / NS_PER_S
         waited_s = (now.waited_ns - last.waited_ns) / NS_PER_S
         if waited_s > BUSY_SHARE * stalled_s:
@@ -133,13 +133,13 @@ class Watchdog:
     def _run(self) -> None:
         try:
             self._watch()
-        except BaseException as error:  # noqa: BLE001 - the loop must learn of it, whatever it was
+        except BaseException as error:  # noqa: BLE001 - the loop must get any failure
             self._failure = "the watchdog failed"
             self._failure = f"the watchdog failed ({type(error).__name__}: {error})"
 
     def _watch(self) -> None:
         while not self._ended.wait(self._due_s()):
-            if not self._is_due():  # it has ticked in time
+            if not self._is_due():  # the loop has ticked in time
                 continue
             self._ended.wait(CONFIRM_S)
             if self._is_due():
@@ -149,11 +149,11 @@ class Watchdog:
         return self._due_s() <= 0.0 and not self._ended.is_set()
 
     def _due_s(self) -> float:
-        """Return the seconds until the loop counts as stalled, negative when it does."""
+        """Return the seconds until the loop counts as stalled; negative if it does already."""
         return (self._last.t_ns + self._limit_ns - self._now_ns()) / NS_PER_S
 
     def _hold(self) -> None:
-        """Send zeros until the loop has taken the stall."""
+        """Send zeros until the loop calls `take`."""
         self._where = ""
         self._gate.close_gate()
         self._holding = True
@@ -165,7 +165,7 @@ class Watchdog:
     def _send_zero(self) -> None:
         try:
             self._gate.publish_zero()
-        except Exception:  # noqa: BLE001 - the next zero may pass; the thread must live
+        except Exception:  # noqa: BLE001 - the next zero may succeed
             self._unsent += 1
 
     def _now(self) -> LoopTick:
@@ -173,7 +173,7 @@ class Watchdog:
 
 
 def where(frame: FrameType | None) -> str:
-    """Return the innermost calls of a stack, from names alone: no source file is opened."""
+    """Return the innermost calls of a stack as text, without opening a source file."""
     calls: list[str] = []
     while frame is not None and len(calls) < SHOWN_FRAMES:
         code = frame.f_code

@@ -1,1 +1,1 @@
-"""The log of the daemon: lines for a terminal, written without holding up the loop."""
+"""The log of the daemon: lines safe for a terminal, written without blocking the loop."""

@@ -1,4 +1,4 @@
-"""The daemon's log: lines that a terminal can be shown, written without holding up the loop."""
+"""The format of log lines, and the handler that queues them without blocking the loop."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from robotctl.printable import printable, without_colours
 
 
 class PlainFormatter(logging.Formatter):
-    """Names that others chose neither steer a terminal nor look like an entry of their own."""
+    """Formats lines so that foreign text cannot control a terminal or imitate a log line."""
 
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - logging's own name
-        """Return the message, colours left out, control characters escaped, lines indented."""
+        """Return the message without colours, control characters escaped, extra lines indented."""
         lines = without_colours(super().formatMessage(record)).split("\n")
         return "\n    ".join(printable(line) for line in lines)
 
 
 class QueueHandler(logging.Handler):
-    """Hands each record to the queue and never waits; what repeats itself is counted instead."""
+    """Queues each record without waiting; counts repeated records instead."""
 
     def __init__(self, queue: StderrQueue) -> None:
         super().__init__()
@@ -29,15 +29,15 @@ class QueueHandler(logging.Handler):
         self._repeats = Repeats()
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Queue the record's lines, and what is due to be said about repeated ones."""
+        """Queue the record's lines, and the notes about repeated records that are due."""
         try:
             for due in self._repeats.admit(record):
                 self._queue.put(self.format(due))
-        except Exception:  # noqa: BLE001 - without memory for a line, it is counted
+        except Exception:  # noqa: BLE001 - no memory for a line: count it
             self._queue.count_lost()
 
     def close(self) -> None:
-        """Say how often the last lines were repeated."""
+        """Queue the notes about the last repeated records."""
         for due in self._repeats.end():
             self._queue.put(self.format(due))
         super().close()
@@ -45,7 +45,7 @@ class QueueHandler(logging.Handler):
 
 @contextmanager
 def log_to_stderr() -> Iterator[None]:
-    """Log to stderr within the block; at its end what is queued is written, within 1 s."""
+    """Log to stderr within the block; at its end, write the queue for at most 1 s."""
     with StderrQueue() as queue:
         handler = QueueHandler(queue)
         handler.setFormatter(PlainFormatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))

@@ -1,7 +1,7 @@
 """A bounded queue in front of stderr, and the thread that empties it.
 
-Whoever reads stderr may stop reading: a terminal after Ctrl-S, a full pipe, a disk that hangs. The
-queue is a pipe whose writing end never waits.
+The reader of stderr may stop: a terminal after Ctrl-S, a full pipe, a disk that hangs. The queue is
+a pipe, and a write to it never waits.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from contextlib import suppress
 from typing import Self
 
 CAPACITY_BYTES = 1024 * 1024
-"""What may wait to be written: what a user may ask of a pipe (/proc/sys/fs/pipe-max-size)."""
+"""Size of the queue: the largest pipe that Linux grants (/proc/sys/fs/pipe-max-size)."""
 
 FLUSH_S = 1.0
-"""How long the end waits until what is queued is written."""
+"""How long the end waits until the queue is written."""
 
 _STDERR = 2
 _READ_BYTES = 65536
@@ -26,18 +26,18 @@ _END = b"\0"
 
 
 class StderrQueue:
-    """Takes lines from any thread within the `with` block, in their order, without waiting.
+    """Takes lines from any thread within the `with` block, in order and without waiting.
 
-    Where stderr is a terminal, a pipe or a socket, it takes what C and C++ libraries write as
-    well. Into a regular file they write themselves: what one says as it aborts must not be lost.
-    Lines that do not fit, or that stderr does not take, are counted and told in a later line.
+    If stderr is a terminal, a pipe or a socket, the output of C and C++ libraries goes through the
+    queue as well. They write directly to a regular file, so that the last words of an abort are
+    kept. Lines that do not fit, or that stderr does not take, are counted and reported later.
     """
 
     def __init__(self) -> None:
         self._dropped = 0
         """Lines that did not fit."""
         self._untaken = 0
-        """Lines that stderr did not take; the thread alone counts them."""
+        """Lines that stderr did not take; only the thread counts them."""
         self._told = 0
         self._is_torn = False
         self._is_ending = False
@@ -47,7 +47,7 @@ class StderrQueue:
         self._takes_all = not stat.S_ISREG(os.fstat(_STDERR).st_mode)
         self._reading, self._writing = os.pipe2(os.O_CLOEXEC)
         os.set_blocking(self._writing, False)
-        with suppress(OSError):  # the user has too many large pipes: then it is a small one
+        with suppress(OSError):  # the user's limit of pipe memory is reached: keep a small one
             fcntl.fcntl(self._writing, fcntl.F_SETPIPE_SZ, CAPACITY_BYTES)
         if self._takes_all:
             os.dup2(self._writing, _STDERR)
@@ -56,12 +56,12 @@ class StderrQueue:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Write the rest; what cannot be written in time is dropped, and so is all after it."""
+        """Write the rest; drop what cannot be written in time, and everything after it."""
         if self._untold():
             self._put("")
         self._is_ending = True
         with suppress(BlockingIOError):
-            os.write(self._writing, _END)  # no end of file comes while fd 2 is the pipe as well
+            os.write(self._writing, _END)  # fd 2 keeps the pipe open, so there is no end of file
         self._thread.join(FLUSH_S)
         if self._thread.is_alive():
             os.dup2(os.open(os.devnull, os.O_WRONLY | os.O_CLOEXEC), _STDERR)
@@ -72,11 +72,11 @@ class StderrQueue:
             os.close(descriptor)
 
     def put(self, line: str) -> None:
-        """Queue one line, or count it. The caller sees to it that one thread at a time is here."""
+        """Queue one line, or count it as dropped. Not thread-safe: the caller holds a lock."""
         self._put(f"{line}\n")
 
     def count_lost(self) -> None:
-        """Count a line that could not even be made; as `put`, one thread at a time."""
+        """Count a line that could not be formatted; as `put`, not thread-safe."""
         self._dropped += 1
 
     def _untold(self) -> int:
@@ -111,9 +111,9 @@ class StderrQueue:
         while rest:
             try:
                 rest = rest[os.write(self._stderr, rest) :]
-            except BlockingIOError:  # somebody made the terminal that we share non-blocking
+            except BlockingIOError:  # another process made the shared terminal non-blocking
                 _wait_for_room(self._stderr)
-            except OSError:  # no space left, or no reader any more
+            except OSError:  # no space left, or no reader
                 self._untaken += bytes(rest).count(b"\n")
                 return
 

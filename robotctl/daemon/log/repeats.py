@@ -1,4 +1,4 @@
-"""Warnings and errors that repeat themselves: a few are written, the others are counted."""
+"""Repeated warnings and errors: the first few are written, the others counted."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 WINDOW_S = 10.0
-"""How long equal lines count as one burst, from the first of them."""
+"""Length of a burst of equal lines, from the first of them."""
 
 WRITTEN = 3
-"""Equal lines of one burst that are written; a fault that lasts must not fill the disk."""
+"""Equal lines of a burst that are written; a lasting fault must not fill the disk."""
 
 MAX_REMEMBERED = 200
-"""Lines that are compared with; of more different ones in one window, the oldest is forgotten."""
+"""Different lines that are remembered; a further one replaces the oldest."""
 
 
 @dataclass(slots=True)
@@ -25,16 +25,16 @@ class _Burst:
 
 
 class Repeats:
-    """Decides which records are written. Equal means: same logger, level, text and exception.
+    """Decides which records are written. Equal records have logger, level, text, exception alike.
 
-    What is less than a warning tells what was done, and is written each time.
+    Records below the level of a warning are always written.
     """
 
     def __init__(self) -> None:
         self._bursts: dict[tuple[str, int, str, str], _Burst] = {}
 
     def admit(self, record: logging.LogRecord) -> Iterator[logging.LogRecord]:
-        """Yield what is to be written now: notes about bursts that are over, then the record."""
+        """Yield the records to write now: notes about finished bursts, then the record itself."""
         yield from self._over(record.created)
         if record.levelno < logging.WARNING:
             yield record
@@ -68,7 +68,7 @@ class Repeats:
 
 
 def _note(burst: _Burst) -> Iterator[logging.LogRecord]:
-    """How often a line was left out, without its traceback."""
+    """Yield a note with the number of lines left out, if there were any."""
     left_out = burst.count - WRITTEN
     if left_out > 0:
         record = burst.record
