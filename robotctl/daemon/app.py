@@ -14,7 +14,7 @@ from robotctl.daemon.driver import Driver
 from robotctl.daemon.host import DaemonKind, Host, Ready
 from robotctl.daemon.observer import Observer
 from robotctl.daemon.recording.folder import remember
-from robotctl.daemon.shutdown import told_to_end
+from robotctl.daemon.shutdown import end_signals
 from robotctl.daemon.supervisor import Supervisor
 from robotctl.domains import is_certainly_empty
 from robotctl.ipc.answers import StartSummary
@@ -28,14 +28,14 @@ from robotctl.ros.session import ros_session
 async def serve(
     options: DaemonOptions, notes: list[str], on_ready: Ready, at_end: ExitStack
 ) -> None:
-    """Run the daemon until it is told to stop; call `on_ready` once with the summary.
+    """Run the daemon until it is stopped; call `on_ready` once with the summary.
 
     The exit of `at_end` leaves the ROS domain. The caller owns the robot's lock.
 
     Raises:
         RobotctlError: The daemon cannot start, or ran out of memory.
     """
-    stop = told_to_end()
+    stop = end_signals()
     config = options.applied_to(load(options.config) if options.config else Config())
     address = socket_path(options.robot)
     # A daemon whose lock file was deleted may still own the robot: it answers at the socket.

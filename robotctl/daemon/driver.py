@@ -149,7 +149,7 @@ class Driver:
         }
 
     async def run(self, server: ControlServer, notes: list[str], on_ready: Ready) -> None:
-        """Run every task until the daemon is told to stop."""
+        """Run every task until the daemon is stopped."""
         self._control.journal_snapshot(time.monotonic_ns())
         sim = self._host.options.sim
         if sim is None:
@@ -168,7 +168,7 @@ class Driver:
                 await stand_still(self._control, lambda: self._velocity.published)
         await until(self._is_drained, DRAIN_S)
         if not ready:
-            raise RobotctlError("the daemon was told to stop before it was ready")
+            raise RobotctlError("the daemon was stopped before it was ready")
 
     async def cut(self) -> None:
         """Send a zero directly, and record it."""

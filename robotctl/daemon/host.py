@@ -33,7 +33,7 @@ class Host:
 
     supervisor: Supervisor
     stop: asyncio.Event
-    """Set when the daemon is told to end."""
+    """Set to end the daemon."""
 
     session: Session
 
@@ -50,7 +50,7 @@ class DaemonKind(Protocol):
         """Return the methods of the control socket."""
 
     async def run(self, server: ControlServer, notes: list[str], on_ready: Ready) -> None:
-        """Run every task until the daemon is told to stop."""
+        """Run every task until the daemon is stopped."""
 
     async def cut(self) -> None:
         """Stop the robot at once: the daemon is about to fail."""

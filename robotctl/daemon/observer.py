@@ -52,7 +52,7 @@ class Observer:
         }
 
     async def run(self, server: ControlServer, notes: list[str], on_ready: Ready) -> None:
-        """Record until the daemon is told to stop."""
+        """Record until the daemon is stopped."""
         work = {**self.recorder.work(), "socket": server.serve}
         async with running(self._host.supervisor, work):
             on_ready(self._status.summary(notes))

@@ -22,7 +22,7 @@ LAST_ZERO_S = 1.0
 """How long the last zero is tried; after that the robot's command timeout has stopped it."""
 
 
-def told_to_end() -> asyncio.Event:
+def end_signals() -> asyncio.Event:
     """Return an event that SIGINT, SIGTERM and, unless ignored as by nohup, SIGHUP set."""
     numbers = [signal.SIGINT, signal.SIGTERM]
     if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 
 from robotctl.config import Config
-from robotctl.daemon.shutdown import told_to_end
+from robotctl.daemon.shutdown import end_signals
 from robotctl.kernel.battery import full_level
 from robotctl.ros.nodes.simulated_robot import SimulatedRobot
 from robotctl.ros.session import ros_session
@@ -22,7 +22,7 @@ async def simulate(
     at_end: ExitStack,
 ) -> None:
     """Run the robot until a signal ends it; the exit of `at_end` leaves the ROS domain."""
-    stop = told_to_end()
+    stop = end_signals()
     topics = config.kernel
     async with ros_session(domain_id=domain_id, namespace=namespace, at_end=at_end) as session:
         robot = SimulatedRobot(

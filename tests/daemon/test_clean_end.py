@@ -185,7 +185,7 @@ def test_a_signal_during_the_start_ends_it(world: World) -> None:
                 os.kill(pid, signal.SIGTERM)
         _, err = start.communicate(timeout=DEADLINE_S)
     assert start.returncode != 0
-    assert "told to stop before it was ready" in err
+    assert "stopped before it was ready" in err
     until(lambda: not world.processes())
 
 

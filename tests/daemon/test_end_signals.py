@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from robotctl.daemon.shutdown import told_to_end
+from robotctl.daemon.shutdown import end_signals
 from tests.support.waiting import loop_until
 
 
@@ -21,14 +21,14 @@ def under_nohup() -> Iterator[None]:
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 async def test_a_signal_ends_it(number: signal.Signals) -> None:
-    told = told_to_end()
+    told = end_signals()
     assert not told.is_set()
     os.kill(os.getpid(), number)
     await loop_until(told.is_set)
 
 
 async def test_under_nohup_a_closed_terminal_does_not(under_nohup: None) -> None:
-    told = told_to_end()
+    told = end_signals()
     assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
     os.kill(os.getpid(), signal.SIGHUP)
     assert not told.is_set()

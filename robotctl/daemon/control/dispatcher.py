@@ -91,7 +91,7 @@ class Control:
         return self._requests.new_id()
 
     def begin(self, event: Request) -> asyncio.Future[Reply]:
-        """Dispatch a request now; return the future of its reply, set after its effects happened."""
+        """Dispatch a request now; return the future of its reply, set after its effects."""
         reply = self._requests.expect_reply(event.request_id)
         try:
             self.dispatch(event)

@@ -52,7 +52,7 @@ class Effects:
         self._robot = robot
 
     def carry_out(self, effect: Effect) -> None:
-        """Carry out an effect, or start to; a reply is sent after the effects before it are done."""
+        """Carry out an effect, or start to; a reply is sent once earlier effects are done."""
         match effect:
             case PublishTwist():
                 self._publish_twist(effect.twist)

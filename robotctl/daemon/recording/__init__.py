@@ -1,1 +1,1 @@
-"""What the daemon records, and the recordings folder that it keeps in order."""
+"""The recording that the daemon makes, and the recordings folder that it manages."""

@@ -1,4 +1,4 @@
-"""The black box: a clip of each emergency stop and error, cut by a process of its own."""
+"""The black box: a clip of each emergency stop and error, cut by a separate process."""
 
 from __future__ import annotations
 
@@ -28,25 +28,25 @@ CLIPPED = (EventKind.EMERGENCY_STOP, EventKind.ERROR)
 
 @dataclass(frozen=True, slots=True)
 class ClipLimits:
-    """How many clips are cut, and how long that may take."""
+    """Limits of the number of clips and of their time."""
 
     waiting: int = 8
     clips: int = 100
-    """In one life of the daemon: a thousand stops must not fill the disk."""
+    """For one run of the daemon: a thousand stops must not fill the disk."""
 
     cut_s: float = 20.0
     end_s: float = 10.0
-    """For all clips that are still to be cut when the daemon ends."""
+    """For all clips that are left when the daemon ends."""
 
     patience_s: float = PATIENCE_S
-    """Added for the process, which waits for the recorder's last commit."""
+    """Added to each deadline: the process waits for the recorder's commit."""
 
 
 DEFAULT_LIMITS = ClipLimits()
 
 
 class BlackBox:
-    """Belongs to the loop's thread. The process has the lowest priority; nothing waits for it."""
+    """Starts the clip processes, in the loop's thread; they have the lowest priority."""
 
     def __init__(
         self,
@@ -74,29 +74,29 @@ class BlackBox:
         self._ordered = 0
 
     def note(self, event: RecordedEvent) -> None:
-        """Have a clip cut of `event`, if it is one of those."""
+        """Order a clip of `event`, if it is of a kind that gets one."""
         if event.kind not in CLIPPED or not self._params.clip_before_s:
             return
         if len(self._waiting) >= self._limits.waiting or self._ordered >= self._limits.clips:
-            _log.warning("no clip is cut of this %s: there are too many", event.kind.value)
+            _log.warning("no clip is cut of this %s: the limit is reached", event.kind.value)
             return
         self._ordered += 1
         self._waiting.append(event)
         self._came.set()
 
     async def run(self) -> None:
-        """Cut what is ordered, each once it is over, until cancelled."""
+        """Cut each ordered clip once its time has passed, until cancelled."""
         while True:
             self._came.clear()
             while self._waiting:
                 since_s = (self._now_ns() - self._waiting[0].log_ns) / NS_PER_S
                 after_s = self._params.clip_after_s
-                await self._sleep(min(after_s - since_s, after_s))  # the clock may be set back
+                await self._sleep(min(after_s - since_s, after_s))  # the clock may jump back
                 await self._cut_next(self._limits.cut_s)
             await self._came.wait()
 
     async def finish(self) -> None:
-        """Cut what is still ordered, now that nothing more is recorded."""
+        """Cut the clips that are left, after the recording is closed."""
         until = time.monotonic() + self._limits.end_s
         if self._cutting is not None:
             await asyncio.wait({self._cutting}, timeout=self._limits.end_s)
@@ -119,7 +119,7 @@ class BlackBox:
     # In a thread
 
     def _cut(self, job: ClipJob, deadline_s: float) -> None:
-        """Let a process do it; the log says what came of it, and holds what the process wrote."""
+        """Run the process for one clip, and log its result."""
         what = "event" if job.moment.kind is None else job.moment.kind.value
         try:
             said = self._result(job, deadline_s + self._limits.patience_s)
@@ -133,7 +133,11 @@ class BlackBox:
             _log.warning("no clip was cut of the %s: %s", what, said["error"])
 
     def _result(self, job: ClipJob, deadline_s: float) -> dict[str, Any]:
-        """What the process says, or in "error" why it said nothing. Raises OSError."""
+        """Return the report of the process, with "error" if it made none.
+
+        Raises:
+            OSError: The process cannot be started.
+        """
         cutter = start([*self._cutter, job.to_json()])
         try:
             said = cutter.receive_one(deadline_s)
@@ -142,6 +146,6 @@ class BlackBox:
             return {"error": f"its process took longer than {deadline_s:.0f} s"}
         except (EOFError, ValueError):
             exit_code = cutter.close(self._limits.end_s)
-            return {"error": f"its process ended with {exit_code} and said nothing of it"}
+            return {"error": f"its process ended with {exit_code} and made no report"}
         cutter.close(self._limits.end_s)
         return said

@@ -1,4 +1,4 @@
-"""From other threads into the loop."""
+"""Calls from other threads into the loop."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Any
 
 
 def in_loop(call: Callable[[Any], None]) -> Callable[[Any], None]:
-    """Return what any thread may call to have `call` called in the running loop."""
+    """Return a function for any thread that schedules `call` in the running loop."""
     loop = asyncio.get_running_loop()
 
     def post(argument: Any) -> None:
-        with suppress(RuntimeError):  # the loop is closed: nobody is left to tell
+        with suppress(RuntimeError):  # the loop is closed
             loop.call_soon_threadsafe(call, argument)
 
     return post

@@ -1,4 +1,4 @@
-"""The flight recorder: what comes off the graph goes into the recording, and is accounted for."""
+"""The flight recorder: records the ROS graph, and counts every message."""
 
 from __future__ import annotations
 
@@ -44,10 +44,9 @@ SAMPLE_PERIOD_S = 1.0
 
 
 class FlightRecorder:
-    """Recorder and tap; it records from here on, foreign topics while its work runs.
+    """Connects recorder and tap: records own topics from its creation, others while its work runs.
 
-    What proves a drive is recorded whatever the filters say: command, odometry, robot status and
-    journal.
+    Command, odometry, robot status and journal are recorded with any topic filter.
     """
 
     def __init__(
@@ -59,12 +58,14 @@ class FlightRecorder:
         on_failure: Callable[[str], None] = lambda detail: None,
         on_file: Callable[[], None] = lambda: None,
     ) -> None:
-        """Begin to record.
+        """Start to record.
 
-        `mode` is asked from any thread. In the loop, `on_failure(detail)` is told where nothing is
-        recorded any more and the configuration wants the robot to stop then; `on_file` is called
-        for what each later file is to begin with, so that it stands alone. Raises Refused where
-        nothing can be written.
+        `mode()` is called from any thread. In the loop, `on_failure(detail)` is called when
+        recording has failed and the configuration stops the robot then, and `on_file()` when a
+        later file needs a journal snapshot, so that it can be read alone.
+
+        Raises:
+            Refused: The recording cannot be written.
         """
         self._robot = options.robot
         self._on_failure = on_failure
@@ -102,7 +103,7 @@ class FlightRecorder:
         )
 
     def work(self) -> dict[str, Work]:
-        """Return the tasks."""
+        """Return the tasks of the recorder by name."""
         return {
             "recorder": self.tap.run,
             "recorder's statistics": self._keep_statistics,
@@ -111,7 +112,7 @@ class FlightRecorder:
         }
 
     def open_journal(self, publisher: JournalPublisher) -> Callable[[bytes, int], None]:
-        """Return what records and publishes an entry, given serialized and with its number."""
+        """Return the function that records and publishes a serialized entry with its number."""
         write = self.tap.reserve(journal_publisher.TOPIC)
 
         def write_entry(serialized: bytes, seq: int) -> None:
@@ -123,16 +124,16 @@ class FlightRecorder:
 
     @property
     def failure(self) -> str:
-        """Why nothing is recorded any more, "" while all is well."""
+        """Why recording has failed, else ""."""
         return self._recorder.stats().failure
 
     def note(self, event: RecordedEvent) -> None:
-        """Name an event in the recording's metadata, and have a clip cut of it if it is bad."""
+        """Add an event to the recording's metadata; cut a clip of a stop or an error."""
         self._recorder.add_event(event)
         self._black_box.note(event)
 
     def mark(self, text: str, source: str) -> RecordedEvent:
-        """Mark this moment, in the recording and on ROS."""
+        """Mark this moment in the recording and on ROS."""
         now_ns = time.time_ns()
         event = RecordedEvent(EventKind.MARK, now_ns, f"{text} [{source}]")
         self._write_mark(self._marks.publish(event.text), now_ns, now_ns, 0, UNKNOWN_GID)
@@ -141,25 +142,25 @@ class FlightRecorder:
         return event
 
     def split(self) -> None:
-        """Go on in a new file, without a gap; returns before that is done."""
+        """Start the next file, without a gap; return before it is open."""
         self._recorder.split()
         self._on_file()
 
     def stats(self) -> RecorderStats:
-        """Return what became of the messages so far."""
+        """Return the message counts so far."""
         return self._recorder.stats()
 
     def received(self) -> dict[str, int]:
-        """Return how many messages of each topic were received."""
+        """Return the number of received messages by topic."""
         counts: Counter[str] = Counter()
         for topic in self._recorder.stats().topics:
             counts[topic.name] += topic.received
         return counts
 
     async def close(self) -> None:
-        """Finish the recording; the disk is not waited for in the loop.
+        """Finish the recording; a thread waits for the disk.
 
-        What comes in from now on is dropped: call this when nothing does any more.
+        Messages that arrive from now on are dropped.
         """
         self._closing = True
         stats = await asyncio.to_thread(self._recorder.close)
@@ -173,7 +174,7 @@ class FlightRecorder:
         await self._black_box.finish()
 
     async def discard(self) -> None:
-        """Leave nothing behind of a start that failed before anything ran."""
+        """Remove the recording of a start that failed."""
         stats = await asyncio.to_thread(self._recorder.close)
         await asyncio.to_thread(rmtree, stats.file.parent, ignore_errors=True)
 

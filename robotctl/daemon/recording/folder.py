@@ -1,4 +1,4 @@
-"""The recordings folder: how much of it is kept, and one recording opened in it."""
+"""The recordings folder: its retention policy, and the new recording in it."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from robotctl.recording.keep.retention import DAY_S, RetentionPolicy
 
 
 def retention_policy(params: RecordingParams) -> RetentionPolicy:
-    """Return how much is kept, as configured; 0 there means no limit."""
+    """Return the configured retention policy; 0 in the configuration means no limit."""
     return RetentionPolicy(
         round(params.max_total_gb * 1e9) or None, params.max_age_days * DAY_S or None
     )
 
 
 def remember(recordings: Path, robot: str) -> list[str]:
-    """Note for later commands where the robot's recordings are; a sentence where that fails."""
+    """Save the path of the robot's recordings for later commands; return a note on failure."""
     note = recordings_note_path(robot)
     try:
         make_private(note.parent)
@@ -44,10 +44,13 @@ def open_recorder(
     on_split: Callable[[Path], None],
     on_full: Callable[[Path], None],
 ) -> Recorder:
-    """Begin the recording ROBOT_DATE_TIME; raises Refused where nothing can be written.
+    """Start the recording ROBOT_DATE_TIME.
 
-    `mode` is asked when a file begins; like the listeners, from any thread. `on_full` is to see
-    that the recorder's `split` is called.
+    All callbacks are called from any thread: `mode()` when a file starts, `on_failure(detail)`,
+    `on_split(file)`, and `on_full(file)`, which must arrange a call of the recorder's `split`.
+
+    Raises:
+        Refused: The recording cannot be written.
     """
     parameters = {f"parameter.{key}": str(value) for key, value in flat(config).items()}
     described = {"robot": robot, **provenance(), **parameters}

@@ -1,4 +1,4 @@
-"""The loss ledger as a diagnosis."""
+"""The recorder's message counts as a diagnosis for /diagnostics."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from robotctl.recording.format.topics import by_topic
 from robotctl.ros.nodes.diagnostics_publisher import Diagnosis, Level
 
 MAX_TOPICS = 100
-"""Topics that are named, those that lack most first."""
+"""Limit of the topics that are listed, those with the most missing messages first."""
 
 
 def diagnose(stats: RecorderStats, warnings: Sequence[str]) -> Diagnosis:
-    """Return how the recorder is: an error where it records no more, a warning where it lacks."""
+    """Return the diagnosis: an error if recording has failed, a warning if messages are missing."""
     if stats.state is not RecorderState.RECORDING:
         level, message = Level.ERROR, stats.failure or stats.state.value
     elif stats.dropped or stats.lost:

@@ -1,4 +1,4 @@
-"""What decides and measures, by its versions: kept in each file of a recording."""
+"""The versions of the software that makes a recording: metadata of each file."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import robotctl
 from robotctl.environment import DISTRO, RMW
 
 MAX_GIT_BYTES = 4 << 20
-"""Of `packed-refs`; a repository with more references is not asked."""
+"""Limit of `packed-refs`; a larger file is not read."""
 
 _REVISION = re.compile(r"[0-9a-f]{40}(?:[0-9a-f]{24})?")
 
@@ -21,8 +21,8 @@ _REVISION = re.compile(r"[0-9a-f]{40}(?:[0-9a-f]{24})?")
 def provenance() -> dict[str, str]:
     """Return versions, host and git revisions, as far as they are known.
 
-    `git.robotctl` is that of robotctl's own source tree, `git.directory` that of the repository
-    in which the daemon was started; each is missing where there is none.
+    `git.robotctl` is the commit of robotctl's own source tree, `git.directory` that of the
+    repository in which the daemon was started; each is left out if there is none.
     """
     try:
         directory = Path.cwd()
@@ -45,14 +45,14 @@ def provenance() -> dict[str, str]:
 
 
 def revision_around(folder: Path) -> str:
-    """Return the commit of the repository that `folder` lies in, "" where there is none."""
+    """Return the commit of the repository that contains `folder`, "" if there is none."""
     return next(filter(None, map(revision, (folder, *folder.parents))), "")
 
 
 def revision(folder: Path) -> str:
-    """Return the commit that is checked out in `folder`, "" where it is no repository's root.
+    """Return the commit that is checked out in `folder`, "" if it is not a repository's root.
 
-    Reads git's own files (gitrepository-layout(5)): to ask git could take seconds, or hang.
+    Reads git's files (gitrepository-layout(5)): the git command may take seconds or hang.
     """
     try:
         git = folder / ".git"
@@ -67,7 +67,7 @@ def revision(folder: Path) -> str:
 
 
 def _values(git: Path, name: str) -> Iterator[str]:
-    """Yield what the reference `name` may stand for."""
+    """Yield the possible values of the reference `name`."""
     common = git / "commondir"
     for place in (git, git / common.read_text().strip()) if common.exists() else (git,):
         if (place / name).is_file():

@@ -1,4 +1,4 @@
-"""How the recording goes: for `status`, for the log, and for diagnostics on ROS."""
+"""The state of the recording, for `status`, the log and /diagnostics."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from robotctl.ros.tap.tap import Tap
 
 _log = logging.getLogger(__name__)
 
-_NO_MEMORY = "are not recorded, for there is no memory: end other programs, or exclude large topics"
+_NO_MEMORY = "are not recorded, because memory ran out: end other programs, or exclude large topics"
 
 
 class RecorderReport:
-    """Looks at recorder and tap."""
+    """Reads the counts of recorder and tap, and reports them."""
 
     def __init__(
         self,
@@ -35,7 +35,7 @@ class RecorderReport:
         problems: Sequence[str],
         robot: str,
     ) -> None:
-        """`problems` grows: what is wrong with the other recordings in the folder."""
+        """`problems` may grow: the problems of other recordings in the folder."""
         self._recorder = recorder
         self._tap = tap
         self._filter = topic_filter
@@ -48,7 +48,7 @@ class RecorderReport:
         self._logged_memory = False
 
     def facts(self) -> RecordingFacts:
-        """Return what `status` tells of the recording."""
+        """Return the recording's part of the status."""
         stats = self._recorder.stats()
         return {
             "topics": [
@@ -73,7 +73,7 @@ class RecorderReport:
         }
 
     def warnings(self) -> Iterator[str]:
-        """Say what is not recorded and why, with commands for this robot."""
+        """Yield what is not recorded and why, with commands for this robot."""
         yield from (for_robot(text, self._robot) for text in self._warnings())
 
     def _warnings(self) -> Iterator[str]:
@@ -97,7 +97,7 @@ class RecorderReport:
         yield from self._problems
 
     def sample(self) -> None:
-        """Take the counts that rates are made of, and tell ROS; to be called once a second."""
+        """Update the rates, and publish the diagnosis; called once a second."""
         now_ns = time.monotonic_ns()
         stats = self._recorder.stats()
         topics = {(each.name, each.type_name): each for each in by_topic(stats.topics)}
@@ -112,7 +112,7 @@ class RecorderReport:
         self._diagnostics.publish(diagnose(told, list(self.warnings())))
 
     def _heavy_warnings(self) -> Iterator[tuple[str, str]]:
-        """Yield each topic that is heavy now and can be left out, and what to say of it."""
+        """Yield each heavy topic that can be excluded, with its warning."""
         for (topic, _), bytes_per_s in self._heavy.rates.items():
             if self._filter.can_leave_out(topic):
                 rate = f"{topic} brings {bytes_per_s / 1e6:.1f} MB/s"
@@ -120,7 +120,7 @@ class RecorderReport:
                 yield topic, for_robot(f"{rate}: {cure}", self._robot)
 
     def _log_heavy(self) -> None:
-        """Name each heavy topic once."""
+        """Log the warning of each heavy topic once."""
         for topic, warning in self._heavy_warnings():
             if topic not in self._logged:
                 self._logged.add(topic)

@@ -1,4 +1,4 @@
-"""Keeping the recordings folder in order, without ever making anybody wait for it."""
+"""Removes old recordings and repairs broken ones, in a process that the daemon never waits for."""
 
 from __future__ import annotations
 
@@ -17,33 +17,33 @@ from robotctl.recording.keep.tidy_note import TidyNote
 _log = logging.getLogger(__name__)
 
 MAX_PROBLEMS = 10
-"""Shown in the status; the log has all."""
+"""Limit of the problems in the status; the log has all."""
 
 
 class Tidier:
-    """Belongs to the loop's thread.
+    """Starts the processes that tidy the folder; used in the loop's thread.
 
-    After `begin`, which is for a daemon that is ready, a process of the lowest priority removes
-    what is too much and repairs what a crash left: that reads files of any origin and any size.
-    After `file_finished` another one removes what is too much by then.
+    After `begin`, a process of the lowest priority removes what exceeds the retention policy, and
+    repairs what a crash has left. It is a process because files of any origin and size are read.
+    After `file_finished`, another process removes what then exceeds the policy.
     """
 
     def __init__(self, policy: RetentionPolicy, recording: Path) -> None:
-        """The folder `recording` is being recorded, and lies among the others."""
+        """`recording` is the folder of the present recording, among the others."""
         self._policy = policy
         self._recordings = recording.parent
         self._recording = recording
         self._begun = asyncio.Event()
         self._finished = asyncio.Event()
         self.problems: list[str] = []
-        """Sentences about what is lost or could not be done."""
+        """Sentences about losses and failures."""
 
     def begin(self) -> None:
-        """Begin to tidy."""
+        """Start to tidy; called when the daemon is ready."""
         self._begun.set()
 
     def file_finished(self) -> None:
-        """A file of ours has its full size."""
+        """Note that a file of the present recording is finished."""
         self._finished.set()
 
     async def run(self) -> None:
@@ -66,7 +66,7 @@ class Tidier:
         job = TidyJob(self._recordings, self._policy, repairs)
         try:
             child = start([*program("robotctl.recording.keep.tidy_process"), job.to_json()])
-        except OSError as error:  # no process, no descriptor
+        except OSError as error:  # no process or no descriptor
             self._tell(TidyNote(f"the recordings are not tidied: {error}", problem=True))
             return
         said_by = f"the process that tidies {self._recordings}"
@@ -75,9 +75,9 @@ class Tidier:
                 async for said in heard:
                     self._tell(TidyNote(said["text"], said["problem"]))
         except (ValueError, KeyError):
-            self._tell(TidyNote(f"{said_by} made no sense", problem=True))
+            self._tell(TidyNote(f"{said_by} sent an invalid report", problem=True))
         except asyncio.CancelledError:
-            child.kill()  # the next start goes on
+            child.kill()  # the next start continues
             raise
         finally:
             exit_code = await asyncio.shield(asyncio.to_thread(child.close, 1.0))
@@ -91,7 +91,11 @@ class Tidier:
 
 
 async def _heard(child: Child) -> AsyncGenerator[dict[str, Any]]:
-    """What the child says, until it says nothing more. Raises ValueError."""
+    """Yield the reports of the child until it closes its pipe.
+
+    Raises:
+        ValueError: The child sent something else than JSON objects.
+    """
     loop, readable = asyncio.get_running_loop(), asyncio.Event()
     loop.add_reader(child.fileno(), readable.set)
     try:

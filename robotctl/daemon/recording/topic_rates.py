@@ -1,4 +1,4 @@
-"""What the counts of the recorder tell over time: rates, and topics that bring too much."""
+"""Message rates from the recorder's counts, and topics with a high data rate."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from robotctl.kernel.units import NS_PER_S
 
 HEAVY_BYTES_PER_S = 5e6
 HEAVY_WINDOW_S = 5.0
-"""A topic is heavy that brings more than this, on average over so long..."""
+"""A topic is heavy above this data rate, averaged over this time..."""
 
 CALM_SHARE = 0.5
-"""...until it brings less than this part of it."""
+"""...until its data rate falls below this share of the limit."""
 
 TopicKey = tuple[str, str]
 """Name and type."""
 
 
 class RateMeter:
-    """Turns growing counts into rates [1/s] over the time between the last two samples."""
+    """Computes rates [1/s] from counts, over the time between the last two samples."""
 
     def __init__(self) -> None:
         self._counts: Mapping[TopicKey, int] = {}
@@ -27,7 +27,7 @@ class RateMeter:
         self._t_ns = 0
 
     def sample(self, t_ns: int, counts: Mapping[TopicKey, int]) -> None:
-        """Take the counts at steady time `t_ns`."""
+        """Add the counts at steady time `t_ns`."""
         elapsed_s = (t_ns - self._t_ns) / NS_PER_S
         self._rates = {
             topic: (count - self._counts.get(topic, 0)) / elapsed_s
@@ -36,20 +36,20 @@ class RateMeter:
         self._counts, self._t_ns = counts, t_ns
 
     def rate(self, topic: TopicKey) -> float:
-        """Return the latest rate, 0 before there is one."""
+        """Return the latest rate, 0 before the first."""
         return round(self._rates.get(topic, 0.0), 2)
 
 
 class HeavyTopics:
-    """Knows which topics are heavy now, and at which rate [bytes/s]."""
+    """Finds the heavy topics, and their data rates [bytes/s]."""
 
     def __init__(self) -> None:
         self._samples: deque[tuple[int, Mapping[TopicKey, int]]] = deque()
         self.rates: Mapping[TopicKey, float] = {}
-        """Of those that are heavy, over the last HEAVY_WINDOW_S."""
+        """Data rates of the heavy topics over the last HEAVY_WINDOW_S."""
 
     def sample(self, t_ns: int, sizes: Mapping[TopicKey, int]) -> None:
-        """Take the bytes received so far at steady time `t_ns`."""
+        """Add the bytes received so far, at steady time `t_ns`."""
         samples = self._samples
         samples.append((t_ns, sizes))
         while len(samples) > 2 and t_ns - samples[1][0] >= HEAVY_WINDOW_S * NS_PER_S:
