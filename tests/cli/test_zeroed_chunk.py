@@ -12,7 +12,7 @@ import pytest
 from robotctl.testing.drives import drive, record
 from robotctl.testing.faults import chunks_of, zero
 
-ZEROS = "a chunk was here, and is zeros now, as a power cut leaves them"
+ZEROS = "the chunk was replaced by zeros, which a power cut can cause"
 
 
 @pytest.fixture(scope="module")

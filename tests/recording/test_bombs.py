@@ -141,7 +141,7 @@ def test_what_a_limit_leaves_out_is_named_and_can_be_read(
     monkeypatch.setenv(VARIABLE, "10")
     found, missing = salvaged(path)
     assert len(found) == 120_000
-    assert missing == ["it was never finished: what its writer still held is lost"]
+    assert missing == ["it was never finished: messages that its writer still held are lost"]
 
 
 @pytest.mark.parametrize("text", ["0", "-1", "nan", "inf", "many", "1e9"])

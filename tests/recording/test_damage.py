@@ -133,7 +133,7 @@ def test_messages_without_a_described_channel_are_counted_as_missing(tmp_path: P
     path.write_bytes(data[:channel] + data[end:data_end])
     info = read_info(path)
     assert info.message_count == 0
-    assert "24 messages are lost: their channel is described nowhere" in info.missing
+    assert "24 messages are lost: no record describes their channel" in info.missing
 
 
 def test_fuzzed_files_give_one_error_or_true_messages(tmp_path: Path) -> None:

@@ -154,8 +154,8 @@ def test_reading_of_what_is_missing_ends_in_the_one_error(tmp_path: Path) -> Non
     ("content", "reason"),
     [
         (b"", "it is empty"),
-        (b"\x89MCA", "it is no MCAP file"),
-        (b"SQLite format 3\0" * 10, "it is no MCAP file"),
+        (b"\x89MCA", "it is not an MCAP file"),
+        (b"SQLite format 3\0" * 10, "it is not an MCAP file"),
         (MAGIC, "in the middle of a record"),
         (MAGIC + b"\x01" + (2**63).to_bytes(8, "little"), "claims 9223372036854775808 bytes"),
         (MAGIC + b"\x05" + bytes(40), "does not begin with a header"),
@@ -197,7 +197,7 @@ def test_what_is_no_file_in_a_folder_does_not_block(tmp_path: Path) -> None:
     recorded(tmp_path / "run", 10)
     os.mkfifo(tmp_path / "run" / "pipe.mcap")
     info = read_info(tmp_path / "run")
-    assert (info.message_count, info.missing) == (10, ("pipe.mcap: it is no regular file",))
+    assert (info.message_count, info.missing) == (10, ("pipe.mcap: it is not a regular file",))
 
 
 def test_what_is_no_recording_is_named_in_one_sentence(tmp_path: Path) -> None:
@@ -205,7 +205,7 @@ def test_what_is_no_recording_is_named_in_one_sentence(tmp_path: Path) -> None:
     for path, reason in [
         (tmp_path / "nothing", "No such file"),
         (tmp_path / "empty", "holds no .mcap file"),
-        (Path("/dev/null"), "is no file"),
+        (Path("/dev/null"), "is not a file"),
         (Path("a\0b"), "cannot be read"),
         (tmp_path / ("x" * 5000), "File name too long"),
     ]:

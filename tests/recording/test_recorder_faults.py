@@ -278,7 +278,7 @@ def test_a_file_that_cannot_be_repaired_says_so(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("what", ["file", "folder"])
-def test_a_recording_that_somebody_removes_has_failed(tmp_path: Path, what: str) -> None:
+def test_a_recording_that_is_removed_has_failed(tmp_path: Path, what: str) -> None:
     failures: list[str] = []
     options = RecorderOptions(flush_s=0.005, sync_s=0.01)
     recorder = Recorder(tmp_path / "run", options, on_failure=failures.append)
@@ -293,7 +293,7 @@ def test_a_recording_that_somebody_removes_has_failed(tmp_path: Path, what: str)
     until(lambda: bool(failures))
     stats = recorder.close()
     assert "recording stopped: " in stats.failure
-    assert "removed the file" in stats.failure or what == "folder"
+    assert "the file was removed" in stats.failure or what == "folder"
     assert_accounted(stats, 20)
 
 

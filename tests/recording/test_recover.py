@@ -176,10 +176,10 @@ def test_what_recovery_makes_is_what_the_reader_gives(tmp_path: Path) -> None:
     ("make", "reason"),
     [
         (lambda path: path.write_bytes(b""), "it is empty"),
-        (lambda path: path.write_bytes(b"nonsense" * 100), "it is no MCAP file"),
+        (lambda path: path.write_bytes(b"nonsense" * 100), "it is not an MCAP file"),
         (lambda path: None, "No such file"),
-        (lambda path: path.mkdir(), "is no regular file"),
-        (os.mkfifo, "is no regular file"),
+        (lambda path: path.mkdir(), "is not a regular file"),
+        (os.mkfifo, "is not a regular file"),
     ],
 )
 def test_nothing_to_salvage_is_one_sentence_and_no_file(

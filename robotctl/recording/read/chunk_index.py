@@ -1,4 +1,4 @@
-"""The chunk index records of a summary, read a hundred thousand a second."""
+"""Parser of the chunk index records of a summary: 100,000 records per second."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from robotctl.recording.read.file_index import Place, PlaceKind
 from robotctl.recording.read.stored_chunk import stored_size_of
 
 _BEGIN = struct.Struct("<QQQQI")
-"""Start and end time [ns], offset and length of the chunk's record, bytes of the map that follows:
-for each channel in the chunk the offset of its message index."""
+"""Start and end time [ns], offset and length of the chunk record, and the size in bytes of the
+following map, which gives the offset of the message index of each channel in the chunk."""
 
 _CHANNEL = struct.Struct("<H8x")
 _MIDDLE = struct.Struct("<QI")
@@ -22,16 +22,17 @@ _SIZES = struct.Struct("<QQ")
 
 
 class ChunkEntry(NamedTuple):
-    """A chunk, and the offset behind the message indexes that follow it."""
+    """A chunk, and the offset after the message indexes that follow it."""
 
     place: Place
     end: int
 
 
 def read_chunk_index(data: bytes, position: int, end: int) -> ChunkEntry:
-    """The chunk that the record with its content from `position` to `end` tells of.
+    """Return the chunk that a record describes; its content is `data[position:end]`.
 
-    Raises Damaged where the record contradicts itself.
+    Raises:
+        Damaged: The record contradicts itself.
     """
     try:
         start_ns, end_ns, offset, length, map_size = _BEGIN.unpack_from(data, position)

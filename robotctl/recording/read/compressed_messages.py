@@ -1,4 +1,4 @@
-"""Bags in which rosbag2 has compressed each message by itself (`compression_mode: message`)."""
+"""Bags in which rosbag2 compressed each message separately (`compression_mode: message`)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from robotctl.recording.read.read_tally import ReadTally
 SERIALIZED_METADATA: Final = "serialized_metadata"
 
 ZSTD: Final = "zstd"
-"""The one format for which rosbag2 brings a plugin."""
+"""The only format for which rosbag2 has a plugin."""
 
 # Possessive (`*+`): any text takes time in proportion to its length.
 _MODE = re.compile(r"^( *+compression_mode: *+)[\"']?(\w*+)[\"']?(?= *+$)", re.MULTILINE)
@@ -26,9 +26,10 @@ _FORMAT = re.compile(r"^( *+compression_format: *+)[\"']?(\w*+)[\"']?(?= *+$)", 
 
 
 def message_compression(metadata: Iterable[Metadata], path: Path) -> str:
-    """The format of the messages in the file `path`; "" where they are as they were sent.
+    """Return the compression of the messages in the file `path`, or "" for none.
 
-    What its metadata says counts; if that says nothing, the `metadata.yaml` that names it.
+    The metadata of the file counts. If it says nothing, the `metadata.yaml` that lists the file
+    does.
     """
     texts = [
         record.metadata.get(SERIALIZED_METADATA, "")
@@ -43,7 +44,7 @@ def message_compression(metadata: Iterable[Metadata], path: Path) -> str:
 
 
 def without_compression(values: dict[str, str]) -> dict[str, str]:
-    """rosbag2's metadata record of a copy in which neither file nor messages are compressed."""
+    """Return rosbag2's metadata record for a copy in which nothing is compressed by rosbag2."""
     if SERIALIZED_METADATA not in values:
         return values
     text = values[SERIALIZED_METADATA]
@@ -63,7 +64,7 @@ class MessageDecompressor:
     """Decompresses the messages at one place of a file, within the file's limits."""
 
     def __init__(self, offset: int, limits: ReadLimits, tally: ReadTally) -> None:
-        """`offset` is that of the place, `tally` that of the file."""
+        """Set up a decompressor for the place at `offset`; `tally` is that of the file."""
         self._offset = offset
         self._limits = limits
         self._account = tally
@@ -71,7 +72,11 @@ class MessageDecompressor:
         self._zstd = ZstdDecompressor()
 
     def decompress(self, frame: bytes) -> bytes:
-        """The message in a zstd frame. Raises Damaged."""
+        """Return the message in a zstd frame.
+
+        Raises:
+            Damaged: The frame is corrupt, or exceeds the limits.
+        """
         try:
             size = frame_content_size(frame)
             self._spend(size)

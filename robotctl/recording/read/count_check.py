@@ -1,6 +1,6 @@
-"""What a recording says it holds, beside its files' own summaries, against what is in the files.
+"""Comparison of the message counts that a recording declares with those in its files.
 
-A file that somebody has cut, or put another in the place of, may be whole in itself.
+`metadata.yaml` and the ledger declare counts. A file that was cut or exchanged may be valid itself.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from robotctl.recording.read.messages import OpenFile
 
 
 def find_shortfalls(text: str, files: Sequence[OpenFile], *, all_files: bool) -> Iterator[str]:
-    """A sentence for each thing that holds fewer messages than are told of it.
+    """Yield a sentence for each file or recording that holds fewer messages than declared.
 
-    `text` is that of the `metadata.yaml` beside the files, read before them, for they may grow;
-    `all_files` says that these are all of its files.
+    `text` is the `metadata.yaml` of the files, read before them, because they may grow. `all_files`
+    tells that these are all files of the recording.
     """
     if any(each.index.limit_reached for each in files):
-        return  # more is there than was read
+        return  # not all messages were read
     told, there = message_counts_in(text), sum(each.index.message_count for each in files)
     found = [
         f"{each.path.name}: metadata.yaml counts {told[each.path.name]} messages, "
@@ -33,7 +33,7 @@ def find_shortfalls(text: str, files: Sequence[OpenFile], *, all_files: bool) ->
         for each in files
         if _is_own(each) and told.get(each.path.name, 0) > each.index.message_count
     ]
-    # rosbag2 counts for a file what its cache then dropped; its total is true.
+    # The counts per file of rosbag2 include messages that its cache dropped; the total does not.
     total = total_count_in(text)
     if not found and all_files and total > there:
         found.append(f"metadata.yaml counts {total} messages, and {there} are there")
@@ -49,7 +49,9 @@ def _is_own(each: OpenFile) -> bool:
 
 
 def _is_whole(files: Sequence[OpenFile]) -> bool:
-    """Whether these are a recording of ours from its beginning, of which no part was left out."""
+    """Return whether these are the consecutive files of one of our recordings, from its first file
+    on.
+    """
     first = files[0].path.stem
     names = [f"{first.removesuffix('0')}{number}" for number in range(len(files))]
     return (
@@ -60,9 +62,9 @@ def _is_whole(files: Sequence[OpenFile]) -> bool:
 
 
 def _written_by_ledger(last: OpenFile) -> int:
-    """How many messages the recording has, by the ledger of its last file; 0 without one.
+    """Return the message count of the recording by the ledger of its last file; 0 without one.
 
-    Later files repeat messages that are latched, so there may be more.
+    Later files repeat latched messages, so the files may hold more.
     """
     records = [each.metadata for each in last.index.metadata if each.name == LEDGER_RECORD]
     ledger = read_ledger({LEDGER_RECORD: records[-1]} if records else {})

@@ -1,4 +1,4 @@
-"""What is wrong with a part of a file."""
+"""Errors for damaged parts of a file."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ from robotctl.recording.read.read_limits import CURE
 
 
 class Damaged(Exception):
-    """A part of the file cannot be read; the text says what is wrong, without naming the file."""
+    """A part of the file cannot be read. The text says what is wrong, without the file name."""
 
 
 class Unreadable(Damaged):
-    """The disk or the memory failed; at another time the same part may be readable."""
+    """The disk or the memory failed; the same part may be readable later."""
 
 
 class BeyondLimit(Damaged):
-    """Reading on would take more work than `read_limits` allows; the text says how to allow it."""
+    """Reading on would exceed the limits of `read_limits`. The text says how to raise them."""
 
     def __init__(self, what: str) -> None:
-        """`what` is the sentence without the cure."""
+        """Take the sentence without the cure."""
         super().__init__(f"{what} ({CURE})")

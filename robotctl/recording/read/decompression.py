@@ -17,13 +17,13 @@ _PIECE_BYTES = 8 << 20
 
 
 class Decompressor(NamedTuple):
-    """How one compression is undone. Both get the stored bytes and the size when unpacked."""
+    """How to undo one compression. Both functions get the stored bytes and the original size."""
 
     unpack: Callable[[bytes, int], bytes]
-    """Raises Damaged, and MemoryError."""
+    """Raises Damaged if the data is corrupt, and MemoryError."""
 
     unpack_torn: Callable[[bytes, int], bytes]
-    """Returns what comes before the tear."""
+    """Returns the data before the tear."""
 
 
 def _zstd(stored: bytes, size: int) -> bytes:
@@ -76,7 +76,11 @@ DECOMPRESSORS: Final[Mapping[str, Decompressor]] = {
 
 
 def decompressor_of(name: str) -> Decompressor:
-    """Return the decompressor of a compression. Raises Damaged if it is not supported."""
+    """Return the decompressor of a compression.
+
+    Raises:
+        Damaged: The compression is not supported.
+    """
     found = DECOMPRESSORS.get(name)
     if found is None:
         raise Damaged(f"a chunk is compressed by {name!r}, which is not supported")

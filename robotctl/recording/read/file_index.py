@@ -1,4 +1,4 @@
-"""What one MCAP file holds and where, as far as it is known."""
+"""What one MCAP file holds and where, as far as known."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from robotctl.recording.read.read_tally import ReadTally
 from robotctl.recording.read.stored_chunk import read_chunk, read_chunk_ref, read_torn_chunk
 
 MAX_SENTENCES = 20
-"""What is missing is said in so many sentences at most."""
+"""Maximum number of sentences about missing parts."""
 
 
 _CRC = struct.Struct("<I")
@@ -31,11 +31,11 @@ _ATTACHMENT_FIXED_BYTES = 8 + 8 + 4 + 4 + 8
 
 
 class PlaceKind(Enum):
-    """How messages lie in a file."""
+    """How messages are stored."""
 
     CHUNK = "chunk"
     TORN_CHUNK = "torn chunk"
-    """The end of the file cuts it off."""
+    """A chunk that the end of the file cuts off."""
 
     LOOSE = "loose"
     """A run of records outside any chunk."""
@@ -45,8 +45,8 @@ class PlaceKind(Enum):
 class Place:
     """A part of the file that holds messages: `length` bytes at `offset`, log times in ns.
 
-    `channels` are those that have messages there; None if that is not known. The last two are
-    what the summary says of a chunk; `unpacked_bytes` is None where it says nothing.
+    `channels` are those with messages there, None if unknown. `unpacked_bytes` and `compression`
+    are what the summary says about a chunk; `unpacked_bytes` is None if it says nothing.
     """
 
     kind: PlaceKind
@@ -59,7 +59,11 @@ class Place:
     compression: str = ""
 
     def size_in_memory(self, file: InputFile) -> int:
-        """The bytes that `read` will return, as the file claims. Raises Damaged."""
+        """Return how many bytes `read` will return, as the file claims.
+
+        Raises:
+            Damaged: The head of the chunk cannot be read.
+        """
         if self.kind is PlaceKind.LOOSE:
             return self.length
         if self.unpacked_bytes is not None:
@@ -67,7 +71,11 @@ class Place:
         return read_chunk_ref(file, self.offset, self.length).uncompressed_size
 
     def read(self, file: InputFile) -> bytes:
-        """The records at this place, unpacked. Raises Damaged, also if the summary tells else."""
+        """Return the records at this place, decompressed.
+
+        Raises:
+            Damaged: They cannot be read, or contradict the summary.
+        """
         if self.kind is PlaceKind.LOOSE:
             return file.read(self.offset, self.length)
         ref = read_chunk_ref(file, self.offset, self.length)
@@ -79,7 +87,7 @@ class Place:
 
 
 def note_missing(missing: list[str], sentence: str) -> None:
-    """Append `sentence`, but let the list not grow beyond what anybody reads."""
+    """Append `sentence` to a list of bounded length."""
     if len(missing) < MAX_SENTENCES:
         missing.append(sentence)
     elif len(missing) == MAX_SENTENCES:
@@ -104,82 +112,93 @@ class FileIndex:
 
     missing: list[str] = field(default_factory=list)
     scanned: bool = False
-    """There was no valid summary."""
+    """Whether the file had no valid summary."""
 
     message_compression: str = ""
-    """How each message is compressed by itself; "" where it is as it was sent."""
+    """The compression of each message; "" if messages are not compressed separately."""
 
     gaps: list[tuple[int, int]] = field(default_factory=list)
     """Parts of the data that the summary does not describe: start and end [bytes]."""
 
     declared_metadata: int = 0
     declared_attachments: int = 0
-    """How many the summary counts, wherever they are."""
+    """The counts of records in the summary, wherever the records are."""
 
     metadata_offsets: set[int] = field(default_factory=set)
-    """Of the records in `metadata`."""
+    """Offsets of the records in `metadata`."""
 
     tally: ReadTally = field(default_factory=ReadTally)
 
     limit_reached: bool = False
-    """Something was left out that could be read with higher limits."""
+    """Whether something was left out that could be read with higher limits."""
 
     def miss(self, sentence: str) -> None:
-        """Say that something cannot be read."""
+        """Add a sentence about something that cannot be read."""
         note_missing(self.missing, sentence)
 
     def miss_beyond(self, what: str, limit: BeyondLimit) -> None:
-        """Say that something is not read, because it is more than the limits allow."""
+        """Add a sentence about something that was not read because it exceeds the limits."""
         self.limit_reached = True
         self.miss(f"{what}: {limit}")
 
     def unaccounted(self) -> str:
-        """What to say where all was read and is not what the summary counts; else ""."""
+        """Return a sentence if all was read, but the summary counts another number; else ""."""
         found = self.tally.messages_in(place.offset for place in self.places)
         if self.scanned or self.limit_reached or not self.places:
-            return ""  # it was told why not all is read
+            return ""  # another sentence says why not all was read
         if found is None or found == self.message_count:
             return ""
         return f"its summary counts {self.message_count} messages, and {found} are there"
 
     def has_metadata(self, *names: str) -> bool:
-        """Whether there is a metadata record of one of these names."""
+        """Return whether there is a metadata record with one of these names."""
         return any(record.name in names for record in self.metadata)
 
     @property
     def message_count(self) -> int:
-        """Messages that can be read, over all channels."""
+        """Messages that can be read, of all channels."""
         return sum(self.counts.values())
 
 
 class ZeroedHeader(Damaged):
-    """The file begins with zeros, as a power cut leaves them."""
+    """The file begins with zeros, which a power cut can cause."""
 
     def __init__(self) -> None:
-        super().__init__("it is no MCAP file: it begins with zeros")
+        super().__init__("it is not an MCAP file: it begins with zeros")
 
 
 LOST_HEADER = Header(profile="", library=""), len(MAGIC)
-"""What stands for a header that was zeroed, and where the data begins then."""
+"""Replacement for a header that is zeros, and where the data begins."""
 
 
 def read_record_head(file: InputFile, offset: int) -> tuple[int, int]:
-    """Opcode and length of the record at `offset`. Raises Damaged."""
+    """Return opcode and length of the record at `offset`.
+
+    Raises:
+        Damaged: The file ends there.
+    """
     opcode, length = RECORD_HEAD.unpack(file.read(offset, RECORD_HEAD.size))
     return opcode, length
 
 
 def read_content(file: InputFile, offset: int, length: int) -> bytes:
-    """The content of the record at `offset`. Raises Damaged, also where it is absurdly long."""
+    """Return the content of the record at `offset`.
+
+    Raises:
+        Damaged: The file ends there, or the length is not plausible.
+    """
     if length > MAX_RECORD_BYTES:
         raise Damaged(f"a record at byte {offset} claims {length} bytes")
     return file.read(offset + RECORD_HEAD.size, length)
 
 
 def read_attachment(file: InputFile, offset: int) -> Attachment:
-    """The attachment whose record is at `offset`. Raises Damaged.
+    """Return the attachment whose record is at `offset`.
 
-    What a later version of the format may have added behind its checksum is passed over.
+    Fields after the checksum, which a later version of the format may add, are ignored.
+
+    Raises:
+        Damaged: There is no attachment, its checksum is wrong, or it is too large.
     """
     opcode, length = read_record_head(file, offset)
     if opcode != Opcode.ATTACHMENT:
@@ -196,22 +215,24 @@ def read_attachment(file: InputFile, offset: int) -> Attachment:
 
 
 def _attachment_bytes(attachment: Attachment) -> int:
-    """How many bytes of its record the checksum of an attachment covers."""
+    """Return how many bytes of its record the checksum of an attachment covers."""
     texts = len(attachment.name.encode()) + len(attachment.media_type.encode())
     return _ATTACHMENT_FIXED_BYTES + texts + len(attachment.data)
 
 
 def read_header(file: InputFile) -> tuple[Header, int]:
-    """The header, and the offset behind it.
+    """Return the header, and the offset after it.
 
-    Raises Damaged if this is no MCAP file, ZeroedHeader if it may be one.
+    Raises:
+        ZeroedHeader: The file begins with zeros; it may be an MCAP file.
+        Damaged: It is not an MCAP file.
     """
     if file.size == 0:
         raise Damaged("it is empty")
     if not any(file.read(0, min(file.size, len(MAGIC) + RECORD_HEAD.size))):
         raise ZeroedHeader
     if file.size < len(MAGIC) or file.read(0, len(MAGIC)) != MAGIC:
-        raise Damaged("it is no MCAP file")
+        raise Damaged("it is not an MCAP file")
     opcode, length = read_record_head(file, len(MAGIC))
     if opcode != Opcode.HEADER:
         raise Damaged("it does not begin with a header")

@@ -1,4 +1,4 @@
-"""Which files a recording consists of."""
+"""Which files belong to a recording."""
 
 from __future__ import annotations
 
@@ -14,17 +14,21 @@ from robotctl.recording.read.zstd_file import SUFFIX
 from robotctl.regular_file import open_regular
 
 SQLITE_SUFFIX = ".db3"
-"""What the other storage of rosbag2 appends to its files."""
+"""Suffix of the files of rosbag2's sqlite3 storage."""
 
 _FILES_OF_RECORDINGS = (
     *("*.mcap", f"*.mcap{SUFFIX}", f"*{SQLITE_SUFFIX}*", METADATA_FILE),
     "*/*.mcap",
 )
-"""What a folder holds that is a recording, or holds recordings."""
+"""Patterns for the content of a folder that is a recording, or holds recordings."""
 
 
 def recording_files(path: Path) -> list[Path]:
-    """The MCAP files of a recording in their order. Raises UnreadableFile if there are none."""
+    """Return the MCAP files of a recording, in their order.
+
+    Raises:
+        UnreadableFile: There are none, or `path` is not a recording.
+    """
     try:
         mode = path.stat().st_mode
         found = files_of_bag(path) if S_ISDIR(mode) else [path]
@@ -32,7 +36,7 @@ def recording_files(path: Path) -> list[Path]:
         reason = error.strerror if isinstance(error, OSError) else None
         raise UnreadableFile(f"{path} cannot be read: {reason or error}") from error
     if not (S_ISDIR(mode) or S_ISREG(mode)):
-        raise UnreadableFile(f"{path} is no file", "give an MCAP file or a recording's folder")
+        raise UnreadableFile(f"{path} is not a file", "give an MCAP file or a recording's folder")
     if path.suffix == SQLITE_SUFFIX or (not found and any(path.glob(f"*{SQLITE_SUFFIX}*"))):
         raise UnreadableFile(
             f"{path} is a bag in sqlite3 format", _conversion(path), sentence=IN_PARENTHESES
@@ -43,9 +47,10 @@ def recording_files(path: Path) -> list[Path]:
 
 
 def is_recording(path: Path) -> bool:
-    """Whether a path is a recording, or a folder of some, by names and first bytes alone.
+    """Return whether a path is a recording, or a folder of recordings, by names and first bytes.
 
-    A damaged one is, and so is a path that cannot be looked at: its reader says what is wrong.
+    True also for a damaged recording, and for a path that cannot be examined: the reader reports
+    what is wrong.
     """
     try:
         mode = path.stat().st_mode
@@ -62,7 +67,11 @@ def is_recording(path: Path) -> bool:
 
 
 def files_of_bag(folder: Path) -> list[Path]:
-    """The MCAP files in a folder, also those that are compressed as a whole. Raises OSError."""
+    """Return the MCAP files in a folder, including those that are compressed as a whole.
+
+    Raises:
+        OSError: The folder cannot be listed.
+    """
     files = list(folder.glob("*.mcap"))
     names = {path.name for path in files}
     packed = [path for path in folder.glob(f"*.mcap{SUFFIX}") if path.stem not in names]
@@ -70,7 +79,7 @@ def files_of_bag(folder: Path) -> list[Path]:
 
 
 def _conversion(path: Path) -> str:
-    """The command line that makes an MCAP bag of an sqlite3 bag."""
+    """Return the command line that converts an sqlite3 bag to MCAP."""
     target = quote(f"{path.stem}_mcap")
     options = f"output_bags: [{{uri: {target}, storage_id: mcap, all: true}}]"
     return (
@@ -80,10 +89,10 @@ def _conversion(path: Path) -> str:
 
 
 def absent_files(text: str, present: list[Path]) -> list[str]:
-    """A sentence for each file that the text of `metadata.yaml` names beside those present.
+    """Return a sentence for each file that `metadata.yaml` lists and that is not in `present`.
 
-    A file is there also if it lies there unpacked, or packed, under the name that goes with that.
-    It is read before the folder is listed: a daemon adds the file first, then its name.
+    A file also counts as present in its compressed or decompressed form. `text` must be read before
+    the folder is listed, because a daemon first adds a file and then its name.
     """
     names = {path.name.removesuffix(SUFFIX) for path in present}
     return [
@@ -94,6 +103,6 @@ def absent_files(text: str, present: list[Path]) -> list[str]:
 
 
 def natural_order(path: Path) -> list[tuple[int, int, str]]:
-    """Sorts `run_10` behind `run_9`."""
+    """Return a sort key that puts `run_10` after `run_9`."""
     parts = re.split(r"(\d+)", path.name)
     return [(1, int(part), "") if part.isdecimal() else (0, 0, part) for part in parts]

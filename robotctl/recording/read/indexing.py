@@ -1,4 +1,4 @@
-"""The index of any MCAP file, the quick way if there is one."""
+"""The index of any MCAP file: from its summary if there is a valid one, else by a scan."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from robotctl.recording.read.scan import index_by_scanning, read_gaps
 from robotctl.recording.read.summary_section import index_from_summary
 
 _GROWING_S = 2.0
-"""How long a file that is being written is looked at anew before it is scanned."""
+"""How long reading a growing file is retried before it is scanned."""
 
 _LOOK_AGAIN_S = 0.002
 
@@ -25,11 +25,13 @@ def index_of(
     *,
     places: bool = True,
 ) -> FileIndex:
-    """By the summary if that is valid, else by scanning, which tells the offset it has reached.
+    """Return the index of a file.
 
-    Whoever will read no message says so by `places`, which saves time.
+    `on_progress` gets the offset that a scan has reached. With `places` False the index takes less
+    time, and messages cannot be read with it.
 
-    Raises Damaged if not even the header can be read.
+    Raises:
+        Damaged: Not even the header can be read.
     """
     index = _index_of(file, on_progress, places=places)
     index.message_compression = message_compression(index.metadata, file.path)
@@ -54,14 +56,15 @@ def _index_of(file: InputFile, on_progress: Callable[[int], None], *, places: bo
         except Damaged:
             if not file.is_changing() or time.monotonic() > deadline:
                 break
-        time.sleep(_LOOK_AGAIN_S)  # a write may be half done for as long as its process waits
+        time.sleep(_LOOK_AGAIN_S)  # a writer may be interrupted within a write
     return index_by_scanning(file, on_progress)
 
 
 def _complete(file: InputFile, index: FileIndex) -> None:
-    """Find what the summary leaves out. In a file of ours that is nothing, or told by its counts.
+    """Find records that the summary does not list.
 
-    A commit that a kill has torn leaves a gap in ours which is no part of the file yet.
+    The summaries of robotctl list all records, unless their counts say otherwise. In a file of
+    robotctl, a gap that a killed commit left is not part of the file.
     """
     if not index.library.startswith(OWN_LIBRARY) or index.declared_metadata > len(index.metadata):
         read_gaps(file, index)

@@ -1,4 +1,4 @@
-"""What a recording holds, as its indexes tell it."""
+"""What a recording holds, according to its indexes."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ class TopicInfo:
 class RecordingInfo:
     """What a recording holds; times in nanoseconds since the epoch, 0 without messages.
 
-    `missing` says, a sentence each, what cannot be read; `indexed` is False where a file had no
-    valid summary, so that it had to be scanned. `metadata` has the last record of each name.
+    `missing` says what cannot be read, one sentence each. `indexed` is False if a file had no valid
+    summary and was scanned. `metadata` has the last record of each name.
     """
 
     path: Path
@@ -62,7 +62,7 @@ class RecordingInfo:
 
 
 def describe(path: Path, files: Sequence[OpenFile], missing: Sequence[str]) -> RecordingInfo:
-    """What the recording `path` holds in these files, at least one, beside what is missing."""
+    """Return what the recording `path` holds in these files, of which there is at least one."""
     indexes = [each.index for each in files]
     with_messages = [index for index in indexes if index.message_count]
     start_ns = min((index.start_ns for index in with_messages), default=0)
@@ -86,14 +86,14 @@ def describe(path: Path, files: Sequence[OpenFile], missing: Sequence[str]) -> R
 
 
 def metadata_in(files: Sequence[OpenFile]) -> list[Metadata]:
-    """Every metadata record, in the order of the files."""
+    """Return all metadata records, in the order of the files."""
     return [record for each in files for record in each.index.metadata]
 
 
 def _topics(indexes: list[FileIndex], duration_s: float) -> tuple[TopicInfo, ...]:
     topics: dict[tuple[str, str], TopicInfo] = {}
     for index in indexes:
-        definitions = {  # once: any number of channels may share one
+        definitions = {  # decoded once, since channels may share them
             schema.id: schema.data.decode(errors="replace") for schema in index.schemas.values()
         }
         for channel in index.channels.values():

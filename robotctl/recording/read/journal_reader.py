@@ -1,4 +1,4 @@
-"""The journal in a recording, as its kernel wrote it."""
+"""Reads the journal of a recording."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from robotctl.recording.read.read_limits import CURE
 from robotctl.recording.read.reader import Recording
 
 _FIRST_STEP_NS = 15 * NS_PER_S
-"""How far back a snapshot is looked for at first; daemons write one every 10 s."""
+"""How far back the first search for a snapshot goes; daemons write one every 10 s."""
 
 
 class RecordedEntry(NamedTuple):
-    """An entry and when it was recorded, in nanoseconds since the epoch."""
+    """A journal entry, and when it was recorded, in nanoseconds since the epoch."""
 
     log_ns: int
     entry: JournalEntry
 
 
 class EntryDecoder:
-    """Decodes the entries of a recording, one after the other, within its `journal_` limits."""
+    """Decodes the entries of a recording, in order, within its journal limits."""
 
     def __init__(self, recording: Recording) -> None:
         self._limits = recording.limits
@@ -37,7 +37,11 @@ class EntryDecoder:
         self._text_bytes = 0
 
     def decode(self, serialized: bytes) -> JournalEntry:
-        """The entry in a message. Raises UnreadableFile, also beyond the limits."""
+        """Return the entry in a message.
+
+        Raises:
+            UnreadableFile: The message is not an entry, or exceeds the limits.
+        """
         limits = self._limits
         self._entries += 1
         self._text_bytes += len(serialized)
@@ -54,16 +58,16 @@ class EntryDecoder:
 
 def _beyond(limit: str) -> UnreadableFile:
     return UnreadableFile(
-        f"its journal is not read behind {limit}, more than a file of its size may hold",
+        f"its journal is read only up to {limit}, the limit for a file of its size",
         CURE,
         sentence=IN_PARENTHESES,
     )
 
 
 def journal_topic(info: RecordingInfo) -> str | None:
-    """The topic with the journal of the robot that recorded, None where there is none.
+    """Return the topic with the journal of the robot that recorded, or None if there is none.
 
-    In the same ROS domain another robot's journal may have been recorded as well.
+    Journals of other robots in the same ROS domain may have been recorded as well.
     """
     robot = info.metadata.get(INFO_RECORD, {}).get("robot", DEFAULT_ROBOT)
     own = f"{namespace_of(robot)}/{TOPIC}"
@@ -78,11 +82,13 @@ def read_journal(
     on_missing: Callable[[str], None],
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Iterator[RecordedEntry]:
-    """The entries in the order in which they were written, which is that of their `seq`.
+    """Yield the entries in the order in which they were written, which is that of their `seq`.
 
-    Log times may step back where the clock was set. What cannot be read is told to `on_missing`,
-    bytes done and in total to `on_progress`. Raises UnreadableFile where there is no journal, or
-    an entry is none.
+    Log times may step back if the clock was set. `on_missing` gets a sentence about each part that
+    cannot be read, `on_progress` bytes done and in total.
+
+    Raises:
+        UnreadableFile: There is no journal, or an entry is damaged.
     """
     topic = journal_topic(recording.info())
     if topic is None:
@@ -95,9 +101,10 @@ def read_journal(
 def since_snapshot(
     recording: Recording, moment_ns: int, on_missing: Callable[[str], None]
 ) -> list[Message]:
-    """The journal from the last snapshot before a moment up to it: what leads to the state then.
+    """Return the journal from the last snapshot before `moment_ns` to `moment_ns`.
 
-    Nothing where there is no snapshot before. What of it cannot be read is told to `on_missing`.
+    It leads to the kernel's state at that moment. Empty if there is no earlier snapshot.
+    `on_missing` gets a sentence about each part that cannot be read.
     """
     info = recording.info()
     topic = journal_topic(info)
@@ -109,7 +116,7 @@ def since_snapshot(
 
 
 def _last_snapshot_ns(recording: Recording, topic: str, start_ns: int, moment_ns: int) -> int:
-    """The log time of the last snapshot before a moment, or the recording's beginning."""
+    """Return the log time of the last snapshot before a moment, or the start of the recording."""
     step_ns = _FIRST_STEP_NS
     while True:
         begin_ns = max(moment_ns - step_ns, start_ns)

@@ -1,4 +1,4 @@
-"""The last messages before a moment, found from there backwards by the index."""
+"""Finds the last messages before a moment by a backward search through the index."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from robotctl.recording.read.damage import Damaged
 from robotctl.recording.read.messages import Message, OpenFile, PlaceReader, place_readers
 
 _Placed = tuple[int, int, int, Message]
-"""Log time, rank of the place and number within it: the order of `merge`; the message."""
+"""Log time, rank of the place, number in it (the order of `merge`), and the message."""
 
 
 def last_before(
@@ -17,10 +17,9 @@ def last_before(
     moment_ns: int,
     on_missing: Callable[[str], None],
 ) -> list[Message]:
-    """Of each topic in `wanted` so many of the last messages before `moment_ns`, in order.
+    """Return the last messages before `moment_ns` in order, as many of each topic as `wanted` says.
 
-    Reads what the index says may hold them and nothing else; what is found to be lost is told to
-    `on_missing`.
+    Only places that may hold them are read. `on_missing` gets a sentence about each lost part.
     """
     found = list(enumerate(place_readers(files, wanted, (0, moment_ns - 1))))
     found.sort(key=lambda ranked: ranked[1].place.end_ns, reverse=True)

@@ -1,6 +1,6 @@
-"""Reading parts of an MCAP file that may be damaged or hostile.
+"""Reads parts of an MCAP file that may be damaged or hostile.
 
-Whatever is wrong ends as `Damaged`; every length is checked before anything is allocated.
+Any damage raises `Damaged`; every length is checked before memory is allocated.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from robotctl.recording.read.read_limits import BYTES_PER_RECORD, RECORDS, ReadL
 from robotctl.recording.read.zstd_file import is_zstd_file, unpack_zstd_file
 
 RECORD_HEAD: Final = struct.Struct("<BQ")
-"""opcode, length of what follows [bytes]."""
+"""Opcode, length of what follows [bytes]."""
 
 MESSAGE_FIELDS: Final = struct.Struct("<HIQQ")
-"""What precedes a message's data: channel id, sequence, log time [ns], publish time [ns]."""
+"""The fields before a message's data: channel id, sequence, log time [ns], publish time [ns]."""
 
 MAX_RECORD_BYTES: Final = 64 << 20
-"""A schema, channel, metadata or index record above this is taken for damage."""
+"""A larger schema, channel, metadata or index record is regarded as damage."""
 
 TOO_MANY_RECORDS: Final = (
     f"it holds more than {RECORDS} messages, and more than one for every {BYTES_PER_RECORD} bytes"
@@ -47,7 +47,7 @@ class _RecordClass(Protocol[_Record]):
 
 
 class _ExactStream(ReadDataStream):
-    """Refuses to return less than was asked for, as the package's own stream does."""
+    """A stream that raises EndOfFile if there is less data than requested."""
 
     def read(self, length: int) -> bytes:
         data: bytes = super().read(length)
@@ -57,9 +57,11 @@ class _ExactStream(ReadDataStream):
 
 
 def parse(kind: _RecordClass[_Record], data: bytes) -> _Record:
-    """The record whose content, without opcode and length, is `data`.
+    """Return the record whose content, without opcode and length, is `data`.
 
-    Raises Damaged, and MemoryError where there is no memory: that says nothing about the file.
+    Raises:
+        Damaged: The content is malformed.
+        MemoryError: There is no memory; this says nothing about the file.
     """
     try:
         return kind.read(_ExactStream(BytesIO(data)))
@@ -68,26 +70,30 @@ def parse(kind: _RecordClass[_Record], data: bytes) -> _Record:
 
 
 class InputFile:
-    """A file that is read at positions; it may grow meanwhile. A `.mcap.zstd` is unpacked first."""
+    """A file that is read at offsets and may be growing. A `.mcap.zstd` is decompressed first."""
 
     def __init__(
         self, path: Path, on_progress: Callable[[int, int], None] = lambda done, total: None
     ) -> None:
-        """Open `path`, a regular file. Raises OSError, and Damaged if it cannot be unpacked.
+        """Open `path`, a regular file. `on_progress` gets bytes done and in total while
+        decompressing.
 
-        `on_progress` gets bytes done and in total where it is unpacked.
+        Raises:
+            OSError: The file cannot be opened.
+            Damaged: The file cannot be decompressed.
         """
         self.path = path
         self.failure: Unreadable | None = None
-        """The first read that failed for the disk or the memory, not for what the file holds."""
+        """The first read that failed because of the disk or the memory, not the content of the
+        file."""
 
         self._fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
         try:
             status = os.fstat(self._fd)
             if not stat.S_ISREG(status.st_mode):
-                raise OSError(errno.EINVAL, "it is no regular file", str(path))
+                raise OSError(errno.EINVAL, "it is not a regular file", str(path))
             self.stored_bytes = status.st_size
-            """Bytes on the disk, which the limits go by."""
+            """Bytes on the disk; the limits depend on them."""
 
             self._unpacked = is_zstd_file(path)
             if self._unpacked:
@@ -101,18 +107,22 @@ class InputFile:
             raise
 
     def refresh(self) -> None:
-        """See how large the file is by now."""
+        """Update the size of the file."""
         self.size = os.fstat(self._fd).st_size
         if not self._unpacked:
             self.stored_bytes = self.size
             self.limits = ReadLimits.of(self.size)
 
     def is_changing(self) -> bool:
-        """Whether the file has another size by now, or somebody has it open for recording."""
+        """Return whether the file's size has changed, or a process has it open for recording."""
         return os.fstat(self._fd).st_size != self.size or is_locked(self._fd)
 
     def read(self, offset: int, length: int) -> bytes:
-        """Exactly `length` bytes at `offset`. Raises Damaged beyond the end of the file."""
+        """Return exactly `length` bytes at `offset`.
+
+        Raises:
+            Damaged: The file ends before that, or the disk fails.
+        """
         if offset < 0 or length < 0 or offset + length > self.size:
             raise Damaged(f"it ends at byte {self.size}, in the middle of a record")
         try:
@@ -120,7 +130,9 @@ class InputFile:
             while len(data) < length:
                 more = os.pread(self._fd, length - len(data), offset + len(data))
                 if not more:
-                    raise Damaged(f"it was cut off at byte {offset + len(data)} meanwhile")
+                    raise Damaged(
+                        f"it was truncated at byte {offset + len(data)} while it was read"
+                    )
                 data += more
         except OSError as error:
             reason = f"the disk cannot read it at byte {offset}: {error.strerror}"
@@ -128,30 +140,32 @@ class InputFile:
         return data
 
     def failed(self, reason: str) -> Unreadable:
-        """What to raise where disk or memory failed; `failure` keeps the first."""
+        """Return the error for a failure of disk or memory; `failure` keeps the first."""
         failure = Unreadable(reason)
         self.failure = self.failure or failure
         return failure
 
     def close(self) -> None:
-        """Close it; closing twice is harmless."""
+        """Close the file; closing twice is harmless."""
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
 
     def __enter__(self) -> Self:
-        """The file itself."""
+        """Return the file."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close it."""
+        """Close the file."""
         self.close()
 
 
 def walk_records(data: bytes, most: int = sys.maxsize) -> Iterator[tuple[int, int, int]]:
-    """Opcode, start and end of the content of each record in a chunk.
+    """Yield opcode, start and end of the content of each record in a chunk.
 
-    Raises Damaged at a tear, BeyondLimit behind `most` records.
+    Raises:
+        Damaged: A record is cut off or malformed.
+        BeyondLimit: There are more than `most` records.
     """
     position, size = 0, len(data)
     unpack = RECORD_HEAD.unpack_from

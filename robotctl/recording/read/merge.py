@@ -1,4 +1,4 @@
-"""Messages of one or more files in the order of their log time, a few chunks in memory."""
+"""Messages of one or more files in the order of their log time, with few chunks in memory."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ def merge(
     on_missing: Callable[[str], None],
     window: Window = ALWAYS,
 ) -> Iterator[Message]:
-    """The messages of `topics` (None: all) in the window; places outside of it are not read.
+    """Yield the messages of `topics` (None: all) in the window; places outside of it are not read.
 
-    What is found to be lost is told to `on_missing`.
+    `on_missing` gets a sentence about each lost part.
     """
     found = list(place_readers(files, topics, window))
     heap = [(source.place.start_ns, rank) for rank, source in enumerate(found)]
@@ -62,7 +62,9 @@ def in_order_written(
     on_missing: Callable[[str], None],
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Iterator[Message]:
-    """As `merge`, but as the messages stand in the files; tells bytes done and in total."""
+    """Yield messages as `merge` does, but in file order; `on_progress` gets bytes done and in
+    total.
+    """
     done, total = 0, sum(file.file.size for file in files)
     for file in files:
         for source in place_readers([file], topics, ALWAYS):
@@ -77,7 +79,7 @@ def in_order_written(
 
 
 def _tell_unaccounted(files: Sequence[OpenFile], on_missing: Callable[[str], None]) -> None:
-    """Compare what was read with what the summaries count."""
+    """Compare what was read with the counts in the summaries."""
     for file in files:
         sentence = file.index.unaccounted()
         if sentence:
@@ -85,7 +87,7 @@ def _tell_unaccounted(files: Sequence[OpenFile], on_missing: Callable[[str], Non
 
 
 def _load(source: PlaceReader, room: int | None, on_missing: Callable[[str], None]) -> None:
-    """Load a place if it fits into `room` [bytes]; None where nothing else is held."""
+    """Load a place if it fits into `room` [bytes]; None means no limit."""
     try:
         if room is not None and source.place.size_in_memory(source.file.file) > room:
             source.loaded = True

@@ -1,4 +1,4 @@
-"""The places of files in which messages lie, and the messages in one of them."""
+"""Reads the messages at one place of a file."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from robotctl.recording.read.mcap_input import (
 )
 
 Window = tuple[int, int]
-"""The first and the last log time that are wanted [ns]."""
+"""First and last log time [ns], both included."""
 
 ALWAYS: Final[Window] = (0, (1 << 64) - 1)
 
@@ -30,7 +30,7 @@ ALWAYS: Final[Window] = (0, (1 << 64) - 1)
 _Made = TypeVar("_Made")
 
 _Fields = tuple[int, int, int, int]
-"""Of a message: channel, sequence, log and publish time."""
+"""Channel, sequence, log and publish time of a message."""
 
 
 class Message(NamedTuple):
@@ -46,7 +46,7 @@ class Message(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class OpenFile:
-    """A file of a recording."""
+    """An open file of a recording."""
 
     path: Path
     file: InputFile
@@ -54,10 +54,10 @@ class OpenFile:
 
 
 class PlaceReader:
-    """A place in a file and, once it is loaded, its messages that are still to come.
+    """A reader of one place in a file. Once loaded, it holds the messages still to be read.
 
-    Only those in the log times of `window` (ns, both included), and of the channels in `names`,
-    which gives topic and type of each.
+    It selects log times in `window` (ns, both ends included) and the channels in `names`, which
+    gives topic and type of each.
     """
 
     __slots__ = (
@@ -92,14 +92,18 @@ class PlaceReader:
             )
 
     def may_hold(self, topics: Collection[str]) -> bool:
-        """Whether a message of one of the topics may be among the wanted ones."""
+        """Return whether the place may hold a selected message of one of the topics."""
         channels = self.place.channels
         return channels is None or any(
             topic in topics for channel, (topic, _) in self._names.items() if channel in channels
         )
 
     def load(self) -> None:
-        """Read the place. Raises Damaged; `entries` then holds what came before the damage."""
+        """Read the place.
+
+        Raises:
+            Damaged: A part is damaged; `entries` then holds what precedes it.
+        """
         self.loaded = True
         data = self._data = self._read()
         self.size = len(data)
@@ -112,17 +116,21 @@ class PlaceReader:
             self.entries.sort()
 
     def take(self) -> Message:
-        """The next message. Raises Damaged if it cannot be decompressed; go on with the next."""
+        """Return the next message.
+
+        Raises:
+            Damaged: It cannot be decompressed; the next call returns the one after it.
+        """
         _, start, end = self.entries[self.next]
         self.next += 1
         return self._message(self._data, start, end, MESSAGE_FIELDS.unpack_from(self._data, start))
 
     def as_written(self) -> Iterator[Message]:
-        """All messages in the order of the file, without `load`. Raises Damaged behind the last."""
+        """Yield all messages in file order, without `load`. Raises Damaged after the last one."""
         return self._each(self._message)
 
     def plain_messages(self) -> Iterator[PlainMessage]:
-        """As `as_written`, with the channel's number."""
+        """Yield messages as `as_written` does, with the channel's number."""
         return self._each(self._plain_message)
 
     def _each(self, make: Callable[[bytes, int, int, _Fields], _Made]) -> Iterator[_Made]:
@@ -139,7 +147,11 @@ class PlaceReader:
             raise failure
 
     def _read(self) -> bytes:
-        """The records at the place. Raises Damaged."""
+        """Return the records at the place.
+
+        Raises:
+            Damaged: They cannot be read.
+        """
         if self._records_left() <= 0:
             raise BeyondLimit(TOO_MANY_RECORDS)
         return self.place.read(self.file.file)
@@ -149,7 +161,9 @@ class PlaceReader:
         return self.file.index.tally.records_left(self.place.offset, limit)
 
     def _wanted(self, data: bytes) -> Iterator[tuple[int, int, _Fields]]:
-        """Start, end and fields of the messages of wanted channels. Raises Damaged at last."""
+        """Yield start, end and fields of the messages of selected channels. Raises Damaged at the
+        end.
+        """
         unknown = messages = others = 0
         names, unpack = self._names, MESSAGE_FIELDS.unpack_from
         offset, tally = self.place.offset, self.file.index.tally
@@ -166,12 +180,12 @@ class PlaceReader:
                     others += 1
             tally.note_messages(offset, messages)
         except Damaged as damage:
-            # Where a chunk is torn was told before.
+            # The tear was already reported.
             if self.place.kind is not PlaceKind.TORN_CHUNK or isinstance(damage, BeyondLimit):
                 raise
         finally:
             tally.note_records(offset, messages + others)
-        if unknown and not self.file.index.scanned:  # else it was told before
+        if unknown and not self.file.index.scanned:  # else already reported
             raise Damaged(f"{unknown} messages belong to no channel")
 
     def _message(self, data: bytes, start: int, end: int, fields: _Fields) -> Message:
@@ -190,7 +204,7 @@ class PlaceReader:
         return channel, content, log_ns, publish_ns, sequence
 
     def loss(self, damage: Damaged) -> str:
-        """What to say where the place cannot be read."""
+        """Return a sentence about a place that cannot be read."""
         begin = self.place.offset
         return (
             f"{self.file.path.name}: messages between bytes {begin} and "
@@ -198,7 +212,7 @@ class PlaceReader:
         )
 
     def unload(self) -> None:
-        """Give the memory back."""
+        """Free the memory."""
         self._data = b""
         self.entries = []
 
@@ -206,7 +220,7 @@ class PlaceReader:
 def place_readers(
     files: Iterable[OpenFile], topics: Collection[str] | None, window: Window
 ) -> Iterator[PlaceReader]:
-    """The places that may hold messages of `topics` (None: all) in the window."""
+    """Yield a reader for each place that may hold messages of `topics` (None: all) in `window`."""
     for file in files:
         names = names_of(file.index, topics)
         for place in file.index.places:
@@ -216,7 +230,7 @@ def place_readers(
 
 
 def names_of(index: FileIndex, topics: Collection[str] | None = None) -> dict[int, tuple[str, str]]:
-    """Topic and type of each channel in a file whose topic is one of `topics` (None: all)."""
+    """Return topic and type of each channel of the file, or only those of `topics`."""
     return {
         channel.id: (channel.topic, type_name_of(channel, index.schemas.get(channel.schema_id)))
         for channel in index.channels.values()

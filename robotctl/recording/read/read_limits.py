@@ -1,7 +1,7 @@
-"""How much work a file may cause, measured by the bytes it takes on the disk.
+"""How much work a file may cause, depending on its size on the disk.
 
-A compressed file may claim any size. Each limit is checked before the work is done, and what it
-leaves out is named together with `CURE`.
+A compressed file may claim any size. Each limit is checked before the work is done. What exceeds a
+limit is not read, and named together with `CURE`.
 """
 
 from __future__ import annotations
@@ -14,59 +14,61 @@ from typing import Final, Self
 from robotctl.errors import UsageError
 
 VARIABLE: Final = "ROBOTCTL_READ_LIMITS"
-"""Environment variable: a factor for every limit here."""
+"""Environment variable: a factor for all limits here."""
 
 CURE: Final = f"to read it all, set {VARIABLE}=10: ten times the limit"
 
 MAX_FACTOR: Final = 1_000_000.0
 
 UNPACKED_BYTES: Final = 512 << 20
-"""What a file of any size may unpack to: a quarter of a second, half of one with a copy."""
+"""What a file of any size may unpack to: this takes 0.25 s, or 0.5 s with a copy."""
 
 UNPACKED_RATIO: Final = 512
-"""A larger file may unpack to so many times its size."""
+"""A larger file may unpack to this multiple of its size."""
 
 FAST_CHUNK_BYTES: Final = 24 << 20
 FAST_CHUNK_DISCOUNT: Final = 10
 """Chunks up to FAST_CHUNK_BYTES unpack ten times as fast (22 instead of 2 GB/s, measured with
-zeros: the C library keeps the memory of blocks below 32 MiB) and count a tenth. A day of black VGA
-images passes, which shrink to 1/4600. Black frames of 1080p shrink to 1/15600: of those 5 GiB pass,
-for `recover` takes 2 s to write them, and they are what a hostile file would hold."""
+zeros: the C library keeps the memory of blocks below 32 MiB), and count a tenth. A day of black VGA
+images, which compress to 1/4600, stays below the limit. Black frames of 1080p compress to 1/15600;
+5 GiB of those are read, because `recover` takes 2 s to write them, and because a hostile file would
+look the same."""
 
 CHUNK_BYTES: Final = 72 << 20
 CHUNK_RATIO: Final = 32
-"""One chunk may unpack to CHUNK_BYTES, a large one to CHUNK_RATIO times its stored size. 64 MB
-is the largest message that robotctl records; with a copy of it this stays below 256 MB."""
+"""One chunk may unpack to CHUNK_BYTES, a large one to CHUNK_RATIO times its stored size. The
+largest message that robotctl records has 64 MB; with a copy of it this stays below 256 MB."""
 
 OPEN_BYTES: Final = 96 << 20
 OPEN_RATIO: Final = 32
 MAX_OPEN_BYTES: Final = 256 << 20
-"""Unpacked chunks of a recording held at once because their times overlap: OPEN_BYTES, of a
-larger file OPEN_RATIO times its size, but no more than MAX_OPEN_BYTES. Of ours two do."""
+"""Unpacked chunks of a recording held at once because their times overlap: OPEN_BYTES, for a larger
+file OPEN_RATIO times its size, but no more than MAX_OPEN_BYTES. In our files two overlap."""
 
 ATTACHMENT_BYTES: Final = 256 << 20
-"""A larger attachment is not taken into memory."""
+"""A larger attachment is not loaded."""
 
 RECORDS: Final = 100_000
 BYTES_PER_RECORD: Final = 4
-"""A file may hold RECORDS messages (and other records), a larger one that for every 4 bytes. The
-densest honest one, constant data without message indexes, takes 6; ours takes 22."""
+"""A file may hold RECORDS messages (and other records), a larger one a record for every 4 bytes.
+The densest harmless file, constant data without message indexes, takes 6; ours take 22."""
 
 JOURNAL_ENTRIES: Final = 30_000
 BYTES_PER_JOURNAL_ENTRY: Final = 16
-"""To decide an entry again takes 25 us; ours takes 16 bytes of index and its share of a chunk."""
+"""Deciding an entry again takes 25 us; an entry takes 16 bytes of index and its share of a
+chunk."""
 
 SNAPSHOTS: Final = 1000
 BYTES_PER_SNAPSHOT: Final = 1000
-"""To begin again from a snapshot takes 1 ms; a daemon writes one every 10 s, among 500 ticks."""
+"""Restarting from a snapshot takes 1 ms; a daemon writes one every 10 s, among 500 ticks."""
 
 JOURNAL_TEXT_BYTES: Final = 16 << 20
 JOURNAL_TEXT_RATIO: Final = 16
-"""The JSON of a journal, as a multiple of the file: ours shrinks to a tenth at best."""
+"""The JSON of a journal, as a multiple of the file size: ours compresses to a tenth at best."""
 
 ZSTD_FILE_BYTES: Final = 256 << 20
 ZSTD_FILE_RATIO: Final = 64
-"""A file compressed as a whole unpacks onto the disk, where it may take no more than this."""
+"""A file compressed as a whole is unpacked to the disk, up to this size."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +88,11 @@ class ReadLimits:
 
     @classmethod
     def of(cls, stored_bytes: int) -> Self:
-        """Those of a file that takes `stored_bytes` on the disk. Raises UsageError."""
+        """Return the limits of a file that takes `stored_bytes` on the disk.
+
+        Raises:
+            UsageError: The environment variable is not a valid factor.
+        """
         factor = _factor()
 
         def limit(least: int, share: float) -> int:
@@ -107,7 +113,7 @@ class ReadLimits:
 
 
 def unpacking_cost(unpacked_bytes: int) -> int:
-    """What a chunk of this size counts against `unpacked_cost`."""
+    """Return what a chunk of this size counts against `unpacked_cost`."""
     return unpacked_bytes // (FAST_CHUNK_DISCOUNT if unpacked_bytes <= FAST_CHUNK_BYTES else 1)
 
 

@@ -1,7 +1,7 @@
-"""Opening any MCAP recording: one file, or a folder as rosbag2 lays it out.
+"""Opens any MCAP recording: one file, or a folder in rosbag2's layout.
 
-A file without a valid summary is scanned. What cannot be read is never passed over in silence:
-it stands in `RecordingInfo.missing`, or ends the iteration over messages with UnreadableFile.
+A file without a valid summary is scanned. Parts that cannot be read are always reported: in
+`RecordingInfo.missing`, to `on_missing`, or by UnreadableFile at the end of an iteration.
 """
 
 from __future__ import annotations
@@ -30,7 +30,11 @@ from robotctl.recording.read.read_limits import ReadLimits
 
 
 def read_info(path: Path) -> RecordingInfo:
-    """What `path` holds, a file or a folder. Raises UnreadableFile if nothing can be read."""
+    """Return what `path`, a file or a folder, holds.
+
+    Raises:
+        UnreadableFile: Nothing can be read.
+    """
     with Recording(path) as recording:
         return recording.info()
 
@@ -40,10 +44,13 @@ def read_messages(
     topics: Collection[str] | None = None,
     on_missing: Callable[[str], None] | None = None,
 ) -> Iterator[Message]:
-    """The messages in the order of their log time; of `topics` only, if given.
+    """Yield the messages in the order of their log time; only those of `topics`, if given.
 
-    What cannot be read is told to `on_missing`, a sentence each; without it the iteration ends
-    with UnreadableFile after the last message that can be read.
+    `on_missing` gets a sentence about each part that cannot be read.
+
+    Raises:
+        UnreadableFile: Nothing can be read; or, without `on_missing`, not everything. Then it is
+            raised after the last message that can be read.
     """
     missing: list[str] = []
     tell = on_missing or (lambda sentence: note_missing(missing, sentence))
@@ -61,9 +68,10 @@ class Recording:
     def __init__(
         self, path: Path, on_progress: Callable[[int, int], None] = lambda done, total: None
     ) -> None:
-        """Open `path`; `on_progress` gets bytes done and in total where files are scanned.
+        """Open `path`; `on_progress` gets bytes done and in total while files are scanned.
 
-        Raises UnreadableFile if nothing can be read.
+        Raises:
+            UnreadableFile: Nothing can be read.
         """
         self.path = path
         self._files: list[OpenFile] = []
@@ -93,11 +101,11 @@ class Recording:
             each.file.close()
 
     def __enter__(self) -> Self:
-        """The recording itself."""
+        """Return the recording."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close it."""
+        """Close the recording."""
         self.close()
 
     @property
@@ -106,7 +114,7 @@ class Recording:
         return ReadLimits.of(sum(each.file.stored_bytes for each in self._files))
 
     def info(self) -> RecordingInfo:
-        """What it holds."""
+        """Return what it holds."""
         return describe(self.path, self._files, self.missing)
 
     @property
@@ -116,17 +124,21 @@ class Recording:
 
     @property
     def is_cut_off(self) -> bool:
-        """Whether the process that recorded it ended without closing it, or stopped recording."""
+        """Whether the recording ended without being closed: the process was killed, or recording
+        failed.
+        """
         return not self.is_live and not self._files[-1].index.has_metadata(
             LEDGER_RECORD, CLIP_RECORD
         )
 
     def metadata(self) -> list[Metadata]:
-        """Every metadata record, in the order of the files."""
+        """Return all metadata records, in the order of the files."""
         return metadata_in(self._files)
 
     def channels(self) -> dict[tuple[str, str], tuple[Channel, Schema | None]]:
-        """Of each topic and type name what the first file says about it."""
+        """Return, for each topic and type name, channel and schema from the first file that has
+        them.
+        """
         channels: dict[tuple[str, str], tuple[Channel, Schema | None]] = {}
         for each in self._files:
             for channel in each.index.channels.values():
@@ -141,16 +153,19 @@ class Recording:
         on_missing: Callable[[str], None],
         window: Window = ALWAYS,
     ) -> Iterator[Message]:
-        """The messages in the order of their log time; `on_missing` gets what is found lost.
+        """Yield the messages in the order of their log time; `on_missing` gets a sentence for each
+        loss.
 
-        Only those with a log time in `window` (ns, both ends included): nothing else is read.
+        Only log times in `window` (ns, both ends included) are read.
         """
         return merge(self._files, topics, on_missing, window)
 
     def last_before(
         self, moment_ns: int, wanted: Mapping[str, int], on_missing: Callable[[str], None]
     ) -> list[Message]:
-        """Of each topic in `wanted` so many of the last messages before a moment, in order."""
+        """Return the last messages before a moment in order, as many of each topic as `wanted`
+        says.
+        """
         return last_before(self._files, wanted, moment_ns, on_missing)
 
     def in_order_written(
@@ -159,7 +174,8 @@ class Recording:
         on_missing: Callable[[str], None],
         on_progress: Callable[[int, int], None] = lambda done, total: None,
     ) -> Iterator[Message]:
-        """As `messages`, in the order of the files: log times step back where the clock was set.
+        """Yield messages as `messages` does, in file order: log times step back if the clock was
+        set.
 
         `on_progress` gets bytes done and in total.
         """

@@ -1,4 +1,4 @@
-"""Finding the next whole chunk in a file whose chain of records is broken."""
+"""Finds the next valid chunk in a file whose chain of records is broken."""
 
 from __future__ import annotations
 
@@ -15,17 +15,18 @@ _COMPRESSIONS = [struct.pack("<I", len(name)) + name.encode() for name in DECOMP
 _HEAD = re.compile(
     rb"\x06(?=.{8}.{28}(?:%b))" % b"|".join(map(re.escape, _COMPRESSIONS)), re.DOTALL
 )
-"""The opcode of a chunk, before lengths, times, sizes and a known compression."""
+"""The opcode of a chunk, followed by lengths, times, sizes and a known compression."""
 
 _NAME_OFFSET = RECORD_HEAD.size + 28
 _HEAD_BYTES = _NAME_OFFSET + max(map(len, _COMPRESSIONS)) + 8
-"""At most, from the opcode to the data."""
+"""Maximum, from the opcode to the data."""
 
 
 def find_chunk(file: InputFile, offset: int, budget: UnpackBudget) -> int | None:
-    """The offset of the first chunk at or behind `offset` that is whole; None if there is none.
+    """Return the offset of the first valid chunk at or after `offset`, or None.
 
-    Raises BeyondLimit where looking on would cost more than `budget`.
+    Raises:
+        BeyondLimit: The search would cost more than `budget`.
     """
     while offset < file.size:
         window = file.read(offset, min(_WINDOW_BYTES + _HEAD_BYTES, file.size - offset))
@@ -38,7 +39,7 @@ def find_chunk(file: InputFile, offset: int, budget: UnpackBudget) -> int | None
 
 
 def _lengths_agree(window: bytes, start: int) -> bool:
-    """Whether the record is exactly as long as the data in it says."""
+    """Return whether the length of the record fits the length of the data in it."""
     try:
         _, length = RECORD_HEAD.unpack_from(window, start)
         (name,) = struct.unpack_from("<I", window, start + _NAME_OFFSET)

@@ -1,4 +1,4 @@
-"""The index of a file without a valid summary: read from the start as far as it makes sense."""
+"""The index of a file without a valid summary: read from the start, as far as possible."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from robotctl.recording.read.resync import find_chunk
 from robotctl.recording.read.stored_chunk import UnpackBudget, read_chunk_ref
 
 _LOOSE_RUN_BYTES = 1 << 20
-"""Messages outside chunks are gathered into places of about this size."""
+"""Messages outside chunks are grouped into places of about this size."""
 
 _FIRST_PRIVATE_OPCODE = 0x80
 _OPCODES = frozenset(Opcode) | frozenset(range(_FIRST_PRIVATE_OPCODE, 256))
@@ -43,9 +43,10 @@ _OPCODES = frozenset(Opcode) | frozenset(range(_FIRST_PRIVATE_OPCODE, 256))
 def index_by_scanning(
     file: InputFile, on_progress: Callable[[int], None] = lambda offset: None
 ) -> FileIndex:
-    """Index what can be read. `on_progress` is told the offset [bytes] that was reached.
+    """Index what can be read. `on_progress` gets the offset [bytes] that was reached.
 
-    Raises Damaged if not even the header can be read.
+    Raises:
+        Damaged: Not even the header can be read.
     """
     try:
         header, offset = read_header(file)
@@ -83,7 +84,7 @@ def index_by_scanning(
 
 
 def read_gaps(file: InputFile, index: FileIndex) -> None:
-    """Take in what stands in the gaps of a summary: records without an index, loose messages."""
+    """Add what is in the gaps of a summary: records without an index, loose messages."""
     counts, start_ns, end_ns = dict(index.counts), index.start_ns, index.end_ns
     scan = _Scan(file, index)
     for start, end in index.gaps:
@@ -98,7 +99,11 @@ def read_gaps(file: InputFile, index: FileIndex) -> None:
     scan.finish()
     index.places.sort(key=lambda place: place.offset)
     index.attachments.sort()
-    index.counts, index.start_ns, index.end_ns = counts, start_ns, end_ns  # those of the summary
+    index.counts, index.start_ns, index.end_ns = (
+        counts,
+        start_ns,
+        end_ns,
+    )  # keep those of the summary
 
 
 class _Scan:
@@ -118,14 +123,18 @@ class _Scan:
         self.own = index.library.startswith(OWN_LIBRARY)
 
     def step(self, offset: int) -> bool:
-        """Take in the record at `offset`; False at the end. Raises Damaged."""
+        """Read the record at `offset`; return False at the end.
+
+        Raises:
+            Damaged: There is no valid record.
+        """
         file, index = self._file, self._index
         if offset == file.size and not self.data_ended:
-            index.miss("it was never finished: what its writer still held is lost")
+            index.miss("it was never finished: messages that its writer still held are lost")
             return False
         opcode, length = read_record_head(file, offset)
         if opcode not in _OPCODES:
-            raise Damaged("they make no sense" if opcode else "they are zeros")
+            raise Damaged("they are not MCAP records" if opcode else "they are zeros")
         self._records += 1
         if self._records > file.limits.records:
             raise BeyondLimit(TOO_MANY_RECORDS)
@@ -137,11 +146,11 @@ class _Scan:
             raise Damaged("the file ends in the middle of a record")
         elif opcode == Opcode.FOOTER:
             if not self.data_ended or end + len(MAGIC) < file.size:
-                raise Damaged("they make no sense")
+                raise Damaged("they are not MCAP records")
             return False
         elif opcode == Opcode.MESSAGE:
-            if self.own or length < MESSAGE_FIELDS.size:  # we write chunks only
-                raise Damaged("they make no sense")
+            if self.own or length < MESSAGE_FIELDS.size:  # robotctl writes only chunks
+                raise Damaged("they are not MCAP records")
             self._loose(offset, end)
         elif opcode == Opcode.METADATA:
             if offset not in index.metadata_offsets:
@@ -159,11 +168,11 @@ class _Scan:
         return True
 
     def finish(self) -> None:
-        """Take in what is left; see that every message has a channel, and that all are there."""
+        """Add the last loose run, and check that each message has a channel and none is missing."""
         self._end_loose_run()
         for channel in self._index.counts.keys() - self._index.channels.keys():
             count = self._index.counts.pop(channel)
-            self._index.miss(f"{count} messages are lost: their channel is described nowhere")
+            self._index.miss(f"{count} messages are lost: no record describes their channel")
         if not self._index.missing and self._counted > self._index.message_count:
             self._index.miss(f"its summary counts {self._counted} messages")
 
@@ -176,8 +185,8 @@ class _Scan:
             except Damaged as damage:
                 self._index.miss(f"bytes {offset} to {end} are lost: {damage}")
             return
-        # A writer that only appends leaves the beginning of its chunk. Ours overwrites its own
-        # trailer: what follows the tear may be a piece of that.
+        # A writer that only appends leaves the beginning of its chunk. robotctl overwrites its
+        # trailer, so what follows the tear may be a part of that.
         if not self.own:
             self._add(PlaceKind.TORN_CHUNK, offset, end)
         raise Damaged("the file ends in the middle of a chunk")
@@ -194,7 +203,11 @@ class _Scan:
         self._loose_start = self._loose_end = 0
 
     def _add(self, kind: PlaceKind, offset: int, end: int) -> None:
-        """Count the messages at a place. Raises Damaged if it cannot be read."""
+        """Count the messages at a place.
+
+        Raises:
+            Damaged: The place cannot be read.
+        """
         place = Place(kind, offset, end - offset, 0, 0, None)
         if kind is not PlaceKind.LOOSE:
             ref = read_chunk_ref(self._file, offset, end - offset)
@@ -204,7 +217,7 @@ class _Scan:
         definitions: list[tuple[int, bytes]] = []
         times: list[int] = []
         records, most = 0, sys.maxsize
-        if kind is not PlaceKind.LOOSE:  # those of a loose run were counted one by one
+        if kind is not PlaceKind.LOOSE:  # the records of a loose run are counted already
             most = self._file.limits.records - self._records
         try:
             for opcode, start, stop in walk_records(data, most):
@@ -242,7 +255,7 @@ class _Scan:
     def _define(self, opcode: int, content: bytes) -> None:
         known = opcode, int.from_bytes(content[:2], "little")
         if self._definitions.get(known) == content:
-            return  # repeated in each chunk
+            return  # some writers repeat it in each chunk
         self._definitions[known] = content
         if opcode == Opcode.SCHEMA:
             schema = parse(Schema, content)

@@ -1,6 +1,6 @@
-"""The messages of a chunk as the file stores them: checked against what is said of them.
+"""Reads a stored chunk and checks it against its record.
 
-Every size is checked against the file's limits before anything is unpacked.
+Every size is checked against the file's limits before anything is decompressed.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from robotctl.recording.read.mcap_input import RECORD_HEAD, InputFile
 from robotctl.recording.read.read_limits import ReadLimits, unpacking_cost
 
 _CHUNK_FIELDS: Final = struct.Struct("<QQQI")
-"""What begins a chunk: start and end time [ns], uncompressed size [bytes], uncompressed CRC."""
+"""The beginning of a chunk: start and end time [ns], uncompressed size [bytes], uncompressed
+CRC."""
 
 _MAX_NAME_BYTES = 32
 _PREFIX_BYTES = RECORD_HEAD.size + _CHUNK_FIELDS.size + 4 + _MAX_NAME_BYTES + 8
@@ -26,7 +27,7 @@ _PREFIX_BYTES = RECORD_HEAD.size + _CHUNK_FIELDS.size + 4 + _MAX_NAME_BYTES + 8
 
 @dataclass(frozen=True, slots=True)
 class ChunkRef:
-    """Where a chunk's data lies, and what its record says about it (times in ns)."""
+    """Where a chunk's data is, and what its record says about it (times in ns)."""
 
     data_offset: int
     data_size: int
@@ -38,23 +39,28 @@ class ChunkRef:
 
 
 class UnpackBudget:
-    """What unpacking chunks may still cost while a file is searched for them."""
+    """What decompressing chunks may still cost while a file is searched for them."""
 
     def __init__(self, limits: ReadLimits) -> None:
         self._limit = limits.unpacked_cost
         self._left = limits.unpacked_cost
 
     def spend(self, unpacked_bytes: int) -> None:
-        """Count a chunk of this size. Raises BeyondLimit."""
+        """Count a chunk of this size.
+
+        Raises:
+            BeyondLimit: The budget is exhausted.
+        """
         self._left -= unpacking_cost(unpacked_bytes)
         if self._left < 0:
             raise BeyondLimit(f"unpacked it would take more than {self._limit >> 20} MiB")
 
 
 def read_chunk_ref(file: InputFile, offset: int, length: int) -> ChunkRef:
-    """Parse the head of the chunk record at `offset`, `length` bytes in all.
+    """Parse the head of the chunk record at `offset`, which has `length` bytes.
 
-    Raises Damaged if there is no chunk of that length.
+    Raises:
+        Damaged: There is no chunk of that length.
     """
     prefix = file.read(offset, min(_PREFIX_BYTES, length))
     try:
@@ -80,12 +86,16 @@ def read_chunk_ref(file: InputFile, offset: int, length: int) -> ChunkRef:
 
 
 def stored_size_of(length: int, compression: str) -> int:
-    """Bytes of data in a chunk record of `length` bytes in all."""
+    """Return the bytes of data in a chunk record of `length` bytes."""
     return length - RECORD_HEAD.size - _CHUNK_FIELDS.size - 4 - len(compression.encode()) - 8
 
 
 def read_chunk(file: InputFile, ref: ChunkRef) -> bytes:
-    """The chunk's records, unpacked and checked. Raises Damaged."""
+    """Return the chunk's records, decompressed and checked.
+
+    Raises:
+        Damaged: The chunk is corrupt, or exceeds the limits.
+    """
     _check_size(file, ref)
     try:
         stored = file.read(ref.data_offset, ref.data_size)
@@ -100,7 +110,7 @@ def read_chunk(file: InputFile, ref: ChunkRef) -> bytes:
 
 
 def read_torn_chunk(file: InputFile, ref: ChunkRef) -> bytes:
-    """What can be unpacked of a chunk that the end of the file cuts off; unchecked."""
+    """Return what can be decompressed of a chunk that the end of the file cuts off; unchecked."""
     _check_size(file, ref)
     stored = file.read(ref.data_offset, max(min(ref.data_size, file.size - ref.data_offset), 0))
     return decompressor_of(ref.compression).unpack_torn(stored, ref.uncompressed_size)
@@ -108,7 +118,7 @@ def read_torn_chunk(file: InputFile, ref: ChunkRef) -> bytes:
 
 def _instead_of_a_chunk(found: bytes) -> str:
     if not any(found):
-        return "a chunk was here, and is zeros now, as a power cut leaves them"
+        return "the chunk was replaced by zeros, which a power cut can cause"
     return "there is no chunk of this length"
 
 

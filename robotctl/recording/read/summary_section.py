@@ -1,4 +1,4 @@
-"""The index of a file from its own summary: milliseconds, whatever its size."""
+"""The index of a file from its summary: milliseconds, regardless of its size."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from robotctl.recording.read.mcap_input import RECORD_HEAD, InputFile, parse, wa
 from robotctl.recording.read.stored_chunk import UnpackBudget
 
 MAX_SUMMARY_BYTES = 256 << 20
-"""Some 600,000 chunks; what claims more is taken for damage, and scanned."""
+"""About 600,000 chunks. A larger summary is regarded as damage, and the file is scanned."""
 
 _OPCODES = frozenset(Opcode)
 _FOOTER_BYTES = RECORD_HEAD.size + 20
@@ -41,9 +41,12 @@ _DATA_END_BYTES = RECORD_HEAD.size + 4
 
 
 def index_from_summary(file: InputFile, *, places: bool = True) -> FileIndex:
-    """The index that the file's summary gives. Raises Damaged if it is missing or not valid.
+    """Return the index that the file's summary gives.
 
-    Without `places` it takes a fraction of the time, and its messages cannot be read.
+    Without `places` it takes a fraction of the time, and messages cannot be read with it.
+
+    Raises:
+        Damaged: The summary is missing or not valid.
     """
     try:
         header, data_start = read_header(file)
@@ -95,12 +98,16 @@ def index_from_summary(file: InputFile, *, places: bool = True) -> FileIndex:
 
 
 def read_written_file(file: InputFile) -> WrittenFile:
-    """What it takes to go on writing the file. Raises Damaged if its summary is not valid."""
+    """Return what is needed to continue the file.
+
+    Raises:
+        Damaged: Its summary is not valid, or not as robotctl writes it.
+    """
     data, start = _read_summary(file)
     groups: dict[Opcode, bytes] = {}
     statistics = None
     for code, begin, end in walk_records(data):
-        if code not in _OPCODES:  # a private record, which readers pass over
+        if code not in _OPCODES:  # a private record
             continue
         opcode = Opcode(code)
         record = data[begin - RECORD_HEAD.size : end]
@@ -110,14 +117,14 @@ def read_written_file(file: InputFile) -> WrittenFile:
     data_end = start - _DATA_END_BYTES
     opcode_before, _ = read_record_head(file, data_end)
     if statistics is None or statistics.attachment_count or opcode_before != Opcode.DATA_END:
-        raise Damaged("its end is not as ours are")
+        raise Damaged("its end is not as robotctl writes it")
     crc = parse(DataEnd, read_content(file, data_end, _DATA_END_BYTES - RECORD_HEAD.size))
     return WrittenFile(data_end, crc.data_section_crc, groups, statistics)
 
 
 def _read_summary(file: InputFile) -> tuple[bytes, int]:
-    """The checked summary records, and the offset where they begin."""
-    file.refresh()  # at the last moment: the file may be growing
+    """Return the checked summary records, and the offset where they begin."""
+    file.refresh()  # as late as possible, since the file may be growing
     tail = _FOOTER_BYTES + len(MAGIC)
     footer_offset = file.size - tail
     data = file.read(footer_offset, tail)
@@ -140,9 +147,12 @@ def _read_summary(file: InputFile) -> tuple[bytes, int]:
 
 
 def _before_own_footer(data: bytes) -> bytes:
-    """The summary at the beginning of `data`; what a commit of ours leaves half done follows it.
+    """Return the summary at the beginning of `data`, without the half-written commit that follows.
 
-    The summary then has a footer of its own. Raises Damaged if that does not belong to it.
+    The summary then has its own footer.
+
+    Raises:
+        Damaged: The footer does not belong to the summary.
     """
     for opcode, start, end in walk_records(data):
         if opcode == Opcode.FOOTER:
@@ -154,12 +164,16 @@ def _before_own_footer(data: bytes) -> bytes:
 
 
 def _gaps(chunks: list[ChunkEntry], data_start: int, data_end: int) -> list[tuple[int, int]]:
-    """The parts of the data without a chunk or a message index. Raises Damaged at an overlap."""
+    """Return the parts of the data without a chunk or a message index.
+
+    Raises:
+        Damaged: Chunks overlap.
+    """
     gaps = []
     position = data_start
     for chunk in chunks:
         if chunk.place.offset < position:
-            raise Damaged("its summary tells of a chunk within another")
+            raise Damaged("its summary lists overlapping chunks")
         if chunk.place.offset > position:
             gaps.append((position, chunk.place.offset))
         position = chunk.end
@@ -171,7 +185,7 @@ def _gaps(chunks: list[ChunkEntry], data_start: int, data_end: int) -> list[tupl
 
 
 def _affordable(places: list[Place], file: InputFile, index: FileIndex) -> list[Place]:
-    """The places that may be unpacked, as far as the file's limits go."""
+    """Return the places that may be decompressed within the file's limits."""
     budget = UnpackBudget(file.limits)
     for number, place in enumerate(places):
         try:
@@ -183,7 +197,7 @@ def _affordable(places: list[Place], file: InputFile, index: FileIndex) -> list[
 
 
 def _read_metadata(file: InputFile, index: FileIndex, entries: list[MetadataIndex]) -> None:
-    """Take in the metadata records, each once. Together they are no larger than the file."""
+    """Read the metadata records, each once. Together they cannot be larger than the file."""
     room = file.size
     for entry in {entry.offset: entry for entry in entries}.values():
         try:

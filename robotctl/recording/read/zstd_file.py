@@ -1,4 +1,4 @@
-"""Recordings that rosbag2 has compressed as whole files (`compression_mode: file`)."""
+"""Recordings that rosbag2 compressed as whole files (`compression_mode: file`)."""
 
 from __future__ import annotations
 
@@ -16,23 +16,27 @@ from robotctl.recording.read.damage import BeyondLimit, Damaged
 from robotctl.recording.read.read_limits import ReadLimits
 
 SUFFIX: Final = ".zstd"
-"""What rosbag2 appends to the name of a file that it has compressed."""
+"""Suffix of a file that rosbag2 compressed."""
 
 _PIECE_BYTES = 1 << 20
 _HEAD_BYTES = 18
-"""The longest head of a zstd frame (RFC 8878, 3.1.1.1)."""
+"""Maximum length of the head of a zstd frame (RFC 8878, 3.1.1.1)."""
 
 
 def is_zstd_file(path: Path) -> bool:
-    """Whether the file is taken for a compressed one, by its name."""
+    """Return whether the name is that of a compressed file."""
     return path.name.endswith(f".mcap{SUFFIX}")
 
 
 def unpack_zstd_file(fd: int, on_progress: Callable[[int, int], None]) -> int:
-    """Unpack the file that is open as `fd` into one without a name; return that one's descriptor.
+    """Decompress the file that is open as `fd` into an unnamed file, and return its descriptor.
 
-    Where the data is corrupt it holds what stands before. `on_progress` gets bytes done and in
-    total. Raises Damaged where nothing can be unpacked, OSError where there is no room for it.
+    If the data is corrupt, that file holds what precedes the damage. `on_progress` gets bytes done
+    and in total.
+
+    Raises:
+        Damaged: Nothing can be decompressed, or it exceeds the limits.
+        OSError: There is no room for it.
     """
     total = os.fstat(fd).st_size
     limit = ReadLimits.of(total).zstd_file_bytes
@@ -58,7 +62,7 @@ def _check_claim(head: bytes, limit: int) -> None:
     try:
         claimed = frame_content_size(head)
     except ZstdError as error:
-        raise Damaged("it is no zstd file") from error
+        raise Damaged("it is not a zstd file") from error
     if claimed > limit:
         raise _beyond(limit)
 
