@@ -1,8 +1,8 @@
-"""An action type for tests: counts up to a number, on interfaces that exist.
+"""An action type for tests that counts up to a number, made of existing interfaces.
 
-No ROS wheel brings an action type, and building one takes a compiler and a minute. So the wire
-types are borrowed: goal and result travel as diagnostic_msgs/srv/AddDiagnostics, feedback as
-std_msgs/msg/String, everything as text. rclpy and rcl_action see a complete action type.
+No ROS wheel contains an action type, and building one takes a compiler and a minute. So existing
+types are sent instead: diagnostic_msgs/srv/AddDiagnostics for goal and result, std_msgs/msg/String
+for feedback, all values as text. rclpy and rcl_action see a complete action type.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def _capsule(address: int | None) -> Any:
 
 
 def _travels_as(carrier: Any) -> type:
-    """A metaclass whose classes cross rcl as `carrier`, by their `pack` and `unpack`."""
+    """Return a metaclass whose classes are sent as `carrier`, by their `pack` and `unpack`."""
     meta = type(carrier)
     real_from_py = _FROM_PY(_pointer(meta._CONVERT_FROM_PY))
     real_to_py = _TO_PY(_pointer(meta._CONVERT_TO_PY))
@@ -68,7 +68,7 @@ def _travels_as(carrier: Any) -> type:
 
 
 class Number:
-    """Goal, result and feedback of the action are one number each."""
+    """The base of goal, result and feedback, which are one number each."""
 
     def __init__(self, value: int = 0) -> None:
         self.value = value
@@ -188,7 +188,7 @@ class _CountMeta(type):
 
 
 class Count(metaclass=_CountMeta):
-    """Count to goal.value; feedback is each number, the result their sum."""
+    """The action: count to goal.value; feedback is each number, the result their sum."""
 
     Goal = Number
     Result = Number

@@ -1,4 +1,4 @@
-"""Real rclpy over loopback: every test module has a ROS domain that no other process uses."""
+"""Fixtures for tests with real rclpy over loopback, each module in a ROS domain of its own."""
 
 from __future__ import annotations
 
@@ -34,14 +34,19 @@ HERE = Path(__file__).parent
 
 @pytest.fixture(scope="module")
 def domain_id() -> Iterator[int]:
-    """A ROS domain of one's own."""
+    """A ROS domain that no other process uses."""
     with reserved_domain() as number:
         yield number
 
 
 @pytest.fixture
 def new_context(domain_id: int) -> Iterator[Callable[[], Any]]:
-    """Make initialized rclpy contexts without signal handlers."""
+    """Creates initialized rclpy contexts without signal handlers.
+
+    In about 1 of 10 processes with several contexts, one of them never discovers endpoints that
+    another creates later: a race in the intra-process delivery of Fast DDS 2.14, which does not
+    occur with that delivery switched off.
+    """
     from rclpy.context import Context
 
     made: list[Context] = []
@@ -59,11 +64,11 @@ def new_context(domain_id: int) -> Iterator[Callable[[], Any]]:
 
 @pytest.fixture(scope="module")
 def context(domain_id: int) -> Iterator[Any]:
-    """The rclpy context of the module: for the middleware to discover one takes seconds.
+    """The rclpy context of the module: discovery of a new one would take seconds per test.
 
-    Its participant in the domain ends with its last node, which Fast DDS 2.14 may not survive while
-    it discovers others (`DomainParticipant::set_listener` then waits for its own lock): one node
-    stays until the others are gone.
+    Its DDS participant ends with its last node. During discovery, Fast DDS 2.14 may then deadlock
+    (`DomainParticipant::set_listener` waits for its own lock), so one node stays until the other
+    processes are gone.
     """
     from rclpy.context import Context
     from rclpy.node import Node
@@ -72,7 +77,7 @@ def context(domain_id: int) -> Iterator[Any]:
     made.init(args=[], domain_id=domain_id)
     lasting = Node("lasting", context=made)
     yield made
-    with suppress(AssertionError):  # A killed one is taken for present longer.
+    with suppress(AssertionError):  # A killed process stays listed for longer.
         wait_until(lambda: len(lasting.get_node_names()) == 1)
     lasting.destroy_node()
     made.try_shutdown()
@@ -81,7 +86,7 @@ def context(domain_id: int) -> Iterator[Any]:
 
 @pytest.fixture
 def node(context: Any) -> Iterator[Any]:
-    """A plain node, in no executor yet."""
+    """A plain node without an executor."""
     from rclpy.node import Node
 
     made = Node("tested", context=context)
@@ -91,7 +96,7 @@ def node(context: Any) -> Iterator[Any]:
 
 @pytest.fixture
 async def executor(context: Any, node: Any) -> AsyncIterator[Any]:
-    """An open executor that has the node; an exception in a callback fails the test."""
+    """An open executor with the node; an exception in a callback fails the test."""
     from robotctl.ros import AsyncioExecutor
 
     raised: list[tuple[Exception, str]] = []
@@ -105,7 +110,7 @@ async def executor(context: Any, node: Any) -> AsyncIterator[Any]:
 
 @pytest.fixture
 def turns_while_waiting() -> Callable[[], Awaitable[int]]:
-    """Count how often the loop looks for events in 0.1 s; one that spins does it by thousands."""
+    """Counts the turns of the loop in 0.1 s; a loop that spins has thousands."""
 
     async def count() -> int:
         selector: Any = asyncio.get_running_loop()._selector  # type: ignore[attr-defined]
@@ -131,7 +136,7 @@ def turns_while_waiting() -> Callable[[], Awaitable[int]]:
 def comes_to_rest(
     turns_while_waiting: Callable[[], Awaitable[int]],
 ) -> Callable[[], Awaitable[bool]]:
-    """Say whether the loop stops turning, once what was begun before has been done."""
+    """Tells whether the loop comes to rest after pending work is done."""
 
     async def rests() -> bool:
         for _ in range(20):
@@ -143,7 +148,7 @@ def comes_to_rest(
 
 
 class Taken:
-    """What a tap handed over, by topic."""
+    """The topics and messages that a tap handed over."""
 
     def __init__(self) -> None:
         self.tap: Any = None
@@ -166,13 +171,13 @@ class Taken:
 
 @pytest.fixture
 def new_taken() -> type[Taken]:
-    """Makes what keeps the messages of a tap."""
+    """Creates objects that keep the messages of a tap."""
     return Taken
 
 
 @pytest.fixture
 async def session(domain_id: int) -> AsyncIterator[Any]:
-    """A session of the daemon's kind."""
+    """A session like the daemon's."""
     from robotctl.ros.session import ros_session
 
     with ExitStack() as at_end:
@@ -182,7 +187,7 @@ async def session(domain_id: int) -> AsyncIterator[Any]:
 
 @pytest.fixture
 async def taken(session: Any) -> AsyncIterator[Taken]:
-    """What a running tap takes."""
+    """The topics and messages of a running tap."""
     from robotctl.ros.tap.tap import Tap
 
     made = Taken()
@@ -195,7 +200,7 @@ async def taken(session: Any) -> AsyncIterator[Taken]:
 
 
 class Peer:
-    """A second process with plain rclpy (executor_peer.py), told from the loop what to do."""
+    """A second process with plain rclpy (executor_peer.py), which executes commands."""
 
     def __init__(self, domain_id: int) -> None:
         environment = {**os.environ, "ROS_DOMAIN_ID": str(domain_id)}
@@ -203,7 +208,7 @@ class Peer:
         self.close = self._told.close
 
     async def __call__(self, do: str, **parameters: Any) -> Any:
-        """Have one thing done and return what came of it."""
+        """Execute one command and return its result."""
         return await asyncio.to_thread(self._told, do, **parameters)
 
 
@@ -219,10 +224,10 @@ def peer(domain_id: int) -> Iterator[Peer]:
 def feed(
     peer: Peer, until: Callable[[Callable[[], object]], Awaitable[None]]
 ) -> Callable[[Any, list[int]], Awaitable[None]]:
-    """Have the peer publish to a subscription, once the two know each other.
+    """Lets the peer publish to a subscription after both sides have matched.
 
-    What is published before the subscription knows the publisher comes 3 s late at best, with
-    the next heartbeat of the middleware.
+    A message that is published earlier arrives 3 s late at best, with the next heartbeat of the
+    middleware.
     """
 
     async def publish(subscription: Any, values: list[int]) -> None:
@@ -236,7 +241,7 @@ def feed(
 
 @pytest.fixture(scope="session")
 def borrowed_action() -> ModuleType:
-    """The module borrowed_action.py, which brings an action type."""
+    """The module borrowed_action.py, which defines an action type."""
     spec = importlib.util.spec_from_file_location("borrowed_action", HERE / "borrowed_action.py")
     assert spec is not None
     assert spec.loader is not None
@@ -254,7 +259,7 @@ def topic() -> str:
 
 @pytest.fixture
 def run_python(domain_id: int) -> Callable[[str], subprocess.CompletedProcess[str]]:
-    """Run a script in a process of its own, in the module's domain."""
+    """Runs a script in a process of its own, in the module's domain."""
 
     def run(
         script: str, *args: object, timeout_s: float = 60.0

@@ -1,4 +1,4 @@
-"""The other side of the executor's tests: plain rclpy, spun as rclpy spins, in its own process."""
+"""The peer process of the executor's tests: plain rclpy with an executor of rclpy."""
 
 from __future__ import annotations
 
@@ -46,11 +46,11 @@ class Peer:
         return len(values)
 
     def open(self, topic: str) -> None:
-        """Have a publisher."""
+        """Create the publisher of a topic, if there is none."""
         self._publisher(topic)
 
     def flood(self, topic: str, hz: float, seconds: float) -> int:
-        """Publish a counter at a rate, and say how many."""
+        """Publish a counter at a rate; return the number of messages."""
         publisher = self._publisher(topic)
         until(publisher.get_subscription_count)
         sent = 0
@@ -87,19 +87,19 @@ class Peer:
         self.node.destroy_publisher(self.kept.pop(f"publisher {topic}"))
 
     def listen(self, topic: str) -> None:
-        """Keep what comes on a topic."""
+        """Keep the messages of a topic."""
         seen = self.seen.setdefault(topic, [])
         self.kept[f"subscription {topic}"] = self.node.create_subscription(
             UInt64, topic, lambda message: seen.append(message.data), 100
         )
 
     def heard(self, topic: str, count: int) -> list[int]:
-        """What came, once that many came."""
+        """Wait for this many messages of a topic, and return them."""
         until(lambda: len(self.seen[topic]) >= count)
         return self.seen[topic]
 
     def offer(self, topic: str, reliable: bool = True, deadline_s: float | None = None) -> None:
-        """Create a publisher with a QoS of one's choice."""
+        """Create a publisher with the given QoS."""
         qos = QoSProfile(depth=10)
         qos.reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
         qos.durability = DurabilityPolicy.VOLATILE
@@ -138,7 +138,7 @@ class Peer:
         )
 
     def call(self, service: str, data: bool, times: int = 1) -> list[Any]:
-        """Call SetBool so many times, one after the other."""
+        """Call SetBool `count` times, one call after the other."""
         client: Any = self.node.create_client(SetBool, service, callback_group=self.group)
         assert client.wait_for_service(DEADLINE_S)
         replies = [client.call(SetBool.Request(data=data), DEADLINE_S) for _ in range(times)]
@@ -171,7 +171,7 @@ class Peer:
             return GoalResponse.REJECT if goal.value > 1000 else GoalResponse.ACCEPT
 
         def execute(handle: Any) -> Any:
-            # The goal may come before we know that its client listens to the feedback.
+            # The goal may arrive before its feedback subscription is discovered.
             until(lambda: self.node.count_subscribers(f"{action}/_action/feedback"))
             total = 0
             for number in range(handle.request.value):
@@ -195,7 +195,7 @@ class Peer:
         )
 
     def run_goal(self, action: str, value: int, cancel_after: int | None = None) -> dict[str, Any]:
-        """Send a goal to the other side, perhaps cancel it after some feedback, and report."""
+        """Send a goal, cancel it after some feedback if wanted, and return its result."""
         client = ActionClient(self.node, Count, action, callback_group=self.group)
         assert client.wait_for_server(DEADLINE_S)
         feedback: list[int] = []

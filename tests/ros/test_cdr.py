@@ -1,4 +1,4 @@
-"""What is read from bytes and written as bytes is what rclpy makes of them."""
+"""Messages are read and written without ROS as rclpy reads and writes them."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ stamps = st.integers(0, (2**31 - 1) * 10**9)
 
 
 def bits(*values: float) -> bytes:
-    """Values to be compared: NaN equals itself, and 0.0 is not -0.0."""
+    """Return values as bytes to compare: NaN equals itself, and 0.0 differs from -0.0."""
     return struct.pack(f"{len(values)}d", *values)
 
 
 def to_odometry(message: Any) -> Odometry:
-    """What the kernel wants of rclpy's message."""
+    """Return the kernel's values of rclpy's message."""
     position, q = message.pose.pose.position, message.pose.pose.orientation
     twist = message.twist.twist
     stamp = message.header.stamp

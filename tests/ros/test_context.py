@@ -1,4 +1,4 @@
-"""A process takes part in ROS, leaves nothing in the user's home, and leaves the domain."""
+"""A process joins a ROS domain, creates no files in the user's home, and leaves the domain."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Messages made by robotctl.ros.executor.decoder are those that rclpy makes."""
+"""robotctl.ros.executor.decoder decodes messages as rclpy does."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ RANGES = {f"{sign}int{bits}": bits for bits in (8, 16, 32, 64) for sign in ("", 
 
 
 def some_value(kind: Any, dice: random.Random, depth: int = 0) -> Any:
-    """A value that a field of this kind may have."""
+    """Return a strategy of values for a field of this kind."""
     if isinstance(kind, BasicType):
         return some_number(kind.typename, dice)
     if isinstance(kind, AbstractString | AbstractWString):
@@ -105,7 +105,7 @@ def some_message(kind: Any, dice: random.Random) -> Any:
 
 
 def tree(value: Any) -> Any:
-    """What a value is made of, in types and numbers."""
+    """Return the types and numbers of which a value consists."""
     if is_message(type(value)):
         fields = {name: tree(getattr(value, name)) for name in value.get_fields_and_field_types()}
         return type(value), fields

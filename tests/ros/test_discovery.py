@@ -1,4 +1,4 @@
-"""Whoever is in a domain is known in full before anybody relies on it."""
+"""A wait for discovery ends when all processes of the domain are completely discovered."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ async def test_an_action_server_runs_a_goal_of_the_other_process(
     count = borrowed_action.Count
 
     async def execute(handle: Any) -> Any:
-        # The goal may come before we know that its client listens to the feedback.
+        # The goal may arrive before its feedback subscription is discovered.
         await until(lambda: node.count_subscribers(f"{topic}/_action/feedback"))
         for number in range(handle.request.value):
             await asyncio.sleep(0.005)
@@ -100,7 +100,7 @@ async def test_finished_goals_are_forgotten_after_their_result_timeout(
     for _ in range(2):
         await peer("run_goal", action=topic, value=1)
         await until(lambda: not server._goal_handles)
-        await asyncio.sleep(0.2)  # Until nothing looks for expired goals any more.
+        await asyncio.sleep(0.2)  # Until no check for expired goals is scheduled.
     server.destroy()
 
 

@@ -1,4 +1,4 @@
-"""Entities that come and go while an executor runs."""
+"""Entities that are created and destroyed while an executor runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An exception reaches one handler, and the executor goes on."""
+"""An exception goes to the exception handler, and the executor continues."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Peer = Callable[..., Awaitable[Any]]
 
 @pytest.fixture
 async def reported(context: Any, node: Node) -> Any:
-    """What an executor that has the node reports, as (exception text, where)."""
+    """The reports of an executor with the node, as (exception text, where)."""
     told: list[tuple[str, str]] = []
     async with AsyncioExecutor(
         context, on_exception=lambda error, where: told.append((str(error), where))

@@ -1,4 +1,4 @@
-"""Nobody holds the loop for longer than a slice, however much waits for him."""
+"""No entity holds the loop longer than its slice, whatever its backlog."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ async def test_a_flood_delays_neither_a_service_nor_the_tick_by_its_backlog(
     backlog = 1000
     for value in range(backlog):
         publisher.publish(UInt64(data=value))
-    # Half a second of work waits. Whoever came after it is served in the midst of it.
+    # Half a second of work waits. Later entities are served before it is done.
     async with asyncio.timeout(DEADLINE_S), Ticker(1000.0) as ticker:
         for _ in range(2):
             await executor.call(client, SetBool.Request(), timeout_s=DEADLINE_S)

@@ -39,7 +39,7 @@ class Overlap:
 
 
 def make_everything(node: Node, topic: str, group: CallbackGroup, overlap: Overlap) -> None:
-    """A subscription, a service, a timer and a guard condition, and something for each to do."""
+    """Create a subscription, a service, a timer and a guard condition, each with work to do."""
 
     async def on_message(message: UInt64) -> None:
         await overlap.run("subscription")

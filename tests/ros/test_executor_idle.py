@@ -1,4 +1,4 @@
-"""Waiting costs nothing: the loop does not turn while everything only waits."""
+"""Waiting costs no CPU: the loop does not turn while all callbacks wait."""
 
 from __future__ import annotations
 

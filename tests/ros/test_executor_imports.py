@@ -1,4 +1,4 @@
-"""The executor can be taken out of robotctl, and costs nothing where only its name is imported."""
+"""The executor needs no other part of robotctl, and is loaded on first use only."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whatever comes and goes: files, threads and memory stay as they were."""
+"""Executors and entities that come and go leave no files, threads or memory behind."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def test_200_lives_of_a_whole_context_leave_files_threads_and_memory_as_they_wer
         int, ended.stdout.split()
     )
     assert (files_after, threads_after) == (files, threads)
-    # rclpy's own contexts leave something; 200 of them must not be 50 kB each.
+    # rclpy's own contexts leak a little; 200 of them must not leak 50 kB each.
     assert memory_after - memory < 10_000_000
 
 

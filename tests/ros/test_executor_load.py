@@ -1,4 +1,4 @@
-"""What an executor holds under load; the long ones are for the nightly run."""
+"""What an executor promises under load; the long tests are for the nightly run."""
 
 from __future__ import annotations
 
@@ -51,9 +51,9 @@ class Numbered:
 async def flood_for(
     executor: AsyncioExecutor, node: Node, peer: Peer, topic: str, until: Until, seconds: float
 ) -> int:
-    """10 kHz to a subscription and a tap, beside a ticker and a service; how many were lost.
+    """Publish 10 kHz to a subscription and a tap, with a ticker and a service; return the losses.
 
-    Whatever is lost on the way: the last message arrives and every call is answered.
+    In any case the last message must arrive and every call must be answered.
     """
     typed, tapped = Numbered(), Numbered()
     subscription = node.create_subscription(UInt64, topic, lambda m: typed.add(m.data), 10_000)

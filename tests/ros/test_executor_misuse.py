@@ -1,4 +1,4 @@
-"""An executor that is used wrongly says what to do."""
+"""Errors for wrong uses of an executor say what to do."""
 
 from __future__ import annotations
 

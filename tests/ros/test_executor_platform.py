@@ -1,4 +1,4 @@
-"""Where the way from the middleware into the loop does not work, an executor says so."""
+"""An executor refuses a platform whose middleware cannot wake the loop."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ async def test_a_middleware_whose_callback_never_comes_is_refused(
 async def test_message_structures_of_another_ros_are_refused(
     context: Any, unproven: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # As if there were a field less at the front.
+    # As if the structure had one field less at its beginning.
     monkeypatch.setattr(serialized_taker, "_MESSAGE_INFO", struct.Struct("@8xqqQQQ8s"))
     with pytest.raises(UnsupportedPlatform, match="not those of ROS 2 Jazzy"):
         await open_and_close(context)

@@ -1,4 +1,4 @@
-"""Taps and flooded subscriptions collect for a moment; nothing is lost or late by it."""
+"""Messages of taps and flooded subscriptions are collected; none is lost or too late."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ async def test_a_tap_takes_what_collected_in_one_look(
     def counted() -> bool:
         nonlocal polls
         left: bool = poll()
-        polls += not left  # what is left at the end of a slice is looked at in the next
+        polls += not left  # the rest after a slice is polled in the next turn
         return left
 
     source.poll = counted
@@ -240,7 +240,7 @@ async def test_taps_may_be_destroyed_and_created_in_the_sink_of_another(
     subscriptions: list[Any] = []
 
     def replace_all(*message: Any) -> None:
-        # Descriptor numbers come free and are used again in the midst of the pool's round.
+        # Descriptor numbers are freed and used again during a poll of the pool.
         for subscription in subscriptions[1:]:
             node.destroy_subscription(subscription)
         del subscriptions[1:]

@@ -29,7 +29,7 @@ def reliable(depth: int) -> QoSProfile:
 async def meet_incompatible(
     node: Node, peer: Peer, topic: str, callback: Callable[[Any], None]
 ) -> None:
-    """Want reliably what the other process then offers as best effort."""
+    """Subscribe reliably to a topic that the peer then offers as best effort."""
     callbacks = SubscriptionEventCallbacks(incompatible_qos=callback)
     node.create_subscription(UInt64, topic, lambda _: None, reliable(10), event_callbacks=callbacks)
     await peer("offer", topic=topic, reliable=False)
@@ -122,7 +122,7 @@ async def test_what_an_executor_of_rclpy_has_told_is_not_told_again(
         executor.add_node(node)
         await until(lambda: len(seen) >= 2)
     turns.clear()
-    async with AsyncioExecutor(context) as executor:  # Nor by another one of ours.
+    async with AsyncioExecutor(context) as executor:  # Nor by a publisher of this process.
         executor.add_node(node)
         await until(lambda: len(turns) >= 5)
     assert seen == [(1, 1, 1), (2, 1, 1)]
@@ -168,8 +168,8 @@ async def test_a_missed_deadline_is_told(
 async def test_message_lost_events_are_watched_without_inventing_any(
     executor: AsyncioExecutor, node: Node, feed: Feed, topic: str, until: Until
 ) -> None:
-    # With this middleware the event never fires (sequence gaps tell instead), so what can be
-    # shown is that it is attached and that nothing is made up.
+    # This middleware never sends the event (sequence gaps show losses instead). The test shows only
+    # that it is attached and that no event is invented.
     seen: list[object] = []
     got: list[int] = []
     callbacks = SubscriptionEventCallbacks(message_lost=seen.append)

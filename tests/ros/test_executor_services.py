@@ -21,7 +21,7 @@ Peer = Callable[..., Awaitable[Any]]
 async def client_of(
     peer: Peer, executor: AsyncioExecutor, node: Node, service: str, **options: Any
 ) -> Client:
-    """The client of a service that the other process has begun to serve."""
+    """Return the client of a service that the peer serves."""
     await peer("serve", service=service, **options)
     client = node.create_client(SetBool, service)
     await executor.wait_for_service(client, timeout_s=DEADLINE_S)
@@ -100,7 +100,7 @@ async def test_a_response_after_the_deadline_disturbs_nothing(
     client = await client_of(peer, executor, node, topic, delay_s=0.2)
     with pytest.raises(TimeoutError):
         await executor.call(client, SetBool.Request(), timeout_s=0.02)
-    # The peer answers one after the other: with this response the late one has come as well.
+    # The peer answers in order: after this response the late one has arrived as well.
     reply = await executor.call(client, SetBool.Request(data=True), timeout_s=DEADLINE_S)
     assert reply.success
 
@@ -115,7 +115,7 @@ async def test_parameter_services_answer_the_other_process(
 
 
 class Queue:
-    """In the place of rcl's: a request that rmw cannot read is taken as if there were none."""
+    """Replaces rcl's queue: an unreadable request is taken as if there were none."""
 
     def __init__(self, *requests: str) -> None:
         self.requests = list(requests)

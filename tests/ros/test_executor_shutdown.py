@@ -1,4 +1,4 @@
-"""Whoever ends an executor: callbacks are ended in order, and whoever waits is told."""
+"""However an executor is ended, callbacks end in order, and pending calls fail."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ RunPython = Callable[..., CompletedProcess[str]]
 
 
 class SlowToEnd:
-    """An async callback that waits for ever, and cleans up when it is cancelled."""
+    """An async callback that waits forever, and cleans up when it is cancelled."""
 
     def __init__(self) -> None:
         self.events: list[str] = []

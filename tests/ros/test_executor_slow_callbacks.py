@@ -20,7 +20,7 @@ Until = Callable[[Callable[[], object]], Awaitable[None]]
 
 
 def named_ms(caplog: pytest.LogCaptureFixture, whom: str) -> list[int]:
-    """For how long it is said that a callback held the loop; others may do so on a busy machine."""
+    """Return the durations in the warnings about one callback; a busy machine may cause others."""
     found = (re.search(r"(.*) held the loop for (\d+) ms", text) for text in caplog.messages)
     return [int(each[2]) for each in found if each is not None and whom in each[1]]
 
@@ -97,4 +97,4 @@ async def test_an_async_callback_that_blocks_between_two_awaits_is_named(
     node.create_subscription(UInt64, topic, hog, 10)
     node.create_publisher(UInt64, topic, 10).publish(UInt64())
     await until(lambda: any(ms >= 60 for ms in named_ms(caplog, "hog")))
-    assert max(named_ms(caplog, "hog")) < took_ms[0]  # the time that it waited does not count
+    assert max(named_ms(caplog, "hog")) < took_ms[0]  # the time of its wait does not count

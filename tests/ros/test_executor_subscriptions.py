@@ -123,7 +123,7 @@ async def test_messages_from_before_the_node_was_added_are_delivered(
     monkeypatch: pytest.MonkeyPatch,
     announced: bool,
 ) -> None:
-    if not announced:  # another middleware might announce only what comes after the callback is set
+    if not announced:  # another middleware may announce later messages only
         monkeypatch.setattr(announcements, "watch", lambda *_: None)
         monkeypatch.setattr(announcements, "unwatch", lambda *_: None)
     got: list[int] = []

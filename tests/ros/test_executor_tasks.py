@@ -1,4 +1,4 @@
-"""What is awaited, and what becomes of it when it is cancelled."""
+"""Tasks, awaited calls, and their cancellation."""
 
 from __future__ import annotations
 
@@ -224,7 +224,7 @@ def test_what_a_listener_of_a_task_that_never_began_raises_is_said(
     assert "exception in the done callback of a future" in caplog.text
 
 
-# The bridge from rclpy's futures.
+# Awaiting rclpy's futures.
 
 
 async def test_rclpy_futures_await_as_before_once_no_executor_is_open(context: Any) -> None:

@@ -75,7 +75,7 @@ async def test_a_ros_time_timer_follows_clock_and_nothing_else(
     steady: list[int] = []
 
     async def tell(nanoseconds: int) -> None:
-        # Best effort: the first ones may go before the two know each other.
+        # Best effort: the first messages may be sent before the two have matched.
         async with asyncio.timeout(DEADLINE_S):
             while node.get_clock().now().nanoseconds != nanoseconds:
                 await peer("tell_time", nanoseconds=nanoseconds)
@@ -95,7 +95,7 @@ async def test_a_ros_time_timer_follows_clock_and_nothing_else(
 
     await tell(101 * second)
     await until(lambda: fired == [101 * second])
-    # Ten periods at once: as in rcl, one call, then the schedule goes on.
+    # Ten periods at once: as in rcl, one call, then the schedule continues.
     await tell(111 * second)
     await until(lambda: fired == [101 * second, 111 * second])
     await tell(112 * second)

@@ -1,4 +1,4 @@
-"""Nothing that others put on the graph fails the tap, loads code, or steers a terminal."""
+"""No name on the graph stops the tap, loads code, or controls a terminal."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ async def test_a_topic_of_a_node_whose_name_is_no_text_is_recorded(
 async def test_a_replay_discovers_others_whatever_their_names_are(
     node: Any, topic: str, until: Until, hostile: Hostile
 ) -> None:
-    names = STRANGE_TOPICS[:-1]  # the last is as long as a name of DDS may be
+    names = STRANGE_TOPICS[:-1]  # the last has the greatest length of a DDS name
     for name in names:
         await hostile("offer", topic=f"{topic}{name}", type_name=STRANGE_TYPES[-1])
 
@@ -113,9 +113,9 @@ async def test_a_replay_discovers_others_whatever_their_names_are(
 
 
 async def rename(hostile: Hostile, seen: Callable[[], bool]) -> None:
-    """Give the node of the other process a name that is no text.
+    """Give the node of the other process a name that is not valid text.
 
-    The process has told its true name, too, and whoever comes late may hear that last.
+    The process has announced its true name as well; a late participant may receive that last.
     """
     async with asyncio.timeout(DEADLINE_S):
         while not seen():

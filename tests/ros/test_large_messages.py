@@ -1,4 +1,4 @@
-"""A large message is lent to who records it, and its buffer is given back."""
+"""A large message is passed to the recorder as a view, and its buffer is freed."""
 
 from __future__ import annotations
 

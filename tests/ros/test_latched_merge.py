@@ -1,4 +1,4 @@
-"""Whatever order two subscriptions deliver in, each message is handed on once."""
+"""Each message reaches the sink once, in whatever order two subscriptions deliver."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from robotctl.ros.tap.latched import MAX_PUBLISHERS, LatchedMerge
 
 
 class Got:
-    """A merge and the numbers of what it handed on."""
+    """A merge and the numbers that reached its sink."""
 
     def __init__(self) -> None:
         self.got: list[tuple[bytes, int]] = []
@@ -63,7 +63,7 @@ def test_what_is_latched_is_handed_on_once_however_often_it_is_subscribed_to(
 
 def test_what_a_publisher_repeats_that_was_lost_and_found_is_handed_on_once() -> None:
     merged = Got()
-    for sequence in (1, 2, 3, 2, 3, 4):  # the same subscription: no process here noticed anything
+    for sequence in (1, 2, 3, 2, 3, 4):  # the same subscription: this process did not notice
         merged.latched(sequence)
     assert merged.sequences == [1, 2, 3, 4]
 

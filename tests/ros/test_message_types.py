@@ -1,4 +1,4 @@
-"""Of the names that others announce, only those of installed ROS interfaces are imported."""
+"""Only names of installed ROS interfaces are imported, whatever names are announced."""
 
 from __future__ import annotations
 

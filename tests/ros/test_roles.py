@@ -37,7 +37,7 @@ Until = Callable[[Callable[[], object]], Awaitable[None]]
 
 @pytest.fixture
 async def session(domain_id: int) -> AsyncIterator[Session]:
-    """A session of the daemon's kind, in a namespace of its own."""
+    """A session like the daemon's, in a namespace of its own."""
     with ExitStack() as at_end:
         async with ros_session(domain_id=domain_id, namespace="/r2", at_end=at_end) as made:
             yield made
@@ -179,7 +179,7 @@ async def test_publishers_of_odometry_are_told_apart_and_numbered(
     for publisher in (publishers[0], publishers[1], publishers[0]):
         heard.clear()
 
-        # Again and again: what a best-effort subscription misses while it is found is lost.
+        # Repeated: messages before the match are lost to a best-effort subscription.
         def is_heard(publisher: Any = publisher) -> bool:
             publisher.publish(OdometryMessage())
             return bool(heard)
@@ -360,7 +360,7 @@ async def test_a_battery_level_is_handed_on_as_it_is_reported(
 
 
 def replied(reply: Reply) -> asyncio.Future[Reply]:
-    """A request that is answered at once."""
+    """Return a reply that is there at once."""
     future: asyncio.Future[Reply] = asyncio.get_running_loop().create_future()
     future.set_result(reply)
     return future

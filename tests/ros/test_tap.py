@@ -1,4 +1,4 @@
-"""The tap takes every topic, from whomever, and what it cannot take it names."""
+"""The tap records every topic of any publisher, and names the ones that it cannot record."""
 
 from __future__ import annotations
 
@@ -199,7 +199,7 @@ async def test_images_that_come_too_fast_do_not_fill_the_memory(
 
     images, numbers = publisher(node, topic, 1000, Image), publisher(node, topic + "_2", 1000)
     await until(lambda: images.get_subscription_count() and numbers.get_subscription_count())
-    for value in range(1, 301):  # the loop takes nothing meanwhile
+    for value in range(1, 301):  # the loop takes no message meanwhile
         images.publish(Image(height=value))
         numbers.publish(number(value))
     await until(lambda: len(taken.messages[topic + "_2"]) == 300)
@@ -207,7 +207,7 @@ async def test_images_that_come_too_fast_do_not_fill_the_memory(
     assert len(taken.messages[topic]) == qos.RECORDING_DEPTH_BULKY
 
 
-# What describes a topic
+# The description of a topic
 
 
 def test_a_definition_holds_its_dependencies_once_in_rosbag2s_form() -> None:

@@ -1,4 +1,4 @@
-"""The tap goes along with a graph that changes: topics, types and publishers come and go."""
+"""The tap follows the graph: topics, types and publishers come and go."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ MANY = 150
 
 @pytest.fixture
 def other(new_context: Callable[[], Any]) -> Iterator[Any]:
-    """A node of another participant: one can have a topic with one type only."""
+    """A node of another participant; one participant has one type per topic."""
     from rclpy.node import Node
 
     made = Node("other", context=new_context())
@@ -52,7 +52,7 @@ def number(value: int) -> Any:
 
 
 async def look_until(tap: Tap, condition: Callable[[], object]) -> None:
-    """Let a tap look again and again; what it finds it must load first."""
+    """Let a tap look repeatedly: it must load new types first."""
     async with asyncio.timeout(DEADLINE_S):
         while not condition():
             await tap._look()
@@ -104,7 +104,7 @@ async def test_a_topic_that_nobody_publishes_for_long_is_given_back(
     await until(published.get_subscription_count)
     other.destroy_publisher(published)
     await until(lambda: other.count_publishers(topic) == 0)
-    assert other.count_subscribers(topic) == 1  # it may come back any moment
+    assert other.count_subscribers(topic) == 1  # it may come back at any moment
     monkeypatch.setattr(tap, "ABANDONED_S", 0.0)
     await until(lambda: other.count_subscribers(topic) == 0)
 

@@ -1,4 +1,4 @@
-"""The ticker keeps its schedule, counts what it missed, and leaves nothing behind."""
+"""The ticker keeps its schedule, counts missed ticks, and frees its timer."""
 
 from __future__ import annotations
 

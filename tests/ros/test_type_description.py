@@ -1,4 +1,4 @@
-"""What services and actions imply has a schema and a class, though no .msg file."""
+"""The types that services and actions imply have a schema and a class, but no .msg file."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ IMPLIED = (
 
 @pytest.fixture
 def made_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """An installed package with an action; no ROS wheel brings one."""
+    """An installed package with an action; no ROS wheel contains one."""
     share = tmp_path / "share"
     (share / "made_up" / "action").mkdir(parents=True)
     hashes = [{"type_name": "made_up/action/Count_FeedbackMessage", "hash_string": "RIHS01_1"}]

@@ -1,4 +1,4 @@
-"""Recordings as other programs write them, with messages that ROS understands."""
+"""Recordings as other programs write them, with valid ROS messages."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ ODOMETRY: Final = "nav_msgs/msg/Odometry"
 STATUS: Final = "robot_controller/msg/RobotStatus"
 
 OTHER_HASH: Final = "RIHS01_" + "ab" * 32
-"""Of no definition that is installed."""
+"""A hash that no installed type has."""
 
 _LITTLE_ENDIAN: Final = b"\0\1\0\0"
 
@@ -46,23 +46,23 @@ class Line:
 
 
 def text(content: str) -> bytes:
-    """A serialized std_msgs/String."""
+    """Return a serialized std_msgs/String."""
     encoded = content.encode() + b"\0"
     return padded(_LITTLE_ENDIAN + struct.pack("<I", len(encoded)) + encoded)
 
 
 def padded(data: bytes) -> bytes:
-    """A serialized message as DDS delivers it: in whole words of 4 bytes."""
+    """Return a serialized message padded to a multiple of 4 bytes, as DDS delivers it."""
     return data + bytes(-len(data) % 4)
 
 
 def twist(linear: float, angular: float = 0.0) -> bytes:
-    """A serialized geometry_msgs/Twist."""
+    """Return a serialized geometry_msgs/Twist."""
     return _LITTLE_ENDIAN + struct.pack("<6d", linear, 0, 0, 0, 0, angular)
 
 
 def odometry(at_ms: float, x: float, *, endian: str = "<") -> Line:
-    """Odometry at (x, 2 x), heading 0, with frame names that need padding."""
+    """Return odometry at (x, 2 x), heading 0, with frame names that need padding."""
     data = b"\0\1\0\0" if endian == "<" else b"\0\0\0\0"
     data += struct.pack(f"{endian}iI", 1, 2)
     for name in (b"odom\0", b"base_link\0"):
@@ -75,13 +75,13 @@ def odometry(at_ms: float, x: float, *, endian: str = "<") -> Line:
 
 
 def status(at_ms: float, mode: int) -> Line:
-    """What a daemon tells of itself, with its mode by number."""
+    """Return a RobotStatus with this mode."""
     data = b"\0\1\0\0" + struct.pack("<I6sBxffB", 6, b"robot\0", mode, 0.5, 40.0, 1)
     return Line("/robot_status", STATUS, at_ms, data, LATCHED)
 
 
 def talk(topic: str, count: int, period_ms: float = 5.0, **fields: str) -> list[Line]:
-    """So many strings on a topic, at a steady rate."""
+    """Return `count` strings on a topic, at a steady rate."""
     return [
         Line(topic, STRING, number * period_ms, text(f"{topic} {number}"), **fields)
         for number in range(count)
@@ -89,17 +89,17 @@ def talk(topic: str, count: int, period_ms: float = 5.0, **fields: str) -> list[
 
 
 def in_order(*topics: list[Line]) -> list[Line]:
-    """The lines of several topics as they would be recorded."""
+    """Return the lines of several topics in the order of their times."""
     return sorted((line for topic in topics for line in topic), key=lambda line: line.at_ms)
 
 
 def data(lines: list[Line]) -> list[bytes]:
-    """Their messages."""
+    """Return the messages of lines."""
     return [line.data for line in lines]
 
 
 def write_bag(path: Path, lines: Iterable[Line], *, chunk_bytes: int = 1 << 20) -> Path:
-    """Write a file with the messages in this order; returns its path."""
+    """Write a file with the messages in this order; return its path."""
     with path.open("wb") as stream:
         writer = Writer(stream, chunk_size=chunk_bytes)
         writer.start("ros2")

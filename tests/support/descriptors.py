@@ -1,4 +1,4 @@
-"""Which descriptors are open in this process."""
+"""The open file descriptors of this process."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from pathlib import Path
 
 
 def loop_descriptors() -> int:
-    """How many descriptors are open of the kinds that an executor or a ticker waits on.
+    """Count the open descriptors of the kinds that an executor or a ticker waits on.
 
-    Not all that are open: the middleware's threads open and close shared memory at any moment.
+    Others are not counted: the middleware's threads open and close shared memory at any moment.
     """
     count = 0
     for descriptor in Path("/proc/self/fd").iterdir():
-        with suppress(FileNotFoundError):  # closed since it was listed
+        with suppress(FileNotFoundError):  # it was closed after it was listed
             count += os.readlink(descriptor).startswith("anon_inode:")
     return count

@@ -1,4 +1,4 @@
-"""Something to attach to: one entity of each kind on a node."""
+"""A node with one entity of each kind."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from robotctl.ros import RawTap
 
 
 def populate(node: Any, topic: str, on_message: Callable[[Any], object]) -> Any:
-    """Put one of each kind on an rclpy node; returns the publisher of the topic."""
+    """Create one entity of each kind on a node; return the publisher of the topic."""
     node.create_subscription(UInt64, topic, on_message, 100)
     node.create_subscription(UInt64, topic, RawTap(lambda *_: None), 100, raw=True)
     node.create_service(SetBool, topic, lambda request, response: response)

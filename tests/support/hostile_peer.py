@@ -1,4 +1,4 @@
-"""A program that does not validate: publishers with any bytes as names, past rcl."""
+"""A peer that creates publishers past rcl, with any bytes as names."""
 
 from __future__ import annotations
 
@@ -44,18 +44,18 @@ _FIND = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_char_p)
 
 class Hostile:
     def __init__(self) -> None:
-        self.node = Node(f"hostile_{os.getpid()}")  # one that ended is known for a while
+        self.node = Node(f"hostile_{os.getpid()}")  # an ended one stays listed for a while
         self._rmw = ctypes.CDLL("librmw_fastrtps_cpp.so")
         self._kept: list[Any] = []
         self._introducer = 0
 
     def offer(self, topic: str, type_name: str = "std_msgs/msg/String") -> None:
-        """Publish a topic; names are given in Latin-1, a character for each byte."""
+        """Create a publisher; names are in Latin-1, one character per byte."""
         support = self._support(String, type_name.encode("latin-1"))
         self._create(f"rt{topic}", support, latched=False)
 
     def rename(self, name: str, namespace: str) -> None:
-        """Tell everybody that our publishers belong to a node of that name (in Latin-1)."""
+        """Announce that our publishers belong to a node of that name (in Latin-1)."""
         info = message_class("rmw_dds_common/msg/ParticipantEntitiesInfo")
         if not self._introducer:
             support = self._support(info, b"")
@@ -79,7 +79,7 @@ class Hostile:
         assert code == 0
 
     def _support(self, kind: Any, type_name: bytes) -> int:
-        """The type support of a message, that of the middleware under another name."""
+        """Return the type support of a message, under another type name for the middleware."""
         check_for_type_support(kind)
         real = _TypeSupport.from_address(_pointer(kind._TYPE_SUPPORT))
         find = _FIND(real.func)
@@ -143,7 +143,7 @@ def main() -> None:
     rclpy.init(args=[])
     hostile = Hostile()
     obey(hostile)
-    # What rcl does not know it does not destroy: the process ends without it.
+    # rcl does not know these publishers: they end with the process.
     hostile.node.destroy_node()
     rclpy.shutdown()
 

@@ -1,4 +1,4 @@
-"""A process that does what it is told, a JSON object a line: both of its ends."""
+"""A process that executes commands, one JSON object per line: both ends."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ ROOT = Path(__file__).parents[2]
 
 
 def peer(module: str) -> list[str]:
-    """The command that runs a module of `tests.support` from any folder."""
+    """Return the command that runs a module of `tests.support` from any folder."""
     run = f"import runpy; runpy.run_module('tests.support.{module}', run_name='__main__')"
     return [sys.executable, "-c", f"import sys; sys.path.insert(0, {str(ROOT)!r}); {run}"]
 
 
 class Told:
-    """Another process, as whoever tells it what to do sees it."""
+    """The commanding end: starts the process and sends it commands."""
 
     def __init__(self, command: Sequence[str], environment: Mapping[str, str]) -> None:
-        """Start it and wait until it is ready."""
+        """Start the process and wait until it is ready."""
         self._process = subprocess.Popen(
             command,
             stdin=subprocess.PIPE,
@@ -37,7 +37,7 @@ class Told:
             raise AssertionError("the process did not start; its words are above")
 
     def __call__(self, do: str, **parameters: Any) -> Any:
-        """Have one thing done and return what came of it."""
+        """Execute one command and return its result."""
         assert self._process.stdin is not None
         self._process.stdin.write(json.dumps({"do": do, **parameters}) + "\n")
         self._process.stdin.flush()
@@ -48,7 +48,7 @@ class Told:
         return answer["result"]
 
     def close(self) -> None:
-        """End it by its own shutdown, which leaves no shared memory behind."""
+        """End the process by its own shutdown, which leaves no shared memory behind."""
         with self._process:
             try:
                 self._process.communicate(timeout=DEADLINE_S)
@@ -62,7 +62,7 @@ class Told:
 
 
 def obey(target: object) -> None:
-    """Be that process: each line's "do" names a method of `target`, the rest its arguments."""
+    """Be the process: for each line, call the method of `target` that "do" names."""
     print("ready", flush=True)
     for line in sys.stdin:
         request = json.loads(line)

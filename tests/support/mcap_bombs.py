@@ -1,4 +1,4 @@
-"""Files of a megabyte that would take minutes or gigabytes to read for whoever does not count."""
+"""Files of a megabyte that take minutes or gigabytes to read for a reader without limits."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ CHANNEL: Final = record_bytes(Channel(1, "/bomb", "cdr", {}, 0))
 
 
 def chunk(records: bytes, compression: str = "zstd", level: int = 19) -> bytes:
-    """A chunk record; without a checksum, for the bomb's sake."""
+    """Return a chunk record without a checksum."""
     stored = _zstd(records, level) if compression == "zstd" else lz4.frame.compress(records)
     return stored_chunk(stored, compression, len(records))
 
 
 def stored_chunk(stored: bytes, compression: str, size: int) -> bytes:
-    """A chunk record that claims to unpack to `size` bytes."""
+    """Return a chunk record that claims to unpack to `size` bytes."""
     name = compression.encode()
     content = struct.pack("<QQQII", 0, 1, size, 0, len(name)) + name
     content += struct.pack("<Q", len(stored)) + stored
@@ -57,25 +57,25 @@ def _zstd(records: bytes, level: int) -> bytes:
 
 
 def messages(number: int, size: int = 0) -> bytes:
-    """So many equal messages."""
+    """Return `count` equal messages."""
     head = MESSAGE_HEAD.pack(Opcode.MESSAGE, 22 + size, 1, 0, 1, 1)
     return (head + bytes(size)) * number
 
 
 def repeated(record: bytes, size: int = SIZE) -> bytes:
-    """As many of them as fit."""
+    """Return the record as many times as fit into SIZE."""
     return record * max(size // len(record), 1)
 
 
 def begun(data: bytes, library: str = "somebody") -> bytes:
-    """A file that was never finished: it has to be scanned."""
+    """Return a file that was not finished and must be scanned."""
     return MAGIC + record_bytes(Header("", library)) + CHANNEL + data
 
 
 def finished(
     data: bytes, summary: Iterable[bytes], statistics: Statistics, *, library: str = "somebody"
 ) -> bytes:
-    """A file with a summary."""
+    """Return a file with a summary."""
     start = MAGIC + record_bytes(Header("", library)) + data + record_bytes(DataEnd(0))
     body = b"".join(summary) + record_bytes(statistics)
     footer = record_bytes(Footer(len(start), 0, 0))[:-4]
@@ -86,13 +86,13 @@ def finished(
 def counted(
     messages: int = 0, chunks: int = 0, metadata: int = 0, attachments: int = 0
 ) -> Statistics:
-    """Statistics of messages of the one channel."""
+    """Return statistics that count messages of one channel."""
     counts = {1: messages} if messages else {}
     return Statistics(attachments, 1, counts, chunks, messages, 1, 0, metadata, 0)
 
 
 def indexed(chunk_record: bytes, chunks: int, claimed: int, size: int) -> bytes:
-    """So many chunks with a summary that claims so many messages in all."""
+    """Return `count` chunks, and a summary that claims a total number of messages."""
     entries = []
     offset = len(MAGIC) + len(record_bytes(Header("", "somebody")))
     length = len(chunk_record)
@@ -108,7 +108,7 @@ def _zeros(mib: int) -> bytes:
 
 
 def _nested_candidates() -> bytes:
-    """Each beginning of a chunk in the nonsense claims all that follows, 64 MiB unpacked."""
+    """Return a file in which each chunk header claims all bytes that follow, 64 MiB unpacked."""
     inner = b""
     blocks = b"".join(
         struct.pack("<I", 3 | (1 << 1) | (131_071 << 3))[:3] + b"\0" for _ in range(8)
@@ -129,7 +129,7 @@ def _one_metadata_many_times() -> bytes:
 
 
 def _metadata_within_metadata() -> bytes:
-    """Every 100 bytes begins a record that claims all that follows."""
+    """Return a file in which a record begins every 100 bytes and claims all bytes that follow."""
     header = len(MAGIC) + len(record_bytes(Header("", "somebody")))
     body = bytearray(b"x" * (SIZE // 2))
     indexes = []
@@ -174,14 +174,14 @@ def _one_attachment_many_times() -> bytes:
 
 
 def spaces_in_metadata() -> str:
-    """Text of a `metadata.yaml` in which each key that is looked for has spaces for a value."""
+    """Return a `metadata.yaml` in which each known key has spaces as its value."""
     spaces = " " * (SIZE // 4)
     keys = ("compression_mode:", "compression_format:", "- path:", "  message_count:")
     return "".join(f"{key}{spaces}!\n" for key in keys)
 
 
 def _journal(entries: Iterable[JournalEntry]) -> bytes:
-    """A recording of ours with as many entries as fit into SIZE."""
+    """Return a recording with as many journal entries as fit into SIZE."""
     schema = record_bytes(Schema(id=1, name=TYPE_NAME, encoding="ros2msg", data=b""))
     channel = record_bytes(Channel(1, f"/{TOPIC}", "cdr", {}, 1))
     data = bytearray(schema + channel)
@@ -263,7 +263,7 @@ BOMBS: Final[dict[str, Callable[[], bytes]]] = {
     "journal of snapshots": lambda: _journal(_snapshots()),
     "journal of long texts": lambda: _journal(_long_texts()),
 }
-"""What is made by each, by its name."""
+"""Name -> the function that makes the file."""
 
 
 def write_bomb(path: Path, name: str) -> Path:

@@ -1,6 +1,6 @@
-"""The conformance suite of the MCAP format, generated; variants and contents as in the public one.
+"""Generates the conformance suite of the MCAP format, with the variants of the public suite.
 
-Each way in which a writer may leave out what is optional, with each kind of content.
+Each combination of optional parts that a writer may leave out, with each kind of content.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from robotctl.recording.format.records import MAGIC, record_bytes
 Content = Message | Attachment | Metadata
 _PADDING: Final = b"\x01\xff\xff"
 _UNPADDED: Final = (Opcode.MESSAGE, Opcode.FOOTER, Opcode.DATA_END)
-"""Records that reach to their end, or have a fixed length."""
+"""Records that cannot be padded: their last field reaches to their end, or their length is fixed."""
 
 SCHEMA: Final = Schema(id=1, name="Example", encoding="c", data=b"\x04\x05\x06")
 EXAMPLE: Final = Channel(1, "example", "a", {"foo": "bar"}, 1)
@@ -45,7 +45,7 @@ SCHEMALESS: Final = Channel(1, "example", "a", {"foo": "bar"}, 0)
 
 
 class Feature(Flag):
-    """What a writer may do or leave."""
+    """An optional part of a file."""
 
     CHUNKS = auto()
     MESSAGE_INDEX = auto()
@@ -78,21 +78,21 @@ class Variant:
 
     @property
     def name(self) -> str:
-        """As the public suite names it."""
+        """The name of the file in the public suite."""
         return "-".join([self.content, *(feature.name or "" for feature in self.features)])
 
     @property
     def messages(self) -> list[Message]:
-        """What a reader has to find."""
+        """Return the messages that a reader must find."""
         return [each for each in CONTENTS[self.content][1] if isinstance(each, Message)]
 
     def encoded(self) -> bytes:
-        """The file."""
+        """Return the file."""
         return _Writer(self).file()
 
 
 def variants() -> Iterator[Variant]:
-    """Every file of the suite; features that mean nothing for a content, or alone, are left out."""
+    """Yield every file of the suite, without features that have no effect in it."""
     for content, (channel, records) in CONTENTS.items():
         meaningful = _meaningful(channel, records)
         for number in range(len(meaningful) + 1):
@@ -127,7 +127,7 @@ class _Writer:
         self._summary: dict[Opcode, bytes] = {}
 
     def file(self) -> bytes:
-        """The whole file."""
+        """Return the whole file."""
         self._data += self._record(Opcode.HEADER, Header("", ""))
         definitions = b""
         if self._channel is not None:
@@ -211,7 +211,7 @@ class _Writer:
                 self._index(Opcode.METADATA_INDEX, MetadataIndex(offset, length, record.name))
 
     def _end(self, messages: list[Message]) -> bytes:
-        """Summary, summary offsets, footer, magic."""
+        """Return summary, summary offsets, footer and magic."""
         if Feature.REPEATED_SCHEMAS in self._features:
             self._index(Opcode.SCHEMA, SCHEMA)
         if Feature.REPEATED_CHANNELS in self._features and self._channel is not None:

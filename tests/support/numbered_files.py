@@ -1,4 +1,4 @@
-"""Files of numbered messages in small chunks, ours and others': to be damaged and read back."""
+"""Files of numbered messages in small chunks, for tests that damage them and read them back."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ CHUNK_BYTES = 1024
 
 
 def recorded(folder: Path, count: int, **options: Any) -> Path:
-    """A recording of ours with `count` messages."""
+    """Write a recording with `count` messages by robotctl."""
     recorder = Recorder(
         folder, RecorderOptions(**{"chunk_bytes": CHUNK_BYTES, **options}), on_failure=print
     )
@@ -26,7 +26,7 @@ def recorded(folder: Path, count: int, **options: Any) -> Path:
 
 
 def foreign(path: Path, count: int, **options: Any) -> Path:
-    """A file by the mcap package's writer."""
+    """Write a file by the writer of the mcap package."""
     with path.open("wb") as stream:
         writer = Writer(stream, **{"chunk_size": CHUNK_BYTES, **options})
         writer.start(profile="ros2", library="somebody")
@@ -40,11 +40,11 @@ def foreign(path: Path, count: int, **options: Any) -> Path:
 
 
 def salvaged(path: Path) -> tuple[list[Message], list[str]]:
-    """All messages that can be read, and what is said to be missing."""
+    """Return all messages that can be read, and what is reported missing."""
     missing: list[str] = []
     return list(read_messages(path, on_missing=missing.append)), missing
 
 
 def first_numbers(count: int) -> list[bytes]:
-    """The data of the first messages."""
+    """Return the data of the first messages."""
     return [numbered(number) for number in range(1, count + 1)]

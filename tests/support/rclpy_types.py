@@ -1,6 +1,6 @@
-"""rclpy's `Node` with the types that it has.
+"""rclpy's `Node` with correct types.
 
-Its own annotations know a callback of one argument that is not a coroutine function only.
+Its own annotations allow only a callback of one argument that is not a coroutine function.
 """
 
 from __future__ import annotations

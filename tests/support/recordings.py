@@ -1,4 +1,4 @@
-"""Making recordings in tests, and reading them with somebody else's reader."""
+"""Writes recordings in tests, and reads them with the mcap package."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ class Stored(NamedTuple):
 
 
 def numbered(number: int, size: int = 52) -> bytes:
-    """Message data that names its number and cannot be mistaken for another's."""
+    """Return message data that is different for each number."""
     return struct.pack("<Q", number) * (size // 8) + bytes(size % 8)
 
 
 def number_of(data: bytes) -> int:
-    """The number in data made by `numbered`."""
+    """Return the number in data that `numbered` returned."""
     number: int = struct.unpack_from("<Q", data)[0]
     return number
 
@@ -47,10 +47,12 @@ def write_numbered(recorder: Recorder, channel: int, numbers: range, size: int =
 
 
 def read_strictly(path: Path) -> list[Stored]:
-    """The messages of a whole and valid file, in file order, by the reader of the mcap package.
+    """Return the messages of a valid file, in file order, read by the mcap package.
 
-    Every checksum is verified, and the summary must agree with the data. Raises whatever the
-    package raises for a file with any fault.
+    Every checksum is verified, and the summary must agree with the data.
+
+    Raises:
+        Exception: The package found a fault in the file.
     """
     channels: dict[int, Channel] = {}
     messages: list[Stored] = []

@@ -1,4 +1,4 @@
-"""Somebody else on the graph: plain rclpy in a process of its own, told what to do line by line."""
+"""A peer on the graph: plain rclpy in a process of its own, which executes commands."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Peer:
         self._asked: list[Any] = []
 
     def listen(self, namespace: str = "") -> None:
-        """Keep what the daemon publishes: sequence number and content."""
+        """Keep the messages of the daemon: sequence number and content."""
 
         def command(message: Any, info: Any) -> None:
             number = info["publication_sequence_number"]
@@ -64,7 +64,7 @@ class Peer:
         self._subscribe(String, marks, lambda message: self.marks.append(message.data), DEEP)
 
     def heard(self) -> dict[str, Any]:
-        """All that was kept so far."""
+        """Return all messages that were kept."""
         return {
             "commands": self.commands,
             "statuses": self.statuses,
@@ -73,7 +73,7 @@ class Peer:
         }
 
     def set_mode(self, mode: int, namespace: str = "") -> dict[str, Any]:
-        """Call the service."""
+        """Call `set_mode` and return the response."""
         client = self.node.create_client(SetMode, f"{namespace}/set_mode")
         assert client.wait_for_service(DEADLINE_S), "no such service"
         future = client.call_async(SetMode.Request(requested_mode=mode))
@@ -87,7 +87,7 @@ class Peer:
         }
 
     def ask(self, service: str, mode: int = 0, namespace: str = "") -> int:
-        """Begin a call of `set_mode` or `estop`; returns its number, for `answer`."""
+        """Begin a call of `set_mode` or `estop`; return its number for `answer`."""
         client = self._clients.get(service)
         if client is None:
             kind = {"set_mode": SetMode, "estop": Trigger}[service]
@@ -105,7 +105,7 @@ class Peer:
         return {name: getattr(answer, name) for name in answer.get_fields_and_field_types()}
 
     def flood(self, count: int, in_flight: int) -> dict[str, int]:
-        """Make so many calls of every kind, so many at a time; returns what came of them."""
+        """Call every service many times, a number of calls at once; return the results."""
         kinds = [("set_mode", mode) for mode in (0, 1, 2, 3, 7)] + [("estop", 0)]
         stops: list[Any] = []
         others: list[Any] = []
@@ -126,7 +126,7 @@ class Peer:
         }
 
     def late_status(self, namespace: str = "") -> list[Any]:
-        """Subscribe now, and return the first status that comes with the number it was sent as."""
+        """Subscribe now; return the first status and its sequence number."""
         got: list[Any] = []
 
         def status(message: Any, info: Any) -> None:
@@ -154,14 +154,14 @@ class Peer:
         self.robot.start()
 
     def command(self, linear: float) -> None:
-        """Publish a velocity command, as nobody but the daemon should."""
+        """Publish a velocity command, which only the daemon should do."""
         publisher = self.node.create_publisher(Twist, "/cmd_vel", 10)
         message = Twist()
         message.linear.x = linear
         publisher.publish(message)
 
     def command_and_go(self, linear: float, namespace: str = "") -> int:
-        """Publish one command as soon as somebody takes it, and publish no more.
+        """Publish one command once there is a subscriber, then destroy the publisher.
 
         Returns the steady time [ns] just before the command was sent.
         """
@@ -176,7 +176,7 @@ class Peer:
         return sent_ns
 
     def command_best_effort(self, linear: float) -> None:
-        """Publish commands of best effort for 0.1 s, and publish no more."""
+        """Publish best-effort commands for 0.1 s, then destroy the publisher."""
         publisher = self.node.create_publisher(Twist, "/cmd_vel", BEST_EFFORT)
         until(publisher.get_subscription_count)
         message = Twist()
@@ -187,7 +187,7 @@ class Peer:
         self.node.destroy_publisher(publisher)
 
     def measure(self, x: float) -> None:
-        """Publish odometry at 100 Hz that says the robot is at `x`, until the end."""
+        """Publish odometry with position `x` at 100 Hz until the end."""
         odometry = self.node.create_publisher(Odometry, "/odom", 10)
         message = Odometry()
         message.pose.pose.position.x, message.pose.pose.orientation.w = x, 1.0
@@ -206,11 +206,11 @@ class Peer:
         self._subscribe(message_type, "/cmd_vel", lambda message: None, DEEP)
 
     def publish(self, kind: str, topic: str) -> None:
-        """Offer a topic as a type of which we know the name."""
+        """Create the publisher of a topic with a type of this name."""
         self.node.create_publisher({"Twist": Twist, "Odometry": Odometry}[kind], topic, 10)
 
     def send(self, kind: str, topic: str, count: int) -> None:
-        """Publish messages once somebody listens, and see that they arrived there."""
+        """Publish messages once there is a subscriber; wait until they are acknowledged."""
         message_type = {"Twist": Twist, "Odometry": Odometry}[kind]
         publisher = self.node.create_publisher(message_type, topic, DEEP)
         until(publisher.get_subscription_count)
@@ -220,7 +220,7 @@ class Peer:
         self.node.destroy_publisher(publisher)
 
     def send_large(self, topic: str, size: int) -> None:
-        """Publish one message of so many bytes once somebody listens."""
+        """Publish one message of `size` bytes once there is a subscriber."""
         publisher = self.node.create_publisher(UInt8MultiArray, topic, 1)
         until(publisher.get_subscription_count)
         publisher.publish(UInt8MultiArray(data=array("B", bytes(size))))
@@ -228,19 +228,19 @@ class Peer:
         self.node.destroy_publisher(publisher)
 
     def end(self) -> None:
-        """Publish no more."""
+        """Destroy the publishers."""
         self.stop.set()
         if self.robot is not None:
             self.robot.join()
 
     def nodes(self) -> list[str]:
-        """The full names of all other nodes."""
+        """Return the full names of all other nodes."""
         found = self.node.get_node_names_and_namespaces()
         names = {f"{namespace.rstrip('/')}/{name}" for name, namespace in found}
         return sorted(names - {"/somebody_else"})
 
     def publishers(self) -> dict[str, list[str]]:
-        """The nodes, other than this, that publish, by topic."""
+        """Return topic -> the other nodes that publish on it."""
         found = {}
         for topic, _ in self.node.get_topic_names_and_types():
             infos = self.node.get_publishers_info_by_topic(topic)
@@ -249,12 +249,12 @@ class Peer:
         return {topic: names for topic, names in found.items() if names}
 
     def services(self) -> list[str]:
-        """The services of all other nodes."""
+        """Return the services of all other nodes."""
         found = [name for name, _ in self.node.get_service_names_and_types()]
         return sorted(name for name in found if not name.startswith("/somebody_else/"))
 
     def _subscribe(self, kind: Any, topic: str, callback: Any, qos: QoSProfile) -> Any:
-        # rclpy's own types know callbacks of one argument only.
+        # rclpy's types allow callbacks of one argument only.
         return self.node.create_subscription(kind, topic, callback, qos)
 
 

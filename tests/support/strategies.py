@@ -1,4 +1,4 @@
-"""Hypothesis strategies for all that may reach the kernel, sane or not."""
+"""Hypothesis strategies for all events that may reach the kernel, valid or not."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ PATTERN = st.builds(
 def event(
     t_ns: st.SearchStrategy[int], request_id: st.SearchStrategy[int]
 ) -> st.SearchStrategy[Event]:
-    """Return any event at such a time, a request with such a number."""
+    """Return a strategy of events with these times and request numbers."""
     cause = st.one_of(DAEMON_CAUSE, st.sampled_from(Cause))
     return st.one_of(
         st.builds(Tick, t_ns, st.integers(0, 10)),

@@ -1,4 +1,4 @@
-"""Waiting for what should happen soon, on a machine that may be slow."""
+"""Waiting for a condition, on a machine that may be slow."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import Final, TypeVar
 T = TypeVar("T")
 
 DEADLINE_S: Final = 30.0
-"""Far beyond what anything should take: whoever waits so long waits in vain."""
+"""A wait that takes this long has failed: every condition should hold far sooner."""
 
 
 def until(condition: Callable[[], T]) -> T:
-    """Wait for a condition, and return its first true answer."""
+    """Wait for a condition, and return its first true result."""
     end = time.monotonic() + DEADLINE_S
     while not (answer := condition()):
         assert time.monotonic() < end, "waited in vain"
@@ -28,7 +28,7 @@ def until_longer(items: Sized, count: int) -> None:
 
 
 async def loop_until(condition: Callable[[], object]) -> None:
-    """Wait for a condition while the loop turns."""
+    """Wait for a condition while the loop runs."""
     async with asyncio.timeout(DEADLINE_S):
         while not condition():  # noqa: ASYNC110 - whatever the condition is
             await asyncio.sleep(0.005)

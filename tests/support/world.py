@@ -1,7 +1,7 @@
-"""A world of its own for the real daemon: what it needs, what runs in it, what it left.
+"""An isolated environment (a world) for tests with the real daemon.
 
-A world has a folder, a ROS domain, and an environment that all of its processes inherit: that is
-how they are found at its end, whatever a failed test has left of them.
+A world has a folder, a ROS domain, and environment variables that all of its processes inherit. By
+these the processes are found at its end, also after a failed test.
 """
 
 from __future__ import annotations
@@ -47,12 +47,12 @@ max_tick_gap_s: 5.0
 odometry.timeout_s: 10.0
 battery.timeout_s: 60.0
 """
-"""Limits that a machine does not cross that lets a process wait for a while."""
+"""Time limits that hold even where the machine delays a process."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ran:
-    """What a command line did."""
+    """The result of a command line."""
 
     exit_code: int
     out: str
@@ -67,14 +67,14 @@ class Peer(Told):
 
 
 class World:
-    """A folder, a domain, and what runs there."""
+    """A folder, a ROS domain, and the processes that run there."""
 
     def __init__(self, folder: Path, domain_id: int) -> None:
         self.folder = folder
         self.domain_id = domain_id
         self.recordings = folder / "recordings"
         self.patient = folder / "patient.yaml"
-        """A configuration for whatever is no test of the limits themselves."""
+        """A configuration for all tests that do not test the time limits themselves."""
 
         self.patient.write_text(PATIENT)
         self.environment = {
@@ -88,12 +88,12 @@ class World:
         }
         self._mark = f"XDG_RUNTIME_DIR={folder / 'run'}\0".encode()
         self._killed = False
-        self._memory_before = set(self.shared_memory())  # of others in the domain, who were killed
+        self._memory_before = set(self.shared_memory())  # of other killed processes in the domain
         self._spawned: list[subprocess.Popen[str]] = []
         (folder / "run").mkdir(mode=0o700)
 
     def source_another_ros(self) -> None:
-        """Let later command lines come from a shell that has sourced a ROS that does not work."""
+        """Run later command lines as from a shell that has sourced a broken ROS."""
         ros = self.folder / "humble"
         packages = ros / "lib" / "python3.10" / "site-packages"
         (packages / "rclpy").mkdir(parents=True)
@@ -111,7 +111,7 @@ class World:
         self.environment["ROS_DISTRO"] = "humble"
 
     def spawn(self, *arguments: str, **options: Any) -> subprocess.Popen[str]:
-        """Begin a command line; a start without a configuration gets the patient one."""
+        """Start a command line; `start` without a configuration gets `PATIENT`."""
         if arguments[0] == "start" and "--config" not in arguments:
             arguments = (*arguments, "--config", str(self.patient))
         process = subprocess.Popen(
@@ -130,37 +130,37 @@ class World:
         return process
 
     def robotctl(self, *arguments: str) -> Ran:
-        """Carry a command line out."""
+        """Run a command line to its end."""
         process = self.spawn(*arguments)
         out, err = process.communicate(timeout=2 * DEADLINE_S)
         assert "Traceback" not in err
         return Ran(process.returncode, out, err)
 
     def ok(self, *arguments: str) -> str:
-        """Carry out a command line that must succeed; returns its output."""
+        """Run a command line that must succeed; return its output."""
         ran = self.robotctl(*arguments)
         assert ran.exit_code == 0, (arguments, ran, self.log())
         return ran.out
 
     def answer(self, *arguments: str) -> Any:
-        """Carry out a command line that must succeed; returns what it says with --json."""
+        """Run a command line that must succeed; return its `--json` output."""
         return json.loads(self.ok(*arguments, "--json"))
 
     def status(self, robot: str = "robot") -> Any:
-        """The daemon's status."""
+        """Return the daemon's status."""
         return self.answer("status", "--robot", robot)
 
     def log(self, robot: str = "robot") -> str:
-        """The daemon's log."""
+        """Return the daemon's log."""
         path = self.folder / "state" / "robotctl" / robot / "daemon.log"
         return path.read_text() if path.exists() else ""
 
     def sockets(self) -> list[Path]:
-        """The control sockets that are there."""
+        """Return the existing control sockets."""
         return list((self.folder / "run").glob("robotctl/*.sock"))
 
     def processes(self) -> dict[int, str]:
-        """What runs in this world: pid and command line."""
+        """Return the processes of this world: pid -> command line."""
         found = {}
         for entry in Path("/proc").iterdir():
             with suppress(OSError):
@@ -169,7 +169,7 @@ class World:
         return found
 
     def kill(self, pid: int, number: int = signal.SIGKILL) -> None:
-        """End a process of this world, and remove the memory that a killed one leaves behind."""
+        """Kill a process of this world, and remove the shared memory that it leaves behind."""
         self._killed = True
         maps = Path(f"/proc/{pid}/maps").read_text()
         with suppress(ProcessLookupError):
@@ -180,7 +180,7 @@ class World:
                 path.unlink(missing_ok=True)
 
     def shared_memory(self) -> list[Path]:
-        """The ports of our domain that are left in /dev/shm (DDSI-RTPS 9.6.2.3)."""
+        """Return the ports of this domain that are left in /dev/shm (DDSI-RTPS 9.6.2.3)."""
         first = 7400 + 250 * self.domain_id
         ports = range(first, first + 250)
         found = []
@@ -191,7 +191,7 @@ class World:
         return found
 
     def end(self) -> list[str]:
-        """End and remove what is left; returns what should not have been."""
+        """Kill and remove all that is left; return a list of the leftovers."""
         left = [f"process {pid}: {command}" for pid, command in self.processes().items()]
         for pid in self.processes():
             with suppress(OSError):
@@ -200,7 +200,7 @@ class World:
             with process:  # reaps it, and closes its pipes
                 pass
         left += [f"socket {path}" for path in self.sockets()]
-        if not self._killed:  # whoever is killed leaves its ports, and those of its neighbours
+        if not self._killed:  # a killed process leaves its ports, and those of its neighbours
             ours = [path for path in self.shared_memory() if path not in self._memory_before]
             left += [f"memory {path}" for path in ours]
         for path in self.shared_memory():
@@ -210,7 +210,7 @@ class World:
         return left
 
     def _contradictions(self) -> list[str]:
-        """What a fresh kernel would have decided otherwise in recordings of this world."""
+        """Return the decisions in recordings of this world that a fresh kernel would not repeat."""
         recordings = {
             path if path.parent.name == CLIPS_FOLDER else path.parent
             for path in self.folder.rglob("*.mcap")
@@ -225,7 +225,7 @@ class World:
 
 @contextmanager
 def new_world() -> Iterator[World]:
-    """A world that ends with the block; what is left of it fails the test."""
+    """Make a world that ends with the block; anything left of it fails the test."""
     with reserved_domain() as domain_id:
         made = World(Path(tempfile.mkdtemp(prefix="rd-", dir="/tmp")), domain_id)
         left = ["the test did not end"]
@@ -238,7 +238,7 @@ def new_world() -> Iterator[World]:
 
 
 def read_back(folder: Path) -> dict[str, list[Any]]:
-    """Every message of a recording by its topic, read by the `mcap` package."""
+    """Return topic -> messages of a recording, read by the `mcap` package."""
     from mcap.reader import make_reader
 
     topics: dict[str, list[Any]] = {}
@@ -255,5 +255,5 @@ def read_back(folder: Path) -> dict[str, list[Any]]:
 
 
 def journal_of(messages: list[Any]) -> list[JournalEntry]:
-    """The journal of a recording by its own count: clocks that are set mix up the log times."""
+    """Return the journal in the order of its own numbers: log times change when a clock is set."""
     return sorted((decode(message.data) for message in messages), key=lambda entry: entry.seq)
