@@ -1,4 +1,4 @@
-"""Import the rclpy that robotctl is installed with, even if the shell has sourced another ROS.
+"""Ensure that our rclpy is imported, even if the shell has sourced another ROS.
 
 A sourced ROS precedes the environment of robotctl: its Python packages through PYTHONPATH, its
 libraries through LD_LIBRARY_PATH, which the loader reads only when a process starts. `prepare`

@@ -83,7 +83,7 @@ class ConfigError(UsageError):
 
 
 class NoDaemon(RobotctlError):
-    """No answer from a daemon on the robot's socket."""
+    """A request that no daemon answers on the robot's socket."""
 
     exit_code = 3
     kind = "no_daemon"
@@ -97,7 +97,7 @@ class Refused(RobotctlError):
 
 
 class AlreadyRunning(RobotctlError):
-    """Another process that owns the robot's name; the text has its pid."""
+    """A start while another process owns the robot's name; the text has its pid."""
 
     exit_code = 5
     kind = "already_running"

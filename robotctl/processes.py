@@ -43,7 +43,7 @@ def program(module: str) -> tuple[str, ...]:
 
 
 class LineSplitter:
-    """Splits a stream of pieces into lines; an incomplete line waits for the next piece."""
+    """A splitter of a byte stream into lines; an incomplete line waits for the next piece."""
 
     def __init__(self) -> None:
         self._rest = b""

@@ -3,7 +3,7 @@
 An emergency stop, or a script that polls the status ten times a second, should not wait 40 ms for
 the import of typer. `match` accepts plain spellings only; everything else, such as `--help` or a
 misspelling, goes to typer. The modules of the same names in `commands` declare these commands for
-typer, with their help, and `support.quick_actions` carries them out in both cases.
+typer, with their help, and `support.quick_actions` implements them for both.
 """
 
 from __future__ import annotations

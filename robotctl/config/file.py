@@ -50,7 +50,7 @@ def _read(path: Path) -> Any:
     import yaml  # here, because it takes 15 ms and most daemons have no configuration file
 
     class Loader(yaml.SafeLoader):
-        """Loader that refuses aliases and duplicate keys, of which YAML would keep the last."""
+        """A loader that refuses aliases and duplicate keys, of which YAML would keep the last."""
 
         def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
             if self.check_event(yaml.AliasEvent):

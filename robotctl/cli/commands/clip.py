@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from robotctl.cli.options import Json, new_app
-from robotctl.cli.support.answer import tell
+from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.recording_paths import (
     RecordedBy,
     RecordingsFolder,
@@ -112,7 +112,7 @@ def clip(
         error = RecoveredWithLoss(
             f"the recording could not be read completely: {'; '.join(made.lost)}"
         )
-    tell(_as_object(source.path, made), _lines(made), as_json=as_json, error=error)
+    print_answer(_as_object(source.path, made), _lines(made), as_json=as_json, error=error)
 
 
 def _find(

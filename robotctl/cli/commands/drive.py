@@ -10,7 +10,7 @@ import typer
 
 from robotctl.cli.commands.watch import polled_until, show
 from robotctl.cli.options import Json, Robot, new_app
-from robotctl.cli.support.answer import tell
+from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.background import Background
 from robotctl.cli.support.interrupted_drive import (
     CLOSING_SIGNALS,
@@ -105,7 +105,7 @@ def drive(
     lines = [printable(answer.get("message", "done"))]
     if wait:
         lines += tracking_lines(answer)
-    tell(answer, lines, as_json=as_json)
+    print_answer(answer, lines, as_json=as_json)
 
 
 def _check(option: str, value: float | None, low: float, high: float, unit: str = "") -> None:
@@ -139,7 +139,7 @@ def _drive_and_wait(robot: str, params: dict[str, Any], *, as_json: bool) -> Dri
         except RobotctlError as refused:
             error = refused
     if error.answer and not as_json:
-        tell(dict(error.answer), tracking_lines(error.answer), as_json=False, error=error)
+        print_answer(dict(error.answer), tracking_lines(error.answer), as_json=False, error=error)
     raise error
 
 

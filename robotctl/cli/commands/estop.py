@@ -1,4 +1,4 @@
-"""estop: options and help; `quick_actions.estop` carries it out."""
+"""estop: options and help; `quick_actions.estop` implements it."""
 
 from __future__ import annotations
 

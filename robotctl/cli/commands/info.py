@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from robotctl.cli.options import Json, new_app
-from robotctl.cli.support.answer import tell
+from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.recording_paths import RecordedBy, RecordingsFolder, find_recording
 from robotctl.cli.terminal.text import duration, moment, printable, short_path, size
 from robotctl.cli.terminal.topic_table import TopicTable
@@ -68,7 +68,7 @@ def info(
             f"{path} is incomplete: {'; '.join(found.missing)}",
             f"save what can be read: robotctl recover {shlex.quote(short_path(path))}",
         )
-    tell(as_object(found), info_screen(found), as_json=as_json, error=error)
+    print_answer(as_object(found), info_lines(found), as_json=as_json, error=error)
 
 
 def as_object(found: RecordingInfo) -> dict[str, Any]:
@@ -114,8 +114,8 @@ def as_object(found: RecordingInfo) -> dict[str, Any]:
     }
 
 
-def info_screen(found: RecordingInfo) -> Iterator[str]:
-    """The lines of `robotctl info`."""
+def info_lines(found: RecordingInfo) -> Iterator[str]:
+    """Yield the lines of `robotctl info`."""
     count = len(found.files)
     files = "" if count == 1 else f" in {count} files"
     yield short_path(found.path)

@@ -7,12 +7,9 @@ from typing import Annotated
 import typer
 
 from robotctl.cli.options import Json, Robot, new_app
+from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.quick_actions import request_source
-from robotctl.cli.terminal.text import (
-    json_text,
-    moment,
-    printable,
-)
+from robotctl.cli.terminal.text import moment, printable
 from robotctl.errors import UsageError
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import MARK
@@ -41,7 +38,5 @@ def mark(
     if not 0 < len(text) <= MAX_MARK_LENGTH:
         raise UsageError(f"a mark has 1 to {MAX_MARK_LENGTH} characters, not {len(text)}")
     answer = call(robot, MARK, {"text": text, "source": request_source("mark")})
-    if as_json:
-        print(json_text(answer))
-    else:
-        print(f"marked {moment(answer['time_ns'])}: {printable(text)}")
+    line = f"marked {moment(answer['time_ns'])}: {printable(text)}"
+    print_answer(answer, [line], as_json=as_json)

@@ -1,15 +1,15 @@
-"""record: look after the current recording."""
+"""record: inspect or split the current recording."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
 from robotctl.cli.options import Json, Robot, new_app
+from robotctl.cli.support.answer import print_answer
 from robotctl.cli.terminal.text import (
     column_width,
     columns,
     elided,
-    json_text,
     printable,
     short_path,
     size,
@@ -37,7 +37,7 @@ _COUNT_HEADER = " ".join(f"{title:>{width}}" for title, width in _COUNTS.items()
 
 @group.callback()
 def record() -> None:
-    """Look after the current recording: status, split.
+    """Inspect or split the current recording.
 
     \b
     Examples:
@@ -59,21 +59,21 @@ def status(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
       robotctl record status --json | jq .recorder.lost
     """
     answer = call(robot, RECORD_STATUS)
-    print(json_text(answer) if as_json else "\n".join(status_lines(answer)))
+    print_answer(answer, status_lines(answer), as_json=as_json)
 
 
 @group.command()
 def split(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
     """Finish the current file and continue in a new one.
 
-    No message is lost between the two files.
+    There is no gap between the two files.
 
     \b
     Examples:
       robotctl record split
     """
     answer = call(robot, RECORD_SPLIT, deadline_s=SPLIT_DEADLINE_S)
-    print(json_text(answer) if as_json else printable(answer.get("message")))
+    print_answer(answer, [printable(answer["message"])], as_json=as_json)
 
 
 def status_lines(answer: RecordStatus) -> Iterator[str]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from robotctl.cli.options import Json, new_app
-from robotctl.cli.support.answer import tell
+from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.given_options import given_options
 from robotctl.cli.support.recording_paths import (
     RecordedBy,
@@ -24,7 +24,6 @@ from robotctl.cli.terminal.text import (
     columns,
     duration,
     elided,
-    json_text,
     moment,
     printable,
     short_path,
@@ -87,17 +86,15 @@ def recordings(
                 ]
         except OSError as error:
             raise Refused(f"{place} cannot be listed: {error.strerror}") from error
-    if as_json:
-        print(json_text({"folder": str(place), "recordings": [_as_object(each) for each in found]}))
-    else:
-        print("\n".join(_screen(place, found, robot or DEFAULT_ROBOT)))
+    answer = {"folder": str(place), "recordings": [_as_object(each) for each in found]}
+    print_answer(answer, _lines(place, found, robot or DEFAULT_ROBOT), as_json=as_json)
 
 
 @group.command()
 def keep(
     name: Name, folder: RecordingsFolder = None, robot: RecordedBy = None, as_json: Json = False
 ) -> None:
-    """Never remove this recording, at any age.
+    """Keep this recording at any age.
 
     \b
     Examples:
@@ -105,7 +102,7 @@ def keep(
     """
     path = _set_kept(name, folder, robot, kept=True)
     told = f"{printable(path.name)} is kept at any age"
-    tell({"path": str(path), "kept": True}, [told], as_json=as_json)
+    print_answer({"path": str(path), "kept": True}, [told], as_json=as_json)
 
 
 @group.command()
@@ -120,7 +117,7 @@ def unkeep(
     """
     path = _set_kept(name, folder, robot, kept=False)
     told = f"{printable(path.name)} may be removed again when it is old"
-    tell({"path": str(path), "kept": False}, [told], as_json=as_json)
+    print_answer({"path": str(path), "kept": False}, [told], as_json=as_json)
 
 
 def _refuse_options_before(context: typer.Context, command: str) -> None:
@@ -168,7 +165,7 @@ def _as_object(each: ListedRecording) -> dict[str, Any]:
     }
 
 
-def _screen(place: Path, found: Sequence[ListedRecording], robot: str) -> Iterator[str]:
+def _lines(place: Path, found: Sequence[ListedRecording], robot: str) -> Iterator[str]:
     if not found:
         start = command_for(robot, "start")
         yield f"no recordings in {short_path(place)} (start one: {start})"

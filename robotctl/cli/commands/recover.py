@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from robotctl.cli.options import Json, new_app
-from robotctl.cli.support.answer import tell
+from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.recording_paths import RecordedBy, RecordingsFolder, find_recording
 from robotctl.cli.terminal.progress import progress_bar
 from robotctl.cli.terminal.text import short_path
@@ -59,7 +59,7 @@ def recover(
         error = RecoveredWithLoss(
             f"{source} could not be saved completely: {'; '.join(salvage.lost)}"
         )
-    tell(_as_object(source, salvage), _lines(salvage), as_json=as_json, error=error)
+    print_answer(_as_object(source, salvage), _lines(salvage), as_json=as_json, error=error)
 
 
 def _beside(source: Path) -> Path:

@@ -1,4 +1,4 @@
-"""reset: options and help; `quick_actions.reset` carries it out."""
+"""reset: options and help; `quick_actions.reset` implements it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""set-mode: options and help; `quick_actions.set_mode` carries it out."""
+"""set-mode: options and help; `quick_actions.set_mode` implements it."""
 
 from __future__ import annotations
 

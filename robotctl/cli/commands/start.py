@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -12,10 +11,11 @@ import typer
 
 from robotctl import __version__
 from robotctl.cli.options import ConfigFile, DomainId, Json, Robot, new_app
+from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.launch import INTERRUPTIONS, StartOptions, launch
 from robotctl.cli.support.signals import interrupted_by
 from robotctl.cli.terminal.status_screen import mode_text
-from robotctl.cli.terminal.text import json_text, printable, short_path
+from robotctl.cli.terminal.text import printable, short_path
 from robotctl.errors import UsageError
 from robotctl.ipc.answers import StartSummary
 from robotctl.ipc.client import command_for
@@ -95,12 +95,11 @@ def start(
         command = options.command()
         os.execv(command[0], command)
 
-    def tell(ready: StartSummary) -> None:
-        with suppress(BrokenPipeError):  # who has closed our stdout does not want to be told
-            print(json_text(ready) if as_json else "\n".join(summary(ready)), flush=True)
+    def on_ready(ready: StartSummary) -> None:
+        print_answer(ready, summary(ready), as_json=as_json)
 
     with interrupted_by(INTERRUPTIONS):
-        launch(options, tell)
+        launch(options, on_ready)
 
 
 def summary(ready: StartSummary) -> Iterator[str]:

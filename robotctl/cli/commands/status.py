@@ -1,4 +1,4 @@
-"""status: options and help; `quick_actions.status` carries it out."""
+"""status: options and help; `quick_actions.status` implements it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""stop: options and help; `quick_actions.stop` carries it out."""
+"""stop: options and help; `quick_actions.stop` implements it."""
 
 from __future__ import annotations
 

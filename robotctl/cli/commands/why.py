@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from robotctl.cli.options import Json, new_app
-from robotctl.cli.support.answer import tell
+from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.recording_paths import (
     LAST,
     RecordedBy,
@@ -93,7 +93,7 @@ def why(
         else:
             path, at_ns = _at(paths, at, missing)
             found = _find([path], at_ns, missing, on_progress)
-    tell(as_object(found), why_lines(found), as_json=as_json)
+    print_answer(as_object(found), why_lines(found), as_json=as_json)
 
 
 def _paths(

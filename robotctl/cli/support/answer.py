@@ -11,7 +11,7 @@ from robotctl.cli.terminal.text import json_text
 from robotctl.errors import RobotctlError
 
 
-def tell(
+def print_answer(
     answer: Mapping[str, Any],
     lines: Iterable[str],
     *,

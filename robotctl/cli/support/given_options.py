@@ -1,4 +1,4 @@
-"""The options that stand on the command line, as opposed to defaults and the environment."""
+"""The options given on the command line, as opposed to defaults and environment variables."""
 
 from __future__ import annotations
 

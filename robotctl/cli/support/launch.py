@@ -68,12 +68,12 @@ class StartOptions:
 
 
 def launch(
-    options: StartOptions, tell: Callable[[StartSummary], None] = lambda ready: None
+    options: StartOptions, on_ready: Callable[[StartSummary], None] = lambda ready: None
 ) -> StartSummary:
     """Start a daemon in its own session, and return what it reports when it is ready.
 
-    The report is passed to `tell` first. If a signal interrupts this before `tell` has returned,
-    the daemon is ended, so that no daemon runs without the user knowing.
+    The report is passed to `on_ready` first. If a signal comes before `on_ready` has returned, the
+    daemon is ended, so that no daemon runs without the user knowing.
 
     Raises:
         RobotctlError: The daemon did not start; the error has its reason and exit code.
@@ -94,7 +94,7 @@ def launch(
         if said.get("ready") is True:
             _put_in_place(own_log, log)
             summary = cast(StartSummary, said)
-            tell(summary)
+            on_ready(summary)
             daemon.detach()
             return summary
         ended = _end(daemon, patiently=said != _TOO_SLOW)

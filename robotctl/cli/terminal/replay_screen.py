@@ -22,7 +22,7 @@ LINE_S = 1.0
 
 
 class Screen(Protocol):
-    """Shows the reports of the player."""
+    """The display of the player's reports."""
 
     def show(self, said: dict[str, Any]) -> None:
         """Show a report: a note, the start, or the progress."""
@@ -62,7 +62,7 @@ class _Nothing:
 
 
 class _Notes(_Nothing):
-    """Prints notes and, with a recorded robot, one line per second."""
+    """A screen that prints notes and, with a recorded robot, one line per second."""
 
     def __init__(self, robot: RecordedRobot | None) -> None:
         self._robot = robot
@@ -84,7 +84,7 @@ class _Notes(_Nothing):
 
 
 class _Bar:
-    """Draws a bar that updates in place, below the notes."""
+    """A screen with a bar that updates in place, below the notes."""
 
     def __init__(self, robot: RecordedRobot | None) -> None:
         from rich.live import Live

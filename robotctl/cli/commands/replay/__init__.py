@@ -1,4 +1,4 @@
-"""replay: five commands on a recording, which the options tell apart.
+"""replay: five commands on a recording; the options select one.
 
 - `play`: publish it to ROS with its original timing.
 - `view`: show it in the terminal, without ROS (`--view-only`).

@@ -11,7 +11,7 @@ from robotctl.cli.commands.replay.select_recordings import (
     select_recordings,
     skipped_lines,
 )
-from robotctl.cli.support.answer import tell
+from robotctl.cli.support.answer import print_answer
 from robotctl.cli.terminal.progress import progress_bar
 from robotctl.cli.terminal.text import duration, row, short_path
 from robotctl.errors import Divergence, RobotctlError, UnreadableFile
@@ -35,7 +35,7 @@ def check_command(files: Sequence[Path], robot: str | None, *, as_json: bool) ->
     lines = [line for report in reports for line in report_lines(report)]
     lines += skipped_lines(skipped)
     answer = {"recordings": reports, **_counts(reports), "skipped": list(map(str, skipped))}
-    tell(answer, lines, as_json=as_json, error=_gravest(reports))
+    print_answer(answer, lines, as_json=as_json, error=_gravest(reports))
 
 
 def report_lines(report: dict[str, Any]) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""Recordings beside a run with other parameters: what `what_if` and `resim` share."""
+"""Compare recordings with runs under other parameters: shared by `what_if` and `resim`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from robotctl.cli.commands.replay.select_recordings import select_recordings, skipped_lines
-from robotctl.cli.support.answer import tell
+from robotctl.cli.support.answer import print_answer
 from robotctl.cli.terminal.progress import Progress, progress_bar
 from robotctl.cli.terminal.text import printable, row, short_path
 from robotctl.errors import UnreadableFile, UsageError
@@ -57,7 +57,7 @@ def compare_settings(
         )
     if as_json:
         answer = {"recordings": found, "skipped": list(map(str, skipped))}
-        tell(answer, (), as_json=True, error=error)
+        print_answer(answer, (), as_json=True, error=error)
     elif error is not None:
         raise error
 

@@ -1,4 +1,4 @@
-"""The keys that steer a replay."""
+"""The keys that control a replay."""
 
 from __future__ import annotations
 

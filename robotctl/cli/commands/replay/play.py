@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
 from robotctl.cli.commands.replay.player_process import play_in_process
-from robotctl.cli.support.answer import tell
+from robotctl.cli.support.answer import print_answer
 from robotctl.cli.terminal.replay_screen import Screen, screen
 from robotctl.cli.terminal.replay_summary import summary_lines
 from robotctl.errors import Interrupted
@@ -35,6 +35,6 @@ def play_command(job: Job, *, with_view: bool, as_json: bool) -> None:
     error = Interrupted() if report.interrupted else report.error
     if report.summary:
         lines = summary_lines(report.summary)
-        tell(report.summary, lines, as_json=as_json, error=error)
+        print_answer(report.summary, lines, as_json=as_json, error=error)
     elif error is not None:
         raise error

@@ -1,4 +1,4 @@
-"""The process that plays a recording: start it, show what it reports, pass keys on, end it."""
+"""Start the process that plays a recording, show its reports, send it keys, and end it."""
 
 from __future__ import annotations
 

@@ -29,7 +29,12 @@ _SIDES = {"recorded": "recorded", "simulated": "simulated", "what_if": "what if"
 def resim_command(
     files: Sequence[Path], settings: Sequence[str], robot: str | None, *, as_json: bool
 ) -> None:
-    """Print the recorded and the simulated drives; raise as `compare_settings` does."""
+    """Print the recorded and the simulated drives.
+
+    Raises:
+        UsageError: A setting is not allowed.
+        UnreadableFile: A recording could not be read completely.
+    """
     compare_settings(
         files, settings, robot, resimulate, resim_lines, closed_loop=True, as_json=as_json
     )

@@ -54,7 +54,7 @@ def recorded_robot(job: Job) -> Iterator[tuple[RecordedRobot, Span]]:
 
 
 class _Viewer:
-    """The position in the recording, steered by keys."""
+    """The position in the recording, controlled by keys."""
 
     def __init__(self, job: Job, robot: RecordedRobot, screen: Screen) -> None:
         self.quit = False

@@ -24,7 +24,12 @@ OPEN_LOOP = (
 def what_if_command(
     files: Sequence[Path], settings: Sequence[str], robot: str | None, *, as_json: bool
 ) -> None:
-    """Print how decisions with other parameters differ; raise as `compare_settings` does."""
+    """Print how decisions with other parameters differ.
+
+    Raises:
+        UsageError: A setting is not allowed.
+        UnreadableFile: A recording could not be read completely.
+    """
     compare_settings(
         files, settings, robot, what_if, what_if_lines, closed_loop=False, as_json=as_json
     )
