@@ -7,6 +7,7 @@ from math import nan
 
 import pytest
 
+from robotctl.kernel.battery import full_level
 from robotctl.kernel.drive import Progress
 from robotctl.kernel.geometry import ORIGIN, Pose
 from robotctl.kernel.health import Health, OdometrySources, SecondOdometry
@@ -28,7 +29,7 @@ from robotctl.kernel.types import (
     Tick,
     Twist,
 )
-from robotctl.testing.kernels import Bench, in_mode, moving, ready, reset, start
+from robotctl.testing.kernels import Bench, in_mode, moving, ready, reset, start, stopping
 
 NOW_NS = 100_000_000_000
 PARAMS = KernelParams()
@@ -84,6 +85,14 @@ def test_a_gauge_counts_in_percent_where_it_reports_more_than_full_and_up_to_105
     bench = ready(replace(PARAMS, battery=BatteryParams(scale=BatteryScale.AUTO)))
     bench.battery(raw)
     assert bench.state.health.battery_level == pytest.approx(level)
+
+
+@pytest.mark.parametrize(
+    ("scale", "full"),
+    [(BatteryScale.ONE, 1.0), (BatteryScale.AUTO, 1.0), (BatteryScale.PERCENT, 100.0)],
+)
+def test_a_full_battery_is_1_or_100(scale: BatteryScale, full: float) -> None:
+    assert full_level(scale) == full
 
 
 def test_a_foreign_command_hinders_motion_for_1_s() -> None:
@@ -153,12 +162,31 @@ def test_tracking_is_lost_beyond_half_a_metre() -> None:
     assert hindered(Cause.TRACKING_LOST, replace(HEALTHY, path_error_m=0.501))
 
 
+def test_a_robot_that_ramps_down_has_no_error_to_a_reference_that_stands() -> None:
+    bench = stopping()
+    bench.odometry(Pose(0.2, 0.0, 0.0))
+    assert bench.state.health.path_error_m == 0.0
+    bench = moving()
+    bench.odometry(Pose(0.2, 0.0, 0.0))
+    assert bench.state.health.path_error_m > 0.1
+    bench.request(Mode.ERROR)
+    assert bench.state.health.path_error_m == 0.0
+
+
 @pytest.mark.parametrize("way", [1, -1])
 def test_a_tick_may_be_300_ms_late(way: int) -> None:
     for gap_ns, stops in ((300_000_000, False), (300_000_001, True)):
         bench = moving()
         bench.give(Tick((bench.state.tick_t_ns or 0) + way * gap_ns))
         assert (bench.state.cause is Cause.TICK_OVERRUN) is stops
+
+
+def test_a_late_tick_changes_the_command_by_what_two_periods_allow() -> None:
+    bench = moving(ticks=30)
+    bench.kernel.state = replace(bench.state, command=ZERO)
+    (effect,) = bench.give(Tick(bench.t_ns + 200_000_000))
+    assert isinstance(effect, PublishTwist)
+    assert effect.twist.linear == pytest.approx(1.0 * 2 / 50)
 
 
 @pytest.mark.parametrize("back_ns", [0, 100_000_000])
@@ -183,6 +211,9 @@ def test_64_requests_wait_for_a_ramp_and_one_more_is_refused() -> None:
     bench = moving()
     for _ in range(64):
         assert bench.request(Mode.IDLE) == ()
+    bench.request(Mode.IDLE)
+    assert not bench.replies[-1].ok
+    bench.kernel.state = replace(bench.state, waiting=tuple(range(100, 200)))
     bench.request(Mode.IDLE)
     assert not bench.replies[-1].ok
 

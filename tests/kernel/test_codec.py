@@ -141,7 +141,7 @@ def test_an_error_quotes_the_begin_of_the_text() -> None:
 
 
 def test_a_field_that_an_older_version_did_not_write_takes_its_default() -> None:
-    assert from_json(Tick, '{"t_ns": 7}') == Tick(7)
+    assert from_json(Tick, '{"t_ns": 7}') == Tick(7, missed=0)
     assert from_json(State, '{"mode": 0, "health": {}}') == State()
     written = json.loads(to_json(Snapshot("test", KernelParams(), moving(ticks=5).state)))
     del written["params"]["limits"], written["state"]["health"]["odometry"]

@@ -105,6 +105,18 @@ def test_a_moving_robot_follows_no_other_publisher() -> None:
     assert bench.state.cause is Cause.ODOMETRY_LOST
 
 
+def test_a_publisher_that_was_followed_before_is_not_followed_beside_its_successor() -> None:
+    bench = bench_of_two()
+    bench.t_ns += round(0.6 * NS_PER_S)
+    sample(bench, 2, FAR)  # taken as a jump
+    bench.t_ns += 1
+    sample(bench, 2, FAR)
+    sample(bench, 1, ORIGIN)
+    health = bench.state.health
+    assert health.odometry_sources.followed == 2
+    assert health.odometry.pose == FAR  # type: ignore[union-attr]
+
+
 def test_samples_that_cannot_be_true_are_counted() -> None:
     bench = bench_of_two()
     sample(bench, 1, Pose(float("inf"), 0.0, 0.0))

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from robotctl.kernel.params import KernelParams
-from robotctl.kernel.patterns import Pattern
+from robotctl.kernel.patterns import SHAPES, Pattern
 
 PAGE = (Path(__file__).parents[2] / "docs" / "ros.md").read_text()
 DOCUMENTED = dict(re.findall(r"^\| `([\w.]+)` \| (\S* \| .*?) \|$", PAGE, re.MULTILINE))
@@ -42,6 +42,14 @@ def test_a_parameter_is_as_the_page_says(key: str) -> None:
 
 def test_every_parameter_is_found() -> None:
     assert len(PARAMETERS) == 21
+
+
+def test_a_drive_without_a_size_fits_a_room() -> None:
+    assert {kind.value: shape.default_size_m for kind, shape in SHAPES.items()} == {
+        "square": 1.0,
+        "circle": 0.5,
+        "figure-eight": 0.5,
+    }
 
 
 @pytest.mark.parametrize(

@@ -111,7 +111,7 @@ def sites(folder: Path) -> Iterator[Site]:
             operator = plugins.get_operator(name)()
             positions = [begin for node in nodes for begin, _ in operator.mutation_positions(node)]
             for occurrence, begin in enumerate(positions):
-                if not places.is_annotation(*begin):
+                if not places.is_signature(begin):
                     yield Site(path, name, occurrence, places.name_of(begin[0]))
 
 
@@ -128,37 +128,48 @@ def mutant_at(site: Site) -> Mutant:
 
 
 class _Places:
-    """Which definition a line of a module belongs to, and what of it is never executed."""
+    """Which definition a line of a module belongs to, and what of it is never run."""
 
     def __init__(self, source: str, module: str) -> None:
-        self._names = {}
-        self._annotations = []
-        pending = [(module, node) for node in ast.parse(source).body]
+        self._names: dict[int, str] = {}
+        self._headers: list[_Span] = []
+        self._defaults: list[_Span] = []
+        pending: list[tuple[str, ast.stmt]] = [(module, node) for node in ast.parse(source).body]
         for prefix, node in pending:  # grows: outer definitions come before inner ones
+            name, begin = prefix, node.lineno
             if isinstance(node, (ast.ClassDef, ast.FunctionDef)):
-                prefix = f"{prefix}.{node.name}"
-                pending += [(prefix, inner) for inner in node.body]
-            first = min(each.lineno for each in [node, *getattr(node, "decorator_list", [])])
-            for line in range(first, (node.end_lineno or node.lineno) + 1):
-                self._names[line] = prefix
+                name = f"{prefix}.{node.name}"
+                begin = min([begin, *(each.lineno for each in node.decorator_list)])
+                pending += [(name, inner) for inner in node.body]
             if isinstance(node, ast.FunctionDef):
-                arguments = node.args
-                every = [*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs]
-                self._annotations += [each.annotation for each in every if each.annotation]
-                self._annotations += [node.returns] if node.returns else []
+                self._headers.append((_begin(node), _begin(node.body[0])))
+                defaults = (*node.args.defaults, *node.args.kw_defaults)
+                self._defaults += [(_begin(each), _end(each)) for each in defaults if each]
+            for line in range(begin, (node.end_lineno or begin) + 1):
+                self._names[line] = name
 
     def name_of(self, line: int) -> str:
         """Return the qualified name of the innermost definition around `line`."""
         return self._names[line]
 
-    def is_annotation(self, line: int, column: int) -> bool:
-        """Say whether the annotation of a function is there; mypy holds those."""
-        return any(
-            (each.lineno, each.col_offset)
-            <= (line, column)
-            < (each.end_lineno, each.end_col_offset)
-            for each in self._annotations
-        )
+    def is_signature(self, place: tuple[int, int]) -> bool:
+        """Say whether an annotation or a mark of a function is there; mypy holds those."""
+        return _is_in(place, self._headers) and not _is_in(place, self._defaults)
+
+
+_Span = tuple[tuple[int, int], tuple[int, int]]
+
+
+def _begin(node: ast.stmt | ast.expr) -> tuple[int, int]:
+    return node.lineno, node.col_offset
+
+
+def _end(node: ast.expr) -> tuple[int, int]:
+    return node.end_lineno or node.lineno, node.end_col_offset or node.col_offset
+
+
+def _is_in(place: tuple[int, int], spans: Sequence[_Span]) -> bool:
+    return any(begin <= place < end for begin, end in spans)
 
 
 def copied(folder: Path) -> Path:
