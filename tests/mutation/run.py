@@ -26,7 +26,7 @@ import tempfile
 import time
 import tomllib
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -242,6 +242,14 @@ def equivalents() -> dict[Key, str]:
     return {tuple(key): group["reason"] for group in groups for key in group["mutants"]}
 
 
+def stale_entries(listed: Iterable[Key], every: Sequence[Site]) -> list[Key]:
+    """Return the entries whose definition or line is gone."""
+    names = {site.where for site in every}
+    paths = {site.path for site in every}
+    lines = {line.strip() for path in paths for line in path.read_text().splitlines()}
+    return [key for key in listed if key[0] not in names or key[1] not in lines]
+
+
 def main() -> int:
     """Draw, run and report."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -251,14 +259,18 @@ def main() -> int:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="robotctl-mutation-") as name:
         folder = copied(Path(name).resolve())
-        drawn = [site for site in sites(folder) if site.where.startswith(options.only)]
+        every, listed = list(sites(folder)), equivalents()
+        if stale := stale_entries(listed, every):
+            print("equivalent.toml lists what is not in the code:", *stale, sep="\n")
+            return 1
+        drawn = [site for site in every if site.where.startswith(options.only)]
         print(f"{options.count or 'all'} of {len(drawn)} mutants, seed {options.seed}")
         random.Random(options.seed).shuffle(drawn)
         if run_tests(folder, cache=True) != 0:
             print((folder / "output").read_text(), "the tests fail without a mutant", sep="\n")
             return 1
         shutil.rmtree(folder / KERNEL / "__pycache__")  # may be taken for that of a mutant
-        return report(drawn[: options.count], equivalents(), folder)
+        return report(drawn[: options.count], listed, folder)
 
 
 def report(drawn: Sequence[Site], listed: Mapping[Key, str], folder: Path) -> int:
