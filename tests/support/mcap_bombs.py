@@ -63,7 +63,7 @@ def messages(number: int, size: int = 0) -> bytes:
 
 
 def repeated(record: bytes, size: int = SIZE) -> bytes:
-    """Return the record as many times as fit into SIZE."""
+    """Return the record as many times as fit into `size` bytes."""
     return record * max(size // len(record), 1)
 
 

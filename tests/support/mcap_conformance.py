@@ -37,7 +37,7 @@ from robotctl.recording.format.records import MAGIC, record_bytes
 Content = Message | Attachment | Metadata
 _PADDING: Final = b"\x01\xff\xff"
 _UNPADDED: Final = (Opcode.MESSAGE, Opcode.FOOTER, Opcode.DATA_END)
-"""Records that cannot be padded: their last field reaches to their end, or their length is fixed."""
+"""Records that cannot be padded: their last field fills the rest, or their length is fixed."""
 
 SCHEMA: Final = Schema(id=1, name="Example", encoding="c", data=b"\x04\x05\x06")
 EXAMPLE: Final = Channel(1, "example", "a", {"foo": "bar"}, 1)
