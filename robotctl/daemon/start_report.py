@@ -35,7 +35,7 @@ class StartReport:
         """
         line = f"{json.dumps(said)}\n".encode()
         if not self._in_background:  # stdout may block: the loop must not wait
-            Thread(target=_write, args=(_STDOUT, line), daemon=True).start()
+            Thread(target=_write, args=(_STDOUT, line), name="READY", daemon=True).start()
         elif self._ready_fd is not None:
             is_read = _write(self._ready_fd, line)
             os.close(self._ready_fd)

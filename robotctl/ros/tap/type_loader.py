@@ -75,7 +75,9 @@ class TypeLoader:
         while self._waiting and self._is_free():
             type_name = next(iter(self._waiting))
             del self._waiting[type_name]
-            thread = threading.Thread(target=self._load, args=(loop, type_name), daemon=True)
+            thread = threading.Thread(
+                target=self._load, args=(loop, type_name), name="message type", daemon=True
+            )
             try:
                 thread.start()
             except RuntimeError as error:  # the limit on threads is reached
