@@ -9,7 +9,8 @@ import pytest
 
 from robotctl import errors
 from robotctl.cli.registry import COMMANDS
-from robotctl.config import Config, flat
+from robotctl.config import Config, flat, with_setting
+from robotctl.errors import ConfigError
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.safety import RULES
 
@@ -44,6 +45,20 @@ def test_the_parameters_are_documented_with_their_defaults() -> None:
     table = (ROOT / "docs" / "ros.md").read_text()
     documented = dict(re.findall(r"^\| `([\w.]+)` \| (\S*) \|", table, re.MULTILINE))
     assert documented == {key: str(value) for key, value in flat(Config()).items()}
+
+
+def test_the_parameters_are_documented_with_what_is_allowed() -> None:
+    table = (ROOT / "docs" / "ros.md").read_text()
+    documented = dict(re.findall(r"^\| `([\w.]+)` \| \S* \| (.*) \|", table, re.MULTILINE))
+    for key in flat(Config()):
+        with pytest.raises(ConfigError) as refused:
+            with_setting(Config(), key, {})
+        allowed = refused.value.cure.removeprefix("use ")
+        number, _, limits = allowed.partition("a number from ")
+        if not number:
+            assert documented[key].startswith(limits), key
+        elif re.fullmatch(r"[\w-]+(, [\w-]+)+", allowed):
+            assert [each for each in allowed.split(", ") if each not in documented[key]] == [], key
 
 
 def test_the_readme_tells_the_exit_codes_in_use() -> None:
