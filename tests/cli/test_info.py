@@ -81,7 +81,8 @@ def test_a_truncated_file_shows_what_can_be_read_and_says_what_is_missing(
 
 
 @pytest.mark.parametrize(
-    ("content", "text"), [(None, "No such file"), (b"", "empty"), (b"hello" * 50, "not an MCAP file")]
+    ("content", "text"),
+    [(None, "No such file"), (b"", "empty"), (b"hello" * 50, "not an MCAP file")],
 )
 def test_what_is_no_recording_is_one_sentence(
     content: bytes | None, text: str, cli: Callable[..., Any], tmp_path: Path
