@@ -1,4 +1,4 @@
-"""Checks a recording: would a fresh kernel decide the same, and does it keep what is promised?"""
+"""Checks a recording: does a new kernel decide the same, and do the invariants hold?"""
 
 from __future__ import annotations
 
@@ -23,11 +23,14 @@ from robotctl.rerun.traffic import CommandTraffic, command_topic
 from robotctl.rerun.vocabulary import Vocabulary
 
 Progress = Callable[[int, int], None]
-"""(bytes done, bytes in total)"""
+"""Called with the bytes that are done and the bytes in total."""
 
 
 def check_recording(path: Path, on_progress: Progress = lambda done, total: None) -> Report:
-    """Check one recording, a file or a folder; what is wrong with it stands in the report."""
+    """Check one recording, a file or a folder, and return the report.
+
+    A file that cannot be read is named in the report.
+    """
     report = Report(path)
     began = time.perf_counter()
     try:
@@ -40,7 +43,7 @@ def check_recording(path: Path, on_progress: Progress = lambda done, total: None
 
 
 class _Check:
-    """One pass over the messages of a recording, in the order in which they were written."""
+    """One pass over the messages of a recording, in the order of writing."""
 
     def __init__(self, recording: Recording, report: Report, on_progress: Progress) -> None:
         self._recording = recording
@@ -55,7 +58,11 @@ class _Check:
         self._end_ns = 0
 
     def run(self) -> None:
-        """Fill the report. Raises UnreadableFile."""
+        """Fill the report.
+
+        Raises:
+            UnreadableFile: The recording has no journal, or cannot be read at all.
+        """
         report, info = self._report, self._info
         for sentence in self._recording.missing:
             report.miss(sentence)
@@ -63,9 +70,7 @@ class _Check:
         report.version = _version(info)
         topic = journal_topic(info)
         if topic is None:
-            raise UnreadableFile(
-                "it holds no journal of robotctl: nothing was decided in it that could be checked"
-            )
+            raise UnreadableFile("it holds no journal of robotctl: there are no decisions to check")
         for item in steps(self._entries(topic)):
             if isinstance(item, Gap):
                 report.miss(item.text)
@@ -77,7 +82,7 @@ class _Check:
         self._end()
 
     def _entries(self, topic: str) -> Iterator[JournalEntry]:
-        """The journal; the commands that stand between its entries go to their own place."""
+        """Yield the journal entries; hand the recorded commands to the traffic check."""
         report = self._report
         commands = command_topic(self._info, topic)
         messages = self._recording.in_order_written(
@@ -92,7 +97,7 @@ class _Check:
                 self._end_ns = entry.t_ns
                 yield entry
             elif self._traffic.seen or message.publish_ns >= report.begin_log_ns > 0:
-                self._traffic.message(message.data)  # before that, another file has the decision
+                self._traffic.message(message.data)  # else decided in an earlier file
 
     def _snapshot(self, entry: JournalEntry) -> None:
         report = self._report
@@ -142,7 +147,7 @@ class _Check:
             report.miss_other_rules(divergence.sentence())
 
     def _compare_vocabulary(self, *entries: JournalEntry) -> None:
-        """Name the first field of another version that this one does not know."""
+        """Report the first field of another version that this version does not know."""
         if self._vocabulary is None or self._report.same_version:
             return
         for entry in entries:
@@ -152,13 +157,13 @@ class _Check:
                 return
 
     def _interrupt_at(self, error: UnreadableFile) -> None:
-        """An entry is none of this version."""
+        """Report an entry that this version cannot read, and pause until the next snapshot."""
         report = self._report
         (report.miss if report.same_version else report.miss_other_rules)(str(error))
         self._stop()
 
     def _stop(self) -> None:
-        """Nothing can be decided from here to the next snapshot."""
+        """Pause re-run and invariants until the next snapshot."""
         self._invariants.stop()
         if self._rerun is not None:
             self._rerun.stop()
@@ -184,7 +189,7 @@ class _Check:
         report.commands = commands.seen
         if not commands.undecided:
             return
-        text = f"{commands.undecided} commands that nobody decided on, such as {commands.example}"
+        text = f"{commands.undecided} commands without a decision, such as {commands.example}"
         if self._invariants.foreign:
             names = ", ".join(sorted(self._invariants.foreign))
             report.notes.append(f"{text}: {names} published as well")
@@ -194,11 +199,11 @@ class _Check:
             self._invariants.violate(text)
 
     def _check_ledger(self) -> None:
-        """The last file of a recording that was closed has the whole account."""
+        """Check the loss ledger in the last file of a recording that was closed."""
         path = self._recording.path
         ledger = read_ledger(read_info(self._info.files[-1]).metadata)
         if not ledger and CLIP_RECORD in self._info.metadata:
-            return  # the account is that of the whole
+            return  # a clip has no ledger: its source has it
         if not ledger:
             self._report.notes.append("it was not closed: its loss ledger is not there to check")
             return
@@ -207,7 +212,7 @@ class _Check:
 
 
 def _version(info: RecordingInfo) -> str:
-    """The version of robotctl that made the recording, "" where it does not say."""
+    """Return the version of robotctl that made the recording, "" if it is not recorded."""
     known = info.metadata.get(INFO_RECORD, {}).get("robotctl", "")
     if known or not info.library.startswith(OWN_LIBRARY):
         return known

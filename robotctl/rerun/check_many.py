@@ -1,4 +1,4 @@
-"""Checks many recordings, in as many processes as there are processors."""
+"""Checks many recordings, with one process per processor."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ WORKER = program("robotctl.rerun.check_process")
 POLL_S = 0.1
 
 _WHOLE = 1000
-"""In how many parts progress within a recording is told."""
+"""The number of steps in which the progress of one recording is counted."""
 
 
 def check_recordings(
     paths: Sequence[Path], on_progress: Progress = lambda done, total: None
 ) -> list[dict[str, Any]]:
-    """The reports, as in `Report.as_object`, in the order of `paths`."""
+    """Return the reports as `Report.as_object` makes them, in the order of `paths`."""
     if len(paths) == 1:
         return [check_recording(paths[0], on_progress).as_object()]
     count = min(len(os.sched_getaffinity(0)), len(paths))
@@ -64,7 +64,7 @@ def check_recordings(
 
 
 class _Worker:
-    """A process that checks recording after recording; another one takes over when it has died."""
+    """A process that checks one recording at a time; it is replaced when it dies."""
 
     def __init__(self) -> None:
         self._child: Child | None = None
@@ -72,7 +72,7 @@ class _Worker:
         self._lock = Lock()
 
     def check(self, path: Path) -> Iterator[dict[str, Any]]:
-        """What the process says of a recording, at last its report."""
+        """Yield the progress of the check of one recording, then its report."""
         child = self._living()
         if child is None:
             return
@@ -90,20 +90,23 @@ class _Worker:
         yield {"report": report.as_object()}
 
     def end(self) -> None:
-        """End the process, and start none any more; from any thread."""
+        """Kill the process and start no other; may be called from any thread."""
         with self._lock:
             self._ended = True
             if self._child is not None:
                 self._child.kill()
 
     def close(self) -> int:
-        """Reap the process, by force, when no thread hears it; returns its exit code."""
+        """Kill the process, wait for its end and return its exit code.
+
+        No other thread may be reading from it.
+        """
         with self._lock:
             child, self._child = self._child, None
             return 0 if child is None else child.close()
 
     def _living(self) -> Child | None:
-        """The process, None once it is to end."""
+        """Return the process, started if needed; None after `end`."""
         with self._lock:
             if self._child is None and not self._ended:
                 self._child = start(WORKER, with_stdin=True)

@@ -1,7 +1,7 @@
 """`python -m robotctl.rerun.check_process --report-fd N`: checks the recordings named on stdin.
 
-A line of JSON each: a path comes on stdin, then {"progress"} and at its end {"report"} leave on N.
-The end of stdin ends it: it never outlives the process that asked.
+Each line is JSON: a path on stdin; then {"progress"} lines and one {"report"} line on descriptor N.
+The process ends when stdin is closed, so it does not outlive its parent.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ PROGRESS_PERIOD_S = 0.1
 
 
 def main() -> None:
-    """Check until stdin ends."""
+    """Check recordings until stdin is closed."""
     descriptor = report_fd(sys.argv)
     for line in sys.stdin:
         told = time.monotonic()
@@ -37,5 +37,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    with suppress(BrokenPipeError):  # the process that asked has ended
+    with suppress(BrokenPipeError):  # the parent process has ended
         main()

@@ -1,4 +1,4 @@
-"""What came of the check of a recording."""
+"""The report of the check of a recording."""
 
 from __future__ import annotations
 
@@ -20,23 +20,25 @@ from robotctl.rerun.rerun import Divergence
 
 
 class Verdict(StrEnum):
-    """What came of a check, the gravest first."""
+    """The result of a check, the most severe first."""
 
     DIVERGED = "diverged"
-    """A fresh kernel of the version that made the recording decides otherwise."""
+    """A new kernel of the version that made the recording decides differently."""
 
     BROKEN = "broken"
-    """It decides the same, but the recording breaks a promise of robotctl."""
+    """The kernel decides the same, but the recording breaks an invariant."""
 
     INCOMPLETE = "incomplete"
-    """Not everything could be checked, or another version decided by other rules; the rest is in
-    order."""
+    """Not everything could be checked, or another version decided by other rules.
+
+    All that could be checked is correct.
+    """
 
     SAME = "same"
 
     @property
     def exit_code(self) -> int:
-        """Of a command that has nothing graver to tell."""
+        """The exit code of `replay --check` with this result."""
         if self is Verdict.SAME:
             return 0
         return (UnreadableFile if self is Verdict.INCOMPLETE else DivergenceError).exit_code
@@ -46,10 +48,10 @@ class Verdict(StrEnum):
 class Report:
     """The check of one recording.
 
-    `version` and `made_by` are of the recording, "" where it does not say; `missing` says what
-    could not be checked, `notes` how the rest was; times in seconds, and steady ns for `begin_ns`,
-    which is `begin_log_ns` since the epoch. `divergence` is the first difference, also where the
-    recording is of another version.
+    `version` and `made_by` describe the recording, "" if unknown. `missing` lists what could not be
+    checked, and `notes` how the rest was compared. `begin_ns` (steady) and `begin_log_ns` (since
+    the epoch) are the same moment. `divergence` is the first difference, also for a recording of
+    another version.
     """
 
     path: Path
@@ -73,12 +75,12 @@ class Report:
 
     @property
     def same_version(self) -> bool:
-        """Whether this very version made the recording: only then a difference is a fault."""
+        """Whether this version made the recording: only then is a difference an error."""
         return self.version == __version__
 
     @property
     def verdict(self) -> Verdict:
-        """The gravest of what was found."""
+        """The most severe result."""
         if self.divergence is not None and self.same_version:
             return Verdict.DIVERGED
         if self.violation_count:
@@ -86,11 +88,11 @@ class Report:
         return Verdict.INCOMPLETE if self.missing else Verdict.SAME
 
     def miss(self, sentence: str) -> None:
-        """Say that something could not be checked."""
+        """Note what could not be checked."""
         note_missing(self.missing, sentence)
 
     def miss_other_rules(self, difference: str) -> None:
-        """Say where another version decided by other rules; the first sentence names both."""
+        """Note a decision by the rules of another version; the first note names both versions."""
         if self._other_rules:
             self.miss(difference)
             return
@@ -102,17 +104,17 @@ class Report:
         )
 
     def moment(self, t_ns: int) -> dict[str, Any]:
-        """A steady time, in seconds after the recording's beginning and as a date with a time."""
+        """Return a steady time also as seconds after the begin, and as date and time."""
         after_ns = t_ns - self.begin_ns
         wall_s = (self.begin_log_ns + after_ns) / NS_PER_S
         try:
             at = datetime.fromtimestamp(wall_s, UTC).astimezone().isoformat(timespec="milliseconds")
-        except (OverflowError, ValueError, OSError):  # a time that nobody has a calendar for
+        except (OverflowError, ValueError, OSError):  # outside the calendar
             at = ""
         return {"t_ns": t_ns, "after_s": after_ns / NS_PER_S, "at": at}
 
     def as_object(self) -> dict[str, Any]:
-        """The report as plain values, for machines."""
+        """Return the report as the JSON object of `replay --check --json`."""
         found = self.divergence
         return {
             "path": str(self.path),

@@ -1,4 +1,4 @@
-"""A kernel and the simulated robot around it, on virtual time: no clock, no ROS."""
+"""A closed loop of kernel and simulated robot on virtual time, without clock and ROS."""
 
 from __future__ import annotations
 
@@ -20,16 +20,19 @@ from robotctl.rerun.journal_values import decide
 from robotctl.sim.robot import Robot, SimParams
 
 TICK_AFTER_ODOMETRY_NS = 1_000_000
-"""Both have the same rate mostly; the newer odometry is, the better for tracking."""
+"""Ticks follow odometry by this time: tracking is best with fresh odometry."""
 
 
 def closed_loop(
     kernel: Kernel, sim: SimParams, requests: Iterable[Event], begin_ns: int
 ) -> Iterator[tuple[Event, tuple[Effect, ...]]]:
-    """Every event with its effects, without end, from `begin_ns` (steady) on.
+    """Yield every event with its effects from `begin_ns` (steady) on, without end.
 
-    `requests`, in the order of their time, come when their `t_ns` has come. The robot stands where
-    the kernel's last odometry was. Raises UnreadableFile where the kernel cannot go on.
+    `requests` are ordered by time, and each is taken at its `t_ns`. The robot begins at the pose of
+    the kernel's last odometry.
+
+    Raises:
+        UnreadableFile: The kernel cannot continue from its state.
     """
     robot = Robot(sim)
     health = kernel.state.health

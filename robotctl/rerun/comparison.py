@@ -1,4 +1,4 @@
-"""How a decision is compared with the recorded one, depending on who made the recording."""
+"""Compares a decision with the recorded one: exactly, or with the tolerance that is needed."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from robotctl.kernel.types import Decision
 from robotctl.recording.format.metadata_names import MADE_BY
 
 TOLERANCE = 1e-9
-"""Of floats that another libc or Python has computed, absolute and relative."""
+"""The tolerance, absolute and relative, for floats of another libc or Python."""
 
 WORDING = frozenset({"reason", "message", "stop_reason"})
-"""Sentences for people: another version may word them otherwise, and decides the same."""
+"""Fields that hold sentences: another version may word the same decision differently."""
 
 _quick_json = msgspec.json.Encoder().encode
-"""As `to_json` for all but floats with an exponent, nan, inf, and text that is not ASCII."""
+"""Same as `to_json` except for floats with an exponent, nan, inf, and text beyond ASCII."""
 
 DECISION_NAMES = frozenset(kind.__name__ for kind in get_args(Decision))
 """The names in the journal of the effects that are compared with those of another version."""
@@ -29,19 +29,19 @@ DECISION_NAMES = frozenset(kind.__name__ for kind in get_args(Decision))
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """What counts as the same; `version` "" is not known."""
+    """The rules of comparison for a recording; a `version` of "" is unknown."""
 
     version: str = __version__
     made_by: str = MADE_BY
 
     @property
     def same_version(self) -> bool:
-        """Whether this very version made the recording."""
+        """Whether this version made the recording."""
         return self.version == __version__
 
     @property
     def same_platform(self) -> bool:
-        """Whether floats are computed by the same libc and Python."""
+        """Whether the same libc and Python computed the floats."""
         return self.made_by == MADE_BY
 
     @property
@@ -50,7 +50,7 @@ class Comparison:
         return self.same_version and self.same_platform
 
     def notes(self) -> Iterator[str]:
-        """What is not compared exactly, and why, a sentence each."""
+        """Say what is not compared exactly and why, one sentence each."""
         if not self.same_version:
             yield (
                 f"made by robotctl {self.version or '(unknown version)'}, this is {__version__}: "
@@ -63,7 +63,7 @@ class Comparison:
             )
 
     def same(self, recorded: str, value: object) -> bool:
-        """Whether the journal's text says what `value` is."""
+        """Return whether the text of the journal means `value`."""
         if recorded.encode() == _quick_json(value):
             return True
         mine = to_json(value)
@@ -72,7 +72,7 @@ class Comparison:
         return not self.is_exact and not self.differences(recorded, mine)
 
     def differences(self, recorded: str, decided: str) -> list[str]:
-        """Where two JSON texts differ, as `path: recorded ..., decided ...`."""
+        """Return the differences of two JSON texts, as `path: recorded ..., decided ...`."""
         try:
             theirs = json.loads(recorded)
         except (ValueError, RecursionError):

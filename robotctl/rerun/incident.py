@@ -1,4 +1,4 @@
-"""Finds what stopped the robot, or refused a request, and what the kernel knew at that moment."""
+"""Finds the step that stopped the robot or refused a request, and the state of the kernel then."""
 
 from __future__ import annotations
 
@@ -22,31 +22,31 @@ from robotctl.rerun.journal_values import decide, read_effect, read_event, read_
 from robotctl.rerun.traffic import command_topic, is_still
 
 MAX_MESSAGES_AFTER = 2000
-"""Among which the first zero command after a stop is looked for."""
+"""The number of messages after a stop in which the first zero command is searched."""
 
 
 class IncidentKind(StrEnum):
-    """What happened."""
+    """The kind of an incident."""
 
     FAULT = "fault"
-    """The kernel itself found a cause to stop for."""
+    """The kernel stopped the robot because of a fault."""
 
     STOP = "stop"
-    """Somebody asked for it, or the drive was over."""
+    """A request stopped the robot, or its drive was finished."""
 
     REFUSAL = "refusal"
 
     KILL = "kill"
-    """The recording ends while the robot is MOVING, and nobody closed it."""
+    """The recording ends while the robot is MOVING, without a close."""
 
 
 @dataclass(slots=True)
 class Incident:
-    """A step of the kernel that stopped the robot or refused a request, or the last one of all.
+    """A step of the kernel that stopped the robot or refused a request; for a KILL the last step.
 
-    Times are steady ns; `log_ns` is that of the event, and `zero_ns` that of the first zero
-    command that was sent then, both since the epoch. What is None is not in the recording. For a
-    KILL the event is the last one that was recorded.
+    Times are steady ns, except `log_ns` (of the event) and `zero_ns` (of the first zero command
+    after it), which are since the epoch. None means that the recording does not hold the value.
+    `before` and `after` are the states of the kernel around the step.
     """
 
     kind: IncidentKind
@@ -63,14 +63,14 @@ class Incident:
     before: State | None = None
     after: State | None = None
     ramp: tuple[int, Event] | None = None
-    """When and by what event a ramp to this stop began."""
+    """Time and event at which the ramp to this stop began, None if there was no ramp."""
 
     next_change: tuple[int, ModeChanged] | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Searched:
-    """What a recording tells: its last incident, if there is one, and what cannot be read."""
+    """The incident that was found, None if there is none, and what could not be read."""
 
     incident: Incident | None
     missing: list[str]
@@ -83,7 +83,8 @@ def find_incident(
 ) -> Searched:
     """Find the last incident of a recording, or the one nearest to `at_ns` since the epoch.
 
-    Raises UnreadableFile where there is no journal to read.
+    Raises:
+        UnreadableFile: The recording has no journal.
     """
     with Recording(path) as recording:
         topic = journal_topic(recording.info())
@@ -97,7 +98,7 @@ def find_incident(
 
 
 class _Search:
-    """The first pass: which step it is, and where the mode was before and after."""
+    """The first pass over the journal: it finds the step and the change of mode after it."""
 
     def __init__(self, recording: Recording, topic: str, at_ns: int | None) -> None:
         self._recording = recording
@@ -114,7 +115,7 @@ class _Search:
         self.missing = list(recording.missing)
 
     def run(self, on_progress: Callable[[int, int], None]) -> Incident | None:
-        """Read the journal once."""
+        """Read the journal once and return the incident."""
         for item in steps(self._entries(on_progress)):
             try:
                 if isinstance(item, Gap):
@@ -159,7 +160,7 @@ class _Search:
             self._mode = read_snapshot(entry).state.mode
 
     def _consider(self, step: Step, kind: IncidentKind) -> None:
-        """Keep the incident if it is a better answer than those before."""
+        """Keep the incident if it is later, or nearer to the wanted time, than the one before."""
         apart_ns = 0 if self._at_ns is None else abs(self._log_ns - self._at_ns)
         if self._best is not None and apart_ns > self._best_apart_ns:
             return
@@ -180,7 +181,7 @@ class _Search:
 
 
 def _telling(step: Step) -> list[Effect]:
-    """The effects of a step that may make it an incident."""
+    """Return the effects that can make a step an incident."""
     names = (ModeChanged.__name__, Reply.__name__)
     return [read_effect(entry) for entry in step.effects if entry.name in names]
 
@@ -199,7 +200,7 @@ def _kind(step: Step, effects: list[Effect]) -> IncidentKind | None:
 
 
 class _Context:
-    """The second pass, from the last snapshot on: what the kernel knew, and when zero was sent."""
+    """The second pass: it re-runs the kernel from the last snapshot and finds the first zero."""
 
     def __init__(self, recording: Recording, topic: str, incident: Incident) -> None:
         self._recording = recording
@@ -208,7 +209,7 @@ class _Context:
         self._messages_after = 0
 
     def fill(self) -> None:
-        """Complete the incident, as far as the journal tells."""
+        """Fill in the state, the ramp and the first zero, as far as the journal holds them."""
         incident = self._incident
         kernel: Kernel | None = None
         for item in steps(self._entries()):
@@ -219,7 +220,7 @@ class _Context:
                     kernel = read_snapshot(item).kernel()
                 elif kernel is not None and item.event.seq <= incident.seq:
                     self._step(kernel, item.event)
-            except UnreadableFile:  # was told by the first pass, or is a snapshot
+            except UnreadableFile:  # the first pass has reported it, or it is a snapshot
                 kernel = None
 
     def _step(self, kernel: Kernel, entry: JournalEntry) -> None:
@@ -234,7 +235,7 @@ class _Context:
             incident.ramp = event.t_ns, event
 
     def _entries(self) -> Iterator[JournalEntry]:
-        """The journal up to a little behind the incident."""
+        """Yield the journal from the snapshot to shortly after the incident."""
         incident = self._incident
         first = incident.seq if incident.snapshot_seq is None else incident.snapshot_seq
         commands = command_topic(self._recording.info(), self._topic)

@@ -1,7 +1,7 @@
-"""What must hold in every recording, checked on the journal and on the traffic beside it.
+"""The invariants that must hold in every recording, checked on the journal and the traffic.
 
-The journal's order decides, and values are compared, never times: a clock that is set meanwhile
-changes nothing.
+The checks compare values in the order of the journal, never wall-clock times: setting the clock
+during a recording changes nothing.
 """
 
 from __future__ import annotations
@@ -36,17 +36,17 @@ from robotctl.kernel.types import (
 from robotctl.kernel.units import NS_PER_S
 
 MAX_VIOLATIONS = 20
-"""So many are told; all are counted."""
+"""The number of violations that are kept; all are counted."""
 
 ROUNDING = 1e-9
-"""Of a change between two commands, beyond what its limit allows."""
+"""The tolerance for the change between two commands."""
 
 _REQUESTS = (ModeRequested, ResetRequested, DriveRequested)
 
 
 @dataclass(frozen=True, slots=True)
 class Violation:
-    """A promise that the recording does not keep, in a sentence; `t_ns` of the event."""
+    """An invariant that the recording breaks, in a sentence; `t_ns` is that of the event."""
 
     seq: int
     t_ns: int
@@ -54,14 +54,14 @@ class Violation:
 
 
 class Invariants:
-    """Takes the journal step by step, from a snapshot on; `violations` holds what was found."""
+    """Checks the journal step by step from a snapshot on, and collects the `violations`."""
 
     def __init__(self) -> None:
         self.violations: list[Violation] = []
         self.count = 0
         self.mode: Mode | None = None
         self.foreign: set[str] = set()
-        """Other nodes that were seen to publish the command."""
+        """The other nodes that published the command."""
 
         self._params = KernelParams()
         self._command = ZERO
@@ -71,11 +71,11 @@ class Invariants:
         self._at = (0, 0)
 
     def stop(self) -> None:
-        """Events are missing from here on, until the next snapshot."""
+        """Pause until the next snapshot: events are missing."""
         self.mode = None
 
     def snapshot(self, snapshot: Snapshot) -> None:
-        """Go on from here."""
+        """Continue from this snapshot."""
         state = snapshot.state
         self._params = snapshot.params
         self.mode, self._command, self._tick_t_ns = state.mode, state.command, state.tick_t_ns
@@ -86,7 +86,7 @@ class Invariants:
             self.foreign.add(state.health.command_topic.foreign_by)
 
     def step(self, seq: int, event: Event, effects: tuple[Effect, ...]) -> None:
-        """Check one event and what came of it."""
+        """Check one event and its effects."""
         if self.mode is None or (not effects and isinstance(event, OdomReceived)):
             return
         self._at = seq, event.t_ns
@@ -111,7 +111,7 @@ class Invariants:
                 case Reply():
                     self._check_reply(effect)
                 case DriveEnded():
-                    pass  # a report, not a command
+                    pass  # a report: no invariant depends on it
                 case _:
                     assert_never(effect)
         if self._latched is not (self.mode is Mode.EMERGENCY_STOP):
@@ -122,12 +122,12 @@ class Invariants:
             self._tick_t_ns = event.t_ns
 
     def end(self, waiting: tuple[int, ...]) -> None:
-        """Check that nobody is left without an answer but those who wait for a ramp to end."""
+        """Check that every request has its reply, except those in `waiting`."""
         for request_id in sorted(self._open_requests.difference(waiting)):
             self.violate(f"request {request_id} has no reply")
 
     def violate(self, text: str) -> None:
-        """Count a promise that is not kept."""
+        """Count and keep a violation."""
         self.count += 1
         if len(self.violations) < MAX_VIOLATIONS:
             self.violations.append(Violation(*self._at, text))
@@ -171,19 +171,18 @@ class Invariants:
 
     def _check_reply(self, reply: Reply) -> None:
         if reply.request_id not in self._open_requests:
-            self.violate(f"a reply to request {reply.request_id}, which does not wait for one")
+            self.violate(f"a reply to request {reply.request_id}, which is not open")
         self._open_requests.discard(reply.request_id)
         if self.mode is not None and reply.mode is not self.mode:
-            self.violate(
-                f"request {reply.request_id} was told {reply.mode.name} in {self.mode.name}"
-            )
+            said, mode = reply.mode.name, self.mode.name
+            self.violate(f"the reply to request {reply.request_id} says {said} in {mode}")
 
 
 def unbalanced(ledger: Mapping[str, Mapping[str, int]], *, finished: bool) -> Iterator[str]:
-    """What does not add up in the ledger of a file, a sentence each.
+    """Yield a sentence for each topic of a loss ledger whose counts do not add up.
 
-    received = written + dropped at the end of a recording that was `finished`; at the end of an
-    earlier file messages may be queued for the next.
+    In the last file of a `finished` recording received = written + dropped; at the end of an
+    earlier file messages may be queued for the next one.
     """
     for topic, counts in ledger.items():
         received, written, dropped = (counts.get(n, 0) for n in ("received", "written", "dropped"))
@@ -196,10 +195,10 @@ def unbalanced(ledger: Mapping[str, Mapping[str, int]], *, finished: bool) -> It
 
 
 def shown(twist: Twist) -> str:
-    """A velocity for people."""
+    """Return the text of a velocity."""
     return f"{twist.linear:.6g} m/s, {twist.angular:.6g} rad/s"
 
 
 def shown_limits(limits: VelocityLimits) -> str:
-    """What a velocity may be, for people."""
+    """Return the text of the velocity limits."""
     return f"{limits.linear_mps:g} m/s, {limits.angular_rps:g} rad/s"

@@ -1,4 +1,4 @@
-"""The journal as the kernel saw it: snapshots, and events with the effects that they had."""
+"""Groups journal entries into snapshots, and steps of one event with its effects."""
 
 from __future__ import annotations
 
@@ -9,33 +9,34 @@ from heapq import heappop, heappush
 from robotctl.recording.format.journal import EntryKind, JournalEntry
 
 MAX_DISORDER = 4096
-"""Entries are put in the order of their `seq` where others stand between them; so many at most.
+"""How many entries are held back to put them in the order of their `seq`.
 
-Ours stand in order; files that other programs have sorted by time do not where clocks were set.
+Our files are in order; in a file that another program sorted by time, entries are out of order
+around a change of the clock.
 """
 
 
 @dataclass(slots=True)
 class Step:
-    """One event, and the effects that were recorded after it."""
+    """One event and the effects that were recorded after it."""
 
     event: JournalEntry
     effects: list[JournalEntry] = field(default_factory=list)
     cut: bool = False
-    """Nothing stands behind it: effects may be missing."""
+    """Whether the journal ends after it, so that effects may be missing."""
 
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """A place where the journal does not go on as it should; `text` says how."""
+    """A place where journal entries are missing or out of order; `text` says which."""
 
     text: str
 
 
 def steps(entries: Iterable[JournalEntry]) -> Iterator[Step | JournalEntry | Gap]:
-    """The journal's steps, snapshots (as their entries) and gaps.
+    """Yield the steps, the snapshots (as entries) and the gaps of a journal.
 
-    Effects whose event is missing are passed over, for nobody can say what they belong to.
+    Effects whose event is missing are skipped.
     """
     step: Step | None = None
     for entry in in_sequence(entries):
@@ -62,7 +63,7 @@ def steps(entries: Iterable[JournalEntry]) -> Iterator[Step | JournalEntry | Gap
 
 
 def in_sequence(entries: Iterable[JournalEntry]) -> Iterator[JournalEntry | Gap]:
-    """The entries by their `seq`, the first one of each, and what is missing between them."""
+    """Yield the entries ordered by `seq` without repetitions, and the gaps between them."""
     held: list[tuple[int, int, JournalEntry]] = []
     first: int | None = None
     following = 0
@@ -86,7 +87,7 @@ def in_sequence(entries: Iterable[JournalEntry]) -> Iterator[JournalEntry | Gap]
         if first is None:
             first = following = entry.seq
         elif entry.seq < first:
-            yield Gap(f"the journal is not in order: entry {entry.seq} stands behind {first}")
+            yield Gap(f"the journal is not in order: entry {entry.seq} follows {first}")
             first = entry.seq
         heappush(held, (entry.seq, position, entry))
         yield from take_held(MAX_DISORDER)

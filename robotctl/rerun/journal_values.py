@@ -1,4 +1,4 @@
-"""Kernel values read from the journal, ten times as fast as the kernel's own codec reads them."""
+"""Reads kernel values from the journal, ten times faster than the codec of the kernel."""
 
 from __future__ import annotations
 
@@ -29,23 +29,35 @@ _DECODERS: Mapping[Any, msgspec.json.Decoder[Any]] = MappingProxyType(
 )
 
 KERNEL_FAILURES = (AssertionError, ArithmeticError, LookupError, ValueError, TypeError)
-"""What a kernel may raise in a state that no kernel has come to by itself."""
+"""The errors that a kernel raises in a state that no kernel reaches by itself."""
 
 
 def read_event(entry: JournalEntry) -> Event:
-    """The event in an entry; raises UnreadableFile where it is none of this version."""
+    """Return the event in an entry.
+
+    Raises:
+        UnreadableFile: It is not an event of this version.
+    """
     event: Event = _read(_EVENTS, "event", entry)
     return event
 
 
 def read_effect(entry: JournalEntry) -> Effect:
-    """The effect in an entry; raises UnreadableFile where it is none of this version."""
+    """Return the effect in an entry.
+
+    Raises:
+        UnreadableFile: It is not an effect of this version.
+    """
     effect: Effect = _read(_EFFECTS, "effect", entry)
     return effect
 
 
 def read_snapshot(entry: JournalEntry) -> Snapshot:
-    """The snapshot in an entry; raises UnreadableFile where it is none of this version."""
+    """Return the snapshot in an entry.
+
+    Raises:
+        UnreadableFile: It is not a snapshot of this version.
+    """
     snapshot: Snapshot = _read(_SNAPSHOT, "snapshot", entry)
     try:
         check_all(Config(kernel=snapshot.params))
@@ -55,7 +67,11 @@ def read_snapshot(entry: JournalEntry) -> Snapshot:
 
 
 def decide(kernel: Kernel, event: Event) -> tuple[Effect, ...]:
-    """Step a kernel whose state came from a file; raises UnreadableFile where it cannot."""
+    """Take a step of a kernel whose state came from a file.
+
+    Raises:
+        UnreadableFile: The kernel cannot continue from its state.
+    """
     try:
         return kernel.step(event)
     except KERNEL_FAILURES as error:
@@ -65,12 +81,12 @@ def decide(kernel: Kernel, event: Event) -> tuple[Effect, ...]:
 
 
 def text_of(value: Event | Effect | Snapshot) -> str:
-    """The value as a line of the journal: `Name {json}`."""
+    """Return the value as a line of text: `Name {json}`."""
     return f"{type(value).__name__} {to_json(value)}"
 
 
 def _read(kinds: Mapping[str, Any], noun: str, entry: JournalEntry) -> Any:
-    """What another version has left out gets its default; what it has added is passed over."""
+    """Return the value in an entry; missing fields get defaults, unknown ones are ignored."""
     kind = kinds.get(entry.name)
     try:
         if kind is None:

@@ -1,4 +1,4 @@
-"""The configuration under which a recording was made, and what it is changed to."""
+"""The configuration of a recording, and the settings that change it."""
 
 from __future__ import annotations
 
@@ -11,16 +11,20 @@ from robotctl.recording import RecordingInfo
 from robotctl.recording.format.metadata_names import INFO_RECORD
 
 PREFIX = "parameter."
-"""Of the keys of a configuration in a recording's metadata."""
+"""The prefix of configuration keys in the metadata of a recording."""
 
 _SECTIONS = frozenset(item.name for item in fields(Config))
 
 Settings = Mapping[str, str]
-"""Keys of the configuration and their values, as they were typed."""
+"""Configuration keys and their values, as typed."""
 
 
 def parse_settings(texts: Iterable[str]) -> Settings:
-    """The settings of `key=value` texts, each allowed by itself. Raises UsageError."""
+    """Return the settings of `key=value` texts.
+
+    Raises:
+        UsageError: A text is not `key=value`, or the value is not allowed for that key.
+    """
     settings: dict[str, str] = {}
     for text in texts:
         key, equals, value = text.partition("=")
@@ -37,7 +41,11 @@ def parse_settings(texts: Iterable[str]) -> Settings:
 
 
 def check_scope(settings: Settings, *, closed_loop: bool) -> None:
-    """Raise UsageError for a key that changes nothing."""
+    """Check that every key changes something.
+
+    Raises:
+        UsageError: No decision depends on a key.
+    """
     for key in settings:
         section = key.partition(".")[0]
         if section == "kernel" or section not in _SECTIONS or (closed_loop and section == "sim"):
@@ -47,7 +55,11 @@ def check_scope(settings: Settings, *, closed_loop: bool) -> None:
 
 
 def changed(config: Config, settings: Settings) -> Config:
-    """The configuration with the settings in it. Raises ConfigError."""
+    """Return the configuration with the settings applied.
+
+    Raises:
+        ConfigError: The settings do not fit together.
+    """
     for key, value in settings.items():
         config = with_text(config, key, value)
     check_together(config.kernel)
@@ -55,9 +67,9 @@ def changed(config: Config, settings: Settings) -> Config:
 
 
 def simulated(config: Config, info: RecordingInfo) -> tuple[Config, list[str]]:
-    """The configuration with the recorded parameters of the simulated robot.
+    """Return the configuration with the recorded parameters of the simulated robot.
 
-    Also the keys of those that are not known or not allowed here.
+    The second value lists the recorded keys that are unknown or not allowed in this version.
     """
     unknown = []
     for name, value in info.metadata.get(INFO_RECORD, {}).items():

@@ -1,4 +1,4 @@
-"""A recorded journal decided once more by a fresh kernel: does it decide the same, bit for bit?"""
+"""Re-runs a recorded journal through a new kernel and compares its decisions bit for bit."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from robotctl.rerun.journal_steps import Gap, Step, steps
 from robotctl.rerun.journal_values import KERNEL_FAILURES, read_event, read_snapshot, text_of
 
 MAX_SHAPES = 4096
-"""A number may have a sign, a point and an exponent; a source may be any text."""
+"""The number of entry shapes that are remembered: a source may be any text."""
 
 
 @dataclass(frozen=True, slots=True)
 class Divergence:
-    """Where a fresh kernel decided differently, as texts `Name {json}`; "" where one is missing.
+    """The first place where a new kernel decided differently.
 
-    `seq` and `t_ns` are those of the recorded entry at which it shows, `event` is what both
-    kernels had to decide on, `before` what the fresh one remembered then; `differences` name
-    the fields.
+    `recorded` and `decided` are texts `Name {json}`, "" where one is missing, and `event` is what
+    both kernels decided on. `seq` and `t_ns` are those of the recorded entry, `before` is the state
+    of the new kernel before the event, and `differences` names the fields.
     """
 
     seq: int
@@ -39,7 +39,7 @@ class Divergence:
     differences: tuple[str, ...] = ()
 
     def sentence(self) -> str:
-        """The difference in one sentence."""
+        """Return the difference in one sentence."""
         differs = "; ".join(self.differences)
         if not differs:
             differs = f"recorded {self.recorded or 'nothing'}, decided {self.decided or 'nothing'}"
@@ -47,7 +47,7 @@ class Divergence:
 
 
 class Decided(NamedTuple):
-    """A step decided again; `effects` are None where there is nothing to compare them with."""
+    """A step decided again; `effects` is None without a kernel and after a divergence."""
 
     event: Event
     effects: tuple[Effect, ...] | None = None
@@ -55,9 +55,9 @@ class Decided(NamedTuple):
 
 
 class Rerun:
-    """A fresh kernel that gets the recorded events, from the first snapshot on.
+    """A new kernel that takes the recorded events from the first snapshot on.
 
-    After a divergence, and after `stop`, it waits for the next snapshot: `kernel` is None then.
+    After a divergence and after `stop` it waits for the next snapshot; `kernel` is None meanwhile.
     """
 
     def __init__(self, comparison: Comparison) -> None:
@@ -68,24 +68,29 @@ class Rerun:
         self._shapes: set[bytes] = set()
 
     def stop(self) -> None:
-        """Events are missing from here on."""
+        """Pause until the next snapshot: events are missing."""
         self.kernel = None
 
     def snapshot(self, entry: JournalEntry) -> tuple[Snapshot, Divergence | None]:
-        """Go on from here; says what the kernel so far remembers differently.
+        """Continue from a snapshot, and return it with its difference from the kernel so far.
 
-        Raises UnreadableFile where the entry is not one of this version.
+        Raises:
+            UnreadableFile: The entry is not a snapshot of this version.
         """
         snapshot = read_snapshot(entry)
         kernel, self.kernel = self.kernel, snapshot.kernel()
         mine = Snapshot(snapshot.made_by, kernel.params, kernel.state) if kernel else snapshot
         if not self._same_version or self.comparison.same(entry.data, mine):
-            return snapshot, None  # as texts, for no nan equals another
+            return snapshot, None  # compared as texts, because nan is not equal to nan
         before = kernel.state if kernel else None
         return snapshot, self._divergence(entry, mine, before)
 
     def step(self, step: Step) -> Decided:
-        """Decide on the step's event again. Raises UnreadableFile where the entry is not ours."""
+        """Decide on the event of a step again, and compare the effects.
+
+        Raises:
+            UnreadableFile: The event is not one of this version.
+        """
         entry, kernel = step.event, self.kernel
         event = read_event(entry)
         if kernel is None:
@@ -118,10 +123,10 @@ class Rerun:
         return Decided(event, decided)
 
     def _is_untouched(self, entry: JournalEntry, event: Event) -> bool:
-        """Whether the entry is what was written for this event, and nobody has changed it.
+        """Return whether the entry is unchanged since it was written for this event.
 
-        Its text without the digits is compared with those that were right: the digits themselves
-        are the event.
+        The text without its digits is compared with texts that were correct; the digits are the
+        values of the event.
         """
         if not self._same_version:
             return True
@@ -142,7 +147,7 @@ class Rerun:
     def _divergence(
         self, recorded: JournalEntry | None, mine: Any, before: State | None
     ) -> Divergence:
-        """The difference between an entry and what stands, or does not, in its place."""
+        """Describe the difference between a recorded entry and a decision; one may be missing."""
         at = recorded or self._event
         assert at is not None
         differences: list[str] = []
@@ -160,11 +165,13 @@ class Rerun:
 
 
 def first_divergence(entries: Iterable[JournalEntry]) -> Divergence | None:
-    """Return the first divergence of a fresh kernel from the journal, None where there is none.
+    """Return the first divergence of a new kernel from the journal, None if there is none.
 
-    What stands before the first snapshot is passed over; the effects of the last event may be cut
-    off, as a killed process leaves them. Raises UnreadableFile where entries are missing or are
-    none of this version.
+    Entries before the first snapshot are skipped. Effects of the last event may be missing, as
+    after a kill.
+
+    Raises:
+        UnreadableFile: Entries are missing or are not of this version.
     """
     again = Rerun(Comparison())
     for item in steps(entries):

@@ -1,6 +1,6 @@
-"""The recorded run once more in a closed loop: its parameters and requests, a simulated robot.
+"""Simulates a recorded run again: the same parameters and requests, with a simulated robot.
 
-On virtual time, where no scheduler disturbs: two runs differ by their parameters alone.
+Time is virtual, so no scheduler has an influence: two runs differ only by their parameters.
 """
 
 from __future__ import annotations
@@ -35,20 +35,20 @@ from robotctl.rerun.journal_values import read_effect, read_event, read_snapshot
 from robotctl.rerun.recorded_settings import Settings, changed, simulated
 
 MAX_REQUESTS = 100_000
-"""More are not asked again, and that is said."""
+"""The largest number of requests that are repeated; the result says if there were more."""
 
 MAX_SPAN_NS = 7 * 86_400 * NS_PER_S
-"""Of a recording that is simulated."""
+"""The longest recording that is simulated."""
 
 LONGEST = 10
-"""A drive that goes on at the end of the recording is simulated for so many times its length."""
+"""A drive that continues at the end is simulated for at most this many times the recording."""
 
 _REQUESTS = frozenset(kind.__name__ for kind in (ModeRequested, ResetRequested, DriveRequested))
 
 
 @dataclass(slots=True)
 class Run:
-    """The requests of a run and, by the request that began each, its drives as they ended."""
+    """The requests of a run, and the results of its drives by the id of their request."""
 
     begin_ns: int = 0
     end_ns: int = 0
@@ -56,7 +56,7 @@ class Run:
     drives: dict[int, dict[str, Any]] = field(default_factory=dict)
 
     def end_drive(self, ended: DriveEnded, t_ns: int) -> None:
-        """Note how a drive went; one that was under way at the beginning has no duration."""
+        """Keep the result of a drive; a drive that began before the recording has no duration."""
         request = self.requests.get(ended.request_id)
         duration_s = (t_ns - request.t_ns) / NS_PER_S if request else None
         self.drives[ended.request_id] = {
@@ -72,10 +72,14 @@ def resimulate(
     settings: Settings,
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> dict[str, Any]:
-    """Simulate, and return the object of `--json`; `on_progress` gets how much is done of what.
+    """Simulate a recording again, and return the JSON object of `replay --resim --json`.
 
-    Raises UnreadableFile where there is nothing to begin from, ConfigError where the settings do
-    not go with the recorded ones.
+    With `settings` a second simulation runs with them. `on_progress` is called with the simulated
+    time and the length of the recording [ns].
+
+    Raises:
+        UnreadableFile: The journal has no snapshot to begin from, or its times are impossible.
+        ConfigError: The settings do not fit the recorded parameters.
     """
     missing: list[str] = []
     recorded = Run()
@@ -140,9 +144,9 @@ def _take(run: Run, entry: JournalEntry) -> None:
 def _simulate(
     config: Config, state: State, recorded: Run, on_progress: Callable[[int, int], None]
 ) -> Run:
-    """Ask the same of a simulated robot until the recording's end, and let a drive come to its.
+    """Repeat the requests with a simulated robot until recording and drive have ended.
 
-    The simulated robot is alone: what was recorded of other nodes is left out.
+    Other nodes of the recording are left out.
     """
     alone = replace(state.health, foreign_publishers=(), command_topic=CommandTopic())
     kernel = Kernel(config.kernel, replace(state, health=alone))
@@ -173,7 +177,7 @@ def _simulate(
 
 
 def _figures(report: DriveReport) -> dict[str, Any]:
-    """For machines; lengths in m, null where there is no such figure."""
+    """Return the figures of a drive as JSON values, None for a figure that is unknown."""
     return {
         "laps": report.laps,
         "distance_m": report.distance_m,

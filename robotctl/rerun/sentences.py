@@ -1,4 +1,4 @@
-"""Events and spans of time as somebody would say them."""
+"""Events and durations as sentences."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from robotctl.kernel.units import NS_PER_S
 
 
 def sentence_of(event: Event) -> str:
-    """The event as somebody would say it."""
+    """Return a sentence about the event."""
     match event:
         case Tick():
             missed = f", {event.missed} were missed before it" if event.missed else ""
@@ -43,7 +43,7 @@ def sentence_of(event: Event) -> str:
         case DriveRequested():
             return f"a request to drive a {event.pattern.kind.value} by {event.source}"
         case CommandPublishersSeen():
-            names = ", ".join(event.names) or "nobody else"
+            names = ", ".join(event.names) or "no other node"
             return f"{names} publishes velocity commands, too"
         case ForeignCommandHeard():
             return f"a velocity command of {event.publisher}"
@@ -64,7 +64,7 @@ def _mode_name(number: int) -> str:
 
 
 def span(duration_ns: int) -> str:
-    """A span of time, as exactly as it matters."""
+    """Return a duration as text, rounded to what matters."""
     seconds = duration_ns / NS_PER_S
     if abs(seconds) < 1.0:
         return f"{seconds * 1e3:.0f} ms"

@@ -1,4 +1,4 @@
-"""The recorded velocity commands held against the journal: was every motion decided?"""
+"""Compares the recorded velocity commands with the journal: every motion must be decided."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from robotctl.recording.format.journal import TOPIC
 from robotctl.recording.format.metadata_names import INFO_RECORD
 
 TYPES = frozenset({"geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"})
-"""Both end with the six numbers."""
+"""The message types of a command; both end with the same six numbers."""
 
 MAX_WAITING = 512
-"""Commands that were decided and not seen yet, or seen and not decided yet."""
+"""The number of commands that may wait for their counterpart."""
 
 STILL_STEPS = 500
-"""After so many steps with effects but without motion no command is on its way any more."""
+"""After this many steps with effects but without motion, no command can still be under way."""
 
 _NUMBERS = struct.Struct("<6d")
 _BIG_ENDIAN_NUMBERS = struct.Struct(">6d")
-"""Linear and angular velocity at the end of the serialized message (CDR, OMG DDSI-RTPS 10.2)."""
+"""The six velocities at the end of a serialized message (CDR, OMG DDSI-RTPS 10.2)."""
 
 _STILL = bytes(_NUMBERS.size)
 
@@ -30,7 +30,7 @@ _COMMAND_TOPIC = "parameter.command.topic"
 
 
 def command_topic(info: RecordingInfo, journal_topic: str) -> str | None:
-    """The topic of the velocity commands that the journal decides on, None where there is none."""
+    """Return the topic of the velocity commands of the journal, None if it is not recorded."""
     name = info.metadata.get(INFO_RECORD, {}).get(_COMMAND_TOPIC, "cmd_vel")
     if not name.startswith("/"):
         name = f"{journal_topic.removesuffix(f'/{TOPIC}')}/{name}"
@@ -39,30 +39,30 @@ def command_topic(info: RecordingInfo, journal_topic: str) -> str | None:
 
 
 def is_still(data: bytes) -> bool:
-    """Whether a message of the command topic commands no motion."""
+    """Return whether a message of the command topic commands no motion."""
     return not any(_NUMBERS.unpack(_numbers(data)))
 
 
 class CommandTraffic:
-    """Pairs what was published with what was decided, by value and in any order, each once.
+    """Pairs published commands with decided ones, by value, in any order, each once.
 
-    Of commands other than zero only: zero is always right.
+    Commands of zero are ignored: they are always allowed.
     """
 
     def __init__(self) -> None:
         self.seen = 0
         self.undecided = 0
-        """Commands other than zero that nobody decided on."""
+        """The number of commands, other than zero, without a decision."""
 
         self.example = ""
-        """The first of them, in words."""
+        """The first of them, as text."""
 
         self._decided: deque[bytes] = deque(maxlen=MAX_WAITING)
         self._published: deque[bytes] = deque()
         self._still_steps = 0
 
     def message(self, data: bytes) -> None:
-        """A message of the command topic."""
+        """Take a message of the command topic."""
         self.seen += 1
         numbers = _numbers(data)
         if numbers == _STILL:
@@ -77,7 +77,7 @@ class CommandTraffic:
                 self._give_up()
 
     def step(self, effects: tuple[Effect, ...]) -> None:
-        """What was decided."""
+        """Take the effects of one step."""
         self._still_steps += 1
         for effect in effects:
             if isinstance(effect, PublishTwist) and (effect.twist.linear or effect.twist.angular):
@@ -92,7 +92,7 @@ class CommandTraffic:
             self.end()
 
     def end(self) -> None:
-        """Nothing more was decided."""
+        """Count all commands that still wait for a decision: no decision follows."""
         while self._published:
             self._give_up()
 
@@ -105,7 +105,11 @@ class CommandTraffic:
 
 
 def _numbers(data: bytes) -> bytes:
-    """The six numbers of a Twist, little endian. Raises UnreadableFile."""
+    """Return the six numbers of a Twist as little-endian bytes.
+
+    Raises:
+        UnreadableFile: The message is too short.
+    """
     numbers = data[-_NUMBERS.size :]
     if len(numbers) < _NUMBERS.size:
         raise UnreadableFile("a velocity command is cut short")

@@ -1,4 +1,4 @@
-"""Finds what a journal entry of another version says and this version has no name for."""
+"""Finds fields in journal entries of another version that this version does not know."""
 
 from __future__ import annotations
 
@@ -13,8 +13,10 @@ from robotctl.rerun.journal_values import read_effect, read_event, read_snapshot
 
 MAX_FORMS = 4096
 MAX_FORM_BYTES = 1000
-"""A form is an entry's text without its digits. Forms are kept so that each is looked at once; a
-request holds any text, and a file must not fill the memory with it."""
+"""A form is the text of an entry without its digits; each form is parsed only once.
+
+The limits bound the memory: a request may hold any text.
+"""
 
 _READERS = {
     EntryKind.EVENT: read_event,
@@ -24,15 +26,16 @@ _READERS = {
 
 
 class Vocabulary:
-    """Remembers the forms of text in which all fields are known."""
+    """Remembers the forms whose fields are all known."""
 
     def __init__(self) -> None:
         self._known: set[tuple[str, bytes]] = set()
 
     def unknown_field(self, entry: JournalEntry) -> str:
-        """Return the first field that this version would pass over, as `Name.path`, or "".
+        """Return the first field that this version would ignore, as `Name.path`, or "".
 
-        Raises UnreadableFile where the entry as a whole is none of this version.
+        Raises:
+            UnreadableFile: The whole entry is not of this version.
         """
         form = (entry.name, entry.data.encode().translate(None, b"0123456789"))
         if form in self._known:

@@ -1,7 +1,7 @@
-"""What a kernel with other parameters would have decided on the same inputs.
+"""What-if: the decisions of a kernel with other parameters on the recorded events.
 
-An open loop: the recorded robot does not react to the other commands. What is compared is the
-decision at each moment, given all that was really measured until then.
+The loop is open: the recorded robot does not react to the other commands. Each decision is compared
+given all that was really measured until then.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from robotctl.rerun.journal_values import decide, read_event, read_snapshot, tex
 from robotctl.rerun.recorded_settings import Settings, changed
 
 MAX_ANSWERS = 20
-"""Requests that were answered otherwise: so many are told, all are counted."""
+"""The number of different answers that are listed; all are counted."""
 
 
 def what_if(
@@ -35,17 +35,20 @@ def what_if(
     settings: Settings,
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> dict[str, Any]:
-    """Compare, and return the object of `--json`; `on_progress` gets bytes done and in total.
+    """Compare the decisions, and return the JSON object of `replay --what-if --json`.
 
-    Raises UnreadableFile where there is nothing to compare, ConfigError where the settings do not
-    go with the recorded parameters.
+    `on_progress` is called with the bytes that are done and the bytes in total.
+
+    Raises:
+        UnreadableFile: The journal has no snapshot to begin from.
+        ConfigError: The settings do not fit the recorded parameters.
     """
     missing: list[str] = []
 
     def miss(sentence: str) -> None:
         note_missing(missing, sentence)
 
-    comparison = Comparison(settings)
+    comparison = _TwoKernels(settings)
     with Recording(path) as recording:
         for sentence in recording.missing:
             miss(sentence)
@@ -65,7 +68,7 @@ def what_if(
 
 @dataclass(slots=True)
 class _Difference:
-    """How far two series are apart."""
+    """The difference of two series of numbers: its RMS and its largest value."""
 
     count: int = 0
     squares: float = 0.0
@@ -88,7 +91,7 @@ class _Difference:
 
 @dataclass(slots=True)
 class _Side:
-    """A kernel, how long it was in each mode, and answers that the other one has not given."""
+    """One of the two kernels, its time in each mode, and its answers that are not compared yet."""
 
     kernel: Kernel | None = None
     in_mode_ns: dict[Mode, int] = field(default_factory=lambda: dict.fromkeys(Mode, 0))
@@ -103,8 +106,8 @@ class _Side:
         return effects
 
 
-class Comparison:
-    """Two kernels that get the same events: with the recorded parameters, and with others."""
+class _TwoKernels:
+    """Two kernels that take the same events: one with the recorded parameters, one with others."""
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
@@ -119,7 +122,7 @@ class Comparison:
         self._answer_count = 0
 
     def begin(self, t_ns: int, snapshot: Snapshot) -> None:
-        """Take a snapshot to begin from; those in between tell both nothing new."""
+        """Begin from a snapshot; later ones are ignored until `stop`."""
         if self._recorded.kernel is not None:
             return
         config = Config(kernel=snapshot.params)
@@ -131,11 +134,11 @@ class Comparison:
         self._other.kernel = Kernel(changed(config, self._settings).kernel, snapshot.state)
 
     def stop(self) -> None:
-        """Events are missing from here on, until the next snapshot."""
+        """Pause until the next snapshot: events are missing."""
         self._recorded.kernel = self._other.kernel = None
 
     def step(self, event: Event) -> None:
-        """Let both decide."""
+        """Let both kernels decide on an event."""
         kernel, other = self._recorded.kernel, self._other.kernel
         if kernel is None or other is None:
             return
@@ -159,7 +162,11 @@ class Comparison:
             self._compare_answers(event)
 
     def as_object(self) -> dict[str, Any]:
-        """What was found; raises UnreadableFile where there was nothing to begin from."""
+        """Return the comparison as JSON values.
+
+        Raises:
+            UnreadableFile: There was no snapshot to begin from.
+        """
         if self._begin_ns is None:
             raise UnreadableFile("the journal holds no snapshot of the kernel to begin from")
         return {

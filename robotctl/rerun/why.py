@@ -1,4 +1,4 @@
-"""An incident in sentences: what came in, which rule, who asked, what went out and when."""
+"""Explains an incident in sentences: the event, the rule, the request, the effects."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ _MEASURES: Mapping[Cause, tuple[str, ...]] = MappingProxyType(
         Cause.TICK_OVERRUN: ("max_tick_gap_s",),
     }
 )
-"""The parameters that a rule measures against."""
+"""The parameters that each rule compares with."""
 
 
 @dataclass(frozen=True, slots=True)
 class Why:
-    """The chain of an incident, in sentences; empty where there is nothing to say.
+    """The explanation of an incident, in sentences; empty where there is nothing to say.
 
     `remedies` is what the operator was told to do; a recording of 0.1.0 holds that in `what`.
     """
@@ -62,7 +62,7 @@ class Why:
 
 
 def explain(incident: Incident) -> Why:
-    """Say why."""
+    """Return the explanation of an incident."""
     return Why(
         what=_what(incident),
         remedies=_remedies(incident),
@@ -76,7 +76,7 @@ def explain(incident: Incident) -> Why:
 
 
 def rule_of(incident: Incident) -> Rule | None:
-    """The rule of the kernel's safety table that decided, None where it was another."""
+    """Return the rule of the safety table that decided, None if no such rule did."""
     before, after, params = incident.before, incident.after, incident.params
     if before is None or after is None or params is None:
         return None
@@ -131,7 +131,7 @@ def _came_in(incident: Incident) -> str:
 
 
 def _known(incident: Incident) -> str:
-    """What the kernel knew when it decided."""
+    """Return what the kernel knew when it decided."""
     state = incident.after
     if state is None or incident.params is None:
         return "cannot be told: the journal has a gap or no snapshot before"
@@ -156,7 +156,7 @@ def _known(incident: Incident) -> str:
 
 
 def _rule(incident: Incident) -> str:
-    """Which rule decided, and against what it measures."""
+    """Return which rule decided, and the parameters that it compares with."""
     before, params = incident.before, incident.params
     if before is None or params is None or incident.kind is IncidentKind.KILL:
         return ""
@@ -174,7 +174,7 @@ def _rule(incident: Incident) -> str:
 
 
 def _table_rule(incident: Incident, before: State) -> str:
-    """What the table of modes has for a request, or why a drive ended."""
+    """Return what the table of modes says about a request, or why a drive ended."""
     event = incident.ramp[1] if incident.ramp else incident.event
     match event:
         case ModeRequested() if event.requested in list(Mode):
@@ -202,7 +202,7 @@ def _measures(rule: Rule, params: KernelParams) -> str:
 
 
 def _asked(incident: Incident) -> str:
-    """Who had asked for the motion that ended."""
+    """Return who had requested the motion that ended."""
     before = incident.before
     if before is None or before.mode is not Mode.MOVING:
         return ""
@@ -235,7 +235,7 @@ def _went_out(incident: Incident) -> Iterator[str]:
             case Reply() if effect.ok:
                 yield f"answered: {effect.message}"
             case Reply() | ModeChanged():
-                pass  # is what happened
+                pass  # already told by `what`
             case _:
                 assert_never(effect)
 

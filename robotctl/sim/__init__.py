@@ -1,1 +1,1 @@
-"""A differential-drive robot that moves without a clock, a bus or a real floor."""
+"""The simulated differential-drive robot, without clock, bus and ROS."""

@@ -1,4 +1,4 @@
-"""The motion model of the simulated robot: lag, limits, wheels that slip, odometry that errs."""
+"""The motion model of the simulated robot: lag, limits, wheel slip, odometry errors."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ from robotctl.kernel.types import ZERO, Twist
 class SimParams:
     """How the simulated robot differs from a perfect one.
 
-    Actuation errs between command and wheel, so odometry sees it; odometry errs between wheel and
-    report, so only the ground truth shows it. Noise is the standard deviation of the factor.
+    Actuation errors lie between command and wheels, so odometry measures them. Odometry errors lie
+    between wheels and report, so only a comparison with the true pose shows them. Noise is the
+    standard deviation of the factor.
     """
 
     lag_s: float = bounded(0.08, 0.0, 2.0, "s")
@@ -36,9 +37,10 @@ class SimParams:
 
 
 class Robot:
-    """A robot that follows `command` as well as its parameters allow.
+    """A robot that follows commands as well as its parameters allow.
 
-    `truth` is where it is, `odometry` where its wheels say it is; both begin at the origin.
+    `truth` is its true pose and `odometry` the pose that it reports; both begin at the origin.
+    `measured` is the velocity that it reports, and `battery` its level, 0 to 1.
     """
 
     def __init__(self, params: SimParams) -> None:
@@ -53,13 +55,13 @@ class Robot:
         self.battery = params.battery_start
 
     def command(self, twist: Twist) -> None:
-        """Follow `twist` from now on, until the next one or the command timeout."""
+        """Follow `twist` until the next command or the command timeout."""
         finite = isfinite(twist.linear) and isfinite(twist.angular)
         self._command = twist if finite else ZERO
         self._command_age_s = 0.0
 
     def advance(self, dt_s: float) -> None:
-        """Move on by `dt_s` seconds."""
+        """Move the robot for `dt_s` seconds."""
         params = self._params
         self._command_age_s += dt_s
         target = self._command if self._command_age_s <= params.command_timeout_s else ZERO
@@ -86,7 +88,7 @@ class Robot:
 
 
 STANDSTILL = 1e-4
-"""Slower than this [m/s, rad/s] a wheel that should stand still does: friction."""
+"""Below this speed [m/s, rad/s] friction stops a robot whose command is zero."""
 
 
 def _follow(speed: float, target: float, lag: float, max_step: float) -> float:

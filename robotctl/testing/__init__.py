@@ -1,1 +1,5 @@
-"""Clocks, files and robots for tests: they fail on demand and keep time by hand."""
+"""Fakes for the tests of users: kernels on virtual time, drives without ROS, disks that fail.
+
+`kernels` steps a kernel by hand, `drives` makes recordings of simulated drives, and `faults` has
+files that fail like disks do.
+"""

@@ -1,4 +1,4 @@
-"""Recordings of simulated drives as the daemon makes them, without a daemon or any waiting."""
+"""Recordings of simulated drives, as a daemon makes them, but without daemon and waiting."""
 
 from __future__ import annotations
 
@@ -48,22 +48,22 @@ TWIST = Topic("/cmd_vel", "geometry_msgs/msg/Twist", "Vector3 linear\n", "RIHS01
 ODOMETRY = Topic("/odom", "nav_msgs/msg/Odometry", "Header header\n", "RIHS01_cd", QOS)
 
 BEGIN_NS = 5_000_000_000
-"""Steady time at which drives begin."""
+"""The steady time at which drives begin [ns]."""
 
 Step = tuple[Event, tuple[Effect, ...]]
-"""An event, and what the kernel decided on it."""
+"""An event and the effects that the kernel decided on."""
 
 JOURNAL = Topic("/robotctl/journal", TYPE_NAME)
 
 MAX_QUEUED = 20_000
-"""Messages that a recorder may still have to write; it would drop what comes too fast."""
+"""The number of messages that may be queued; the recorder would drop more."""
 
 Written = JournalEntry | Twist | bytes
-"""Journal entries, commands as they were published, and odometry, serialized."""
+"""A journal entry, a published command, or serialized odometry."""
 
 
 def drive_requested(after_s: float = 0.1, laps: int = 0) -> DriveRequested:
-    """A request to drive a square."""
+    """Return a request to drive a square."""
     t_ns = BEGIN_NS + round(after_s * NS_PER_S)
     return DriveRequested(t_ns, 1, Pattern(), laps, False, "somebody")
 
@@ -76,9 +76,9 @@ def drive(
     snapshots_s: Iterable[float] = (0.0,),
     then: Iterable[Event] = (),
 ) -> list[Written]:
-    """What a daemon writes and publishes while the simulated robot drives.
+    """Return what a daemon writes and publishes while a simulated robot drives.
 
-    `requests` may be any events; those in `then` come when the robot is gone.
+    `requests` may be any events. The events in `then` follow after the robot has stopped sending.
     """
     config = config or Config()
     asked = [drive_requested()] if requests is None else requests
@@ -90,7 +90,7 @@ def drive(
 def journaled(
     kernel: Kernel, steps: Iterable[Step], snapshots_ns: Iterable[int] = (BEGIN_NS,)
 ) -> Iterator[Written]:
-    """What a daemon writes of the kernel's steps, with a snapshot at each of these times."""
+    """Yield what a daemon writes for the steps of a kernel, with a snapshot at each given time."""
     written: list[Written] = []
     journal = Journal(lambda serialized, seq: written.append(decode(serialized)))
     due_ns = deque(snapshots_ns)
@@ -130,7 +130,10 @@ def record(
     options: RecorderOptions | None = None,
     clock: Callable[[int], int] = lambda time_ns: time_ns,
 ) -> Path:
-    """Make a recording in `folder`; times follow those of the journal, as `clock` shows them."""
+    """Make a recording in `folder`, and return the folder.
+
+    Log times follow the times of the journal; `clock` maps them to a wall clock that is set.
+    """
     parameters = {f"parameter.{key}": str(v) for key, v in flat(config or Config()).items()}
     recorder = Recorder(
         folder,

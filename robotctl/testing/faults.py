@@ -1,4 +1,4 @@
-"""Files that fail like disks do, and MCAP files that are damaged like real ones."""
+"""Files that fail like disks do, and damage to MCAP files as it happens in practice."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from mcap.opcode import Opcode
 from robotctl.recording.disk.storage import Buffer, DiskFile
 
 PAGE = 4096
-"""What a disk writes as a whole, at best."""
+"""The largest unit that a disk writes atomically [bytes]."""
 
 _RECORD_HEAD = struct.Struct("<BQ")
 _MAGIC_BYTES = 8
 
 
 class FailingFile(DiskFile):
-    """A disk whose write number `fail_at` (from 1) and all later ones that take room fail.
+    """A disk that is full from write number `fail_at` (counted from 1) on.
 
-    A write that fails has put `torn_bytes` of its data into the file, as a full disk does. What
-    was written once can be overwritten, as on a full disk; holes that were left cannot be filled.
+    From then on every write that needs new space fails, after it has put `torn_bytes` of its data
+    into the file. Existing data can still be overwritten, but holes cannot be filled.
     """
 
     def __init__(
@@ -36,14 +36,18 @@ class FailingFile(DiskFile):
         self._code = code
         self._torn_bytes = torn_bytes
         self._held = bytearray()
-        """A 1 for each byte that was written."""
+        """A 1 for each byte that has been written."""
 
     def fail_now(self) -> None:
         """Fail from the next write on."""
         self._writes_left = 0
 
     def write_at(self, parts: Sequence[Buffer], offset: int) -> None:
-        """Write, or write some and raise OSError."""
+        """Write all parts.
+
+        Raises:
+            OSError: The disk is full; some of the data was written.
+        """
         data = b"".join(bytes(part) for part in parts)
         end = offset + len(data)
         takes_room = end > len(self._held) or 0 in self._held[offset:end]
@@ -60,7 +64,7 @@ class FailingFile(DiskFile):
 
 
 class GatedFile(DiskFile):
-    """A disk that waits before each write until `wait` returns."""
+    """A disk whose writes wait until `wait` returns."""
 
     def __init__(self, path: Path, wait: Callable[[], object]) -> None:
         """Create `path`."""
@@ -74,19 +78,19 @@ class GatedFile(DiskFile):
 
 
 class VolatileFile(DiskFile):
-    """A disk with a cache that a power cut empties: what was not synced may be there or not."""
+    """A disk with a cache that a power cut loses: unsynced data may be on the disk or not."""
 
     def __init__(self, path: Path) -> None:
         """Create `path`."""
         super().__init__(path)
         self.synced = b""
-        """What the disk surely holds."""
+        """The content at the last sync."""
 
         self._cached = bytearray()
         self._dirty: set[int] = set()
 
     def write_at(self, parts: Sequence[Buffer], offset: int) -> None:
-        """Write into the cache, and into the real file."""
+        """Write into the cache and into the real file."""
         data = b"".join(bytes(part) for part in parts)
         super().write_at([data], offset)
         end = offset + len(data)
@@ -95,15 +99,15 @@ class VolatileFile(DiskFile):
         self._dirty.update(range(offset // PAGE, -(-end // PAGE)))
 
     def sync(self) -> None:
-        """What is cached now survives."""
+        """Keep the present content over a power cut."""
         self.synced = bytes(self._cached)
         self._dirty.clear()
 
     def after_power_cut(self, dice: random.Random) -> bytes:
-        """One possible content after the power was cut now.
+        """Return a possible content of the file after a power cut now.
 
-        The file ends where it did at the last sync, where it does now, or between; each page
-        written since is the old one, the new one, or torn between the two at a sector.
+        Its size is that of the last sync, the present one, or one between them. Each page written
+        since the sync is old, new, or new up to a sector and old after it.
         """
         size = dice.choice(
             [len(self.synced), len(self._cached), dice.randint(len(self.synced), len(self._cached))]
@@ -119,7 +123,7 @@ class VolatileFile(DiskFile):
 
 
 def record_boundaries(data: bytes) -> Iterator[int]:
-    """The offset of each record of a valid MCAP file, and of its closing magic."""
+    """Yield the offset of each record of a valid MCAP file, and of its closing magic bytes."""
     offset = _MAGIC_BYTES
     while offset <= len(data) - _MAGIC_BYTES:
         yield offset
@@ -130,7 +134,7 @@ def record_boundaries(data: bytes) -> Iterator[int]:
 
 
 def mutated(data: bytes, dice: random.Random) -> bytes:
-    """`data` with one to three random damages: bits, lengths, cuts, holes, repetitions."""
+    """Return `data` with one to three random damages: bits, lengths, cuts, holes, repetitions."""
     damaged = bytearray(data)
     for _ in range(dice.randint(1, 3)):
         at = dice.randrange(len(damaged)) if damaged else 0
@@ -154,7 +158,7 @@ def mutated(data: bytes, dice: random.Random) -> bytes:
 
 
 def chunks_of(data: bytes) -> list[tuple[int, int]]:
-    """Where each chunk's record begins and ends in a valid MCAP file."""
+    """Return the begin and the end of each chunk record in a valid MCAP file."""
     found = []
     for offset in record_boundaries(data):
         opcode, length = _RECORD_HEAD.unpack_from(data, offset)
@@ -166,7 +170,7 @@ def chunks_of(data: bytes) -> list[tuple[int, int]]:
 
 
 def zero(path: Path, start: int, end: int) -> None:
-    """Have these bytes of a file be zeros, as a power cut leaves what was never written."""
+    """Overwrite a range of a file with zeros, as a power cut leaves unwritten data."""
     with path.open("r+b") as stream:
         stream.seek(start)
         stream.write(bytes(end - start))

@@ -1,4 +1,4 @@
-"""Kernels in every mode, and a simulated world around one: no clock, no bus, no process."""
+"""Kernels in every mode, and a simulated drive around one, without clock, ROS and processes."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ TICK_NS = 20_000_000
 
 
 class Bench:
-    """A kernel, and the steady time at which it gets what a test gives it."""
+    """A kernel with a clock that the test moves; it keeps all events and effects."""
 
     def __init__(self, params: KernelParams | None = None, state: State | None = None) -> None:
         self.kernel = Kernel(params or KernelParams(), state)
@@ -47,32 +47,32 @@ class Bench:
 
     @property
     def state(self) -> State:
-        """What the kernel remembers."""
+        """The state of the kernel."""
         return self.kernel.state
 
     def give(self, event: Event) -> tuple[Effect, ...]:
-        """Take one step."""
+        """Give the kernel an event and return its effects."""
         self.events.append(event)
         effects = self.kernel.step(event)
         self.effects += effects
         return effects
 
     def odometry(self, pose: Pose = ORIGIN, stamp_ns: int | None = None) -> tuple[Effect, ...]:
-        """Receive odometry now."""
+        """Give odometry at the present time."""
         stamp_ns = self.t_ns if stamp_ns is None else stamp_ns
         return self.give(OdomReceived(self.t_ns, Odometry(pose, ZERO, stamp_ns)))
 
     def battery(self, level: float) -> tuple[Effect, ...]:
-        """Receive a battery level now."""
+        """Give a battery level at the present time."""
         return self.give(BatteryReceived(self.t_ns, level))
 
     def tick(self) -> tuple[Effect, ...]:
-        """Let a tick pass."""
+        """Advance the time by one tick, and give it."""
         self.t_ns += TICK_NS
         return self.give(Tick(self.t_ns))
 
     def run(self, ticks: int) -> None:
-        """Let ticks pass with a robot that does not move, and healthy otherwise."""
+        """Run a number of ticks with a healthy robot that does not move."""
         for _ in range(ticks):
             odometry = self.state.health.odometry
             self.odometry(ORIGIN if odometry is None else odometry.pose)
@@ -80,18 +80,18 @@ class Bench:
             self.tick()
 
     def new_request_id(self) -> int:
-        """Return a number that no request had."""
+        """Return a new request id."""
         self._requests += 1
         return self._requests
 
     def request(self, requested: int) -> tuple[Effect, ...]:
-        """Ask for a mode."""
+        """Request a mode by its number."""
         return self.give(ModeRequested(self.t_ns, self.new_request_id(), requested, "test"))
 
     def drive(
         self, pattern: Pattern | None = None, laps: int = 0, *, replacing: bool = False
     ) -> tuple[Effect, ...]:
-        """Ask for a drive."""
+        """Request a drive."""
         return self.give(
             DriveRequested(
                 self.t_ns, self.new_request_id(), pattern or Pattern(), laps, replacing, "test"
@@ -100,24 +100,24 @@ class Bench:
 
     @property
     def replies(self) -> list[Reply]:
-        """Every reply so far."""
+        """All replies so far."""
         return [effect for effect in self.effects if isinstance(effect, Reply)]
 
     @property
     def commands(self) -> list[Twist]:
-        """Every command so far."""
+        """All commands so far."""
         return [effect.twist for effect in self.effects if isinstance(effect, PublishTwist)]
 
 
 def ready(params: KernelParams | None = None) -> Bench:
-    """Return a kernel in IDLE whose start conditions hold."""
+    """Return a bench in IDLE whose start conditions hold."""
     bench = Bench(params)
     bench.run(3)
     return bench
 
 
 def moving(params: KernelParams | None = None, ticks: int = 10) -> Bench:
-    """Return a kernel that has been MOVING for some ticks."""
+    """Return a bench that has been MOVING for a number of ticks."""
     bench = ready(params)
     bench.request(Mode.MOVING)
     bench.run(ticks)
@@ -126,7 +126,7 @@ def moving(params: KernelParams | None = None, ticks: int = 10) -> Bench:
 
 
 def stopping() -> Bench:
-    """Return a kernel that is MOVING, and ramps down because somebody asked for IDLE."""
+    """Return a bench that is MOVING and ramps down after a request for IDLE."""
     bench = moving()
     bench.request(Mode.IDLE)
     assert bench.state.phase is Phase.STOPPING
@@ -134,7 +134,7 @@ def stopping() -> Bench:
 
 
 def in_mode(mode: Mode) -> Bench:
-    """Return a healthy kernel that a request brought into `mode`."""
+    """Return a healthy bench in `mode`, entered by a request."""
     if mode is Mode.MOVING:
         return moving()
     bench = ready()
@@ -144,25 +144,29 @@ def in_mode(mode: Mode) -> Bench:
 
 
 def reset(bench: Bench) -> bool:
-    """Ask for a reset; return whether it was granted."""
+    """Request a reset; return whether it was accepted."""
     bench.give(ResetRequested(bench.t_ns, bench.new_request_id(), "test"))
     return bench.replies[-1].ok
 
 
 def start(bench: Bench) -> str:
-    """Ask for MOVING; return the refusal, "" where there is none."""
+    """Request MOVING; return the refusal, "" if it was accepted."""
     bench.request(Mode.MOVING)
     return "" if bench.replies[-1].ok else bench.replies[-1].message
 
 
 def stopped_by(bench: Bench, cause: Cause, mode: Mode) -> bool:
-    """Say whether the robot stands in `mode` for that cause."""
+    """Return whether the robot stands in `mode` because of `cause`."""
     state = bench.state
     return state.mode is mode and state.cause is cause and state.command == ZERO
 
 
 def while_moving(bench: Bench, turns: int = 1000) -> Iterator[None]:
-    """Yield as long as the robot is MOVING; AssertionError if it never stops."""
+    """Yield while the robot is MOVING.
+
+    Raises:
+        AssertionError: It is still MOVING after `turns` iterations.
+    """
     for _ in range(turns):
         if bench.state.mode is not Mode.MOVING:
             return
@@ -172,7 +176,7 @@ def while_moving(bench: Bench, turns: int = 1000) -> Iterator[None]:
 
 @dataclass(frozen=True, slots=True)
 class Driven:
-    """How a simulated drive went: its end, how long it took, and all that went in and out."""
+    """A simulated drive: how it ended, how long it took, all events and all commands."""
 
     ended: DriveEnded
     duration_s: float
@@ -183,7 +187,11 @@ class Driven:
 def drive_simulated(
     pattern: Pattern, *, laps: int = 1, rate_hz: float = 50.0, sim: SimParams | None = None
 ) -> Driven:
-    """Drive a simulated robot until the drive ends; AssertionError if it does not within 200 s."""
+    """Drive a simulated robot until the drive ends.
+
+    Raises:
+        AssertionError: The drive does not end within 200 simulated seconds.
+    """
     bench = Bench(replace(KernelParams(), rate_hz=rate_hz))
     sim = sim or SimParams()
     robot = Robot(sim)
@@ -212,7 +220,7 @@ def drive_simulated(
 
 
 def _schedule(rate_hz: float, odometry_rate_hz: float) -> Iterator[tuple[str, int]]:
-    """Yield what happens when, for 200 s: ticks come 1 ms after the odometry of their moment."""
+    """Yield kind and time [ns] of the inputs for 200 s; ticks come 1 ms after odometry."""
     due_ns = {"odometry": 0, "battery": 500_000, "tick": 1_000_000}
     period_ns = {
         "odometry": round(NS_PER_S / odometry_rate_hz),

@@ -93,7 +93,7 @@ def test_a_command_that_was_published_and_not_decided_is_found(
 ) -> None:
     report = checked(tmp_path, [*drive_of_3_s, Twist(0.3, 0.0)])
     assert report.verdict is Verdict.BROKEN
-    assert "1 commands that nobody decided on, such as 0.3 m/s" in report.violations[0].text
+    assert "1 commands without a decision, such as 0.3 m/s" in report.violations[0].text
 
 
 def test_a_command_that_goes_on_being_published_is_found(
@@ -102,7 +102,7 @@ def test_a_command_that_goes_on_being_published_is_found(
     moving = [each for each in drive_of_3_s if isinstance(each, Twist) and each.linear][-1]
     report = checked(tmp_path, [*drive_of_3_s, moving, moving])
     assert report.violation_count == 1
-    assert "2 commands that nobody decided on" in report.violations[0].text
+    assert "2 commands without a decision" in report.violations[0].text
 
 
 def test_a_recording_of_another_version_says_so_and_compares_decisions(
@@ -325,7 +325,7 @@ def test_the_commands_of_another_node_are_told_and_not_held_against_us(tmp_path:
     report = checked(tmp_path, [*written, Twist(0.7, 0.1)])
     assert report.verdict is Verdict.SAME
     assert report.notes == [
-        "1 commands that nobody decided on, such as 0.7 m/s, 0.1 rad/s: /teleop published as well"
+        "1 commands without a decision, such as 0.7 m/s, 0.1 rad/s: /teleop published as well"
     ]
 
 

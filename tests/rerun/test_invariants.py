@@ -114,12 +114,12 @@ def test_a_step_to_zero_may_be_as_fast_as_it_can() -> None:
     ("effects", "message"),
     [
         ([], "request 7 has no reply"),
-        ([Reply(7, True, "", IDLE)] * 2, "a reply to request 7, which does not wait"),
+        ([Reply(7, True, "", IDLE)] * 2, "a reply to request 7, which is not open"),
         ([Reply(7, False, "", IDLE), Reply(8, True, "", IDLE)], "a reply to request 8"),
-        ([Reply(7, True, "", MOVING)], "request 7 was told MOVING in IDLE"),
+        ([Reply(7, True, "", MOVING)], "the reply to request 7 says MOVING in IDLE"),
         (
             [Reply(7, True, "", MOVING), ModeChanged(IDLE, MOVING, "")],
-            "request 7 was told MOVING in IDLE",
+            "the reply to request 7 says MOVING in IDLE",
         ),
     ],
 )

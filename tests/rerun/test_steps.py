@@ -54,7 +54,7 @@ def test_a_hole_is_named_with_its_ends() -> None:
 def test_what_stands_behind_its_successors_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     assert sequence_of([5, 6, 2, 7]) == [
         *(5, 6),
-        "the journal is not in order: entry 2 stands behind 5",
+        "the journal is not in order: entry 2 follows 5",
         7,
     ]
     monkeypatch.setattr(module, "MAX_DISORDER", 2)
