@@ -31,7 +31,7 @@ class Session:
 
     @property
     def scheduling(self) -> str:
-        """How the kernel schedules the loop's thread, in words."""
+        """How the operating system schedules the loop's thread, in words."""
         return self._executor.scheduling
 
     def resolve(self, topic: str) -> str:

@@ -11,7 +11,7 @@ from rclpy.context import Context
 from rclpy.node import Node
 from std_msgs.msg import String
 
-from robotctl.ros.graph.discovery import Discovery, _heard
+from robotctl.ros.graph.discovery import Discovery, _count_complete
 from robotctl.ros.playback.membership import Membership
 
 TOPICS = [f"/topic_{number}" for number in range(20)]
@@ -62,11 +62,13 @@ def test_a_wait_that_is_stopped_ends(domain_id: int, monkeypatch: pytest.MonkeyP
         Discovery(membership.node, domain_id).wait(0.1, time.monotonic() + 3600.0, stopped)
 
 
-def test_whoever_has_not_said_whose_all_its_endpoints_are_has_not_been_heard() -> None:
+def test_whoever_has_not_said_whose_all_its_endpoints_are_has_not_been_count_complete() -> None:
     we = {(DISCOVERY, UNNAMED, OURS + WRITER), ("rt/rosout", "we", OURS + WRITER)}
     greeted = we | {(DISCOVERY, UNNAMED, THEIRS + WRITER)}
     half_known = greeted | {("rt/odom", UNNAMED, THEIRS + READER)}
     named = greeted | {("rt/odom", "they", THEIRS + READER)}
     in_part = named | {("rt/scan", UNNAMED, THEIRS + WRITER)}
-    heard = [_heard(frozenset(known)) for known in (we, greeted, half_known, named, in_part)]
+    heard = [
+        _count_complete(frozenset(known)) for known in (we, greeted, half_known, named, in_part)
+    ]
     assert heard == [1, 1, 1, 2, 1]

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from rclpy.qos import QoSProfile
 
 from robotctl.ros.graph import endpoints
-from robotctl.ros.graph.discovery import _known
+from robotctl.ros.graph.discovery import _discovered
 from robotctl.ros.graph.endpoints import Endpoint
 from robotctl.ros.messages import qos
 from robotctl.ros.tap import tap, type_loader, unrecorded
@@ -105,7 +105,7 @@ async def test_a_replay_discovers_others_whatever_their_names_are(
         await hostile("offer", topic=f"{topic}{name}", type_name=STRANGE_TYPES[-1])
 
     def found() -> set[str]:
-        return {each for each, name, _ in _known(node) if name == "\\xff\x1b[31m"}
+        return {each for each, name, _ in _discovered(node) if name == "\\xff\x1b[31m"}
 
     expected = {f"rt{topic}{name}" for name in names if name.isascii()}
     await rename(hostile, lambda: expected <= found())

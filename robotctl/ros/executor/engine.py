@@ -48,7 +48,7 @@ class Engine:
 
     @property
     def scheduling(self) -> str:
-        """How the kernel schedules the loop's thread, in words."""
+        """How the operating system schedules the loop's thread, in words."""
         return "SCHED_OTHER" if self._fifo is None else self._fifo.description
 
     def open(self, fifo_priority: int | None) -> None:

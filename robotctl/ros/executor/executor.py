@@ -154,7 +154,7 @@ class AsyncioExecutor:
 
     @property
     def scheduling(self) -> str:
-        """How the kernel schedules the loop's thread, in words."""
+        """How the operating system schedules the loop's thread, in words."""
         return "SCHED_OTHER" if self._engine is None else self._engine.scheduling
 
     # The interface of rclpy.executors.Executor

@@ -32,7 +32,7 @@ class Ticker:
     """Ticks on an absolute schedule of the steady clock, for one task at a time.
 
     The first tick comes one period after the first wait, and later ones at multiples of the
-    period after it, even if a tick was taken late. A kernel timer drives it, because asyncio's
+    period after it, even if a tick was taken late. A Linux timer drives it, because asyncio's
     own timers round up to 1 ms.
 
         async for tick in Ticker(50.0):

@@ -46,19 +46,19 @@ class Discovery:
         `quiet_s` waits for that.
         """
         while time.monotonic() < until_s and not stopped.is_set():
-            known = frozenset(_known(self._node))
+            known = frozenset(_discovered(self._node))
             others = frozenset(each for each in known if each[1] != self._node.get_name())
             now_s = time.monotonic()
             if others != self._others:
                 self._others, self._since_s = others, now_s
             if now_s - self._since_s > quiet_s and is_on_this_machine_only():
                 here = participants_here(self._domain_id)
-                if here is not None and _heard(known) >= here:
+                if here is not None and _count_complete(known) >= here:
                     return
             stopped.wait(_POLL_S)
 
 
-def _known(node: Node) -> Iterator[tuple[str, str, bytes]]:
+def _discovered(node: Node) -> Iterator[tuple[str, str, bytes]]:
     """Yield every discovered endpoint: its topic, its node's name, and its gid."""
     for topic in endpoints.topics(node, dds_names=True):
         for found in (endpoints.publishers, endpoints.subscriptions):
@@ -66,7 +66,7 @@ def _known(node: Node) -> Iterator[tuple[str, str, bytes]]:
                 yield topic, each.node_name, each.gid
 
 
-def _heard(known: frozenset[tuple[str, str, bytes]]) -> int:
+def _count_complete(known: frozenset[tuple[str, str, bytes]]) -> int:
     """Count the processes, this one included, whose known endpoints all have a node name."""
     named: set[bytes] = set()
     unnamed: set[bytes] = set()

@@ -82,7 +82,7 @@ class RequestSender:
         """Request -> number of client events minus number of server events."""
 
     def __call__(self, data: bytes) -> bool | None:
-        """Return whether the request was sent; None where the event has none, or was the second."""
+        """Send the request; return whether that worked, None where there was none to send."""
         try:
             event = deserialize_message(data, self._event_type)
         except _rclpy.RCLError:

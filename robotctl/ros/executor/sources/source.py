@@ -219,14 +219,14 @@ class EventFdSource(Source):
             if self.closed or (rest is not None and self.blocked()):
                 return False
             if now > end:
-                return self.to_be_continued()
+                return self.continue_later()
 
     def retry_later(self, reason: Exception) -> None:
         """Report a failed take, and try again after RETRY_AFTER_FAILED_TAKE_S."""
         self.runtime.report(reason, self.where)
         self.runtime.loop.call_later(RETRY_AFTER_FAILED_TAKE_S, self.resume)
 
-    def to_be_continued(self) -> bool:
+    def continue_later(self) -> bool:
         """Continue in the next turn of the loop, because the slice ended."""
         self.runtime.mark_flooded(self)
         os.eventfd_write(self._fd, 1)

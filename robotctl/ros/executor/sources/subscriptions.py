@@ -92,7 +92,7 @@ class _TakenSource(EventFdSource):
                 if self.closed:
                     return False
             if now > end:
-                return self.to_be_continued()
+                return self.continue_later()
 
 
 class SubscriptionSource(_TakenSource):

@@ -26,7 +26,7 @@ _ANY_JUMP = JumpThreshold(
 class TimerSource(Source):
     """A timer on the steady, system or ROS clock, with cancel and reset.
 
-    While /clock drives a ROS clock, no kernel timer can know the deadline; then each step of the
+    While /clock drives a ROS clock, no Linux timer can know the deadline; then each step of the
     clock checks the timer.
     """
 
