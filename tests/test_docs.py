@@ -76,7 +76,7 @@ def test_the_safety_page_lists_every_rule_that_ends_a_motion_in_its_order() -> N
     page = (ROOT / "docs" / "safety.md").read_text()
     table = page.split("## What ends a motion by itself")[1].split("\n## ")[0]
     rows = re.findall(
-        r"^\| ([a-z ]+) \| [^|]+ \| ([A-Z_]+)(, from IDLE too)? \|", table, re.MULTILINE
+        r"^\| ([a-z ]+) \| [^|]+ \| ([A-Z_]+)(, also from IDLE)? \|", table, re.MULTILINE
     )
     told = [(cause, action, bool(idle)) for cause, action, idle in rows]
     assert told == [
