@@ -1,1 +1,1 @@
-"""Recordings played to ROS with their own timing, by a process of its own: `python -m`."""
+"""Recordings played to ROS with their own timing, in a separate process: `python -m`."""

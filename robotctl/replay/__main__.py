@@ -1,8 +1,8 @@
-"""`python -m robotctl.replay --report-fd N`: plays the job on stdin, and tells on N how it goes.
+"""`python -m robotctl.replay --report-fd N`: play the job on stdin, and report progress on N.
 
-One line of JSON each: {"note"}, {"waiting"}, {"start"}, {"progress"}, {"summary"}, and {"error",
-"exit_code"} with the error's details. Further lines on stdin control the replay
-(robotctl.replay.commands), and its end stops it: a replay never outlives who asked for it.
+Each report is one line of JSON: {"note"}, {"waiting"}, {"start"}, {"progress"}, {"summary"}, and
+{"error", "exit_code"} with details of the error. Further lines on stdin control the replay
+(robotctl.replay.commands). The end of stdin stops it, so a replay never outlives its parent.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from robotctl.replay.job import Job
 from robotctl.replay.other_daemons import domain_of
 
 if TYPE_CHECKING:
-    from robotctl.replay.report import Tell
+    from robotctl.replay.report import Emit
 
 SWITCH_INTERVAL_S = 1e-4
-"""How long the thread that keeps time waits for another one to let it go on (default 5 ms)."""
+"""How long the player's thread waits at most for the interpreter lock (default 5 ms)."""
 
 
 def main(arguments: list[str]) -> int:
@@ -37,40 +37,40 @@ def main(arguments: list[str]) -> int:
 
 
 def _main(arguments: list[str], at_end: ExitStack) -> int:
-    """As `main`; what has to be the last is left to `at_end`."""
+    """Do the work of `main`; `at_end` gets what must be closed last."""
     note = environment.prepare()
-    tell = partial(_tell, report_fd(arguments))
+    emit = partial(_emit, report_fd(arguments))
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     lines = _lines()
     job = Job.from_json(next(lines, b"").decode())
     if note:
-        tell({"note": note})
+        emit({"note": note})
     try:
-        _play(job, lines, tell, at_end)
+        _play(job, lines, emit, at_end)
     except RobotctlError as error:
-        tell({"error": str(error), "exit_code": error.exit_code, **error.details()})
+        emit({"error": str(error), "exit_code": error.exit_code, **error.details()})
         return error.exit_code
-    except Exception as error:  # noqa: BLE001 - no traceback reaches a user who did not ask for it
+    except Exception as error:  # noqa: BLE001 - show a traceback only with --debug
         if job.debug:
             traceback.print_exc()
         text = f"unexpected {type(error).__name__}: {error}"
-        tell({"error": text, "exit_code": RobotctlError.exit_code})
+        emit({"error": text, "exit_code": RobotctlError.exit_code})
         return RobotctlError.exit_code
     return 0
 
 
-def _play(job: Job, lines: Iterator[bytes], tell: Tell, at_end: ExitStack) -> None:
-    """Play a job, as the lines say."""
-    # After environment.prepare(): it imports rclpy.
+def _play(job: Job, lines: Iterator[bytes], emit: Emit, at_end: ExitStack) -> None:
+    """Play a job under the control of `lines`."""
+    # Imported after environment.prepare(), because it imports rclpy.
     from robotctl.ros.playback.membership import Membership
 
     membership = at_end.enter_context(Membership(domain_of(job)))
-    # Others are discovered while this is imported.
+    # Discovery goes on during these imports.
     from robotctl.replay.commands import command_of
     from robotctl.replay.run import Replay
     from robotctl.ros.playback.playback import ReplaySession
 
-    replay = Replay(job, ReplaySession(membership), tell)
+    replay = Replay(job, ReplaySession(membership), emit)
 
     def obey() -> None:
         for line in lines:
@@ -84,21 +84,21 @@ def _play(job: Job, lines: Iterator[bytes], tell: Tell, at_end: ExitStack) -> No
 
 
 def _lines() -> Iterator[bytes]:
-    """The lines of stdin; not buffered: a thread that waits in a buffer hinders the exit."""
+    """Yield the lines of stdin, unbuffered, because a thread in a buffered read delays the exit."""
     lines = LineSplitter()
     while piece := os.read(sys.stdin.fileno(), 1 << 16):
         yield from lines.feed(piece)
 
 
-def _tell(descriptor: int, said: dict[str, Any]) -> None:
-    """Write a line; where nobody listens any more, stdin has ended as well.
+def _emit(descriptor: int, message: dict[str, Any]) -> None:
+    """Write a message. A closed pipe is ignored, because stdin has ended then as well.
 
-    Progress is dropped where the reader does not keep up: it must not hold up the safety checks.
+    Progress is dropped if the reader is too slow, so that it cannot delay the safety checks.
     """
-    if "progress" in said and not select.select([], [descriptor], [], 0)[1]:
+    if "progress" in message and not select.select([], [descriptor], [], 0)[1]:
         return
     with suppress(BrokenPipeError):
-        send_report(descriptor, said)
+        send_report(descriptor, message)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The steady clock, and waiting for a moment of it more exactly than `time.sleep` does."""
+"""The steady clock, with more exact waiting than `time.sleep`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Final, Protocol
 from robotctl.kernel.units import NS_PER_S
 
 SPIN_NS: Final = 120_000
-"""The end of a wait is spent looking at the clock: the scheduler wakes us up to this late."""
+"""How long the end of a wait polls the clock, because the scheduler may wake us up this late."""
 
 _TIMER_ABSTIME: Final = 1
 
@@ -20,7 +20,7 @@ class Clock(Protocol):
     """Steady time in nanoseconds."""
 
     def now_ns(self) -> int:
-        """The time."""
+        """Return the time."""
 
     def sleep_until(self, moment_ns: int) -> None:
         """Return at `moment_ns`, or at once if it has passed."""
@@ -31,7 +31,7 @@ class _Timespec(ctypes.Structure):
 
 
 class SteadyClock:
-    """CLOCK_MONOTONIC; for one thread."""
+    """CLOCK_MONOTONIC, for use by one thread."""
 
     def __init__(self) -> None:
         libc = ctypes.CDLL(None, use_errno=False)  # releases the GIL while it sleeps
@@ -41,11 +41,15 @@ class SteadyClock:
         self._pointer = ctypes.addressof(self._until)
 
     def now_ns(self) -> int:
-        """The time."""
+        """Return the time."""
         return time.monotonic_ns()
 
     def sleep_until(self, moment_ns: int) -> None:
-        """Return at `moment_ns`, within a few microseconds. Raises OSError."""
+        """Return at `moment_ns`, within a few microseconds.
+
+        Raises:
+            OSError: The system call fails.
+        """
         until = self._until
         until.seconds, until.nanoseconds = divmod(max(moment_ns - SPIN_NS, 0), NS_PER_S)
         failure = errno.EINTR

@@ -1,4 +1,4 @@
-"""What may be asked of a replay under way: a line of JSON each, {"do": COMMAND}."""
+"""Commands for a running replay: a line of JSON each, {"do": COMMAND}."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from robotctl.replay.playback_control import PlaybackControl
 
 
 class Command(Enum):
-    """What a key or a suspended terminal asks for."""
+    """What a key or a suspended terminal requests."""
 
     PAUSE = "pause"
     RESUME = "resume"
@@ -20,21 +20,21 @@ class Command(Enum):
     NEXT = "next"
 
     def line(self) -> bytes:
-        """As it is sent to the process that plays."""
+        """Return the line that is sent to the replay process."""
         return f"{json.dumps({'do': self.value})}\n".encode()
 
 
 def command_of(line: bytes) -> Command | None:
-    """The command in a line, None where there is none."""
+    """Return the command in a line, or None."""
     try:
-        said = json.loads(line)
-        return Command(said["do"])
+        message = json.loads(line)
+        return Command(message["do"])
     except (ValueError, TypeError, KeyError):
         return None
 
 
 def carry_out(command: Command, control: PlaybackControl) -> None:
-    """Do it."""
+    """Apply a command."""
     actions: dict[Command, Callable[[], None]] = {
         Command.PAUSE: control.pause,
         Command.RESUME: control.resume,

@@ -1,4 +1,4 @@
-"""What keeps a replay from being mistaken for the robot, and a robot from obeying it."""
+"""Safety rules: a replay must not be mistaken for the robot, and no robot must obey it."""
 
 from __future__ import annotations
 
@@ -12,22 +12,24 @@ from robotctl.replay.other_daemons import RunningDaemon, daemons_in
 from robotctl.replay.plan import Route, absolute, is_named
 
 REPLAY_PREFIX: Final = "/replay"
-"""Where a replay goes that must not be mistaken for the robot."""
+"""Prefix of the topics of a replay next to a running daemon."""
 
 COMMAND_TYPES: Final = frozenset({"geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"})
 COMMAND_NAME: Final = "cmd_vel"
-"""What moves robots: a Twist under any name, and whatever is published as `.../cmd_vel`."""
+"""Topics that move robots have a Twist type, or are named `.../cmd_vel`."""
 
 
 class Graph(Protocol):
-    """Who is in the ROS domain."""
+    """The participants in the ROS domain."""
 
     def robots_with_daemon(self) -> list[str]:
-        """The names of the robots whose daemons are in the domain, whoever runs them."""
+        """Return the names of the robots with a daemon in the domain, of any user."""
 
 
 class ReplayGuard:
-    """The rules for one replay in one domain; `named` are the topics that the user asked for."""
+    """The rules for one replay in one domain; `named` are the topics that the user requested by
+    name.
+    """
 
     def __init__(
         self, graph: Graph, domain_id: int, named: Collection[str], *, original_names: bool
@@ -39,10 +41,10 @@ class ReplayGuard:
         self._original_names = original_names
 
     def choose_prefix(self) -> str:
-        """Choose the prefix of all names; returns a sentence about it, "" where all is as usual.
+        """Choose the prefix of all names; return a sentence about it, or "" for the usual names.
 
         Raises:
-            Refused: The original names, while a daemon moves its robot, or may do so.
+            Refused: The original names were requested, but a daemon moves its robot, or may do so.
         """
         daemons = self._daemons()
         if not daemons:
@@ -50,7 +52,7 @@ class ReplayGuard:
         who = f"a daemon ({_names_of(daemons)}) runs in ROS domain {self._domain_id}"
         if self._original_names:
             check_still(daemons)
-            return f"{who}: --original-names publishes beside it"
+            return f"{who}: --original-names publishes the recorded names in the same domain"
         self.prefix = REPLAY_PREFIX
         return (
             f"{who}: everything is published below {REPLAY_PREFIX} "
@@ -58,24 +60,29 @@ class ReplayGuard:
         )
 
     def prefixed(self, routes: Iterable[Route]) -> list[Route]:
-        """The routes with the prefix that was chosen."""
+        """Return the routes with the chosen prefix."""
         return [replace(route, name=absolute(route.name, self.prefix)) for route in routes]
 
     def withheld(self, routes: Iterable[Route]) -> list[Route]:
-        """What a robot would obey and the user has not named; below the prefix no robot listens.
+        """Return the routes that a robot would obey and the user did not name; none below the
+        prefix.
 
-        Whether somebody listens now does not matter: a robot may come at any moment.
+        The current subscribers do not matter, because a robot may join at any time.
         """
         if self.prefix:
             return []
         return [route for route in routes if is_command(route) and not self.names(route)]
 
     def names(self, route: Route) -> bool:
-        """Whether the user has named the topic, or its service."""
+        """Return whether the user named the topic or its service."""
         return is_named(route.topic, self._named)
 
     def check(self) -> None:
-        """Raise Refused where a daemon has come, or begun to move; call it again and again."""
+        """Check that no daemon has joined or begun to move its robot. Call it periodically.
+
+        Raises:
+            Refused: The replay must end.
+        """
         if self.prefix:
             return
         daemons = self._daemons()
@@ -83,13 +90,13 @@ class ReplayGuard:
             check_still(daemons)
         elif daemons:
             raise Refused(
-                f"a daemon ({_names_of(daemons)}) has come into ROS domain {self._domain_id}: the "
+                f"a daemon ({_names_of(daemons)}) has joined ROS domain {self._domain_id}: the "
                 "replay under the original names has ended "
                 f"(start it again to play below {REPLAY_PREFIX})"
             )
 
     def _daemons(self) -> list[RunningDaemon]:
-        """Our own, who can be asked, and those that only the ROS graph shows."""
+        """Return the daemons of this user, and those that only the ROS graph shows."""
         daemons = daemons_in(self._domain_id)
         known = {daemon.robot for daemon in daemons}
         others = [
@@ -100,10 +107,14 @@ class ReplayGuard:
 
 
 def check_still(daemons: Iterable[RunningDaemon]) -> None:
-    """Raise Refused if one of the daemons moves its robot, or may do so."""
+    """Check that no daemon moves its robot.
+
+    Raises:
+        Refused: A daemon moves its robot, or may do so.
+    """
     for daemon in daemons:
         if daemon.may_be_moving:
-            state = daemon.mode or "in a mode that it does not tell"
+            state = daemon.mode or "in an unknown mode"
             cure = command_for(daemon.robot, "set-mode idle")
             raise Refused(
                 f"--original-names is refused while robot {daemon.robot!r} is {state}: the replay "
@@ -112,7 +123,7 @@ def check_still(daemons: Iterable[RunningDaemon]) -> None:
 
 
 def is_command(route: Route) -> bool:
-    """Whether a robot may move by it, as it was recorded or as it is called now."""
+    """Return whether a robot may move by it, under its recorded or its new name."""
     names = (route.topic.name, route.name)
     return (
         route.requests
@@ -122,7 +133,7 @@ def is_command(route: Route) -> bool:
 
 
 def withheld_note(route: Route) -> str:
-    """A sentence about a route that is withheld."""
+    """Return a sentence about a withheld route."""
     name = route.topic.name
     what = "requests" if route.requests else "commands"
     return f"{name} is withheld: a robot would obey these {what} (send them: --topics {name})"

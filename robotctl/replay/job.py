@@ -1,4 +1,4 @@
-"""What the command line asks of the process that plays, and what that process says back."""
+"""The job that the command line sends to the replay process, and checks of its options."""
 
 from __future__ import annotations
 
@@ -22,13 +22,14 @@ _TOPIC_NAME = re.compile(r"/?[A-Za-z_]\w*(?:/[A-Za-z_]\w*)*", re.ASCII)
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """What to play, and how; `rate` None is as fast as subscribers take it.
+    """What to play, and how. A `rate` of None is as fast as subscribers accept the messages.
 
-    Times are of the recording: play from `start_offset_s` after its first message, for
-    `duration_s`; only `delay_s` is real time. Without `topics` and `regex` every topic is played,
-    else those that either selects. `domain_id` None leaves the choice to the robot's daemon.
-    Nothing is sent before `wait_for` subscribers are there, over all topics. `original_names` is
-    for a domain with a daemon; `changed_types` plays what has another definition here.
+    Times are recorded time: play from `start_offset_s` after the first message, for `duration_s`.
+    Only `delay_s` is real time. Without `topics` and `regex` all topics are played, otherwise those
+    that one of them selects. With `domain_id` None, the domain of the robot's daemon is used.
+    Nothing is sent before there are `wait_for` subscribers, of all topics together.
+    `original_names` allows the recorded names in a domain with a daemon; `changed_types` plays
+    topics whose type has another definition here.
     """
 
     file: Path
@@ -53,12 +54,12 @@ class Job:
     debug: bool = False
 
     def to_json(self) -> str:
-        """One line."""
+        """Return the job as one line."""
         return json.dumps(asdict(self) | {"file": str(self.file)})
 
     @classmethod
     def from_json(cls, line: str) -> Self:
-        """The job in a line of `to_json`."""
+        """Return the job in a line of `to_json`."""
         fields: dict[str, Any] = json.loads(line)
         for name in ("topics", "exclude"):
             fields[name] = tuple(fields[name])
@@ -67,7 +68,11 @@ class Job:
 
 
 def parse_rate(text: str) -> float | None:
-    """The rate of `--rate`, None for `max`. Raises UsageError."""
+    """Return the rate of `--rate`, None for `max`.
+
+    Raises:
+        UsageError: It is not an allowed number.
+    """
     if text.strip().lower() == AS_FAST_AS_POSSIBLE:
         return None
     try:
@@ -83,7 +88,11 @@ def parse_rate(text: str) -> float | None:
 
 
 def check_seconds(option: str, value: float, *, positive: bool = False) -> float:
-    """Return `value` if it is a span of time; raises UsageError."""
+    """Return `value` if it is a duration.
+
+    Raises:
+        UsageError: It is negative or not finite, or 0 and must be positive.
+    """
     if not isfinite(value) or value < 0 or (positive and value == 0):
         raise UsageError(
             f"{option} {value:g}", f"give seconds, {'above' if positive else 'at least'} 0"
@@ -92,7 +101,11 @@ def check_seconds(option: str, value: float, *, positive: bool = False) -> float
 
 
 def parse_remap(text: str) -> tuple[str, str]:
-    """The two names of a `--remap OLD:=NEW`. Raises UsageError."""
+    """Return the two names of a `--remap OLD:=NEW`.
+
+    Raises:
+        UsageError: The text has another form.
+    """
     old, sign, new = text.partition(":=")
     if not (sign and old and _TOPIC_NAME.fullmatch(new)):
         raise UsageError(
@@ -103,7 +116,11 @@ def parse_remap(text: str) -> tuple[str, str]:
 
 
 def check_regex(text: str) -> str:
-    """Return `text` if it is a regular expression; raises UsageError."""
+    """Return `text` if it is a regular expression.
+
+    Raises:
+        UsageError: It is not.
+    """
     try:
         re.compile(text)
     except re.error as error:
@@ -112,7 +129,11 @@ def check_regex(text: str) -> str:
 
 
 def check_clock(hertz: float) -> float:
-    """Return `hertz` if a clock can be published so often; raises UsageError."""
+    """Return `hertz` if it is an allowed rate of the clock.
+
+    Raises:
+        UsageError: It is not.
+    """
     if not MIN_CLOCK_HZ <= hertz <= MAX_CLOCK_HZ:
         raise UsageError(f"--clock {hertz:g}", f"use {MIN_CLOCK_HZ:g} to {MAX_CLOCK_HZ:g} Hz")
     return hertz

@@ -1,4 +1,4 @@
-"""How late messages were: quantiles of any number of measurements in constant memory."""
+"""How late messages were: quantiles of any number of values in constant memory."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _LARGEST: Final = (1 << 62) - 1
 
 
 class Lateness:
-    """A histogram of nanoseconds with steps that grow with the value."""
+    """A histogram of nanoseconds; its steps grow with the value."""
 
     __slots__ = ("_counts", "count", "max_ns")
 
@@ -22,7 +22,7 @@ class Lateness:
         self.max_ns = 0
 
     def add(self, late_ns: int) -> None:
-        """Count one measurement; a negative one as 0."""
+        """Add one value; a negative one counts as 0."""
         late_ns = min(max(late_ns, 0), _LARGEST)
         self._counts[_step(late_ns)] += 1
         self.count += 1
@@ -30,7 +30,7 @@ class Lateness:
             self.max_ns = late_ns
 
     def quantile_us(self, share: float) -> float:
-        """What `share` (0..1) of the measurements did not exceed [us]; 0 without any."""
+        """Return the quantile for `share` (0..1) [us]; 0 without values."""
         rank = share * self.count
         seen = 0
         for step, count in enumerate(self._counts):
@@ -46,6 +46,6 @@ def _step(value: int) -> int:
 
 
 def _highest(step: int) -> int:
-    """The largest value of a step."""
+    """Return the largest value of a step."""
     shift = max((step >> _SUB_BITS) - 1, 0)
     return ((step - (shift << _SUB_BITS) + 1) << shift) - 1

@@ -1,4 +1,4 @@
-"""The daemons of this user, as far as a replay could get in their way."""
+"""Finds the running daemons of this user, which a replay could disturb."""
 
 from __future__ import annotations
 
@@ -14,24 +14,25 @@ ANSWER_DEADLINE_S = 2.0
 
 @dataclass(frozen=True, slots=True)
 class RunningDaemon:
-    """A daemon that listens; `domain_id` and `mode` are None where it did not tell them."""
+    """A daemon that listens; `domain_id` and `mode` are None if unknown."""
 
     robot: str
     domain_id: int | None
     mode: str | None
     observes: bool = False
-    """It only records, and so is in nobody's way."""
+    """Whether it only records, so that a replay cannot disturb it."""
 
     @property
     def may_be_moving(self) -> bool:
-        """Whether it drives, or may do so for all that is known."""
+        """Whether it drives, or may do so because its mode is unknown."""
         return self.mode in (None, "MOVING")
 
 
 def running_daemons() -> list[RunningDaemon]:
-    """Every daemon that listens on a control socket of this user, by name.
+    """Return each daemon with a control socket of this user, ordered by name.
 
-    Raises UsageError if another user could have put the sockets there.
+    Raises:
+        UsageError: Another user could have put the sockets there.
     """
     folder = runtime_folder()
     chain_to(folder).for_client().check()
@@ -44,7 +45,7 @@ def running_daemons() -> list[RunningDaemon]:
 
 
 def daemons_in(domain_id: int) -> list[RunningDaemon]:
-    """Those that drive in a ROS domain; one that does not say where it is may be there."""
+    """Return the driving daemons in a ROS domain, including those whose domain is unknown."""
     return [
         daemon
         for daemon in running_daemons()
@@ -53,7 +54,7 @@ def daemons_in(domain_id: int) -> list[RunningDaemon]:
 
 
 def domain_of(job: Job) -> int:
-    """The domain that a job asks for, else that of the robot's daemon, else 0."""
+    """Return the domain of a job: the requested one, else that of the robot's daemon, else 0."""
     if job.domain_id is not None:
         return job.domain_id
     daemon = ask(job.robot)
@@ -61,15 +62,16 @@ def domain_of(job: Job) -> int:
 
 
 def ask(robot: str) -> RunningDaemon | None:
-    """The robot's daemon, or None where nobody listens.
+    """Return the robot's daemon, or None if none listens.
 
-    Raises Refused where another user's process listens in its place.
+    Raises:
+        Refused: A process of another user listens in its place.
     """
     try:
         with Client(robot) as client:
             try:
                 status = client.call("status", deadline_s=ANSWER_DEADLINE_S)
-            except RobotctlError:  # it is there, but slow, busy or of another version
+            except RobotctlError:  # it is running, but slow, busy or of another version
                 return RunningDaemon(robot, None, None)
     except (NoDaemon, UsageError):
         return None

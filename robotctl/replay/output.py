@@ -1,4 +1,4 @@
-"""What is told of a replay while it runs, and what came of it at its end."""
+"""The progress and summary messages of a replay."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from robotctl.replay.read_ahead import ReadAhead
 from robotctl.replay.report import ReplayReport
 
 BEHIND_S = 0.05
-"""Below this nobody can see that a message is late, and the next may still be on time."""
+"""A shorter delay is not visible, and the next message may still be on time."""
 
 
 def progress(player: Player, ahead: ReadAhead, now_ns: int) -> dict[str, Any]:
-    """Where a replay is; `behind` counts messages that should have been sent by now."""
+    """Return where a replay is; `behind` counts messages that are overdue."""
     schedule, position_ns = player.control.schedule, player.position_ns
     behind = 0
     if schedule.rate is not None:
@@ -38,7 +38,7 @@ def progress(player: Player, ahead: ReadAhead, now_ns: int) -> dict[str, Any]:
 def summary(
     report: ReplayReport, player: Player, routes: Iterable[Route], *, interrupted: bool
 ) -> dict[str, Any]:
-    """What came of it, for people and for machines."""
+    """Return the summary of a replay."""
     topics = player.topics
     return {
         "sent": player.sent,

@@ -1,4 +1,4 @@
-"""What of a recording is played, and under which names."""
+"""Which topics of a recording are played, and under which names."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ _EVENT_TYPE = re.compile(r"[^/]+/srv/[^/]+_Event")
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """A recorded topic, and the name under which it is published, or its requests are sent."""
+    """A recorded topic, and the name under which its messages or requests are sent."""
 
     topic: TopicInfo
     name: str
     requests: bool = False
-    """The topic holds the introspection of a service, and its requests are sent again."""
+    """Whether the topic holds the introspection of a service, whose requests are sent again."""
 
 
 def absolute(name: str, prefix: str = "") -> str:
-    """The name of a recorded topic, below `prefix`; always absolute."""
+    """Return the name of a recorded topic below `prefix`; always absolute."""
     return f"{prefix}/{name.lstrip('/')}"
 
 
 def service_of(topic: TopicInfo) -> str:
-    """The service whose introspection the topic holds; "" for any other topic."""
+    """Return the service whose introspection the topic holds; "" for any other topic."""
     name = absolute(topic.name)
     if name.endswith(_EVENT_TOPIC) and _EVENT_TYPE.fullmatch(topic.type_name):
         return name.removesuffix(_EVENT_TOPIC)
@@ -42,9 +42,10 @@ def service_of(topic: TopicInfo) -> str:
 
 
 def selected(recorded: Sequence[TopicInfo], job: Job) -> list[TopicInfo]:
-    """The topics to play. Raises UsageError for a name that is not in the recording.
+    """Return the topics to play. A service is named by its name or that of its introspection topic.
 
-    A service counts as named by its own name and by that of its introspection.
+    Raises:
+        UsageError: A name is not in the recording.
     """
     wanted, unwanted = ({absolute(name) for name in names} for names in (job.topics, job.exclude))
     there = {name for topic in recorded for name in _names(topic)}
@@ -64,12 +65,16 @@ def selected(recorded: Sequence[TopicInfo], job: Job) -> list[TopicInfo]:
 
 
 def is_named(topic: TopicInfo, names: Collection[str]) -> bool:
-    """Whether the topic, or its service, is among the names that a user gave."""
+    """Return whether the topic or its service is among the names that a user gave."""
     return not _names(topic).isdisjoint(absolute(name) for name in names)
 
 
 def routes(recorded: Sequence[TopicInfo], chosen: Iterable[TopicInfo], job: Job) -> list[Route]:
-    """Where the chosen topics go, before any prefix. Raises UsageError for an impossible remap."""
+    """Return where the chosen topics are sent, without prefix.
+
+    Raises:
+        UsageError: A remap names an unknown topic, or joins topics of different types.
+    """
     renamed = {absolute(old): absolute(new) for old, new in job.remaps}
     _check_recorded("--remap", renamed.keys(), {n for topic in recorded for n in _names(topic)})
     found = []
@@ -89,7 +94,7 @@ def routes(recorded: Sequence[TopicInfo], chosen: Iterable[TopicInfo], job: Job)
 
 
 def unplayable(topics: Iterable[TopicInfo]) -> dict[str, str]:
-    """Topics that cannot be played whatever is installed, and why."""
+    """Return the topics that cannot be played on any system, and why."""
     topics = list(topics)
     types = Counter(topic.name for topic in topics)
     reasons = {}

@@ -1,4 +1,4 @@
-"""The schedule of a replay under way, and whoever changes it; usable from any thread."""
+"""Pause, rate and single steps of a running replay; usable from any thread."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from robotctl.replay.schedule import Schedule, faster, slower
 
 
 class PlaybackControl:
-    """Pause, rate and single steps. `now_ns` is the steady clock."""
+    """Holds the current schedule, and changes it. `now_ns` returns the steady time."""
 
     def __init__(
         self, rate: float | None, now_ns: Callable[[], int], *, paused: bool = False
@@ -22,45 +22,45 @@ class PlaybackControl:
 
     @property
     def schedule(self) -> Schedule:
-        """What is due when, as it is now; a change makes another object."""
+        """The current schedule; a change replaces the object."""
         return self._schedule
 
     def begin(self, moment_ns: int) -> None:
-        """Let recorded time begin at a moment, or at the end of a pause that is on."""
+        """Let recorded time begin at `moment_ns`, or at the end of a current pause."""
         with self._changing:
             self._schedule = replace(self._schedule, moment_ns=moment_ns)
 
     def pause(self) -> None:
-        """Stand still, until `resume`."""
+        """Stop recorded time until `resume`."""
         with self._changing:
             self._schedule = self._schedule.pause(self._now_ns())
 
     def resume(self) -> None:
-        """Go on from where it stands."""
+        """Continue from the current position."""
         with self._changing:
             if self._schedule.paused:
                 self._steps = 0
                 self._schedule = self._schedule.resume(self._now_ns())
 
     def toggle(self) -> None:
-        """Pause, or go on."""
+        """Pause or resume."""
         (self.resume if self._schedule.paused else self.pause)()
 
     def faster(self) -> None:
-        """Play at the next higher rate; as fast as possible stays so."""
+        """Play at the next higher rate; without effect at `max`."""
         self._change_rate(faster)
 
     def slower(self) -> None:
-        """Play at the next lower rate; as fast as possible stays so."""
+        """Play at the next lower rate; without effect at `max`."""
         self._change_rate(slower)
 
     def step(self) -> None:
-        """While paused: let the next message go, and stand still behind it."""
+        """During a pause, allow one more message."""
         with self._changing:
             self._steps += self._schedule.paused
 
     def takes_step(self, at_ns: int) -> bool:
-        """Whether the next message, of this recorded moment, is let go although it is paused."""
+        """Return whether the next message, at `at_ns`, may be sent during a pause."""
         with self._changing:
             if not (self._steps and self._schedule.paused):
                 return False

@@ -1,4 +1,4 @@
-"""Sends messages at their moments: an absolute schedule on the steady clock, in one thread."""
+"""Sends messages when they are due: an absolute schedule on the steady clock, in one thread."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from robotctl.replay.schedule import Schedule
 from robotctl.replay.timeline import Entry
 
 Send = Callable[[bytes], bool | None]
-"""Hands a serialized message to the middleware: False where that did not take it, None where it
-held nothing to send."""
+"""Sends a serialized message: False if the middleware did not accept it, None if it held nothing to
+send."""
 
 LEAD_NS: Final = 20_000_000
-"""Between the start and the first message, so that it is on time as well."""
+"""Time between the start and the first message, so that it is on time as well."""
 
 SLICE_NS: Final = 50_000_000
-"""How long it may take until a stop or another schedule is noticed."""
+"""Maximum delay until a stop or a changed schedule takes effect."""
 
 
 @dataclass(slots=True)
 class TopicSender:
-    """What came of one topic's messages so far."""
+    """Sends the messages of one topic, and counts them."""
 
     send: Send
     sent: int = 0
@@ -33,7 +33,7 @@ class TopicSender:
 
 
 class ClockPublisher:
-    """Tells the recorded time to `send` every `period_ns` of real time, also while it rests."""
+    """Passes the recorded time to `send` every `period_ns` of real time, also during a pause."""
 
     def __init__(self, period_ns: int, send: Callable[[int], object]) -> None:
         self.period_ns = period_ns
@@ -41,7 +41,7 @@ class ClockPublisher:
         self.due_ns = 0
 
     def tick(self, now_ns: int, position_ns: int) -> None:
-        """Send if it is time; missed ticks are skipped."""
+        """Send if it is due; missed ticks are skipped."""
         if now_ns >= self.due_ns:
             self.send(position_ns)
             following_ns = self.due_ns + self.period_ns
@@ -49,9 +49,9 @@ class ClockPublisher:
 
 
 class Player:
-    """Sends every entry through its topic's `Send`; `rate` None sends as fast as possible.
+    """Sends every entry through its topic's `Send`. With `rate` None it sends as fast as possible.
 
-    `run` belongs to one thread; everything else may be used from any.
+    `run` must be called in one thread; everything else may be used from any thread.
     """
 
     def __init__(
@@ -82,11 +82,11 @@ class Player:
 
     @property
     def sent(self) -> int:
-        """Messages that the middleware took, of all topics."""
+        """Messages that the middleware accepted, of all topics."""
         return sum(topic.sent for topic in self.topics.values())
 
     def stop(self) -> None:
-        """Send nothing more."""
+        """Stop sending."""
         self._stopped = True
 
     def run(self) -> None:
@@ -101,14 +101,14 @@ class Player:
                 self.position_ns = at_ns
 
     def _wait_for(self, at_ns: int) -> int | None:
-        """Return when the message is due, or at a stop; None where no moment was set for it."""
+        """Wait until the message is due, and return that time; None at a stop or without a time."""
         clock, control = self._clock, self.control
         while not self._stopped:
             schedule = control.schedule
             now_ns = clock.now_ns()
             wake_ns = now_ns + SLICE_NS
             if self._ticks is not None:
-                self._ticks.tick(now_ns, self._told_position_ns(schedule, now_ns))
+                self._ticks.tick(now_ns, self._clock_position_ns(schedule, now_ns))
                 wake_ns = min(wake_ns, self._ticks.due_ns)
             if schedule.paused:
                 if control.takes_step(at_ns):
@@ -125,7 +125,7 @@ class Player:
                 return due_ns if schedule.rate is not None else None
         return None
 
-    def _told_position_ns(self, schedule: Schedule, now_ns: int) -> int:
+    def _clock_position_ns(self, schedule: Schedule, now_ns: int) -> int:
         return self.position_ns if schedule.rate is None else schedule.position_ns(now_ns)
 
     def _send(self, topic: TopicSender, data: bytes, due_ns: int | None) -> None:

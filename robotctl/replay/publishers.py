@@ -1,4 +1,4 @@
-"""Opens what a replay publishes: each topic that can be played here, and the clock."""
+"""Opens the publishers of a replay: each topic that can be played, and the clock."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ CLOCK: Final = "/clock"
 def playable(
     routes: Sequence[Route], ros: ReplaySession, job: Job, report: ReplayReport
 ) -> list[Route]:
-    """The routes whose types are installed; the others are skipped.
+    """Return the routes whose types are installed; report the others as skipped.
 
     Raises:
-        Refused: A type has another definition than when it was recorded; not with --force-types.
+        Refused: A type has another definition than in the recording, without --force-types.
     """
     reasons = plan.unplayable(route.topic for route in routes)
     if job.clock_hz is not None:
@@ -48,7 +48,9 @@ def playable(
 def open_routes(
     routes: Sequence[Route], ros: ReplaySession, job: Job, report: ReplayReport
 ) -> tuple[list[Route], dict[str, Send]]:
-    """The routes that could be opened, and what sends each topic's messages; others are skipped."""
+    """Return the routes that could be opened, and the `Send` of each topic; report others as
+    skipped.
+    """
     opened: list[Route] = []
     sends: dict[str, Send] = {}
     for route in routes:
@@ -67,9 +69,10 @@ def open_routes(
 
 
 def open_clock(prefix: str, ros: ReplaySession, job: Job, span: Span) -> ClockPublisher | None:
-    """What publishes the time, None where nobody wants it. Raises Refused beside another clock.
+    """Return the publisher of the recorded time, or None without --clock. A loop turns time back.
 
-    The time is that of the recording; a loop turns it back.
+    Raises:
+        Refused: The domain has another clock.
     """
     if job.clock_hz is None:
         return None
@@ -78,14 +81,14 @@ def open_clock(prefix: str, ros: ReplaySession, job: Job, span: Span) -> ClockPu
     if others:
         raise Refused(
             f"--clock is refused: {', '.join(others)} publishes {name} already, and time would "
-            "jump to and fro (end it, or take another domain: --domain-id)"
+            "jump back and forth (end it, or use another domain: --domain-id)"
         )
     send = ros.open_clock(name)
 
-    def tell(position_ns: int) -> None:
+    def send_time(position_ns: int) -> None:
         send(span.start_ns + (position_ns % span.pass_ns if job.loop else position_ns))
 
-    return ClockPublisher(round(NS_PER_S / job.clock_hz), tell)
+    return ClockPublisher(round(NS_PER_S / job.clock_hz), send_time)
 
 
 def _check_definitions(

@@ -1,4 +1,4 @@
-"""Reads a recording in a thread, so that the thread that keeps time never waits for the disk."""
+"""Reads a recording in a separate thread, so that the player never waits for the disk."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from robotctl.replay.timeline import Entry
 BATCH_ENTRIES: Final = 256
 BATCH_BYTES: Final = 1 << 20
 AHEAD_ENTRIES: Final = 16_384
-"""How many messages may wait to be sent, unless somebody asks for more or fewer."""
+"""How many messages may wait to be sent, by default."""
 
 AHEAD_BYTES: Final = 64 << 20
-"""How much of them; one batch more where a single one is larger."""
+"""Maximum size of the waiting messages; one batch may be larger."""
 
 
 class ReadAhead:
-    """Iterates over batches of `entries`, which are read in a thread while the block lasts.
+    """Iterates over batches of `entries`. A thread reads them while the block lasts.
 
-    About `ahead` of them are read before they are asked for.
+    It reads about `ahead` entries in advance.
     """
 
     def __init__(self, entries: Iterable[Entry], ahead: int = AHEAD_ENTRIES) -> None:
@@ -40,23 +40,23 @@ class ReadAhead:
         self._thread = threading.Thread(target=self._run, name="read-ahead", daemon=True)
 
     def __enter__(self) -> Self:
-        """Begin to read."""
+        """Start to read."""
         self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Stop reading, and wait until the thread has."""
+        """Stop reading, and wait for the end of the thread."""
         self.close()
         self._thread.join()
 
     def close(self) -> None:
-        """End the iteration at the next batch; callable from any thread."""
+        """End the iteration at the next batch. May be called from any thread."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
 
     def __iter__(self) -> Iterator[list[Entry]]:
-        """The batches, each as soon as it is read. Raises what reading raised, at its place."""
+        """Yield the batches when they are read. An exception of the reader is raised after them."""
         while True:
             with self._changed:
                 while not (self._batches or self._ended or self._closed):
@@ -75,7 +75,7 @@ class ReadAhead:
             raise self._failure
 
     def count(self, after_ns: int, until_ns: int) -> int:
-        """How many of the messages that were read lie in a span of time; from any thread."""
+        """Return how many of the messages read lie in a time span. Callable from any thread."""
         with self._changed:
             batches = [self._given, *(batch for batch, _ in self._batches)]
         return sum(
@@ -86,7 +86,7 @@ class ReadAhead:
     def _run(self) -> None:
         try:
             self._read()
-        except BaseException as failure:  # noqa: BLE001 - raised again by the one who iterates
+        except BaseException as failure:  # noqa: BLE001 - raised again by the iteration
             self._failure = failure
         with self._changed:
             self._ended = True
@@ -108,7 +108,7 @@ class ReadAhead:
                 self._put(batch, size)
 
     def _put(self, batch: list[Entry], size: int) -> bool:
-        """Wait for room and add the batch; False once nobody wants it any more."""
+        """Wait for room and add the batch; return False after `close`."""
         with self._changed:
             while not self._closed and self._batches and self._is_full(len(batch), size):
                 self._changed.wait()

@@ -1,4 +1,4 @@
-"""What a robot did, seen from its recording: pose, velocity, mode and path at any moment."""
+"""The robot as recorded: pose, velocity, mode and path at any moment."""
 
 from __future__ import annotations
 
@@ -22,20 +22,24 @@ ODOMETRY: Final = "nav_msgs/msg/Odometry"
 STATUS: Final = "robot_controller/msg/RobotStatus"
 
 STEP_M: Final = 0.005
-"""Points of the path that lie closer together are not kept."""
+"""Minimum distance between points of the path."""
 
 MAX_POINTS: Final = 4000
-"""Beyond that every other point of the path is forgotten."""
+"""Maximum length of the path; then every second point is removed."""
 
 
 class RecordedRobot:
-    """The state of the recorded robot, None for what is not known; `path` is in metres.
+    """The state of the recorded robot, None for unknown values; `path` is in metres.
 
-    It goes one way, `advance`; where a replay begins again, so does the path.
+    `advance` only moves forward. When a replay starts again, the path does as well.
     """
 
     def __init__(self, recording: Recording, span: Span, *, loop: bool) -> None:
-        """Look at a part of a recording. Raises UsageError where there is nothing to be seen."""
+        """Open a part of a recording.
+
+        Raises:
+            UsageError: It has neither odometry nor status.
+        """
         topics = recording.info().topics
         self.pose: Pose | None = None
         self.velocity: Twist | None = None
@@ -58,11 +62,11 @@ class RecordedRobot:
 
     @property
     def next_ns(self) -> int | None:
-        """When something is seen next, None at the end."""
+        """When the next message is due; None at the end."""
         return None if self._next is None else self._next[0]
 
     def status(self) -> dict[str, Any]:
-        """What is seen, as in the object of `robotctl status --json`."""
+        """Return the state with the keys of `robotctl status --json`."""
         return {
             "mode": self.mode,
             "pose": None if self.pose is None else asdict(self.pose),
@@ -70,13 +74,13 @@ class RecordedRobot:
         }
 
     def advance(self, position_ns: int) -> None:
-        """Take in everything up to a moment of the replay."""
+        """Read all messages up to `position_ns` of the replay."""
         while self._next is not None and self._next[0] <= position_ns:
             at_ns, topic, data = self._next
             number = max(at_ns - 1, 0) // self._pass_ns
             if number != self._pass:
                 self._pass, self.path = number, []
-            with suppress(struct.error):  # cut short: a replay passes it on as it is
+            with suppress(struct.error):  # a truncated message; the replay publishes it unchanged
                 self._takes[topic](data)
             self._next = next(self._entries, None)
 
@@ -102,6 +106,6 @@ class RecordedRobot:
 
 
 def _busiest(topics: Sequence[TopicInfo], type_name: str) -> TopicInfo | None:
-    """The topic of a type with the most messages."""
+    """Return the topic of a type with the most messages, or None."""
     found = [topic for topic in topics if topic.type_name == type_name and topic.message_count]
     return max(found, key=lambda topic: topic.message_count, default=None)

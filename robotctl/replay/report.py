@@ -1,4 +1,4 @@
-"""What is noted while a replay is prepared and runs: said at once, and again in the summary."""
+"""Notes about a replay: sent at once, and again in the summary."""
 
 from __future__ import annotations
 
@@ -8,42 +8,42 @@ from typing import Any
 from robotctl.replay.guard import withheld_note
 from robotctl.replay.plan import Route
 
-Tell = Callable[[dict[str, Any]], None]
-"""Says something to the user: {"note"}, {"waiting"}, {"start"}, {"progress"} or {"summary"}."""
+Emit = Callable[[dict[str, Any]], None]
+"""Sends a message: {"note"}, {"waiting"}, {"start"}, {"progress"} or {"summary"}."""
 
 
 class ReplayReport:
-    """Notes in their order; what is skipped, withheld and missing. Keys are recorded topics."""
+    """Notes in their order; topics that were skipped or withheld, and missing data."""
 
-    def __init__(self, tell: Tell) -> None:
+    def __init__(self, emit: Emit) -> None:
         self.notes: list[str] = []
         self.skipped: dict[str, str] = {}
         self.withheld: dict[str, int] = {}
-        """How many messages of a topic are held back."""
+        """Number of withheld messages by topic."""
 
         self.missing: list[str] = []
-        """What of the file cannot be read, in sentences."""
+        """What cannot be read of the file, in sentences."""
 
-        self._tell = tell
+        self._emit = emit
 
     def note(self, text: str) -> None:
-        """Say a sentence; "" says nothing."""
+        """Send a sentence; "" is ignored."""
         if text:
             self.notes.append(text)
-            self._tell({"note": text})
+            self._emit({"note": text})
 
     def skip(self, topic: str, reason: str) -> None:
-        """A topic is not played; the reason stands after its name."""
+        """Report that a topic is not played; `reason` continues the sentence "it ..."."""
         self.skipped[topic] = reason
         self.note(f"{topic} is skipped: it {reason}")
 
     def withhold(self, route: Route) -> None:
-        """A route is held back with all of its messages."""
+        """Report that a route is withheld with all its messages."""
         self.withheld[route.topic.name] = route.topic.message_count
         self.note(withheld_note(route))
 
     def miss(self, sentences: Iterable[str]) -> None:
-        """Something of the file cannot be read; a loop that meets it again says it once."""
+        """Report parts of the file that cannot be read; repeated sentences are ignored."""
         for sentence in sentences:
             if sentence not in self.missing:
                 self.missing.append(sentence)

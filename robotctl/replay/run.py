@@ -1,4 +1,4 @@
-"""One replay from its job to its summary: puts file, safety rules, ROS and player together."""
+"""One replay from its job to its summary: connects file, safety rules, ROS and player."""
 
 from __future__ import annotations
 
@@ -23,47 +23,48 @@ from robotctl.replay.plan import Route
 from robotctl.replay.player import ClockPublisher, Player, Send
 from robotctl.replay.publishers import open_clock, open_routes, playable
 from robotctl.replay.read_ahead import AHEAD_ENTRIES, ReadAhead
-from robotctl.replay.report import ReplayReport, Tell
+from robotctl.replay.report import Emit, ReplayReport
 from robotctl.replay.timeline import Span, recorded, span_of
 from robotctl.ros.executor.realtime import FifoScheduling
 from robotctl.ros.playback.playback import GLANCE_S, QUIET_S, ReplaySession
 from robotctl.ros.playback.recorded_qos import latched_depth
 
 PROGRESS_S: Final = 0.1
-"""How often it is told how far the replay is."""
+"""Interval of progress messages."""
 
 GUARD_S: Final = 0.5
-"""How often it is made sure that no daemon has come, or begun to move its robot."""
+"""Interval of the checks that no daemon has joined or begun to move its robot."""
 
 JOIN_S: Final = 10.0
 
 PRIORITY: Final = 1
-"""The lowest of SCHED_FIFO, where that is permitted: enough to wake up in time."""
+"""The lowest of SCHED_FIFO, if permitted: enough to wake up in time."""
 
 OVERLOADED_S: Final = 1.0
-"""What is behind schedule for so long does not wait any more, and shares its core from then on."""
+"""A player that is behind schedule for longer loses its real-time priority, since it never
+sleeps."""
 
 
 class Replay:
     """Plays a job. `stop` and `control` may be called from any thread, at any time."""
 
-    def __init__(self, job: Job, ros: ReplaySession, tell: Tell) -> None:
+    def __init__(self, job: Job, ros: ReplaySession, emit: Emit) -> None:
         self._job = job
         self._ros = ros
-        self._tell = tell
+        self._emit = emit
         self._stopped = ros.stopped
-        self._report = ReplayReport(tell)
+        self._report = ReplayReport(emit)
         self._controlling = threading.Lock()
         self._player: Player | None = None
         self._early: list[Command] = []
-        """What was asked for before there was a player."""
+        """Commands received before there was a player."""
 
     def stop(self) -> None:
         """End early; the summary then says so."""
         self._stopped.set()
 
     def control(self, command: Command) -> None:
-        """Carry out what is asked for, at the latest when the player begins."""
+        """Carry out a command now, or when the player begins."""
         with self._controlling:
             if self._player is None:
                 self._early.append(command)
@@ -71,12 +72,12 @@ class Replay:
                 carry_out(command, self._player.control)
 
     def run(self) -> None:
-        """Play to the end, then tell the summary.
+        """Play to the end, then send the summary.
 
         Raises:
             UnreadableFile: Nothing can be read; or not everything, after the rest was played.
-            UsageError: The job asks for what the recording does not have.
-            Refused: It would not be safe, or no longer is, or a type is another one here.
+            UsageError: The job requests something that the recording does not have.
+            Refused: It is not safe, or no longer; or a type has another definition here.
         """
         job, ros = self._job, self._ros
         with Recording(job.file) as recording:
@@ -86,14 +87,14 @@ class Replay:
             routes = plan.routes(info.topics, chosen, job)
             span = span_of(info, job)
             if job.original_names:
-                check_still(daemons_in(ros.domain_id))  # before discovery takes its time
+                check_still(daemons_in(ros.domain_id))  # early, because discovery takes time
             routes = playable(routes, ros, job, self._report)
             guard = ReplayGuard(ros, ros.domain_id, job.topics, original_names=job.original_names)
             # A daemon stops its robot for a second publisher of its commands.
             commands = any(is_command(route) and guard.names(route) for route in routes)
             ros.settle(QUIET_S if commands else GLANCE_S)
             if self._stopped.is_set():
-                routes = []  # perhaps not everybody is known: no robot may see a publisher of ours
+                routes = []  # discovery is incomplete, so do not create publishers
             self._report.note(guard.choose_prefix())
             routes = guard.prefixed(routes)
             ticks = open_clock(guard.prefix, ros, job, span)
@@ -103,19 +104,19 @@ class Replay:
             routes, sends = open_routes(routes, ros, job, self._report)
             self._wait()
             player = self._play(recording, guard, routes, sends, ticks, span)
-        said = summary(self._report, player, routes, interrupted=self._stopped.is_set())
+        message = summary(self._report, player, routes, interrupted=self._stopped.is_set())
         where = {"file": str(job.file), "domain_id": ros.domain_id, "prefix": guard.prefix}
-        self._tell({"summary": where | said})
+        self._emit({"summary": where | message})
         missing = self._report.missing
         if missing and not self._stopped.is_set():
             raise UnreadableFile(f"{job.file} is incomplete: {'; '.join(missing)}")
 
     def _wait(self) -> None:
-        """Return when those are there that are expected, and can be reached."""
+        """Wait for the expected subscribers, and for matched publishers."""
         ros, expected = self._ros, self._job.wait_for
         if expected:
             ros.wait_for_subscribers(
-                expected, lambda there: self._tell({"waiting": {"for": expected, "there": there}})
+                expected, lambda there: self._emit({"waiting": {"for": expected, "there": there}})
             )
         ros.wait_for_matches()
         ros.settle()
@@ -158,8 +159,8 @@ class Replay:
                 self._player = player
                 for command in self._early:
                     carry_out(command, player.control)
-            self._tell({"start": {"length_s": span.length_ns / NS_PER_S, "topics": len(routes)}})
-            guard.check()  # waiting may have taken its time
+            self._emit({"start": {"length_s": span.length_ns / NS_PER_S, "topics": len(routes)}})
+            guard.check()  # again, because waiting may have taken long
             self._run_player(player, ahead, guard)
         self._ros.wait_until_received()
         return player
@@ -170,30 +171,30 @@ class Replay:
         ahead: ReadAhead,
         guard: ReplayGuard,
     ) -> None:
-        """Let the player run in a thread, tell how far it is, and watch over guard."""
+        """Run the player in a thread; meanwhile send progress and check safety."""
         failures: list[BaseException] = []
         scheduling: list[FifoScheduling] = []
         behind = 0
 
         def run() -> None:
             try:
-                if self._job.rate is not None:  # what never waits would leave a core to nobody else
+                if self._job.rate is not None:  # at rate max it would occupy a core
                     scheduling.append(FifoScheduling(PRIORITY))
                 player.run()
             except BaseException as failure:  # noqa: BLE001 - raised again in the main thread
                 failures.append(failure)
 
-        gc.freeze()  # a full collection would hold up a message
-        if self._stopped.is_set():  # while it was waited for somebody: nothing is sent any more
+        gc.freeze()  # a full collection would delay a message
+        if self._stopped.is_set():  # stopped while waiting for subscribers
             player.stop()
         thread = threading.Thread(target=run, name="player", daemon=True)
         thread.start()
         guard_at = time.monotonic() + GUARD_S
         try:
             while thread.is_alive() and not self._stopped.wait(PROGRESS_S):
-                said = progress(player, ahead, time.monotonic_ns())
-                self._tell({"progress": said})
-                behind = behind + 1 if said["behind"] else 0
+                message = progress(player, ahead, time.monotonic_ns())
+                self._emit({"progress": message})
+                behind = behind + 1 if message["behind"] else 0
                 if behind * PROGRESS_S >= OVERLOADED_S and scheduling:
                     with suppress(ProcessLookupError):  # the thread has just ended
                         scheduling[0].restore()

@@ -1,4 +1,4 @@
-"""Which recorded moment is due when: a straight line, until somebody pauses or changes the rate."""
+"""When a recorded moment is due: a straight line, until a pause or a change of rate."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Final, Self
 from robotctl.replay.job import MAX_RATE, MIN_RATE
 
 _STEPS: Final = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
-"""The rates that keys choose, in each power of ten."""
+"""The rates that keys select, in each power of ten."""
 
 RATES: Final = tuple(
     round(step * 10.0**power, 4)
@@ -20,9 +20,9 @@ RATES: Final = tuple(
 
 @dataclass(frozen=True, slots=True)
 class Schedule:
-    """`at_ns` of recorded time is due at `moment_ns` of the steady clock, later times by `rate`.
+    """Recorded time `at_ns` is due at `moment_ns` of the steady clock, later times by `rate`.
 
-    A rate of None is as fast as possible: everything is due. Nothing is while `paused`.
+    With a rate of None everything is due at once. While `paused` nothing is due.
     """
 
     moment_ns: int
@@ -31,35 +31,35 @@ class Schedule:
     paused: bool = False
 
     def due_ns(self, at_ns: int) -> int:
-        """When a recorded moment is due, were nothing changed."""
+        """Return when a recorded moment is due if the schedule does not change."""
         if self.rate is None:
             return self.moment_ns
         return self.moment_ns + round((at_ns - self.at_ns) / self.rate)
 
     def position_ns(self, now_ns: int) -> int:
-        """The recorded moment that is due now."""
+        """Return the recorded moment that is due at `now_ns`."""
         if self.paused or self.rate is None:
             return self.at_ns
         return self.at_ns + max(round((now_ns - self.moment_ns) * self.rate), 0)
 
     def pause(self, now_ns: int) -> Self:
-        """The schedule that stands still from now on."""
+        """Return the schedule that is paused from now on."""
         return replace(self, moment_ns=now_ns, at_ns=self.position_ns(now_ns), paused=True)
 
     def resume(self, now_ns: int) -> Self:
-        """The schedule that goes on from where it is."""
+        """Return the schedule that continues from its position."""
         return replace(self, moment_ns=now_ns, at_ns=self.position_ns(now_ns), paused=False)
 
     def with_rate(self, now_ns: int, rate: float) -> Self:
-        """The schedule that goes on at another rate."""
+        """Return the schedule that continues at another rate."""
         return replace(self, moment_ns=now_ns, at_ns=self.position_ns(now_ns), rate=rate)
 
 
 def faster(rate: float) -> float:
-    """The next higher of RATES, or the rate itself."""
+    """Return the next higher of RATES, or the rate itself."""
     return min((each for each in RATES if each > rate), default=rate)
 
 
 def slower(rate: float) -> float:
-    """The next lower of RATES, or the rate itself."""
+    """Return the next lower of RATES, or the rate itself."""
     return max((each for each in RATES if each < rate), default=rate)

@@ -1,4 +1,4 @@
-"""The messages of a recording on a line of time that begins where the replay does."""
+"""The messages of a recording, with times relative to the beginning of the replay."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from robotctl.recording import Message, Recording, RecordingInfo
 from robotctl.replay.job import Job
 
 Entry = tuple[int, str, bytes]
-"""When, in ns of recorded time since the replay's beginning; the recorded topic; the message."""
+"""Recorded time since the replay's beginning [ns], recorded topic, message."""
 
 MIN_PASS_NS: Final = 100_000_000
-"""A loop over a single message, which takes no time, still leaves some."""
+"""Minimum duration of a pass, for a loop over a single message."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,17 +27,21 @@ class Span:
 
     @property
     def length_ns(self) -> int:
-        """From the beginning to the end."""
+        """Duration from beginning to end."""
         return self.end_ns - self.start_ns
 
     @property
     def pass_ns(self) -> int:
-        """What one pass of a loop takes."""
+        """Duration of one pass of a loop."""
         return max(self.length_ns, MIN_PASS_NS)
 
 
 def span_of(info: RecordingInfo, job: Job) -> Span:
-    """The part that a job plays. Raises UsageError where that is none."""
+    """Return the part that a job plays.
+
+    Raises:
+        UsageError: The part is empty.
+    """
     if job.start_offset_s > info.duration_s:
         raise UsageError(
             f"--start-offset {job.start_offset_s:g}: "
@@ -59,7 +63,7 @@ def recorded(
     *,
     loop: bool,
 ) -> Iterator[Entry]:
-    """The entries of a recording, with so many latched messages of each topic in `latched`."""
+    """Return the entries of a recording; `latched` is the number of latched messages by topic."""
 
     def before() -> Iterable[Message]:
         return recording.last_before(span.start_ns, latched, on_missing)
@@ -77,11 +81,11 @@ def entries(
     *,
     loop: bool = False,
 ) -> Iterator[Entry]:
-    """What to send, in order; `before` and `during` are called for each pass.
+    """Yield what to send, in order; `before` and `during` are called for each pass.
 
-    `before` gives what was latched when the span begins, and that comes first: a subscriber that
-    came late would have had it, too. `during` gives the span's own messages by log time. A loop
-    over nothing ends.
+    `before` returns what was latched when the span begins. It is sent first, because a late
+    subscriber would have received it too. `during` returns the messages of the span by log time. A
+    loop over nothing ends.
     """
     begin_ns = 0
     while True:

@@ -97,7 +97,7 @@ def test_what_is_lost_is_in_the_status_and_what_is_well_in_the_log_only(world: W
     assert f"repaired: {file.name} was torn: " in warnings
     assert f"{hopeless.name} was torn and cannot be repaired" in warnings
     assert "removed" not in warnings
-    assert f"removed for its age or the space: {old}" in world.log()
+    assert f"removed for its age or to free space: {old}" in world.log()
     assert not old.exists()
     world.ok("stop")
 

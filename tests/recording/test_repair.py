@@ -59,7 +59,9 @@ def test_a_file_that_was_not_closed_is_checked_once_and_the_bag_counts_it(tmp_pa
     file = crashed(tmp_path / "run", 200)
     assert listed_messages(tmp_path / "run") == 0
     before = read_strictly(file)
-    assert repair(tmp_path) == ["repaired: run_0.mcap was not closed: its 200 messages are whole"]
+    assert repair(tmp_path) == [
+        "repaired: run_0.mcap was not closed: its 200 messages are complete"
+    ]
     assert read_strictly(file) == before
     assert listed_messages(tmp_path / "run") == 200
     with file.open("rb") as stream:
@@ -258,7 +260,9 @@ def test_a_full_disk_leaves_the_file_as_it_was_and_is_told(
     assert done.problem
     assert "run_0.mcap could not be repaired: No space left on device" in done.text
     assert file.read_bytes() == before
-    assert repair(tmp_path) == ["repaired: run_0.mcap was not closed: its 200 messages are whole"]
+    assert repair(tmp_path) == [
+        "repaired: run_0.mcap was not closed: its 200 messages are complete"
+    ]
 
 
 def with_private_record(data: bytes) -> bytes:
@@ -276,8 +280,8 @@ def test_a_private_record_in_a_summary_does_not_stop_the_repair(tmp_path: Path) 
     first, second = crashed(tmp_path / "run1", 100), crashed(tmp_path / "run2", 100)
     first.write_bytes(with_private_record(first.read_bytes()))
     assert repair(tmp_path) == [
-        "repaired: run1_0.mcap was not closed: its 100 messages are whole",
-        "repaired: run2_0.mcap was not closed: its 100 messages are whole",
+        "repaired: run1_0.mcap was not closed: its 100 messages are complete",
+        "repaired: run2_0.mcap was not closed: its 100 messages are complete",
     ]
     assert len(read_strictly(first)) == len(read_strictly(second)) == 100
 

@@ -177,5 +177,5 @@ def test_a_file_system_without_such_locks_is_tidied_all_the_same(
 
     monkeypatch.setattr("robotctl.recording.keep.tidy_job.flock", no_lock)
     (done,) = tidy(TidyJob(tmp_path, RetentionPolicy(max_bytes=0), repairs=False))
-    assert done.text.startswith("removed for its age or the space: ")
+    assert done.text.startswith("removed for its age or to free space: ")
     assert names(tmp_path) == []

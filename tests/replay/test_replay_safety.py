@@ -144,7 +144,7 @@ async def test_a_daemon_that_comes_during_a_replay_ends_it(
     async with daemon():
         ran = await replaying.end()
     assert ran.exit_code == 4
-    assert "has come into ROS domain" in ran.err
+    assert "has joined ROS domain" in ran.err
     await until(lambda: listener.node.count_publishers("/alpha") == 0)
 
 
@@ -160,7 +160,7 @@ async def test_a_daemon_of_somebody_else_is_seen_on_the_ros_graph(
     assert ran.summary["prefix"] == "/replay"
     ran = await replay(file, "--original-names")
     assert ran.exit_code == 4
-    assert "mode that it does not tell" in ran.err
+    assert "in an unknown mode" in ran.err
 
 
 @pytest.mark.parametrize("topic", ["/cmd_vel", pytest.param("/base/speed", marks=pytest.mark.slow)])

@@ -1,4 +1,4 @@
-"""Writing a folder's `metadata.yaml` anew from what its files say."""
+"""Rewrites a folder's `metadata.yaml` from what its files say."""
 
 from __future__ import annotations
 
@@ -15,7 +15,12 @@ from robotctl.recording.read.mcap_input import InputFile
 
 
 def rewrite_metadata(folder: Path, files: Sequence[Path]) -> None:
-    """Have `folder` list `files`, in this order, as far as they can be read. Raises OSError."""
+    """Write the `metadata.yaml` of `folder` with `files`, in this order, as far as they can be
+    read.
+
+    Raises:
+        OSError: It cannot be written.
+    """
     topics: dict[Topic, int] = {}
     described = []
     for path in files:

@@ -1,4 +1,4 @@
-"""The recordings below a folder that are ours, so that nobody else's are touched."""
+"""Finds the recordings below a folder that robotctl wrote, so that no others are changed."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ KEEP_FILE = "keep"
 """A recording with a file of this name in its folder is never removed."""
 
 CLIPS_FOLDER = "clips"
-"""Within a recording's folder: not part of the bag, but of what is kept or removed with it."""
+"""Folder in a recording's folder. It is not part of the bag, but kept or removed with it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,12 +31,12 @@ class CatalogFile:
     size: int
     modified_s: float
     live: bool
-    """A living process is writing it."""
+    """Whether a running process is writing it."""
 
 
 @dataclass(frozen=True, slots=True)
 class CatalogFolder:
-    """A recording of ours: `files` in their order, and the clips that were cut out of it."""
+    """A recording of robotctl: `files` in their order, and the clips cut from it."""
 
     path: Path
     files: tuple[CatalogFile, ...]
@@ -45,15 +45,17 @@ class CatalogFolder:
 
     @property
     def live(self) -> bool:
-        """A living process is recording into it."""
+        """Whether a running process is recording into it."""
         return any(file.live for file in self.files)
 
 
 def own_recordings(recordings: Path) -> Iterator[CatalogFolder]:
-    """The recordings directly below `recordings`, in the order of their names.
+    """Yield the recordings directly below `recordings`, ordered by name.
 
-    Symbolic links are not followed. What cannot be read is passed over. Raises OSError if
-    `recordings` itself cannot be listed.
+    Symbolic links are not followed. Folders that cannot be read are skipped.
+
+    Raises:
+        OSError: `recordings` itself cannot be listed.
     """
     for folder in sorted(recordings.iterdir()):
         if folder.is_symlink() or not folder.is_dir():
@@ -65,7 +67,11 @@ def own_recordings(recordings: Path) -> Iterator[CatalogFolder]:
 
 
 def set_kept(folder: Path, kept: bool) -> None:
-    """Mark the recording in `folder` as never to be removed, or no longer. Raises OSError."""
+    """Protect the recording in `folder` from removal, or end that.
+
+    Raises:
+        OSError: The folder cannot be written.
+    """
     if kept:
         os.close(open_private(folder / KEEP_FILE, os.O_WRONLY | os.O_CREAT))
         share_like(folder / KEEP_FILE, folder)

@@ -1,7 +1,7 @@
-"""The black box: a file that stands alone, cut out of a recording around a moment.
+"""Clips: files that stand alone, cut from a recording around an event.
 
-Before the cut begins stand the last messages of latched topics, and the journal since its last
-snapshot, so that a fresh kernel can decide everything in the clip once more.
+A clip begins with the last messages of latched topics and the journal since its last snapshot, so
+that a fresh kernel can decide everything in the clip again.
 """
 
 from __future__ import annotations
@@ -39,15 +39,15 @@ from robotctl.recording.write.mcap_writer import McapFile
 CHUNK_BYTES = 1 << 20
 
 _OF_THE_WHOLE = (METADATA_RECORD, LEDGER_RECORD, RECOVERY_RECORD, EVENT_RECORD, CLIP_RECORD)
-"""Metadata that would not be true of a part."""
+"""Metadata that is not true for a part of the recording."""
 
 Progress = Callable[[int, int], None]
-"""Is told how many nanoseconds of the recording are done, and how many there are."""
+"""Gets nanoseconds of the recording done, and in total."""
 
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """What a clip is about: an event of the recording, or any time, whose kind is None."""
+    """What a clip is about: an event of the recording, or any time; then `kind` is None."""
 
     log_ns: int
     kind: EventKind | None = None
@@ -55,16 +55,16 @@ class Moment:
 
     @classmethod
     def of(cls, event: RecordedEvent) -> Moment:
-        """That of an event."""
+        """Return the moment of an event."""
         return cls(event.log_ns, event.kind, event.text)
 
 
 @dataclass(frozen=True, slots=True)
 class Clip:
-    """A clip that was made; `lost` says in sentences what of it could not be read.
+    """A finished clip; `lost` says in sentences what could not be read.
 
-    Times in nanoseconds since the epoch: those of the first and the last message that are not
-    repeated from before.
+    Times are those of the first and last message, in nanoseconds since the epoch; messages repeated
+    from before the clip do not count.
     """
 
     target: Path
@@ -84,8 +84,9 @@ def cut_clip(
 ) -> Clip:
     """Write what was recorded in `window` (ns, both ends included) into the new file `target`.
 
-    Raises Refused if nothing was recorded then, or `target` exists or cannot be written; then
-    there is no `target` but one that was there before.
+    Raises:
+        Refused: Nothing was recorded in the window, or `target` exists or cannot be written. No new
+            file remains.
     """
     info = recording.info()
     start_ns, end_ns = max(window[0], info.start_ns), min(window[1], info.end_ns)
@@ -113,7 +114,12 @@ class _ClipWriter:
         self.lost: list[str] = list(recording.missing)
 
     def run(self, mcap: McapFile, name: str) -> None:
-        """Write the clip. Raises OSError, and Refused where it would be empty."""
+        """Write the clip.
+
+        Raises:
+            OSError: The disk is full or fails.
+            Refused: The clip would be empty.
+        """
         for record in self._recording.metadata():
             if record.name not in (*_OF_THE_WHOLE, INFO_RECORD):
                 mcap.add_metadata(record.name, record.metadata)
@@ -136,7 +142,7 @@ class _ClipWriter:
         mcap.sync()
 
     def _add_info(self, mcap: McapFile) -> None:
-        """The robot and what made the recording; the mode at its beginning is not that of ours."""
+        """Copy what made the recording, without the mode, which is that of its start."""
         found = self._recording.info().metadata.get(INFO_RECORD)
         if found is not None:
             values = {key: value for key, value in found.items() if key != "mode"}
@@ -161,7 +167,7 @@ class _ClipWriter:
             )
 
     def _before(self) -> Iterator[Message]:
-        """The journal since its last snapshot; what is latched, as if it came when we begin."""
+        """Yield the journal since its last snapshot, then latched messages with the start time."""
         start_ns = self._window[0]
         yield from since_snapshot(self._recording, start_ns, self._lose)
         latched = {topic.name: MAX_LATCHED for topic in self._topics if topic.latched}

@@ -1,4 +1,4 @@
-"""One clip from the order to the file: waits for what is still to come, and finds it a name."""
+"""Makes one clip: waits until everything is recorded, and chooses a file name."""
 
 from __future__ import annotations
 
@@ -19,14 +19,16 @@ from robotctl.recording.keep.listing import ListedRecording, list_recording
 from robotctl.recording.read.reader import Recording
 
 PATIENCE_S = 3.0
-"""How long a recording that goes on may take to show what was due."""
+"""How long to wait for a live recording to contain messages that are due."""
 
 _LOOK_AGAIN_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
 class ClipJob:
-    """What to cut out of the recording `source`; no `target` means: into its folder of clips."""
+    """What to cut from the recording `source`; without `target`, the clip goes into its clips
+    folder.
+    """
 
     source: Path
     moment: Moment
@@ -35,7 +37,7 @@ class ClipJob:
     target: Path | None = None
 
     def to_json(self) -> str:
-        """One line."""
+        """Return the job as one line."""
         moment = self.moment
         return json.dumps(
             {
@@ -51,7 +53,7 @@ class ClipJob:
 
     @classmethod
     def from_json(cls, line: str) -> Self:
-        """The job in a line of `to_json`."""
+        """Return the job in a line of `to_json`."""
         given: dict[str, Any] = json.loads(line)
         kind, target = given["kind"], given["target"]
         return cls(
@@ -64,21 +66,23 @@ class ClipJob:
 
     @property
     def end_ns(self) -> int:
-        """Until when [ns since the epoch]."""
+        """End of the clip [ns since the epoch]."""
         return self.moment.log_ns + round(self.after_s * NS_PER_S)
 
 
 def remaining_s(job: ClipJob, listed: ListedRecording) -> float:
-    """How long the recording will go on before all is there that was asked for."""
+    """Return how long the recording must go on until it contains the whole clip."""
     if not listed.live or listed.end_ns >= job.end_ns:
         return 0.0
     return max(job.end_ns - time.time_ns(), 0) / NS_PER_S
 
 
 def make_clip(job: ClipJob, on_progress: Progress = lambda done, total: None) -> Clip:
-    """Cut it, once the recording has come so far or has ended.
+    """Cut the clip as soon as the recording contains it or has ended.
 
-    Raises as `cut_clip` does, and UnreadableFile where the recording cannot be read.
+    Raises:
+        Refused: As `cut_clip` raises it.
+        UnreadableFile: The recording cannot be read.
     """
     _wait_for_end(job)
     target = job.target or _free_name(job)
@@ -103,7 +107,7 @@ def _wait_for_end(job: ClipJob) -> None:
 
 
 def _free_name(job: ClipJob) -> Path:
-    """A name in the folder of clips beside the recording's files, which it creates."""
+    """Return an unused name in the clips folder of the recording, and create that folder."""
     source = job.source
     folder = (source if source.is_dir() else source.parent) / CLIPS_FOLDER
     try:

@@ -1,4 +1,4 @@
-"""`python -m robotctl.recording JOB --report-fd N`: cuts one clip at the lowest priority.
+"""`python -m robotctl.recording.keep.clip_process JOB --report-fd N`: cut a clip at low priority.
 
 JOB is the JSON object of a ClipJob. One line of JSON on N: {"target", "lost"} or {"error"}.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import sys
 
-os.nice(19)  # before anything is imported: somebody controls a robot on this machine
+os.nice(19)  # before the imports, which could delay the control of a robot
 
 from robotctl.errors import RobotctlError  # noqa: E402
 from robotctl.processes import report_fd, send_report  # noqa: E402

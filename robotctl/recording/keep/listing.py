@@ -1,4 +1,4 @@
-"""The recordings below a folder, whoever made them, as a list shows them."""
+"""Lists the recordings below a folder, also those of other tools."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ GRAVEST_FIRST = (EventKind.EMERGENCY_STOP, EventKind.ERROR)
 class ListedRecording:
     """A recording: a folder of files, or a single file.
 
-    Times in nanoseconds since the epoch, 0 without messages; `damage` says in sentences what
-    cannot be read; a recording that is not `readable` holds nothing that can be.
+    Times are in nanoseconds since the epoch, 0 without messages. `damage` says in sentences what
+    cannot be read. `readable` is False if nothing can be read.
     """
 
     path: Path
@@ -55,12 +55,12 @@ class ListedRecording:
 
     @property
     def laps(self) -> int:
-        """Whole laps of the drives that have ended."""
+        """Completed laps of the drives that have ended."""
         return sum(event.laps for event in self.events)
 
     @property
     def worst(self) -> EventKind | None:
-        """The gravest that happened; None where nothing bad did."""
+        """The gravest event; None without an emergency stop or error."""
         kinds = {event.kind for event in self.events}
         return next((kind for kind in GRAVEST_FIRST if kind in kinds), None)
 
@@ -68,15 +68,17 @@ class ListedRecording:
 def list_recordings(
     folder: Path, on_progress: Callable[[int, int], None] = lambda done, total: None
 ) -> Iterator[ListedRecording]:
-    """The recordings directly below `folder`, in the order of their names.
+    """Yield the recordings directly below `folder`, ordered by name.
 
-    `on_progress` gets recordings done and in total. Symbolic links are not followed. Raises
-    OSError if `folder` cannot be listed.
+    `on_progress` gets recordings done and in total. Symbolic links are not followed.
+
+    Raises:
+        OSError: `folder` cannot be listed.
     """
     found = [path for path in sorted(folder.iterdir()) if _files(path)]
     for done, path in enumerate(found):
         on_progress(done, len(found))
-        with suppress(OSError):  # it is gone: removed by a daemon's retention, say
+        with suppress(OSError):  # it was removed meanwhile
             yield list_recording(path)
     on_progress(len(found), len(found))
 
@@ -93,14 +95,18 @@ def _files(path: Path) -> list[Path]:
 
 
 def _packed_files(path: Path) -> list[Path]:
-    """What has to be unpacked to be listed: only where it is asked for by its name."""
+    """Return files that must be decompressed; they are listed only if requested by name."""
     if is_zstd_file(path) and path.is_file():
         return [path]
     return files_of_bag(path) if path.is_dir() else []
 
 
 def list_recording(path: Path) -> ListedRecording:
-    """The recording `path`, a folder or a file. Raises OSError if it is not there."""
+    """Return the recording `path`, a folder or a file.
+
+    Raises:
+        OSError: It does not exist.
+    """
     text = metadata_text(path)
     files = _files(path) or _packed_files(path)
     if not files:

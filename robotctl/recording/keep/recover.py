@@ -1,4 +1,4 @@
-"""Salvaging what a broken file of any writer still holds."""
+"""Recovers what a broken file of any writer still holds."""
 
 from __future__ import annotations
 
@@ -32,18 +32,19 @@ from robotctl.recording.write.chunk_encoder import ChunkEncoder
 from robotctl.recording.write.mcap_writer import McapFile
 
 _BATCH_BYTES = 8 << 20
-"""Messages that become one chunk of the copy: a chunk of the original may be larger by far."""
+"""Messages that become one chunk of the copy, because a chunk of the original may be much
+larger."""
 
 Progress = Callable[[int, int], None]
-"""Is told bytes done and bytes in total."""
+"""Gets bytes done, and in total."""
 
 
 @dataclass(frozen=True, slots=True)
 class RecoveryReport:
-    """What came out of a recovery; `lost` says in sentences what did not.
+    """What was recovered; `lost` says in sentences what was not.
 
-    With higher limits there would be more if `limit_reached`. Where `failure` is not None, the disk
-    or the memory failed while it was read: at another time there may be more.
+    `limit_reached` tells that more can be read with higher limits. `failure` is not None if the
+    disk or the memory failed while reading: a later attempt may recover more.
     """
 
     target: Path
@@ -63,8 +64,11 @@ def recover(
 ) -> RecoveryReport:
     """Write all that can be read of the file `source` into the new file `target`.
 
-    Raises UnreadableFile if nothing can be read, Refused if `target` exists or cannot be
-    written. After an error there is no `target` but one that was there before.
+    Raises:
+        UnreadableFile: Nothing can be read.
+        Refused: `target` exists or cannot be written.
+
+    After an error no new file remains.
     """
     try:
         file = InputFile(source, on_progress)
@@ -72,7 +76,7 @@ def recover(
         raise UnreadableFile(f"{source} cannot be read: {_reason(error)}") from error
     text = metadata_text(source)
     with file:
-        total = 2 * file.size  # once to find what there is, once to copy it
+        total = 2 * file.size  # one pass to index, one to copy
         try:
             index = index_of(file, lambda done: on_progress(done, total))
         except Damaged as damage:
@@ -112,12 +116,16 @@ class _RecoveryWriter:
         self.attachment_count = 0
 
     def run(self, storage: Storage) -> None:
-        """Write the copy. Raises OSError."""
+        """Write the copy.
+
+        Raises:
+            OSError: The disk is full or fails.
+        """
         index = self._index
         library = f"{LIBRARY}, recovered from {index.library}"
         mcap = McapFile(storage, profile=index.profile, library=library)
         for schema in index.schemas.values():
-            if schema.id:  # 0 stands for no schema
+            if schema.id:  # 0 means no schema
                 mcap.add_schema(schema)
         for channel in index.channels.values():
             known = channel.schema_id in index.schemas
@@ -157,7 +165,7 @@ class _RecoveryWriter:
                 self.attachment_count += 1
 
     def _read(self, place: Place) -> Iterator[list[PlainMessage]]:
-        """The messages at a place, some megabytes at a time."""
+        """Yield the messages at a place, some megabytes at a time."""
         source = PlaceReader(self._open_file, place, self._names, ALWAYS)
         messages: list[PlainMessage] = []
         size = 0

@@ -1,4 +1,4 @@
-"""Salvaging a recording of several files."""
+"""Recovers a recording of several files."""
 
 from __future__ import annotations
 
@@ -22,7 +22,11 @@ def recover_folder(
 ) -> RecoveryReport:
     """Write all that can be read of the recording `source` into the new folder `target`.
 
-    Raises as `recover` does; after an error there is no `target` but one that was there before.
+    Raises:
+        UnreadableFile: Nothing can be read.
+        Refused: `target` exists or cannot be written.
+
+    After an error no new folder remains.
     """
     text = metadata_text(source)
     paths = recording_files(source)

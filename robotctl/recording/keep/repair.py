@@ -1,7 +1,7 @@
-"""Making whole what a killed process or a power cut has left of our own recordings.
+"""Repairs recordings of robotctl after a killed process or a power cut.
 
-A file that cannot be read now, for its disk or for lack of memory, is left as it is: the next start
-tries again.
+A file that cannot be read now, because of its disk or lack of memory, is left as it is: the next
+start retries.
 """
 
 from __future__ import annotations
@@ -38,17 +38,20 @@ _PIECE_BYTES = 1 << 20
 
 
 def repair(recordings: Path) -> Iterator[TidyNote]:
-    """Repair the recordings below `recordings` that nobody is writing; yield what is done.
+    """Repair the recordings below `recordings` that no process is writing; yield what is done.
 
-    A file that is whole but was never closed is marked as checked, so that it is read once only;
-    a torn one is replaced by what can be read of it. Blocks: it reads the whole of each such file.
-    Raises OSError if `recordings` cannot be listed; what fails below it is yielded as a problem.
+    A complete file that was not closed is marked as checked, so that it is read only once. A torn
+    file is replaced by what can be read of it. Blocks: it reads such files completely. Failures
+    with single files are yielded as problems.
+
+    Raises:
+        OSError: `recordings` cannot be listed.
     """
     for folder in own_recordings(recordings):
         if not folder.live:
             try:
                 yield from _repair_folder(folder)
-            except Exception as error:  # noqa: BLE001 - the other folders are still to be repaired
+            except Exception as error:  # noqa: BLE001 - continue with the other folders
                 yield _failed(str(folder.path), error)
 
 
@@ -59,7 +62,7 @@ def _repair_folder(folder: CatalogFolder) -> Iterator[TidyNote]:
         for file in folder.files:
             try:
                 tidied = _repair_file(file.path)
-            except Exception as error:  # noqa: BLE001 - files of any origin; one must not stop all
+            except Exception as error:  # noqa: BLE001 - continue with the other files
                 yield _failed(file.path.name, error)
                 continue
             if tidied:
@@ -71,7 +74,11 @@ def _repair_folder(folder: CatalogFolder) -> Iterator[TidyNote]:
 
 
 def _remove_leftovers(folder: Path) -> None:
-    """Remove what an interrupted repair has left. Raises OSError."""
+    """Remove the unfinished files of an interrupted repair.
+
+    Raises:
+        OSError: A file cannot be removed.
+    """
     name = re.compile(re.escape(folder.name) + r"_\d+\.mcap" + re.escape(_UNFINISHED))
     for path in folder.iterdir():
         if name.fullmatch(path.name) and path.is_file() and not path.is_symlink():
@@ -79,9 +86,10 @@ def _remove_leftovers(folder: Path) -> None:
 
 
 def _repair_file(path: Path) -> TidyNote | None:
-    """What was done to the file; None if it was closed properly.
+    """Return what was done to the file; None if it was closed properly.
 
-    Raises OSError, Damaged, MemoryError; the file is then as it was.
+    Raises:
+        OSError, Damaged, MemoryError: The file is unchanged.
     """
     with InputFile(path) as file:
         try:
@@ -103,19 +111,22 @@ def _repair_file(path: Path) -> TidyNote | None:
         data_end = written.data_end if unfinished is None else unfinished
         written = replace(written, data_end=data_end, data_crc=_checksum(file, data_end))
         old_end = file.read(data_end, file.size - data_end)
-        if file.failure:  # else a chunk that could not be read would be cut off
+        if file.failure:  # otherwise an unreadable chunk would be cut off
             raise file.failure
     _close(path, written, messages, old_end)
     count = index.message_count + len(messages)
-    return TidyNote(f"repaired: {path.name} was not closed: its {count} messages are whole")
+    return TidyNote(f"repaired: {path.name} was not closed: its {count} messages are complete")
 
 
 def _close(
     path: Path, written: WrittenFile, messages: Sequence[PlainMessage], old_end: bytes
 ) -> None:
-    """End the file behind its data and `messages`, as checked. Raises OSError.
+    """Write `messages` and a trailer behind the data, and mark the file as checked.
 
-    `old_end` is what follows the data now. After an error the file ends with it again.
+    `old_end` is what follows the data now; it is restored after an error.
+
+    Raises:
+        OSError: The disk is full or fails.
     """
     storage = DiskFile(path, new=False)
     try:
@@ -133,14 +144,22 @@ def _close(
 
 
 def _verify(file: InputFile, index: FileIndex) -> None:
-    """Read everything once. Raises Damaged."""
+    """Read everything once.
+
+    Raises:
+        Damaged: A part cannot be read.
+    """
     left = file.limits.records
     for place in index.places:
         left -= sum(1 for _ in walk_records(place.read(file), left))
 
 
 def _checksum(file: InputFile, data_end: int) -> int:
-    """The CRC of the file up to `data_end`. Raises Damaged."""
+    """Return the CRC of the file up to `data_end`.
+
+    Raises:
+        Damaged: The file cannot be read.
+    """
     crc = 0
     for offset in range(0, data_end, _PIECE_BYTES):
         crc = crc32(file.read(offset, min(_PIECE_BYTES, data_end - offset)), crc)
@@ -148,7 +167,12 @@ def _checksum(file: InputFile, data_end: int) -> int:
 
 
 def _replace(path: Path) -> TidyNote:
-    """Put what can be read of the file in its place. Raises OSError, Unreadable."""
+    """Replace the file by what can be read of it.
+
+    Raises:
+        OSError: The disk is full or fails.
+        Unreadable: The disk or the memory failed while reading.
+    """
     repaired = path.with_name(path.name + _UNFINISHED)
     try:
         report = recover(path, repaired)
@@ -163,7 +187,9 @@ def _replace(path: Path) -> TidyNote:
         return TidyNote(text, problem=True)
     repaired.replace(path)
     lost = "; ".join(report.lost)
-    text = f"repaired: {path.name} was torn: {report.message_count} messages are whole ({lost})"
+    text = (
+        f"repaired: {path.name} was torn: {report.message_count} messages were recovered ({lost})"
+    )
     return TidyNote(text, problem=True)
 
 

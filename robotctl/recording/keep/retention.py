@@ -1,4 +1,4 @@
-"""Removing the oldest recordings of ours, so that the disk does not fill up."""
+"""Removes the oldest recordings of robotctl, so that the disk does not fill up."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ DAY_S = 86_400.0
 
 @dataclass(frozen=True, slots=True)
 class RetentionPolicy:
-    """How much is kept: in total [bytes] and for how long [s]; None for no limit."""
+    """How much to keep: in total [bytes] and for how long [s]; None means no limit."""
 
     max_bytes: int | None = 20_000_000_000
     max_age_s: float | None = 30 * DAY_S
@@ -23,18 +23,20 @@ class RetentionPolicy:
 
 @dataclass(frozen=True, slots=True)
 class Removed:
-    """A file that retention has removed."""
+    """A file that retention removed."""
 
     path: Path
     size: int
 
 
 def enforce_retention(recordings: Path, policy: RetentionPolicy, now_s: float) -> list[Removed]:
-    """Remove files below `recordings`, the oldest first, until `policy` holds.
+    """Remove files below `recordings`, the oldest first, until `policy` is met.
 
-    Never removed: a file that is being written, a recording with a `keep` file in its folder and
-    its clips, anything that robotctl has not recorded. `now_s` is in seconds since the epoch.
-    Blocks. Raises OSError if `recordings` cannot be listed.
+    Never removed: a file that is being written, a recording with a `keep` file and its clips, and
+    files that robotctl did not record. `now_s` is in seconds since the epoch. Blocks.
+
+    Raises:
+        OSError: `recordings` cannot be listed.
     """
     folders = list(own_recordings(recordings))
     files = [(file, folder) for folder in folders for file in (*folder.files, *folder.clips)]
@@ -50,7 +52,7 @@ def enforce_retention(recordings: Path, policy: RetentionPolicy, now_s: float) -
             continue
         try:
             file.path.unlink()
-        except FileNotFoundError:  # another daemon was faster
+        except FileNotFoundError:  # another daemon has removed it
             pass
         except OSError:  # it belongs to another user
             continue
@@ -66,15 +68,15 @@ def enforce_retention(recordings: Path, policy: RetentionPolicy, now_s: float) -
 
 
 def _tidy(folder: CatalogFolder, gone: set[Path]) -> None:
-    """Have the bag list what is left of it, or go as a whole."""
+    """Update `metadata.yaml` after files were removed, or remove the folder if nothing is left."""
     if folder.live:
-        return  # its writer keeps the list
+        return  # its writer updates metadata.yaml
     left = [file.path for file in folder.files if file.path not in gone]
     if left:
         if len(left) < len(folder.files):
             rewrite_metadata(folder.path, left)
         return
     (folder.path / METADATA_FILE).unlink(missing_ok=True)
-    with suppress(OSError):  # there is none, or something is left in it
+    with suppress(OSError):  # there is none, or it is not empty
         (folder.path / CLIPS_FOLDER).rmdir()
     folder.path.rmdir()

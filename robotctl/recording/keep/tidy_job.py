@@ -1,4 +1,4 @@
-"""Tidying a recordings folder: what is too old or too much goes, what a crash left is repaired."""
+"""Tidies a recordings folder: removes old recordings, and repairs those a crash left unfinished."""
 
 from __future__ import annotations
 
@@ -19,50 +19,51 @@ from robotctl.recording.keep.tidy_note import TidyNote
 
 @dataclass(frozen=True, slots=True)
 class TidyJob:
-    """Which folder to tidy, how much to keep in it, and whether to repair what is left."""
+    """Which folder to tidy, how much to keep in it, and whether to repair the rest."""
 
     recordings: Path
     policy: RetentionPolicy
     repairs: bool
 
     def to_json(self) -> str:
-        """One line."""
+        """Return the job as one line."""
         return json.dumps(asdict(self) | {"recordings": str(self.recordings)})
 
     @classmethod
     def from_json(cls, line: str) -> Self:
-        """The job in a line of `to_json`."""
+        """Return the job in a line of `to_json`."""
         given: dict[str, Any] = json.loads(line)
         policy = RetentionPolicy(**given["policy"])
         return cls(Path(given["recordings"]), policy, given["repairs"])
 
 
 def tidy(job: TidyJob) -> Iterator[TidyNote]:
-    """Remove first, then repair what is left; yield each thing as it is done. Blocks.
+    """Remove first, then repair the rest; yield each action. Blocks.
 
-    Waits for whoever else tidies the folder. A file that is being written is not touched.
+    Waits for other processes that tidy the folder. Files that are being written are not changed.
     """
     recordings = job.recordings
     try:
         with _alone_in(recordings):
             for removed in enforce_retention(recordings, job.policy, time.time()):
-                yield TidyNote(f"removed for its age or the space: {removed.path}")
+                yield TidyNote(f"removed for its age or to free space: {removed.path}")
             if job.repairs:
                 yield from repair(recordings)
-    except Exception as error:  # noqa: BLE001 - files of any origin; ours to read, not to trust
+    except Exception as error:  # noqa: BLE001 - files of any origin
         text = f"{recordings} could not be tidied: {type(error).__name__}: {error}"
         yield TidyNote(text, problem=True)
 
 
 @contextmanager
 def _alone_in(recordings: Path) -> Iterator[None]:
-    """Wait until no other process tidies the folder, where its file system has such locks.
+    """Wait until no other process tidies the folder, if its file system has such locks.
 
-    Raises OSError if the folder cannot be opened.
+    Raises:
+        OSError: The folder cannot be opened.
     """
     folder = os.open(recordings, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
-        with suppress(OSError):  # NFS locks no descriptor that is open for reading only
+        with suppress(OSError):  # NFS cannot lock a read-only descriptor
             flock(folder, LOCK_EX)
         yield
     finally:

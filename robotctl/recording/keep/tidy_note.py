@@ -1,4 +1,4 @@
-"""What was done to a recordings folder, for whoever reads the log."""
+"""What was done to a recordings folder, for the log."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 
 class TidyNote(NamedTuple):
-    """One thing that was done, or could not be done."""
+    """One action, or a failure."""
 
     text: str
     problem: bool = False
-    """Something is lost, or somebody has to see to it."""
+    """Whether data is lost, or a user must do something."""

@@ -1,6 +1,6 @@
-"""`python -m robotctl.recording.keep.tidy_process JOB --report-fd N`: tidies at lowest priority.
+"""`python -m robotctl.recording.keep.tidy_process JOB --report-fd N`: tidy at the lowest priority.
 
-JOB is the JSON object of a TidyJob. A line of JSON on N for each thing done: {"text", "problem"}.
+JOB is the JSON object of a TidyJob. On N, a line of JSON for each action: {"text", "problem"}.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import sys
 
-os.nice(19)  # before anything is imported: somebody controls a robot on this machine
+os.nice(19)  # before the imports, which could delay the control of a robot
 
 from robotctl.processes import report_fd, send_report  # noqa: E402
 from robotctl.recording.keep.tidy_job import TidyJob, tidy  # noqa: E402
@@ -19,7 +19,7 @@ def main(arguments: list[str]) -> int:
     descriptor = report_fd(arguments)
     daemon = os.getppid()
     for done in tidy(TidyJob.from_json(arguments[0])):
-        if os.getppid() != daemon:  # the next daemon goes on
+        if os.getppid() != daemon:  # the daemon has ended; the next one continues
             return 1
         send_report(descriptor, done._asdict())
     return 0

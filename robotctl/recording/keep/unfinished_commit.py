@@ -1,4 +1,4 @@
-"""What a kill in the middle of a commit leaves between the data and a trailer that is valid."""
+"""Finds what a kill during a commit left between the data and a valid trailer."""
 
 from __future__ import annotations
 
@@ -29,14 +29,16 @@ _DATA = (
     Opcode.MESSAGE_INDEX,
     Opcode.METADATA,
 )
-"""What our recordings hold before DataEnd."""
+"""The records of robotctl's files before DataEnd."""
 
 
 def find_unfinished_commit(file: InputFile, index: FileIndex, data_end: int) -> int | None:
-    """The offset behind the last record of the data that belongs to the file; None if all do.
+    """Return the offset after the last record of the data that belongs to the file; None if all do.
 
-    `index` is that of the file's own summary, `data_end` where the data ends according to it.
-    Raises Damaged if not even the header can be read, or if a chunk of the index lies behind that.
+    `index` is that of the file's own summary, `data_end` the end of the data according to it.
+
+    Raises:
+        Damaged: Not even the header can be read, or a chunk of the index follows that offset.
     """
     indexed = {place.offset for place in index.places}
     last_indexed = max(indexed, default=0)
@@ -54,7 +56,7 @@ def find_unfinished_commit(file: InputFile, index: FileIndex, data_end: int) -> 
 
 
 def messages_of_chunk(file: InputFile, offset: int) -> list[PlainMessage]:
-    """The messages of the chunk at `offset`; none if no whole chunk is there."""
+    """Return the messages of the chunk at `offset`; none if there is no complete chunk."""
     try:
         opcode, length = read_record_head(file, offset)
         if opcode != Opcode.CHUNK:
