@@ -25,7 +25,7 @@ FOLDER = Path("recordings/robot_20260101_120000")
 @pytest.fixture(scope="module")
 def stopped() -> list[Written]:
     estop = ModeRequested(BEGIN_NS + 2_000_000_000, 2, 3, "robotctl estop\x1b[2J")
-    again = ModeRequested(BEGIN_NS + 2_500_000_000, 3, 1, "somebody")
+    again = ModeRequested(BEGIN_NS + 2_500_000_000, 3, 1, "operator")
     return drive(3.0, requests=[drive_requested(), estop, again])
 
 

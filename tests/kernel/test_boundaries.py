@@ -1,4 +1,4 @@
-"""Each limit holds at the documented number: at it all is well, just beyond it is not."""
+"""Each limit lies exactly at its documented number: allowed at it, refused just beyond."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Kernel values survive JSON bit for bit; whatever is not one is a ValueError."""
+"""Kernel values survive JSON bit for bit; any other text is a ValueError."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ EFFECTS: dict[type, st.SearchStrategy[Any]] = {
 
 
 def bits(value: Any) -> Any:
-    """Return the value with its types, and every float as its bits; all NaN are one."""
+    """Return the value with its types and every float as its bits; all NaN are equal."""
     if isinstance(value, Enum):
         return value
     if isinstance(value, float):
@@ -157,7 +157,7 @@ def test_a_field_without_a_default_is_never_made_up() -> None:
 
 
 def test_what_an_older_version_did_not_write_is_unknown_or_nothing() -> None:
-    """A default that changes would change how old journals are read."""
+    """A changed default would change how old journals are read."""
     assert to_json(from_json(State, "{}")) == (
         '{"mode":0,"phase":"standing","reason":"started","cause":null,'
         '"command":{"linear":0.0,"angular":0.0},"tick_t_ns":null,"health":{'

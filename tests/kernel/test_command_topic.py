@@ -1,4 +1,4 @@
-"""Who else uses the velocity command: other publishers, and whether anybody takes ours."""
+"""Other nodes on the velocity command: foreign publishers, and missing subscriptions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Paths close and are followed: against odometry, with a simulated robot that errs."""
+"""Paths close, and a simulated robot with errors follows them."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_errors_do_not_add_up_over_laps(kind: PatternKind) -> None:
 
 
 def test_the_robot_does_not_weave() -> None:
-    """On a circle to the left, once it has begun, it turns to the left alone, and steadily."""
+    """On a circle to the left the command turns steadily to the left after the start."""
     commands = drive(PatternKind.CIRCLE).commands
     turning = [twist.angular for twist in commands if twist.linear > 0.4]
     assert len(turning) > 200
@@ -257,7 +257,7 @@ def test_the_end_of_a_drive_is_told_with_its_report_while_the_command_is_zero() 
 
 
 def test_the_reference_keeps_below_the_limits() -> None:
-    """What is left is needed to catch up; a pattern may ask for more than the limits allow."""
+    """The rest of the limits is needed to catch up; a pattern may ask for more."""
     params = KernelParams()
     limits = replace(params.limits, linear_mps=0.3)
     bench = moving(replace(params, limits=limits), ticks=0)

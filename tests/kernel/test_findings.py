@@ -1,4 +1,4 @@
-"""What is wrong is said with the names and figures that the operator needs."""
+"""Each finding holds the names and figures that the operator needs."""
 
 from __future__ import annotations
 

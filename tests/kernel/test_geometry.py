@@ -67,7 +67,7 @@ def test_an_angle_is_wrapped_to_half_a_turn_each_way(angle: float, same: float) 
 def test_a_pose_composed_is_turned_and_moved(
     x: float, y: float, theta: float, local_x: float, local_y: float, turn: float
 ) -> None:
-    """Held against complex numbers, whose product turns."""
+    """Compared with complex numbers, whose product is a rotation."""
     composed = Pose(x, y, theta).compose(Pose(local_x, local_y, turn))
     there = complex(x, y) + complex(cos(theta), sin(theta)) * complex(local_x, local_y)
     assert isclose(composed.x, there.real, abs_tol=1e-9)

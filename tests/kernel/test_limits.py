@@ -1,4 +1,4 @@
-"""A command is finite and within its limits, whatever is asked for."""
+"""A command is finite and within its limits for every target."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a step does not concern stays as it was, though states are written out field by field."""
+"""A step keeps all fields that it does not change, although states are built field by field."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The mode table of docs/architecture.md, written out a second time and held against the kernel."""
+"""The mode table of docs/architecture.md, written a second time and compared with the kernel."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ REQUEST_NUMBERS = {"idle": 0, "moving": 1, "error": 2, "emergency stop": 3}
 
 
 def outcome(bench: Bench, request: str) -> str:
-    """Return what the robot does when asked for `request`, and check all that always holds."""
+    """Return what the robot does on `request`, and check what holds in every mode."""
     before, already = bench.state, len(bench.replies)
     if request == "reset":
         effects = bench.give(ResetRequested(bench.t_ns, bench.new_request_id(), "test"))
@@ -90,7 +90,7 @@ def faulty(mode: Mode) -> Bench:
 
 
 def behaviour() -> dict[tuple[Mode, str], tuple[str, str]]:
-    """Return the table as the kernel lives it."""
+    """Return the table as the kernel behaves."""
     return {
         (mode, request): (outcome(in_mode(mode), request), outcome(faulty(mode), request))
         for mode in Mode
@@ -127,10 +127,9 @@ def test_a_fault_never_leads_to_a_milder_mode() -> None:
 
 
 def mutants() -> Iterator[tuple[str, tuple[Mode, Trigger], Transition]]:
-    """Yield every change of one row that means something: another guard, or another target.
+    """Yield every change of one row that matters: another guard or another target.
 
-    A refusal has no target, a start leads to MOVING and a ramp is ended by STANDSTILL, whatever
-    target the row names.
+    The target does not matter where a request is refused, starts a drive or begins a ramp.
     """
     asked = (*REQUESTS.values(), Trigger.RESET)
     for key, row in TRANSITIONS.items():

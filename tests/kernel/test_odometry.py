@@ -1,4 +1,4 @@
-"""Late, wrong, repeated or unfollowed odometry means zero; a clock that is set means nothing."""
+"""Late, wrong, repeated or foreign odometry ends in zero; setting the clock changes nothing."""
 
 from __future__ import annotations
 
@@ -184,7 +184,7 @@ def test_a_robot_that_does_not_follow_is_stopped() -> None:
     assert "m from where it should be, more than 0.5 m" in bench.state.reason
 
 
-def test_a_robot_that_did_not_follow_may_start_anew_from_where_it_is() -> None:
+def test_a_robot_that_did_not_follow_may_start_again_from_where_it_is() -> None:
     bench = moving(ticks=0)
     bench.run(150)
     assert reset(bench)

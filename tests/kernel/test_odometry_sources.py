@@ -1,4 +1,4 @@
-"""One publisher of odometry is followed; a second one is named, and believed in nothing."""
+"""The robot follows one publisher of odometry; a second one is named and its data are not used."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def sample(bench: Bench, source: int, pose: Pose) -> None:
 
 
 def bench_of_two(ticks: int = 3) -> Bench:
-    """Return a kernel in IDLE that follows /base, and knows of /other."""
+    """Return a kernel in IDLE that follows /base and knows /other."""
     bench = Bench()
     for number, name in ((1, "/base"), (2, "/other")):
         bench.give(OdometrySourceFound(bench.t_ns, number, f"{number:032x}", name))

@@ -18,7 +18,7 @@ DOCUMENTED = dict(re.findall(r"^\| `([\w.]+)` \| (\S* \| .*?) \|$", PAGE, re.MUL
 
 
 def parameters(values: Any, prefix: str = "") -> Iterator[tuple[str, str]]:
-    """Yield the key of every number and topic, and what the page has to say of it."""
+    """Yield the key of every number and topic, and the row that the page must have for it."""
     for field in fields(values):
         value = getattr(values, field.name)
         if is_dataclass(value):

@@ -1,4 +1,4 @@
-"""What holds whatever comes in: finite, within limits, zero outside MOVING, one reply a request."""
+"""The invariants hold for all events: finite, within limits, zero outside MOVING, one reply."""
 
 from __future__ import annotations
 
@@ -41,11 +41,11 @@ from tests.support import strategies
 
 REQUESTS = (ModeRequested, ResetRequested, DriveRequested)
 RELEASES = (0,)
-"""The one mode number that asks to leave EMERGENCY_STOP."""
+"""The only mode number whose request leaves EMERGENCY_STOP."""
 
 
 class Auditor:
-    """Looks at every step of one kernel, and raises AssertionError when a promise is broken."""
+    """Checks every step of a kernel, and raises AssertionError when an invariant is broken."""
 
     def __init__(self, state: State, params: KernelParams) -> None:
         self.mode = state.mode
@@ -55,7 +55,7 @@ class Auditor:
         self.open = set(state.waiting)
 
     def step(self, kernel: Kernel, event: Event) -> tuple[Effect, ...]:
-        """Take the step and audit it."""
+        """Take the step and check it."""
         effects = kernel.step(event)
         if isinstance(event, REQUESTS):
             self.open.add(event.request_id)
@@ -74,7 +74,7 @@ class Auditor:
                 latched_now = True
                 assert ModeChanged in {type(other) for other in effects}
         state = kernel.state
-        assert self.mode is state.mode, "the mode changed and nobody said so"
+        assert self.mode is state.mode, "the mode changed without a ModeChanged"
         assert latched_now == self._entered_stop(effects)
         assert self.open == set(state.waiting), "a request without an answer"
         assert (state.drive is not None) == (state.mode is Mode.MOVING)
@@ -193,7 +193,7 @@ def test_every_allowed_configuration_keeps_every_promise(
 
 
 class AnyHistory(RuleBasedStateMachine):
-    """A robot in a world that is sane most of the time."""
+    """A robot whose inputs are plausible most of the time."""
 
     @initialize(
         laps=st.integers(0, 1),
@@ -263,7 +263,7 @@ class AnyHistory(RuleBasedStateMachine):
 
     @rule()
     def a_file_begins(self) -> None:
-        """The journal so far, fed to the kernel of its snapshot, gives the same effects."""
+        """The journal so far gives the same effects in a kernel made of its snapshot."""
         kernel = from_json(Snapshot, self.snapshot).kernel()
         for event, effects in self.since:
             read: Any = from_json(type(event), to_json(event))

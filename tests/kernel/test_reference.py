@@ -1,4 +1,4 @@
-"""The reference moves along a path: it speeds up, brakes, waits at stops and keeps the score."""
+"""The reference moves along a path: it accelerates, brakes, waits at stops and scores."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from robotctl.kernel.tracking import Reference, track
 
 LIMITS = VelocityLimits(1.0, 2.0, 0.5, 4.0)
 FAR = Pose(50.0, 50.0, 0.0)
-"""Where no reference is: a robot that never arrives."""
+"""A pose far from every reference: a robot that never arrives."""
 
 SQUARE = Pattern(PatternKind.SQUARE, 1.0, 0.5)
 CIRCLE = Pattern(PatternKind.CIRCLE, 0.4, 0.5)
@@ -62,7 +62,7 @@ def test_a_turn_is_no_faster_than_90_percent_of_the_limit() -> None:
 
 
 def test_the_reference_brakes_so_that_it_stands_at_the_stop() -> None:
-    """By the speed from which the distance that remains is just enough to brake."""
+    """The reference has the speed from which the remaining distance is just enough to brake."""
     for length in (0.5, 0.9, 0.99):
         at = drive(SQUARE, Progress(length=length, speed=0.45)).advance(0.01, FAR, LIMITS).progress
         assert isclose(at.speed, min(0.453, sqrt(2 * 0.3 * (1.0 - length))))
@@ -120,7 +120,7 @@ def test_a_robot_has_arrived_within_5_mm_and_a_hundredth_of_a_radian(
 
 
 def test_a_robot_5_mm_from_a_stop_has_not_arrived() -> None:
-    """Whose line is 5 mm long, for no other distance is exact."""
+    """The line is 5 mm long: no other distance is exact."""
     tiny = drive(Pattern(PatternKind.SQUARE, 0.005), Progress(length=0.005))
     assert tiny.advance(0.02, ORIGIN, LIMITS).progress.segment == 0
 
@@ -237,7 +237,7 @@ def test_the_outline_of_a_circle_is_a_pose_every_2_degrees() -> None:
 
 
 def test_the_figure_eight_goes_where_its_heading_points() -> None:
-    """Each of its 720 chords has the heading of its middle."""
+    """Each of the 720 chords has the heading at its middle."""
     eight = lap_of(PatternKind.FIGURE_EIGHT, 0.5).segments[0]
     piece_m = eight.length / 720
     for number in range(720):

@@ -1,4 +1,4 @@
-"""Requests: one reply each, after what it confirms; a stop wins over a start."""
+"""Each request gets one reply, after the effects that it confirms; a stop wins over a start."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def test_a_request_for_idle_is_answered_when_the_command_is_exactly_zero() -> No
     assert [reply.ok for reply in bench.replies[asked_at:]] == [True, True]
 
 
-def test_nobody_moves_a_robot_that_is_stopping() -> None:
+def test_a_robot_that_is_stopping_cannot_be_moved() -> None:
     bench = stopping()
     before = bench.state
     bench.request(Mode.MOVING)

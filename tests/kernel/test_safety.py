@@ -1,4 +1,4 @@
-"""Every cause: when it stops the robot, when it only refuses the start, and when it has cleared."""
+"""Each cause: when it stops the robot, when it only refuses the start, when it has cleared."""
 
 from __future__ import annotations
 
@@ -253,13 +253,13 @@ def test_a_daemon_that_ends_lets_a_motion_ramp_down() -> None:
     assert "told to stop" in bench.replies[-1].message
 
 
-def test_somebody_without_a_name_who_commands_stops_the_robot_all_the_same() -> None:
+def test_commands_of_a_node_without_a_name_stop_the_robot() -> None:
     bench = moving()
     bench.give(CommandPublishersSeen(bench.t_ns, ("",)))
     assert stopped_by(bench, Cause.FOREIGN_PUBLISHER, Mode.ERROR)
 
 
-def test_somebody_else_who_commands_is_named() -> None:
+def test_another_node_that_commands_is_named() -> None:
     bench = moving()
     bench.give(CommandPublishersSeen(bench.t_ns, ("/teleop",)))
     assert stopped_by(bench, Cause.FOREIGN_PUBLISHER, Mode.ERROR)

@@ -1,4 +1,4 @@
-"""A loop that stalled: short, the drive goes on from zero; long, the robot stops."""
+"""After a short stall the drive continues from zero; a long stall stops the robot."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LIMIT_S = KernelParams().max_tick_gap_s
 
 
 def stall(bench: Bench, seconds: float) -> None:
-    """Let the loop stall, and the watchdog report it before anything else."""
+    """Stall the loop; the watchdog reports it before any other event."""
     bench.t_ns += round(seconds * NS_PER_S)
     bench.give(LoopStalled(bench.t_ns, seconds, 3, 1, "in read_text (pathlib.py:1058)"))
 

@@ -1,4 +1,4 @@
-"""The kernel's values cannot change after they are made: a State is replaced as a whole."""
+"""The values of the kernel are immutable: a State is replaced as a whole."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recordings are checked: the same decisions, every promise kept, and nothing passed over."""
+"""A check finds different decisions and broken invariants, and names what it could not read."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def checked(folder: Path, written: list[Written], version: str = __version__) ->
 
 
 def altered(written: list[Written], name: str, old: str, new: str) -> tuple[list[Written], int]:
-    """The last entry of that name changed, and its number."""
+    """Return the journal with the last entry of that name changed, and its number."""
     changed = list(written)
     for position in range(len(changed) - 1, -1, -1):
         each = changed[position]
@@ -356,10 +356,10 @@ def test_memory_does_not_grow_with_the_recording(tmp_path: Path) -> None:
         ('"tick_t_ns":', '"tick_t_ns":-'),
     ],
 )
-def test_a_snapshot_that_cannot_be_is_told_by_whatever_begins_from_it(
+def test_an_impossible_snapshot_is_reported_by_every_command(
     tmp_path: Path, old: str, new: str
 ) -> None:
-    stop = ModeRequested(BEGIN_NS + 1_500_000_000, 2, 3, "somebody")
+    stop = ModeRequested(BEGIN_NS + 1_500_000_000, 2, 3, "operator")
     written = drive(2.0, requests=[drive_requested(), stop], snapshots_s=(1.0,))
     begin = next(i for i, each in enumerate(written) if "Snapshot" in str(each))
     snapshot = written[begin]
@@ -385,4 +385,4 @@ def told_why(folder: Path) -> None:
 
 
 def silent(done: int, total: int) -> None:
-    """Progress that nobody looks at."""
+    """Ignore the progress."""

@@ -1,4 +1,4 @@
-"""Many recordings are checked at once, in processes that leave nothing behind."""
+"""Many recordings are checked in parallel, and no process is left behind."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""A flipped bit in an event is found: on the disk always, behind a repaired checksum by its effect.
+"""A flipped bit in an event is found by its checksum, and with a repaired checksum by its effect.
 
-What behind a repaired checksum has no effect at all is another true story: the test says which.
+With a repaired checksum only flips in digits, without any effect on a decision, are not found.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from robotctl.rerun.rerun import first_divergence
 from robotctl.testing.drives import Written, drive, record
 
 EVERY = 23
-"""Only each 23rd bit, to be quick: it meets every place within a byte."""
+"""Only each 23rd bit is flipped, to be quick; that reaches every position within a byte."""
 
 EVENTS = pytest.mark.parametrize("name", ["Tick", "OdomReceived", "DriveRequested"])
 
@@ -30,7 +30,7 @@ def short_drive() -> list[Written]:
 
 
 def last(written: list[Written], name: str) -> tuple[int, JournalEntry]:
-    """The last event of that name which others follow, and where it stands."""
+    """Return the last event of that name that is followed by others, and its position."""
     return [
         (position, each)
         for position, each in enumerate(written[:-10])
@@ -39,7 +39,7 @@ def last(written: list[Written], name: str) -> tuple[int, JournalEntry]:
 
 
 def flipped(data: bytes) -> Iterator[bytes]:
-    """The bytes with one bit flipped, for many of its bits."""
+    """Yield the bytes with one bit flipped, for many bits."""
     for bit in range(0, 8 * len(data), EVERY):
         changed = bytearray(data)
         changed[bit // 8] ^= 1 << bit % 8
@@ -85,7 +85,7 @@ def test_behind_a_repaired_checksum_only_numbers_that_change_nothing_escape(
 
 
 def shape(data: str) -> str:
-    """The text without its digits."""
+    """Return the text without its digits."""
     return "".join(character for character in data if not character.isdigit())
 
 

@@ -1,4 +1,4 @@
-"""Every promise of the architecture, broken once, is found in the recording."""
+"""Each invariant of the architecture is broken once, and the check finds it."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ TICK_NS = 20_000_000
 
 
 def broken(mode: Mode, steps: Sequence[tuple[Event, Sequence[Effect]]]) -> list[str]:
-    """What is found where a kernel in `mode` takes these steps."""
+    """Return the violations of these steps of a kernel in `mode`."""
     found = Invariants()
     found.snapshot(Snapshot("test", KernelParams(), State(mode=mode, tick_t_ns=0)))
     for seq, (event, effects) in enumerate(steps):

@@ -1,4 +1,4 @@
-"""A journal is decided again by a fresh kernel, and the first difference is found."""
+"""A new kernel decides on a journal again, and the first difference is found."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ TICK_NS = 20_000_000
 
 
 def a_journal() -> list[JournalEntry]:
-    """A drive of 2 s by a kernel, with a snapshot at its beginning and in its middle."""
+    """Return the journal of a 2 s drive, with a snapshot at its begin and in its middle."""
     kernel = Kernel(KernelParams())
     entries: list[JournalEntry] = []
 

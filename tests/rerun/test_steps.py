@@ -1,4 +1,4 @@
-"""The journal is put together into steps, whatever became of its order."""
+"""The entries of a journal are grouped into steps, in any order."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def sequence_of(numbers: list[int]) -> list[int | str]:
 
 
 @given(st.permutations(range(1, 40)))
-def test_whatever_follows_the_first_entry_may_come_in_any_order(numbers: list[int]) -> None:
+def test_entries_after_the_first_may_come_in_any_order(numbers: list[int]) -> None:
     assert sequence_of([0, *numbers]) == list(range(40))
 
 

@@ -1,4 +1,4 @@
-"""Other parameters on the same inputs, and in a closed loop with a simulated robot."""
+"""Other parameters on the same events, and in a closed loop with a simulated robot."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from robotctl.testing.drives import BEGIN_NS, drive, drive_requested, record
 
 
 def silent(done: int, total: int) -> None:
-    """Progress that nobody looks at."""
+    """Ignore the progress."""
 
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """One lap of a square of 1 m, from its beginning to its end."""
+    """Return the recording of one lap of a 1 m square."""
     written = drive(23.0, requests=[drive_requested(laps=1)], snapshots_s=(0.0, 10.0))
     return record(tmp_path_factory.mktemp("recorded") / "run", written)
 
@@ -116,7 +116,7 @@ def test_a_drive_that_becomes_longer_than_the_recording_is_driven_to_its_end(
 
 
 def test_a_simulation_goes_on_where_a_file_begins(tmp_path: Path) -> None:
-    stop = ModeRequested(BEGIN_NS + 6_000_000_000, 2, 0, "somebody")
+    stop = ModeRequested(BEGIN_NS + 6_000_000_000, 2, 0, "operator")
     written = drive(8.0, requests=[drive_requested(), stop], snapshots_s=(4.0,))
     at = next(
         position
@@ -125,11 +125,11 @@ def test_a_simulation_goes_on_where_a_file_begins(tmp_path: Path) -> None:
     )
     found = resimulate(record(tmp_path / "run", written[at:]), {}, silent)
     (one,) = found["drives"]
-    assert one["recorded"]["reason"] == one["simulated"]["reason"] == "requested by somebody"
+    assert one["recorded"]["reason"] == one["simulated"]["reason"] == "requested by operator"
     assert one["simulated"]["distance_m"] == pytest.approx(one["recorded"]["distance_m"], rel=0.05)
 
 
-def test_a_simulated_robot_is_alone_whatever_was_there_when_the_file_began(tmp_path: Path) -> None:
+def test_a_simulated_robot_is_alone_even_if_other_nodes_were_recorded(tmp_path: Path) -> None:
     at = BEGIN_NS + 500_000_000
     others: list[Event] = [
         CommandListenersSeen(BEGIN_NS + 1, 0, ()),

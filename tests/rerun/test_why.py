@@ -1,4 +1,4 @@
-"""Why the robot was stopped, or a request refused, as the journal tells it."""
+"""The journal explains why the robot was stopped or a request was refused."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ ESTOP = ModeRequested(at(2.0), 2, 3, "robotctl estop (pid 99)")
 
 @dataclass(frozen=True)
 class Case:
-    """Events that end a drive, and what is said of it."""
+    """Events that end a drive, and the expected explanation."""
 
     said: tuple[str, ...]
     requests: tuple[Event, ...] = ()
@@ -52,12 +52,12 @@ class Case:
 
 
 CASES = {
-    "somebody": Case(
+    "operator": Case(
         (
             "MOVING -> EMERGENCY_STOP: requested by robotctl estop (pid 99)",
             "a request for EMERGENCY_STOP by robotctl estop (pid 99)",
             "a request for EMERGENCY_STOP is always granted",
-            "a square: somebody, 1.9 s before",
+            "a square: operator, 1.9 s before",
             "the emergency stop is latched, also over a restart",
         ),
         requests=(ESTOP,),
@@ -79,7 +79,7 @@ CASES = {
         then=tuple(Tick(at(2.2) + tick * 20_000_000) for tick in range(1, 60)),
     ),
     "gap": Case(("tick overrun: in MOVING", "max_tick_gap_s is 0.3"), then=(Tick(at(3.1)),)),
-    "somebody else": Case(
+    "another operator": Case(
         ("/teleop publishes velocity commands, too", "foreign publisher: in MOVING it leads to"),
         requests=(CommandPublishersSeen(at(2.0), ("/teleop",)),),
     ),
@@ -89,11 +89,11 @@ CASES = {
     ),
     "idle": Case(
         (
-            "a request for IDLE by somebody, 501 ms before the robot stood",
+            "a request for IDLE by operator, 501 ms before the robot stood",
             "request idle in MOVING: IDLE, after ramping down",
             "ramped down in 501 ms, then zero velocity",
         ),
-        requests=(ModeRequested(at(2.0), 2, 0, "somebody"),),
+        requests=(ModeRequested(at(2.0), 2, 0, "operator"),),
         kind=IncidentKind.STOP,
     ),
 }
@@ -117,7 +117,7 @@ def test_the_chain_of_a_stop_is_told(tmp_path: Path, name: str) -> None:
 
 
 def test_a_refusal_names_the_condition_and_its_rule(tmp_path: Path) -> None:
-    refused = ModeRequested(at(-0.1), 1, 1, "somebody")
+    refused = ModeRequested(at(-0.1), 1, 1, "operator")
     found = incident(record(tmp_path / "run", drive(0.5, requests=[refused])))
     assert found.kind is IncidentKind.REFUSAL
     told = explain(found)
@@ -127,7 +127,7 @@ def test_a_refusal_names_the_condition_and_its_rule(tmp_path: Path) -> None:
 
 
 def test_a_refusal_by_the_table_of_modes_is_told(tmp_path: Path) -> None:
-    asked: list[Event] = [drive_requested(), ESTOP, ModeRequested(at(2.5), 3, 1, "somebody")]
+    asked: list[Event] = [drive_requested(), ESTOP, ModeRequested(at(2.5), 3, 1, "operator")]
     found = incident(record(tmp_path / "run", drive(3.0, requests=asked)))
     told = explain(found)
     assert told.rule == "the table of modes: request moving is refused in EMERGENCY_STOP"
@@ -138,7 +138,7 @@ def test_what_is_nearest_to_a_time_is_told_with_what_came_of_it(tmp_path: Path) 
         drive_requested(),
         ESTOP,
         ResetRequested(at(2.5), 3, "robotctl reset"),
-        ModeRequested(at(5.0), 4, 7, "somebody"),
+        ModeRequested(at(5.0), 4, 7, "operator"),
     ]
     folder = record(tmp_path / "run", drive(6.0, requests=asked))
     assert incident(folder).kind is IncidentKind.REFUSAL
@@ -157,7 +157,7 @@ def test_a_stop_after_a_later_snapshot_is_explained_from_there(tmp_path: Path) -
     found = incident(record(tmp_path / "run", written[begin:]))
     assert found.before is not None
     assert found.before.drive is not None
-    assert explain(found).asked == "a square: somebody"
+    assert explain(found).asked == "a square: operator"
 
 
 def test_without_a_snapshot_before_it_says_what_it_cannot_tell(tmp_path: Path) -> None:
@@ -182,18 +182,18 @@ def test_a_recording_without_a_journal_cannot_say_why(tmp_path: Path) -> None:
 
 @pytest.fixture
 def unclosed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave recordings as a killed process does."""
+    """Leave recordings unclosed, as a killed process does."""
     monkeypatch.setattr(RecordingFile, "finish", RecordingFile.abandon)
 
 
 @pytest.mark.usefixtures("unclosed")
 def test_a_recording_that_ends_by_a_kill_in_moving_says_so(tmp_path: Path) -> None:
-    refused = ModeRequested(at(1.0), 2, 7, "somebody")
+    refused = ModeRequested(at(1.0), 2, 7, "operator")
     found = incident(record(tmp_path / "run", drive(2.0, requests=[drive_requested(), refused])))
     assert found.kind is IncidentKind.KILL
     told = explain(found)
     assert told.what.startswith("killed while MOVING")
-    assert told.asked == "a square: somebody, 1.9 s before"
+    assert told.asked == "a square: operator, 1.9 s before"
     assert "from where it should be" in told.known
     assert told.went_out == ("no zero velocity: the robot stops by its own command timeout",)
     assert (told.rule, told.since) == ("", "")

@@ -1,4 +1,4 @@
-"""The simulated robot: it follows, it errs as configured, and it stops when nobody commands."""
+"""The simulated robot follows commands, errs as configured, and stops without commands."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def test_the_seed_decides_the_noise() -> None:
     assert ends[0] == ends[1] != ends[2]
 
 
-def test_the_battery_lasts_2_hours_from_full_whatever_it_drives() -> None:
+def test_the_battery_lasts_2_hours_from_full_on_any_drive() -> None:
     robot = Robot(SimParams())
     assert robot.battery == 1.0
     elapsed_s = 0.0
