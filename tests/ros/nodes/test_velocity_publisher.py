@@ -1,0 +1,160 @@
+"""The velocity publisher sends commands, holds them at its gate, and names other publishers."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+import pytest
+
+from robotctl.kernel.types import Twist
+from robotctl.ros.graph import endpoints
+from robotctl.ros.messages import qos
+from robotctl.ros.nodes import velocity_publisher
+from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
+from robotctl.ros.session import Session
+
+Until = Callable[[Callable[[], object]], Awaitable[None]]
+
+
+@pytest.fixture
+async def heard(executor: Any, node: Any) -> list[tuple[float, float]]:
+    """The commands that another node receives."""
+    from geometry_msgs.msg import Twist as TwistMessage
+
+    commands: list[tuple[float, float]] = []
+    node.create_subscription(
+        TwistMessage,
+        "/r2/cmd_vel",
+        lambda message: commands.append((message.linear.x, message.angular.z)),
+        100,
+    )
+    return commands
+
+
+async def test_a_command_is_sent_as_it_is(
+    session: Session, heard: list[tuple[float, float]], until: Until
+) -> None:
+    velocity = VelocityPublisher(session, "cmd_vel")
+    await until(velocity._publisher.get_subscription_count)
+    velocity.publish(Twist(0.25, -1.5))
+    await until(lambda: heard)
+    assert (heard, velocity.published, velocity.topic) == ([(0.25, -1.5)], 1, "/r2/cmd_vel")
+
+
+async def test_a_closed_gate_lets_zeros_through_only(
+    session: Session, heard: list[tuple[float, float]], until: Until
+) -> None:
+    velocity = VelocityPublisher(session, "cmd_vel")
+    await until(velocity._publisher.get_subscription_count)
+    velocity.close_gate()
+    velocity.publish(Twist(0.25, -1.5))
+    thread = threading.Thread(target=velocity.publish_zero)
+    thread.start()
+    await asyncio.to_thread(thread.join)
+    velocity.open_gate()
+    velocity.publish(Twist(0.5, 0.0))
+    await until(lambda: len(heard) == 3)
+    assert heard == [(0.0, 0.0), (0.0, 0.0), (0.5, 0.0)]
+    assert velocity.published == 3
+
+
+async def test_a_zero_does_not_wait_for_a_publication_that_hangs(session: Session) -> None:
+    velocity = VelocityPublisher(session, "cmd_vel")
+    with velocity._lock, pytest.raises(TimeoutError, match="hangs"):
+        velocity.publish_zero()
+
+
+async def test_only_others_count_as_foreign_publishers(
+    session: Session, node: Any, until: Until
+) -> None:
+    from geometry_msgs.msg import Twist as TwistMessage
+
+    velocity = VelocityPublisher(session, "cmd_vel")
+    await until(lambda: velocity.count_publishers() == 1)
+    assert velocity.other_publishers() == ()
+    node.create_publisher(TwistMessage, "/r2/cmd_vel", 10)
+    await until(lambda: velocity.other_publishers() == ("/tested",))
+
+
+async def test_a_second_node_of_our_name_is_foreign(
+    session: Session, new_context: Callable[[], Any], until: Until
+) -> None:
+    from geometry_msgs.msg import Twist as TwistMessage
+    from rclpy.node import Node
+
+    velocity = VelocityPublisher(session, "cmd_vel")
+    impostor = Node("velocity_publisher", namespace="/r2", context=new_context())
+    impostor.create_publisher(TwistMessage, "cmd_vel", 10)
+    await until(lambda: velocity.other_publishers() == ("/r2/velocity_publisher",))
+    impostor.destroy_node()
+
+
+async def test_of_many_other_publishers_some_are_named_and_the_rest_counted(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    velocity = VelocityPublisher(session, "cmd_vel")
+    others = [
+        endpoints.Endpoint(f"{number:03}{'x' * 400}", "/", "t", b"%d" % number, qos.COMMAND)
+        for number in range(600)
+    ]
+    monkeypatch.setattr(endpoints, "publishers", lambda node, topic: others)
+    names = velocity.other_publishers()
+    assert names[-1] == "592 more"
+    assert len("".join(names)) < 2_000
+
+
+async def test_who_takes_the_command_is_counted_by_type_and_without_recorders(
+    session: Session, node: Any, new_context: Callable[[], Any], until: Until
+) -> None:
+    from geometry_msgs.msg import Twist as TwistMessage
+    from geometry_msgs.msg import TwistStamped
+    from rclpy.node import Node
+
+    velocity = VelocityPublisher(session, "cmd_vel")
+    recorder = session.node("recorder")
+    recorder.create_subscription(TwistMessage, "cmd_vel", print, 10)
+    another = Node("recorder", namespace="/r3", context=session._context)
+    another.create_subscription(TwistMessage, "/r2/cmd_vel", print, 10)
+    velocity.monitor(lambda gid: None, 0.0)
+    await until(lambda: velocity.count_listeners() == 3)
+    assert velocity.listeners() == (0, ())
+    node.create_subscription(TwistMessage, "/r2/cmd_vel", print, 10)
+    await until(lambda: velocity.listeners() == (1, ()))
+    stamped = Node("stamped", context=new_context())  # Fast DDS: one type a topic and context
+    stamped.create_subscription(TwistStamped, "/r2/cmd_vel", print, 10)
+    await until(lambda: velocity.listeners() == (1, ("geometry_msgs/msg/TwistStamped",)))
+    stamped.destroy_node()
+    another.destroy_node()
+
+
+async def test_a_robot_that_takes_another_type_is_no_listener_and_its_type_is_named(
+    session: Session, new_context: Callable[[], Any], until: Until
+) -> None:
+    from geometry_msgs.msg import TwistStamped
+    from rclpy.node import Node
+
+    velocity = VelocityPublisher(session, "cmd_vel")
+    stamped = Node("stamped", context=new_context())
+    stamped.create_subscription(TwistStamped, "/r2/cmd_vel", print, 10)
+    await until(lambda: velocity.listeners() == (0, ("geometry_msgs/msg/TwistStamped",)))
+    stamped.destroy_node()
+
+
+async def test_the_identity_of_our_commands_is_asked_once(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[object] = []
+
+    def gid_of(publisher: object) -> bytes:
+        asked.append(publisher)
+        return b"gid"
+
+    monkeypatch.setattr(velocity_publisher, "gid_of", gid_of)
+    velocity = VelocityPublisher(session, "cmd_vel")
+    for _ in range(3):
+        assert velocity.gid == b"gid"
+        velocity.other_publishers()
+    assert len(asked) == 1
