@@ -15,7 +15,6 @@ name is loaded on first use.
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -135,4 +134,6 @@ _MODULES = {
 def __getattr__(name: str) -> object:
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module  # here: `robotctl status` imports this package
+
     return getattr(import_module(f"{__name__}.{_MODULES.get(name, 'types')}"), name)

@@ -113,6 +113,8 @@ async def test_the_log_tells_the_cure_for_its_robot(
     world: World, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO)
-    world.effects.carry_out(ModeChanged(Mode.IDLE, Mode.ERROR, "no disk: see robotctl logs"))
-    assert "IDLE -> ERROR: no disk: see robotctl logs --robot r2" in caplog.text
+    failed = ModeChanged(Mode.IDLE, Mode.ERROR, "no disk: see robotctl logs", Cause.RECORDER_FAILED)
+    world.effects.carry_out(failed)
+    assert "IDLE -> ERROR: no disk: see robotctl logs --robot r2: restart after that" in caplog.text
+    assert "robotctl start --robot r2" in caplog.text
     await world.latch.close()

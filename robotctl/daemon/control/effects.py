@@ -10,8 +10,9 @@ from typing import assert_never
 
 from robotctl.daemon.control.latch import Latch
 from robotctl.daemon.control.pending_requests import PendingRequests, UnsavedReply
-from robotctl.ipc.advice import for_robot
+from robotctl.ipc.advice import advice
 from robotctl.kernel.modes import Mode
+from robotctl.kernel.safety import remedies_for
 from robotctl.kernel.types import (
     Cause,
     DriveEnded,
@@ -57,7 +58,7 @@ class Effects:
             case PublishTwist():
                 self._publish_twist(effect.twist)
             case ModeChanged():
-                reason = for_robot(effect.reason, self._robot)
+                reason = self._with_cure(effect)
                 _log.info("%s -> %s: %s", effect.previous.name, effect.mode.name, reason)
                 self._show_mode(effect.mode)
                 if effect.mode in _NOTED:
@@ -69,7 +70,7 @@ class Effects:
             case Reply():
                 self._latch.when_settled(partial(self._answer, effect))
             case DriveEnded():
-                _log.info("drive ended: %s", for_robot(effect.reason, self._robot))
+                _log.info("drive ended: %s", self._with_cure(effect))
                 laps = effect.report.laps
                 self._note(
                     RecordedEvent(EventKind.DRIVE_ENDED, time.time_ns(), effect.reason, laps)
@@ -77,6 +78,9 @@ class Effects:
                 self._requests.end_drive(effect)
             case _:
                 assert_never(effect)
+
+    def _with_cure(self, effect: ModeChanged | DriveEnded) -> str:
+        return advice(effect.reason, remedies_for(effect.cause), self._robot).sentence
 
     def _answer(self, reply: Reply, problem: str) -> None:
         if problem and reply.ok:
