@@ -1,4 +1,4 @@
-"""Recordings are their owner's, whatever the umask; one option shares them with the group."""
+"""Recordings are private to their owner, with any umask; one option shares them with the group."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def begin(recordings: Path, *, shared: bool) -> Recorder:
 
 
 def modes(folder: Path) -> dict[Path, int]:
-    """Mode of each file and folder, the folder itself included."""
+    """Return the mode of each file and folder, including the folder itself."""
     return {path: stat.S_IMODE(path.stat().st_mode) for path in (folder, *folder.rglob("*"))}
 
 

@@ -1,4 +1,4 @@
-"""Any file of 1 MB is answered within 2 s and 256 MB; what is left out is named, with the cure."""
+"""Each file of 1 MB is handled within 2 s and 256 MB; what is not read is named, with a cure."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ WORST = (
 
 
 def answered(path: Path) -> dict[str, Any]:
-    """What each command says in a process of its own, and how long it took [s]."""
+    """Run each command in a separate process; return its output and duration [s]."""
     ran = subprocess.run(
         [sys.executable, "-c", PROGRAM, str(path)],
         capture_output=True,

@@ -1,4 +1,4 @@
-"""Messages can be taken from a buffer at any step of packing, each once and whole."""
+"""Messages can be taken from a buffer at any step of packing, each exactly once."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.support.recordings import number_of, numbered
 
 
 def packing(buffer: PackBuffer, number: int, channel: int, log_ns: int) -> Iterator[None]:
-    """Pack a message as the recorder does; stops at each point where the threads may change."""
+    """Pack a message as the recorder does; yield at each point where the threads may switch."""
     record = MESSAGE_HEAD.pack(5, 22 + 52, channel, number, log_ns, 0) + numbered(number)
     start = buffer.end
     buffer.unordered.add(channel)
@@ -29,7 +29,7 @@ def packing(buffer: PackBuffer, number: int, channel: int, log_ns: int) -> Itera
 
 
 def numbers_in(packed: PackedMessages) -> list[int]:
-    """The messages that the indexes lead to, after checking that they lead to all of them."""
+    """Return the messages that the indexes point to, and check that no other is there."""
     data = b"".join(bytes(part) for part in packed.parts)
     entries = []
     times = []

@@ -1,4 +1,4 @@
-"""A clip stands alone: it holds its window, what is latched, and a journal to decide again."""
+"""A clip stands alone: it holds its window, latched messages, and a journal that can be checked."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ EVENT = RecordedEvent(EventKind.ERROR, 0, "odometry lost")
 
 
 def at_ns(seconds: float) -> int:
-    """A log time, `seconds` after the beginning."""
+    """Return a log time, `seconds` after the beginning."""
     return START_NS + BEGIN_NS + round(seconds * 1e9)
 
 
@@ -42,7 +42,9 @@ def driven() -> list[Written]:
 
 
 def record(folder: Path, driven: list[Written], *splits_s: float) -> Recorder:
-    """Record a drive with its commands, two maps, and an event at each 10 s; not closed."""
+    """Record a drive with its commands, two maps, and an event every 10 s; do not close the
+    recorder.
+    """
     begun: list[Path] = []
     recorder = Recorder(
         folder,

@@ -1,4 +1,4 @@
-"""A clip of a recording that goes on waits for what is still to come, and for no more."""
+"""A clip of a live recording waits for the end of its window, and no longer."""
 
 from __future__ import annotations
 

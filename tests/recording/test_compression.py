@@ -1,4 +1,4 @@
-"""A compression is listed once: what the recorder writes can be read, and nothing is guessed."""
+"""Compressions are listed once: all that are written can be read, and unknown ones are errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files are read as the MCAP specification says, whatever of it their writer has left out."""
+"""Files are read as the MCAP specification says, with any optional record left out."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_the_suite_is_whole() -> None:
 def test_somebody_elses_reader_finds_the_suite_valid(tmp_path: Path, content: str) -> None:
     for variant in (each for each in VARIANTS if each.content == content):
         if Feature.CHUNKS | Feature.EXTRA_DATA in variant.features:
-            continue  # the package loses its way at extra data within a chunk
+            continue  # the package cannot skip extra data in a chunk
         path = written(tmp_path, variant)
         with path.open("rb") as stream:
             found = [type(record).__name__ for record in StreamReader(stream).records]
@@ -55,9 +55,9 @@ def test_every_variant_is_read_whole(tmp_path: Path, content: str, indexed: bool
 
 
 def mixed_up(path: Path, *, attachments: int = 0) -> Path:
-    """A whole file with messages, a metadata record and attachments between its chunks.
+    """Return a complete file with messages, metadata and attachments between its chunks.
 
-    The summary tells of the chunks, and counts everything.
+    The summary lists the chunks, and counts everything.
     """
     header = len(MAGIC) + len(record_bytes(Header("", "somebody")))
     parts = [
@@ -105,7 +105,7 @@ def test_what_the_summary_counts_and_nobody_finds_is_missing(tmp_path: Path) -> 
     path = mixed_up(tmp_path / "mixed.mcap")
     data = path.read_bytes()
     at = data.index(record_bytes(Metadata("notes", {"author": "somebody"})))
-    path.write_bytes(data[:at] + b"\x80" + data[at + 1 :])  # a record of somebody's own
+    path.write_bytes(data[:at] + b"\x80" + data[at + 1 :])  # a private record
     assert read_info(path).missing == ("its summary counts 1 metadata records, and 0 are there",)
     assert recover(path, tmp_path / "out.mcap").lost == read_info(path).missing
 
@@ -117,7 +117,7 @@ def written(folder: Path, variant: Variant) -> Path:
 
 
 def assert_read(path: Path, variant: Variant, *, whole: bool) -> None:
-    """Info, messages, metadata and attachments are those that were written."""
+    """Check that info, messages, metadata and attachments are those that were written."""
     _, records = CONTENTS[variant.content]
     expected = [
         (each.data, each.log_time, each.publish_time, each.sequence) for each in variant.messages

@@ -1,4 +1,4 @@
-"""Damage costs what it hits and is said; nothing is made up."""
+"""Damage costs only the damaged part and is reported; no data is made up."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What happened stands in the file's metadata at once, and stays there."""
+"""Events are stored in the file's metadata at once, and stay there."""
 
 from __future__ import annotations
 

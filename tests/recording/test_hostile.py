@@ -1,4 +1,4 @@
-"""What claims to be huge costs no memory."""
+"""A file that claims huge sizes costs no memory."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tests.support.recordings import (
 
 
 def crafted(chunk: bytes) -> bytes:
-    """A file of somebody's whose only chunk has this content."""
+    """Return a file of another writer whose only chunk has this content."""
     header = b"\x01" + (8).to_bytes(8, "little") + bytes(8)
     return MAGIC + header + b"\x06" + len(chunk).to_bytes(8, "little") + chunk
 

@@ -1,4 +1,4 @@
-"""The journal of a recording is found among others, and read as it was written."""
+"""The journal of the recording robot is found among others, and read in the order of writing."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from robotctl.testing.drives import GID, START_NS, TWIST
 
 
 def record(folder: Path, robot: str, topics: dict[str, Iterable[int]]) -> Path:
-    """A recording with journals whose entries have these log times after START_NS."""
+    """Return a recording of journals whose entries have these log times after START_NS."""
     options = RecorderOptions(chunk_bytes=1024)
     recorder = Recorder(folder, options, metadata=lambda: {"robot": robot}, on_failure=pytest.fail)
     recorder.add_topic(TWIST)

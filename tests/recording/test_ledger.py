@@ -1,4 +1,4 @@
-"""The ledger counts what a publisher sent and nobody received, and nothing else."""
+"""The ledger counts exactly the messages that were sent and not received."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from robotctl.recording.write.sequence_gaps import MAX_PUBLISHERS, SequenceGaps
 
 
 def feed(ledger: SequenceGaps, gid: bytes, *sequences: int) -> None:
-    """As the recorder does: what is expected is advanced, all else is noted."""
+    """Feed sequence numbers as the recorder does: advance the expected one, else call `note`."""
     for sequence in sequences:
         if ledger.expected.get(gid) == sequence:
             ledger.expected[gid] = sequence + 1

@@ -1,4 +1,4 @@
-"""The list of recordings tells what is there, whoever made it and whatever has become of it."""
+"""The list of recordings shows all of them, of any writer, damaged ones as well."""
 
 from __future__ import annotations
 

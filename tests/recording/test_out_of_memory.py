@@ -1,4 +1,4 @@
-"""Without memory messages are dropped and counted; the recorder lives, and goes on when it can."""
+"""Without memory messages are dropped and counted; the recorder continues when there is memory."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def recorder(tmp_path: Path) -> Recorder:
 
 
 def without_memory(wanted: Callable[..., Any], times: int) -> Callable[..., Any]:
-    """The same, but for the first calls."""
+    """Return a function that raises MemoryError in its first calls."""
     left = [times]
 
     def call(*arguments: Any, **options: Any) -> Any:

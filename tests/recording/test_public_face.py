@@ -1,4 +1,4 @@
-"""What a library user may import from `robotctl.recording`."""
+"""The names that a library user may import from `robotctl.recording`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Any MCAP file opens, alone or in a folder; what cannot be read is said."""
+"""Any MCAP file can be opened, alone or in a folder; what cannot be read is reported."""
 
 from __future__ import annotations
 

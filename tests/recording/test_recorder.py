@@ -1,4 +1,4 @@
-"""What goes into the recorder comes out of the file, and every message is accounted for."""
+"""Every message given to the recorder is in the file, or counted."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def folder(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def open_recorder(folder: Path) -> Iterator[OpenRecorder]:
-    """Opens a recorder that is closed at the end, and whose failure fails the test."""
+    """Open recorders that are closed at the end; a failure of one fails the test."""
     recorders: list[Recorder] = []
     failures: list[str] = []
 
@@ -194,7 +194,7 @@ def test_more_topics_than_the_format_numbers_are_refused(
 
 
 def test_rosbags_reads_the_first_messages_as_soon_as_they_are_written(folder: Path) -> None:
-    """It reads the topics that `metadata.yaml` names and no others."""
+    """It reads only the topics that `metadata.yaml` lists."""
     options = RecorderOptions(flush_s=0.01, sync_s=3600.0)
     recorder = Recorder(folder, options, on_failure=pytest.fail)
     write_numbered(recorder, recorder.add_topic(TWIST), range(1, 11))
@@ -232,7 +232,9 @@ def test_the_folder_is_a_bag_of_version_9_from_its_first_moment(
     bag = yaml.safe_load(text)["rosbag2_bagfile_information"]
     assert bag["version"] == 9
     assert bag["relative_file_paths"] == [f"{folder.name}_0.mcap"]
-    assert bag["starting_time"]["nanoseconds_since_epoch"] == 2**63 - 1  # as rosbag2 writes none
+    assert (
+        bag["starting_time"]["nanoseconds_since_epoch"] == 2**63 - 1
+    )  # as rosbag2 writes it without messages
     with RosbagsReader(folder) as opened:
         assert opened.message_count == 0
     write_numbered(recorder, recorder.add_topic(TWIST), range(1, 11))
@@ -381,7 +383,7 @@ def test_a_message_larger_than_the_queue_is_dropped_and_counted(
 
 
 def slice_of(thread: int) -> int | None:
-    """Its time slice [ns], None where the kernel does not tell."""
+    """Return the time slice of a thread [ns], None if the kernel does not report it."""
     account = Path(f"/proc/self/task/{thread}/sched")
     text = account.read_text() if account.exists() else ""
     found = re.search(r"^se\.slice *: *(\d+)$", text, re.MULTILINE)
@@ -484,7 +486,7 @@ def test_a_folder_that_cannot_be_written_is_refused_in_one_sentence(
 
 
 class Slow:
-    """A number that takes its time when it is packed."""
+    """A number that takes long to pack."""
 
     def __init__(self) -> None:
         self.reached = threading.Event()

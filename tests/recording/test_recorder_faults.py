@@ -58,7 +58,7 @@ CURES = {
 
 @pytest.fixture(scope="module")
 def fork() -> ForkServerContext:
-    """Forks from a clean process that has the recorder imported: no threads are copied."""
+    """A fork server that has the recorder imported, so that no threads are copied."""
     context = get_context("forkserver")
     context.set_forkserver_preload(["tests.support.recordings"])
     return context
@@ -71,7 +71,7 @@ def assert_accounted(stats: RecorderStats, received: int) -> None:
 
 
 def assert_first_numbers(file: Path, count: int) -> None:
-    """Message 1 to `count` are in the file, byte for byte, and nothing else."""
+    """Check that the file holds messages 1 to `count`, byte for byte, and nothing else."""
     messages = read_strictly(file)
     assert [(m.sequence, m.data) for m in messages] == [
         (number, numbered(number)) for number in range(1, count + 1)
@@ -81,9 +81,9 @@ def assert_first_numbers(file: Path, count: int) -> None:
 def kill_at_random_instants(
     fork: ForkServerContext, folder: Path, kills: int, dice: random.Random
 ) -> int:
-    """Record in processes that are killed, four at once; returns how many files are whole.
+    """Record in processes that are killed, four at a time; return how many files are complete.
 
-    Each must be readable: its messages are the first ones, byte for byte, and not many are lost.
+    Each must be readable: its messages are the first ones, byte for byte, and few are lost.
     """
     whole = 0
     for batch in range(0, kills, 4):
@@ -111,7 +111,7 @@ def kill_at_random_instants(
             if messages:
                 # Ten times the target of 0.3 s: other programs run here, too.
                 assert killed_ns - messages[-1].log_ns < 3_000_000_000
-            with suppress(Exception):  # whatever the package raises: the kill fell into a write
+            with suppress(Exception):  # any error: the process was killed during a write
                 read_strictly(file)
                 whole += 1
     return whole

@@ -1,4 +1,4 @@
-"""Recovery salvages what can be read of anybody's broken file, and says what is lost."""
+"""Recovery copies all that can be read of a broken file of any writer, and reports what is lost."""
 
 from __future__ import annotations
 

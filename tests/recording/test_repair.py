@@ -1,4 +1,4 @@
-"""The next start makes whole what a crash has left, once, and touches nothing else."""
+"""The next start repairs what a crash left, once, and changes nothing else."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ def repair(recordings: Path) -> list[str]:
 
 
 def crashed(folder: Path, count: int) -> Path:
-    """What a process leaves that is killed after `count` messages reached the file."""
+    """Record `count` messages and leave the file as a killed process does."""
     options = RecorderOptions(chunk_bytes=1024, flush_s=0.005)
     recorder = Recorder(folder, options, on_failure=pytest.fail)
-    listed = (folder / "metadata.yaml").read_bytes()  # the list of before the first message
+    listed = (folder / "metadata.yaml").read_bytes()  # from before the first message
     write_numbered(recorder, recorder.add_topic(TWIST), range(1, count + 1))
     until(lambda: recorder.stats().queued == 0)
     file = folder / f"{folder.name}_0.mcap"
@@ -184,7 +184,7 @@ Read = Callable[[int, int, int], bytes]
 
 
 def break_once(monkeypatch: pytest.MonkeyPatch, breaks: Callable[[bytes], bool]) -> None:
-    """Have the first read of something that `breaks` fail for the disk."""
+    """Make the first read that `breaks` selects fail as a broken disk does."""
     pread: Read = os.pread
     failed: list[int] = []
 
@@ -211,7 +211,7 @@ def test_what_the_disk_cannot_read_now_is_left_for_the_next_start(
     assert "run_0.mcap could not be repaired: the disk cannot read it at byte" in sentence
     assert file.read_bytes() == before
     assert listed_messages(tmp_path / "run") == listed
-    assert len(repair(tmp_path)) == 1  # the disk reads it again
+    assert len(repair(tmp_path)) == 1  # the disk works again
     assert len(read_strictly(file)) == 200
 
 
@@ -266,7 +266,7 @@ def test_a_full_disk_leaves_the_file_as_it_was_and_is_told(
 
 
 def with_private_record(data: bytes) -> bytes:
-    """The file with a private record at the end of its summary."""
+    """Return the file with a private record at the end of its summary."""
     footer_bytes, magic_bytes = 29, 8
     footer = len(data) - footer_bytes - magic_bytes
     start = struct.unpack_from("<Q", data, footer + 9)[0]

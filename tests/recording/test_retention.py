@@ -1,4 +1,4 @@
-"""Retention removes the oldest recordings of ours, and nothing that it must not."""
+"""Retention removes the oldest recordings of robotctl, and no protected ones."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ NOW_S = 2_000_000_000.0
 
 
 def recorded(folder: Path, age_s: float, splits: int = 0) -> int:
-    """Record some messages `age_s` ago; returns the bytes of the recording's files."""
+    """Record some messages `age_s` ago; return the bytes of the recording's files."""
     begun: list[Path] = []
     recorder = Recorder(folder, on_failure=pytest.fail, on_split=begun.append)
     channel = recorder.add_topic(TWIST)
@@ -81,7 +81,7 @@ def test_a_recording_marked_keep_stays(tmp_path: Path) -> None:
 
 
 def clipped(folder: Path, age_s: float) -> int:
-    """Cut a clip out of a recording `age_s` ago; returns its bytes."""
+    """Cut a clip from a recording `age_s` ago; return its bytes."""
     moment = Moment(read_info(folder).start_ns)
     clip = make_clip(ClipJob(folder, moment, 1.0, 1.0)).target
     os.utime(clip, (NOW_S - age_s, NOW_S - age_s))

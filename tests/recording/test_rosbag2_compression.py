@@ -1,4 +1,4 @@
-"""Bags that rosbag2 has compressed are read; one in its other format is named with its cure."""
+"""Bags that rosbag2 compressed are read; an sqlite3 bag is reported with the conversion command."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SENT = data(LINES)
 
 
 def metadata(mode: str, form: str = "zstd", files: tuple[str, ...] = ("bag_0.mcap",)) -> str:
-    """The beginning of rosbag2's metadata, indented as in its `metadata.yaml`."""
+    """Return the beginning of rosbag2's metadata, indented as in its `metadata.yaml`."""
     listed = "".join(f"    - {name}\n" for name in files)
     return (
         "  version: 9\n  storage_identifier: mcap\n"
@@ -45,7 +45,7 @@ def bag(
     form: str = "zstd",
     told_by: str = "both",
 ) -> Path:
-    """A bag with these messages as rosbag2 stores them; `told_by` yaml, file or both."""
+    """Write a bag with these messages as rosbag2 does; `told_by` is yaml, file or both."""
     folder.mkdir()
     with (folder / "bag_0.mcap").open("wb") as stream:
         writer = Writer(stream, chunk_size=1000)
@@ -154,7 +154,7 @@ def plainly(content: bytes) -> bytes:
 
 
 def packed(folder: Path, content: Callable[[bytes], bytes] = plainly) -> Path:
-    """A bag whose one file is compressed as a whole."""
+    """Write a bag whose only file is compressed as a whole."""
     folder.mkdir()
     plain = write_bag(folder / "bag_0.mcap", LINES, chunk_bytes=1000)
     path = folder / "bag_0.mcap.zstd"

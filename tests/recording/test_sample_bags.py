@@ -1,4 +1,4 @@
-"""Bags that rosbag2 itself has written open, whole and cut."""
+"""Bags that rosbag2 itself wrote can be opened, complete or truncated."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A part of a recording is read without what lies before it or behind."""
+"""A part of a recording is read without the parts before and after it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ moments = st.integers(0, 31)
 
 
 def write(path: Path, messages: list[tuple[str, int]], **options: object) -> Path:
-    """A file with chunks of three messages or so."""
+    """Write a file with chunks of about three messages."""
     with path.open("wb") as stream:
         writer = Writer(stream, **{"chunk_size": 200, **options})  # type: ignore[arg-type]
         writer.start()

@@ -1,4 +1,4 @@
-"""A recording goes on in another file without a gap, and each file stands alone."""
+"""A recording continues in another file without a gap, and each file stands alone."""
 
 from __future__ import annotations
 
@@ -365,7 +365,7 @@ def test_latched_messages_of_all_topics_share_one_budget_and_no_split_causes_ano
         until(lambda: recorder.stats().queued == 0)
     until(lambda: bool(begun))
     assert recorder.stats().not_repeated == 7
-    recorder.write(channels[0], b"small", START_NS, START_NS, 2, GID)  # makes room for another
+    recorder.write(channels[0], b"small", START_NS, START_NS, 2, GID)  # frees room for another
     recorder.write(channels[8], os.urandom(3 << 20), START_NS, START_NS, 2, GID)
     stats = recorder.close()
     assert (stats.not_repeated, stats.received, stats.dropped) == (7, 11, 0)
@@ -380,5 +380,5 @@ def test_a_large_latched_message_is_not_kept_in_memory(tmp_path: Path) -> None:
         recorder.write(channel, b"x", START_NS, START_NS, 1, publisher.to_bytes(2, "big"))
     assert len(recorder._channels[channel].latched_messages()) == 64
     recorder.write(channel, bytes(33 << 20), START_NS, START_NS, 2, b"\0\x63")
-    assert len(recorder._channels[channel].latched_messages()) == 63  # an older one is no more true
+    assert len(recorder._channels[channel].latched_messages()) == 63  # the older one is out of date
     recorder.close()

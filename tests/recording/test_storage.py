@@ -1,4 +1,4 @@
-"""A file on disk gets all of a write, or the writer gets an OSError."""
+"""A write to a file on disk is complete, or raises OSError."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A filter records exactly what its patterns say, and always what proves the drive."""
+"""A filter accepts exactly what its patterns say, and always the topics that document the drive."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A kill between any two writes of a commit leaves a file that every reader opens."""
+"""A kill between any two writes of a commit leaves a file that every reader can open."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Write(NamedTuple):
 
 
 class LoggedFile(DiskFile):
-    """Keeps every write."""
+    """A file that keeps all writes."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
@@ -71,7 +71,7 @@ def begin(
 
 
 def write_commit(file: RecordingFile, channels: list[ChannelState], number: int, size: int) -> None:
-    """One message of `size` random bytes and a small one; in the middle with a new topic."""
+    """Write a message of `size` random bytes and a small one; in the middle with a new topic."""
     if number == COMMITS // 2:
         channels.append(ChannelState(ODOMETRY))
     large = numbered(number) + random.Random(number).randbytes(size)
@@ -86,7 +86,7 @@ def write_commit(file: RecordingFile, channels: list[ChannelState], number: int,
 
 
 def record(folder: Path, size: int, compression: Compression) -> Recorded:
-    """A recording of COMMITS commits."""
+    """Return a recording of COMMITS commits."""
     files: list[LoggedFile] = []
 
     def open_file(path: Path) -> LoggedFile:
@@ -118,7 +118,7 @@ class Step(IntEnum):
 
 
 class State(NamedTuple):
-    """What a kill could leave: `chunks` were committed before, the write `step` is done or torn."""
+    """What a kill can leave: `chunks` were committed before, the write `step` is done or torn."""
 
     content: bytes
     chunks: int
@@ -127,7 +127,7 @@ class State(NamedTuple):
 
 
 def states(recorded: Recorded) -> Iterator[State]:
-    """Each state between two writes, and torn ones within each write, at pages and elsewhere."""
+    """Yield each state between two writes, and torn states within each write."""
     dice = random.Random(4)
     content = bytearray()
     for chunks, commit in enumerate(recorded.commits, start=-1):
@@ -180,7 +180,7 @@ def read_by_ours(path: Path) -> list[bytes]:
 
 
 def read_as_strictly_as_specified(path: Path) -> list[bytes]:
-    """The summary holds what it may and nothing else, and each of its offsets leads there."""
+    """Check that the summary holds only what it may, and that each of its offsets is right."""
     data = path.read_bytes()
     footer_start = len(data) - len(MAGIC) - RECORD_HEAD.size - 20
     assert RECORD_HEAD.unpack_from(data, footer_start) == (Opcode.FOOTER, 20)
@@ -235,7 +235,7 @@ HEADS = (Step.FRAME, Step.CHECKSUM)
 
 
 def readers_of(state: State) -> tuple[Callable[[Path], list[bytes]], ...]:
-    """Those that open what a kill in this state leaves."""
+    """Return the readers that can open what a kill in this state leaves."""
     if state.torn and state.step in TRAILERS:
         return ()
     if state.torn and state.step in ENDS:
@@ -248,7 +248,7 @@ def readers_of(state: State) -> tuple[Callable[[Path], list[bytes]], ...]:
 
 
 def opens(path: Path, readers: Sequence[Callable[[Path], list[bytes]]], chunks: int) -> None:
-    """Each reader finds the messages of `chunks` chunks, or of one more."""
+    """Check that each reader finds the messages of `chunks` chunks, or of one more."""
     for read in readers:
         assert len(read(path)) in (2 * chunks, 2 * chunks + 2), read.__name__
 
@@ -273,13 +273,13 @@ def test_a_file_torn_within_any_write_is_read_and_repaired(tmp_path: Path, size:
     path = tmp_path / "run" / "run_0.mcap"
     for state in states(recorded):
         if state.chunks < 0:
-            continue  # the file is not there yet for whoever asked for it
+            continue  # the file does not exist yet
         path.write_bytes(state.content)
         found = list(read_messages(path, on_missing=lambda sentence: None))
         assert len(found) in (2 * state.chunks, 2 * state.chunks + 2), state[1:]
         assert [*repair(tmp_path)]
         if not found:
-            continue  # nothing to repair it with
+            continue  # it cannot be repaired
         assert len(read_strictly(path)) >= 2 * state.chunks, state[1:]
 
 

@@ -1,4 +1,4 @@
-"""A file that was cut off gives all that came before the cut, and says that more is missing."""
+"""A truncated file gives all messages before the cut, and reports that more are missing."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tests.support.numbered_files import first_numbers, foreign, recorded, salva
 
 
 def complete_prefix(data: bytes, length: int) -> int:
-    """How many messages the chunks hold that lie within the first `length` bytes."""
+    """Return how many messages are in the chunks within the first `length` bytes."""
     count = 0
     for offset in record_boundaries(data):
         opcode, size = struct.unpack_from("<BQ", data, offset)

@@ -1,4 +1,4 @@
-"""What a power cut has left as zeros is named by everything that reads it, and counts."""
+"""Data that a power cut replaced by zeros is reported by every command, and counts as a loss."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ with_checksums = pytest.mark.parametrize("write", list(WRITERS.values())[:4], id
 
 
 def assert_loss_is_named(path: Path, folder: Path) -> None:
-    """Whoever reads the file says what is missing, and what is there is true."""
+    """Check that every command reports the loss, and that the messages read are right."""
     messages, missing = salvaged(path)
     assert 0 < len(messages) < COUNT
     assert [message.data for message in messages] == sorted(
@@ -132,7 +132,7 @@ def test_a_file_of_zeros_is_no_recording(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("field", ["length", "start", "end", "size"])
 def test_a_chunk_that_is_not_what_the_index_says_is_named(tmp_path: Path, field: str) -> None:
-    """The checksum covers the messages, not what stands before them."""
+    """The checksum covers only the messages, not the fields before them."""
     path = recorded(tmp_path / "run", COUNT, compression=Compression.NONE)
     data = bytearray(path.read_bytes())
     start, _ = chunks_of(bytes(data))[10]
@@ -144,12 +144,12 @@ def test_a_chunk_that_is_not_what_the_index_says_is_named(tmp_path: Path, field:
 
 
 def test_messages_that_the_summary_counts_and_that_are_not_there_are_named(tmp_path: Path) -> None:
-    """Of a chunk whose writer gave no checksum: framing alone would not show it."""
+    """The chunk has no checksum, and its framing alone does not show the loss."""
     path = foreign(tmp_path / "a.mcap", COUNT, compression=CompressionType.NONE, enable_crcs=False)
     data = bytearray(path.read_bytes())
     start, _ = chunks_of(bytes(data))[10]
     first = data.index(struct.pack("<BQ", Opcode.MESSAGE, 74), start)
-    data[first] = 0x80  # an opcode of somebody's: readers pass it over
+    data[first] = 0x80  # a private opcode, which readers skip
     path.write_bytes(data)
     messages, missing = salvaged(path)
     assert len(messages) == COUNT - 1

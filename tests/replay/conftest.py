@@ -1,4 +1,4 @@
-"""Replays in a process of their own, heard by this one; daemons that only say who they are."""
+"""Replays in separate processes, received in this one, and daemons that only report their state."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from tests.support.waiting import DEADLINE_S
 
 @dataclass(frozen=True, slots=True)
 class Ran:
-    """What a command line did."""
+    """The result of a command line."""
 
     exit_code: int
     out: str
@@ -47,7 +47,7 @@ class Ran:
 
 
 class Running:
-    """A `robotctl replay` under way."""
+    """A running `robotctl replay`."""
 
     def __init__(self, *arguments: str) -> None:
         program = "from robotctl.cli.app import main; main()"
@@ -59,26 +59,26 @@ class Running:
         )
 
     def interrupt(self) -> None:
-        """Ctrl-C."""
+        """Send Ctrl-C."""
         self._process.send_signal(signal.SIGINT)
 
     def stop_reading(self) -> None:
-        """Read nothing of its output, as a pager that has been left."""
+        """Stop reading its output, as a pager that was closed."""
         assert self._process.stdout is not None
         self._process.stdout.close()
 
     def kill(self) -> None:
-        """End the command without a chance to clean up."""
+        """Kill the command."""
         self._process.kill()
 
     def close(self) -> None:
-        """End it, if it has not ended."""
+        """End it if it is running."""
         if self._process.returncode is None:
             self._process.kill()
             self._process.communicate(timeout=2 * DEADLINE_S)
 
     async def end(self) -> Ran:
-        """Wait for it."""
+        """Wait for its end."""
         out, err = await asyncio.to_thread(self._process.communicate, timeout=2 * DEADLINE_S)
         return Ran(self._process.returncode, out, err)
 
@@ -88,7 +88,7 @@ Replay = Callable[..., Awaitable[Ran]]
 
 @pytest.fixture
 def start(domain_id: int, own_sockets: None) -> Iterator[Callable[..., Running]]:
-    """Begin a replay in the test's domain."""
+    """Start a replay in the test's domain."""
     started: list[Running] = []
 
     def begin(*arguments: object) -> Running:
@@ -102,7 +102,7 @@ def start(domain_id: int, own_sockets: None) -> Iterator[Callable[..., Running]]
 
 @pytest.fixture
 def replay(start: Callable[..., Running]) -> Replay:
-    """Carry out a replay in the test's domain."""
+    """Run a replay in the test's domain."""
 
     async def carry_out(*arguments: object) -> Ran:
         return await start(*arguments).end()
@@ -112,7 +112,7 @@ def replay(start: Callable[..., Running]) -> Replay:
 
 @pytest.fixture
 def own_sockets(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Control sockets of this test only."""
+    """Use control sockets of this test only."""
     base = Path(os.environ["XDG_RUNTIME_DIR"])
     folder = base / f"{len(list(base.iterdir()))}"
     folder.mkdir(mode=0o700)
@@ -120,7 +120,7 @@ def own_sockets(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class Listener:
-    """Hears serialized messages in this process; `heard` has them by topic, in order."""
+    """Receives serialized messages in this process; `heard` has them by topic, in order."""
 
     def __init__(self, node: Any) -> None:
         self.node = node
@@ -137,7 +137,7 @@ class Listener:
 
 @pytest.fixture
 async def listener(domain_id: int) -> AsyncIterator[Listener]:
-    """A node of another process than the replay's, in its domain."""
+    """A node in the domain of the replay, in another process."""
     from rclpy.context import Context
     from rclpy.node import Node
 
@@ -155,7 +155,7 @@ async def listener(domain_id: int) -> AsyncIterator[Listener]:
 
 
 class FakeDaemon:
-    """Tells `mode` and `domain_id`, and nothing more."""
+    """A daemon that only reports `mode` and `domain_id`."""
 
     def __init__(self, robot: str, domain_id: int, mode: str) -> None:
         self.robot = robot
@@ -163,7 +163,7 @@ class FakeDaemon:
         self.mode = mode
 
     async def status(self, _: NoParams) -> dict[str, object]:
-        """What `status` tells."""
+        """Answer `status`."""
         return {"robot": self.robot, "domain_id": self.domain_id, "mode": self.mode}
 
     @asynccontextmanager

@@ -1,4 +1,4 @@
-"""A replay of what is damaged or foreign plays what it can, and names the rest."""
+"""A replay of a damaged or foreign recording plays what it can, and reports the rest."""
 
 from __future__ import annotations
 

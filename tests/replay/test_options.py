@@ -1,4 +1,4 @@
-"""Each option of a replay, as others in the domain see it."""
+"""Each option of a replay, as other nodes in the domain see it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ CLOCK, EVENT = "rosgraph_msgs/msg/Clock", "std_srvs/srv/SetBool_Event"
 
 
 def event(at_ms: float, kind: int, number: int, *, value: bool | None, client: int = 1) -> Line:
-    """What introspection tells of a call of /light; `value` None is an answer."""
+    """Return the introspection of a call of /light; `value` None is an answer."""
     info = ServiceEventInfo(event_type=kind, sequence_number=number)
     info.client_gid[:] = client
     requests = [] if value is None else [SetBool.Request(data=value)]
@@ -158,11 +158,11 @@ async def test_recorded_requests_are_sent_once_each_to_the_service_that_is_named
     )
     lines = [
         event(0, sent, 1, value=True),
-        event(1, received, 1, value=True, client=2),  # the same, told by the server
+        event(1, received, 1, value=True, client=2),  # the same, as the server reports it
         event(2, answered, 1, value=None),
         event(3, received, 2, value=False),
         event(4, sent, 2, value=False, client=2),
-        event(5, received, 3, value=True),  # of a client that tells nothing
+        event(5, received, 3, value=True),  # of a client without an id
         event(6, received, 3, value=True, client=3),  # and of another
     ]
     file = write_bag(tmp_path / "run.mcap", lines)
@@ -181,7 +181,7 @@ async def test_recorded_requests_are_sent_once_each_to_the_service_that_is_named
     await until(lambda: len(asked) == 4)
     assert asked == [True, False, True, True]
     listener.listen("/light/_service_event", EVENT)
-    ran = await replay(file, "--json")  # as they are: only told about
+    ran = await replay(file, "--json")  # played unchanged, but reported
     assert ran.summary["sent"] == len(lines)
     await until(lambda: len(listener.heard["/light/_service_event"]) == len(lines))
     assert len(asked) == 4

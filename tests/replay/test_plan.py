@@ -1,4 +1,4 @@
-"""What is played and under which names; what a robot would obey is held back."""
+"""What is played and under which names; commands that a robot would obey are withheld."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ def test_a_job_crosses_to_the_player_unchanged() -> None:
 
 @dataclass
 class FakeGraph:
-    """Who is in the domain."""
+    """The participants of the domain."""
 
     daemons: list[str] = field(default_factory=list)
 

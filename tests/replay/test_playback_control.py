@@ -1,4 +1,4 @@
-"""A replay can be paused, stepped and made faster; recorded time never jumps by that."""
+"""A replay can be paused, stepped and made faster, and recorded time never jumps."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ moments = st.integers(0, 10**15)
 
 
 class ScriptClock:
-    """Time that only sleeping moves on; each action of the script is carried out at its moment."""
+    """A clock that only sleeping advances; each action of the script runs at its time."""
 
     def __init__(self, *script: tuple[int, Callable[[], object]]) -> None:
         self.time_ns = 0
@@ -50,7 +50,7 @@ def play(
     delay_ns: int = 0,
     ticks: ClockPublisher | None = None,
 ) -> tuple[Player, list[tuple[int, int]]]:
-    """A player, and when it sends which entry: ms after the start, number."""
+    """Return a player, and when it sends each entry: ms after the start, number."""
     sent: list[tuple[int, int]] = []
 
     def send(data: bytes) -> bool:
@@ -74,7 +74,7 @@ def every_ms(count: int, period: int = 100) -> list[Entry]:
 
 
 def within(found: list[tuple[int, int]], expected: list[tuple[int, int]], late_ms: int) -> None:
-    """The same messages, none early, and none later than a player may notice a change."""
+    """Check that these are the same messages, none early, and none later than SLICE_NS allows."""
     assert [number for _, number in found] == [number for _, number in expected]
     for (at, _), (due, _) in zip(found, expected, strict=True):
         assert due <= at <= due + late_ms

@@ -1,4 +1,4 @@
-"""The player keeps an absolute schedule, and reads ahead without bounds for nobody."""
+"""The player keeps an absolute schedule, and reads ahead within limits."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MS = 1_000_000
 
 
 class HandClock:
-    """Time that only sleeping moves on, and each sending by `cost_ns`."""
+    """A clock that only sleeping advances, and each sent message by `cost_ns`."""
 
     def __init__(self) -> None:
         self.time_ns = 5 * MS
@@ -37,7 +37,7 @@ class HandClock:
 def play(
     timeline: list[Entry], *, rate: float | None = 1.0, cost_ns: int = 0, sends: bool = True
 ) -> tuple[list[tuple[int, bytes]], Player]:
-    """What was sent at which time after the first moment of the schedule."""
+    """Return what was sent, and when, relative to the start of the schedule."""
     clock = HandClock()
     start_ns = clock.time_ns + LEAD_NS
     sent: list[tuple[int, bytes]] = []

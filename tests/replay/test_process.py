@@ -1,4 +1,4 @@
-"""The process that plays obeys lines on stdin, and ends with them."""
+"""The replay process obeys lines on stdin, and ends with stdin."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ Until = Callable[[Callable[[], object]], Awaitable[None]]
 
 
 class Playing:
-    """The process, spoken to as the command line does."""
+    """The replay process, controlled as the command line does."""
 
     def __init__(self, job: Job) -> None:
         self._child = start(PLAYER, with_stdin=True)
         self.write(f"{job.to_json()}\n".encode())
 
     def urgent_threads(self) -> int:
-        """How many of its threads run under SCHED_FIFO."""
+        """Return how many of its threads run under SCHED_FIFO."""
         found = 0
         for thread in Path(f"/proc/{self._child.pid}/task").iterdir():
             with suppress(ProcessLookupError):
@@ -42,7 +42,7 @@ class Playing:
         self.write(b"".join(command.line() for command in commands))
 
     def end(self) -> tuple[int, dict[str, Any]]:
-        """End its stdin; returns exit code and summary."""
+        """Close its stdin; return exit code and summary."""
         self._child.close_stdin()
         summary: dict[str, Any] = {}
         with suppress(EOFError):
@@ -72,7 +72,7 @@ def child(domain_id: int, own_sockets: None) -> Iterator[Callable[[Job], Playing
 def play(
     tmp_path: Path, listener: Any, child: Callable[[Job], Playing], domain_id: int
 ) -> Callable[..., Playing]:
-    """Play so many numbered messages to the listener."""
+    """A function that plays numbered messages to the listener."""
 
     def begin(count: int, period_ms: float = 10.0, **options: Any) -> Playing:
         lines = [Line("/alpha", STRING, n * period_ms, text(f"{n}")) for n in range(count)]
@@ -113,7 +113,7 @@ async def test_what_is_stopped_before_everybody_is_known_opens_nothing(
 
 
 def may_be_urgent() -> bool:
-    """Whether SCHED_FIFO is permitted here."""
+    """Return whether SCHED_FIFO is permitted here."""
     soft_limit, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
     return os.geteuid() == 0 or soft_limit != 0
 

@@ -1,4 +1,4 @@
-"""A replay offers what the recorded publishers offered, as far as the file can be understood."""
+"""A replay offers the recorded quality of service, as far as it can be understood."""
 
 from __future__ import annotations
 

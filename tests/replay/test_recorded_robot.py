@@ -1,4 +1,4 @@
-"""What is seen of a recorded robot is what it did until that moment."""
+"""A recorded robot is shown as it was at that moment."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What others see of a replay: the recorded messages, with their bytes and in their order."""
+"""Other nodes receive the recorded messages, byte for byte and in order."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A replay is mistaken for no robot, and no robot obeys it."""
+"""A replay is never mistaken for a robot, and no robot obeys it."""
 
 from __future__ import annotations
 

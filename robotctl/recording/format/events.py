@@ -1,7 +1,7 @@
-"""What somebody will look for in a recording, named in its files' metadata as it happens.
+"""Events of a recording (emergency stops, errors, marks, drives), stored in its files' metadata.
 
-The journal holds all of it, among a million other entries; these records are found through the
-summary, also of a file that grows or whose writer was killed.
+The journal holds them too, among a million other entries. These records are found through the
+summary, also in a growing file or one whose writer was killed.
 """
 
 from __future__ import annotations

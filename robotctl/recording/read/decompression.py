@@ -20,10 +20,10 @@ class Decompressor(NamedTuple):
     """How to undo one compression. Both functions get the stored bytes and the original size."""
 
     unpack: Callable[[bytes, int], bytes]
-    """Raises Damaged if the data is corrupt, and MemoryError."""
+    """It raises Damaged if the data is corrupt, and MemoryError."""
 
     unpack_torn: Callable[[bytes, int], bytes]
-    """Returns the data before the tear."""
+    """It returns the data before the tear."""
 
 
 def _zstd(stored: bytes, size: int) -> bytes:

@@ -126,7 +126,11 @@ class PlaceReader:
         return self._message(self._data, start, end, MESSAGE_FIELDS.unpack_from(self._data, start))
 
     def as_written(self) -> Iterator[Message]:
-        """Yield all messages in file order, without `load`. Raises Damaged after the last one."""
+        """Yield all messages in file order, without `load`.
+
+        Raises:
+            Damaged: After the last message, if some are missing.
+        """
         return self._each(self._message)
 
     def plain_messages(self) -> Iterator[PlainMessage]:
@@ -161,8 +165,10 @@ class PlaceReader:
         return self.file.index.tally.records_left(self.place.offset, limit)
 
     def _wanted(self, data: bytes) -> Iterator[tuple[int, int, _Fields]]:
-        """Yield start, end and fields of the messages of selected channels. Raises Damaged at the
-        end.
+        """Yield start, end and fields of the messages of selected channels.
+
+        Raises:
+            Damaged: After the last message, if the place is damaged.
         """
         unknown = messages = others = 0
         names, unpack = self._names, MESSAGE_FIELDS.unpack_from

@@ -1,4 +1,4 @@
-"""A recording that was cut from outside is named, also where its files are whole in themselves."""
+"""A recording that was shortened is reported, even if each of its files is valid."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tests.support.recordings import write_numbered
 
 
 def recorded_twice(folder: Path) -> tuple[Path, bytes]:
-    """A recording of 500 messages, and what its file was when there were 200."""
+    """Return a recording of 500 messages, and the content of its file at 200 messages."""
     recorder = Recorder(folder, RecorderOptions(chunk_bytes=1024), on_failure=pytest.fail)
     channel = recorder.add_topic(TWIST)
     write_numbered(recorder, channel, range(1, 201))
@@ -111,7 +111,7 @@ def test_a_file_that_is_cut_while_it_is_read_is_named(tmp_path: Path) -> None:
 
 
 def test_a_file_of_a_bag_that_says_too_much_of_it_is_no_loss(tmp_path: Path) -> None:
-    """rosbag2 counts for a file what its cache then dropped; its total is true."""
+    """The counts per file of rosbag2 include messages that its cache dropped; its total not."""
     file = recorded(tmp_path / "run", 100)
     file.write_bytes(file.read_bytes().replace(b"robotctl ", b"somebody "))
     yaml = tmp_path / "run" / "metadata.yaml"
