@@ -1,4 +1,4 @@
-"""The real daemon through the real command line, each time in a world of its own."""
+"""The real daemon through the real command line, each test in a separate world."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def shared_world() -> Iterator[World]:
 
 @pytest.fixture
 def new_peer() -> Iterator[Callable[[World], Peer]]:
-    """Make somebody else in a world."""
+    """Return a function that starts another ROS process in a world."""
     with ExitStack() as stack:
 
         def make(world: World) -> Peer:
@@ -52,17 +52,17 @@ def new_peer() -> Iterator[Callable[[World], Peer]]:
 
 
 class Daemon:
-    """A daemon in this very process and loop, asked over its socket as any other is."""
+    """A daemon in this process and loop; requests go through its socket."""
 
     async def ask(self, method: str, **params: Any) -> Any:
         """Call a method of the control socket from another thread."""
         return await asyncio.to_thread(call, "robot", method, params)
 
     async def until(self, condition: Callable[[Any], object]) -> Any:
-        """Wait until the status fulfils a condition; returns that status."""
+        """Wait until the status fulfils a condition; return that status."""
         async with asyncio.timeout(DEADLINE_S):
             while True:
-                with suppress(NoDaemon):  # the task that answers is what a test lets die
+                with suppress(NoDaemon):  # a test may kill the task that answers
                     status = await self.ask("status")
                     if condition(status):
                         return status
@@ -73,7 +73,7 @@ class Daemon:
 def in_process(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> Callable[..., AbstractAsyncContextManager[Daemon]]:
-    """Run a daemon in the loop of the test, with the options given; it is patient by default."""
+    """Run a daemon in the test's loop with the given options; its limits are wide by default."""
     for name in ("XDG_RUNTIME_DIR", "XDG_STATE_HOME", "ROS_DOMAIN_ID"):
         monkeypatch.setenv(name, world.environment[name])
 
@@ -90,7 +90,7 @@ def in_process(
             serving = asyncio.create_task(serve(given, [], ready.set_result, at_end))
             await asyncio.wait({serving, ready}, return_when=asyncio.FIRST_COMPLETED)
             if serving.done():
-                await serving  # raises why it did not start
+                await serving  # raises the reason of a failed start
             try:
                 yield Daemon()
             except BaseException:

@@ -1,4 +1,4 @@
-"""The flight recorder's files and clips: what a daemon leaves to those who ask why."""
+"""The files and clips of the flight recorder after one run of the daemon."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ CONFIG = f"{PATIENT}recording: {{clip_before_s: 2.0, clip_after_s: 0.5}}\n"
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """What was seen of one life of the daemon."""
+    """The observations of one run of the daemon."""
 
     folder: Path
     marked: Any
@@ -161,7 +161,7 @@ def test_the_ledger_is_in_the_file_and_accounts_for_every_message(flight: Flight
         counts = ledger[topic["name"]]
         assert counts["received"] == counts["written"] + counts["dropped"]
         assert (counts["queued"], counts["dropped"]) == (0, 0)
-        repeated = topic["count"] - counts["written"]  # latched ones, in the second file
+        repeated = topic["count"] - counts["written"]  # latched messages, in the second file
         assert repeated in ((0, 1) if topic["name"] == "/robot_status" else (0,))
 
 

@@ -1,4 +1,4 @@
-"""A daemon whose stderr takes nothing drives, stops and ends as any other."""
+"""A daemon with a blocked stderr drives, stops and ends normally."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.support.waiting import DEADLINE_S, until
 from tests.support.world import World
 
 STOP_WITHIN_S = 1.0
-"""Ten times what an emergency stop may take on a busy machine."""
+"""Ten times the allowed time of an emergency stop on a busy machine."""
 
 
 def count_of(client: Client, topic: str) -> int:

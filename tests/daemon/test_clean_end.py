@@ -1,4 +1,4 @@
-"""Ending by every means: the robot stands, the recording is whole, the latch is kept."""
+"""After any end of the daemon the robot has stopped, recording and latch are complete."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_a_latch_that_cannot_be_written_is_told_and_the_robot_stops_all_the_same
 ) -> None:
     world.ok("start", "--sim")
     partial = world.folder / "state" / "robotctl" / "robot" / "emergency-stop.new"
-    partial.mkdir()  # where the latch would be written first
+    partial.mkdir()  # the path of the latch's temporary file
     ran = world.robotctl("estop")
     assert (ran.exit_code, ran.out) == (1, "")
     assert "Mode changed to EMERGENCY_STOP, but a restart would forget this stop" in ran.err
@@ -176,7 +176,7 @@ def test_a_signal_while_moving_ends_with_zero_and_a_closed_recording(
 
 def test_a_signal_during_the_start_ends_it(world: World) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as somebody:
-        # Where somebody seems to be, a start listens for a robot that is there, for seconds.
+        # If another process is in the domain, a start waits some seconds for its odometry.
         somebody.bind(("127.0.0.1", 7400 + 250 * world.domain_id + 249))
         start = world.spawn("start")
         until(lambda: world.recordings.exists() or start.poll() is not None)

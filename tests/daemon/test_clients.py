@@ -1,4 +1,4 @@
-"""Command lines that come and go while the daemon runs, also several at once."""
+"""Commands that start and end while the daemon runs, several at once."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_why_is_told_while_the_daemon_runs_and_the_recording_proves_it(world: Wo
     world.ok("drive", "square")
     until(lambda: world.status()["velocity"]["linear"] > 0.05)
     world.ok("estop")
-    until(lambda: world.robotctl("why").exit_code == 0)  # the file shows it a moment later
+    until(lambda: world.robotctl("why").exit_code == 0)  # the recording holds it a moment later
     told = world.answer("why")
     assert (told["kind"], told["mode"]) == ("stop", "EMERGENCY_STOP")
     assert "a request for EMERGENCY_STOP by robotctl estop" in told["came_in"]

@@ -1,4 +1,4 @@
-"""Whatever becomes of a clip, the daemon goes on; and it does not grow without bounds."""
+"""The daemon survives any failure of a clip, and limits the number of clips."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ Cutter = Callable[[str], tuple[str, ...]]
 
 @pytest.fixture
 def log(tmp_path: Path) -> Log:
-    """What programs in the place of the cutter have written so far."""
+    """Return what the programs in the place of the clip process have written so far."""
     path = tmp_path / "log"
     return lambda: path.read_text() if path.exists() else ""
 
 
 @pytest.fixture
 def cutter(tmp_path: Path) -> Cutter:
-    """Return the command of a Python program that takes the place of the cutter."""
+    """Return the command of a Python program that takes the place of the clip process."""
     return lambda program: (
         sys.executable,
         "-c",

@@ -1,4 +1,4 @@
-"""Control: one event after another, each journaled, its effects carried out whatever fails."""
+"""Control handles events in order, journals each, and carries out effects despite failures."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from tests.support.waiting import loop_until
 
 
 class Bench:
-    """A Control whose effects go where a test wants them."""
+    """A Control whose effects a test can redirect."""
 
     def __init__(self, params: KernelParams | None = None, state: State | None = None) -> None:
         self.entries: list[JournalEntry] = []
@@ -49,11 +49,11 @@ class Bench:
 
     @property
     def names(self) -> list[str]:
-        """What the journal holds."""
+        """The names of the journal entries."""
         return [entry.name for entry in self.entries]
 
     def published(self) -> int:
-        """How many commands were decided."""
+        """Return the number of commands so far."""
         return self.names.count("PublishTwist")
 
 

@@ -1,4 +1,4 @@
-"""Cures that a daemon tells name the robot to which it belongs."""
+"""The cures in a daemon's messages name its robot."""
 
 from __future__ import annotations
 

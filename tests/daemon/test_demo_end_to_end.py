@@ -1,4 +1,4 @@
-"""The demo as a newcomer runs it: the real daemon, one lap, and what is left of it."""
+"""The demo with the real daemon: one lap, and the files it leaves."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_an_interrupted_demo_leaves_a_valid_file_and_no_process(
     while b"MOVING" not in seen:
         seen += _drawn(screen)
     demo.send_signal(number)
-    with suppress(OSError):  # how Linux tells that nobody has the terminal open any more
+    with suppress(OSError):  # Linux reports so that no process has the terminal open
         while _drawn(screen):
             pass
     os.close(screen)
@@ -84,6 +84,6 @@ def test_an_interrupted_demo_leaves_a_valid_file_and_no_process(
 
 
 def _drawn(screen: int) -> bytes:
-    """What the demo draws next, which must be read so that it is not held up."""
+    """Return the demo's next output; unread output would block the demo."""
     assert select.select([screen], [], [], DEADLINE_S)[0], "the demo hangs"
     return os.read(screen, 65536)

@@ -1,4 +1,4 @@
-"""What the control socket answers to whoever waits for the end of a drive."""
+"""The answers of the control socket to a client that waits for the end of a drive."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ENDED = DriveEnded(1, True, "drive finished: 1 lap", DriveReport(1, 4.0, 0.01, 0
 
 
 class FakeControl:
-    """Accepts a drive that has ended already, and is in some mode by now."""
+    """Accepts a drive that has ended already; the mode is given."""
 
     def __init__(self, ended: DriveEnded, mode: Mode) -> None:
         self.ended = ended
@@ -91,12 +91,12 @@ async def test_a_speed_above_the_configured_limit_is_refused_by_name() -> None:
     drive = DrivingMethods(nobody, nobody, KernelParams()).table()["drive"].handler
     with pytest.raises(UsageError, match=r"5 m/s is above limits.linear_mps, 0.6 m/s: use at most"):
         await drive(DriveParams(pattern=PatternKind.CIRCLE, source="test", speed_mps=5.0))
-    with pytest.raises(AttributeError):  # the kernel is asked
+    with pytest.raises(AttributeError):  # the kernel would get the request
         await drive(DriveParams(pattern=PatternKind.CIRCLE, source="test", speed_mps=0.6))
 
 
 class RampingControl(FakeControl):
-    """Notes what it is asked for; `state` is what the kernel knows then."""
+    """Keeps the requests; `state` is the kernel's state then."""
 
     def __init__(self, state: State) -> None:
         super().__init__(ENDED, state.mode)
@@ -124,7 +124,7 @@ def driving(request_id: int, mode: Mode = Mode.MOVING) -> State:
 
 
 async def leave(state: State, *, wait: bool = True) -> list[ModeRequested]:
-    """What is asked of the kernel when the client of a drive, number 7, leaves."""
+    """Return the requests to the kernel when the client of drive 7 disconnects."""
     control: Any = RampingControl(state)
     motion: Any = None
     drive = DrivingMethods(control, motion, KernelParams()).table()["drive"].handler

@@ -1,4 +1,4 @@
-"""Effects carried out: in order, and a reply after what it confirms is on the disk."""
+"""Effects are carried out in order, and a reply is sent after the latch is on the disk."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ REPLY = Reply(1, True, "Mode changed to EMERGENCY_STOP", Mode.EMERGENCY_STOP)
 
 
 class World:
-    """What effects reach, written down."""
+    """Records what the effects do."""
 
     def __init__(self, folder: Path) -> None:
         self.latch_path = folder / "emergency-stop"

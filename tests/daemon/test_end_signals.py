@@ -1,4 +1,4 @@
-"""What ends a daemon, and what does not."""
+"""The signals that end a daemon."""
 
 from __future__ import annotations
 

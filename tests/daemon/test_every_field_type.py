@@ -40,7 +40,7 @@ def topic_of(name: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Life:
-    """What was sent, where it was recorded, and what a replay of that has sent.
+    """The sent messages, their recording, and the messages of its replay.
 
     `sent` are the messages as they were serialized: once, for CDR leaves its padding undefined.
     """

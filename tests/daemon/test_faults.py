@@ -1,4 +1,4 @@
-"""Whatever fails within the daemon ends in zero velocity and ERROR, and is told."""
+"""Each failure in the daemon ends in zero velocity and ERROR, and is reported."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from tests.support.world import Peer, World, journal_of, read_back
 
 
 class Bomb:
-    """Raises in the place of a method, once, when armed."""
+    """Replaces a method, and raises once when armed."""
 
     def __init__(self, patch: pytest.MonkeyPatch, owner: Any, name: str) -> None:
         self.armed = False
@@ -140,7 +140,7 @@ async def test_a_daemon_that_no_client_finds_stops_the_robot_until_its_socket_is
     folder = world.folder / "run" / "robotctl"
     async with in_process(drive=PatternKind.CIRCLE) as daemon:
         await daemon.until(is_moving)
-        with Client("robot") as client:  # who was connected before
+        with Client("robot") as client:  # connected before the failure
             folder.rename(world.folder / "removed")
             folder.write_text("of another user")
 
@@ -179,7 +179,7 @@ async def test_a_daemon_that_is_cancelled_while_moving_ends_with_zero(
     async def drive() -> None:
         async with in_process(drive=PatternKind.CIRCLE) as daemon:
             await daemon.until(is_moving)
-            raise LookupError  # which has the fixture cancel the daemon
+            raise LookupError  # then the fixture cancels the daemon
 
     with pytest.raises(LookupError):
         await drive()
@@ -327,7 +327,7 @@ async def test_after_a_short_stall_the_robot_drives_on_from_zero(
     assert first_divergence(journal) is None
 
 
-# The recording of it all
+# The recording of the faults
 
 
 async def test_a_fault_can_be_decided_again_from_the_journal(

@@ -1,4 +1,4 @@
-"""A recording that goes on for long: file after file, and no more of them than are to be kept."""
+"""A long recording: one file after another, limited by the retention policy."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tests.support.world import PATIENT, World
 
 @pytest.fixture(autouse=True)
 def short_files(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let each chunk fill a file."""
+    """Make each chunk fill a file."""
     options = partial(RecorderOptions, split_bytes=1)
     monkeypatch.setattr(folder, "RecorderOptions", options)
 

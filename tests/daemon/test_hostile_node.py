@@ -1,4 +1,4 @@
-"""What others announce on the graph changes nothing for a daemon that drives."""
+"""False announcements on the ROS graph do not affect a daemon that drives."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ TOO_LARGE = 160_000_000
 
 @pytest.fixture
 def hostile(world: World) -> Iterator[Told]:
-    """A process that does not validate what it announces."""
+    """A process that announces invalid data."""
     told = Told(peer("hostile_peer"), world.environment)
     yield told
     told.close()

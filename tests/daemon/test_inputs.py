@@ -1,4 +1,4 @@
-"""What comes in, as events of the kernel."""
+"""Input from ROS becomes events for the kernel."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.support.waiting import loop_until
 
 
 class Velocity:
-    """A command topic with what a test puts there; one publisher is ours."""
+    """A command topic with publishers that a test sets; one publisher is ours."""
 
     def __init__(self) -> None:
         self.others: tuple[str, ...] = ()
@@ -49,7 +49,7 @@ class Velocity:
 
 
 async def look_again(velocity: Velocity, times: int) -> None:
-    """Wait until the publishers were counted more often than that."""
+    """Wait until the publishers were counted again."""
     looks = velocity.looks
     await loop_until(lambda: velocity.looks > looks + times)
 
@@ -90,7 +90,7 @@ async def test_who_takes_the_command_is_told_when_it_changes(
 
 
 class Publishers:
-    """Nodes by the identity of their publisher, and a robot that moves or stands."""
+    """Node names by the gid of their publisher, and whether the robot moves."""
 
     def __init__(self, *, moves: bool) -> None:
         self.names = {b"theirs": "/teleop"}

@@ -1,4 +1,4 @@
-"""A drive that is waited for ends with its command, whatever ends that: real processes, signals."""
+"""A drive that a command waits for ends with the command: real processes and signals."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def world() -> Iterator[World]:
 
 @pytest.fixture
 def waiting(world: World) -> Iterator[subprocess.Popen[str]]:
-    """A drive without end that is waited for, at speed."""
+    """A command that waits for an endless drive, at full speed."""
     world.robotctl("reset")
     process = world.spawn("drive", "circle", "--laps", "0", "--wait")
     until(lambda: process.poll() is not None or world.status()["velocity"]["linear"] > 0.1)
@@ -90,7 +90,7 @@ def test_an_emergency_stop_is_not_released_by_the_ctrl_c_that_comes_after_it(
     waiting.send_signal(signal.SIGINT)
     waiting.send_signal(signal.SIGCONT)
     waiting.communicate(timeout=2 * DEADLINE_S)
-    assert waiting.returncode in (4, 130)  # as it reads the end of the drive first, or the signal
+    assert waiting.returncode in (4, 130)  # the end of the drive or the signal may come first
     assert world.status()["mode"] == "EMERGENCY_STOP"
 
 

@@ -1,4 +1,4 @@
-"""A clean stop loses nothing: what was received, and what the journal says of it, is recorded."""
+"""A clean stop records all received messages and all journal entries."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from robotctl.recording import Recorder, RecorderStats
 from tests.support.world import Peer, World, journal_of, read_back
 
 SLOW_DISK_S = 0.3
-"""What the end of a recording takes here; meanwhile the peer sends 15 samples."""
+"""How long the close of a recording takes here; meanwhile the peer sends 15 samples."""
 
 Closed = list[RecorderStats]
 
 
 @pytest.fixture
 def closed(monkeypatch: pytest.MonkeyPatch) -> Closed:
-    """What each recorder said a while after it was closed."""
+    """The stats of each recorder, some time after its close."""
     said: Closed = []
 
     class ClosedSlowly(Recorder):
@@ -66,7 +66,7 @@ async def test_a_file_that_is_full_at_the_end_is_followed_by_none(
             self.tell_full = on_full
 
         def close(self) -> RecorderStats:
-            """The writer thread tells of it as it writes the rest; the loop hears it after."""
+            """Report a full file at the close; the loop gets the call after it."""
             stats = super().close()
             self.tell_full(stats.file)
             time.sleep(SLOW_DISK_S)

@@ -1,4 +1,4 @@
-"""The emergency stop on the disk: written before it is confirmed, and in doubt a stop."""
+"""The latch file: written before the stop is confirmed; an unreadable file is a stop."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ async def test_a_latch_that_is_released_is_gone(tmp_path: Path) -> None:
     assert latch.read() is None
 
 
-# What cannot be saved
+# Failures to save
 
 
 @pytest.mark.parametrize("error", [OSError(30, "read-only"), UsageError("not yours"), KeyError(1)])
@@ -165,7 +165,7 @@ async def test_a_fifo_in_the_way_is_replaced_without_waiting(tmp_path: Path, nam
     assert latch.read() == LatchedStop("reason", BY_OPERATOR)
 
 
-# What is read
+# Reading
 
 
 @pytest.mark.parametrize("content", [b"", b"\xff\xfe", b"\0", b"cause: battery l", b"cause: x"])

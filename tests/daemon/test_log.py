@@ -1,4 +1,4 @@
-"""The log shows names as they are, and nothing that only looks like its own words."""
+"""Foreign text in the log cannot imitate a log line."""
 
 from __future__ import annotations
 

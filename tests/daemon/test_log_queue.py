@@ -1,4 +1,4 @@
-"""Whoever logs never waits for stderr, and what it does not take is counted and told."""
+"""Logging never waits for stderr; lines that it does not take are counted and reported."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def run() -> Run:
 
 
 def full_pipe() -> tuple[int, int]:
-    """Both ends of a pipe that nobody reads and that takes nothing more."""
+    """Both ends of a full pipe without a reader."""
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
     for size in (65536, 1):
@@ -72,7 +72,7 @@ def test_lines_that_do_not_fit_are_counted_and_told_when_stderr_takes_lines_agai
         os.close(writing)
         assert process.stdout is not None
         assert process.stdin is not None
-        assert process.stdout.readline() == "asked\n"  # before anybody reads stderr
+        assert process.stdout.readline() == "asked\n"  # before stderr is read
         process.stdin.write("\n")
         process.stdin.flush()
         text = read_all(reading)

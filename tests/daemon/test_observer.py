@@ -1,4 +1,4 @@
-"""An observer records somebody else's stack, and touches nothing of it."""
+"""An observer records another stack, and does not affect it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ COMMANDS = 200
 
 @dataclass(frozen=True, slots=True)
 class Observed:
-    """What was seen of one life of an observer."""
+    """The observations of one run of an observer."""
 
     started: str
     status: Any
@@ -35,7 +35,7 @@ class Observed:
 
 @pytest.fixture(scope="module")
 def observed() -> Iterator[Observed]:
-    """Live through it once."""
+    """Run it once."""
     with new_world() as world:
         peer = Peer(world)
         try:

@@ -1,4 +1,4 @@
-"""Others in the ROS domain: a robot that is there already, somebody else who commands it."""
+"""Other nodes in the ROS domain: an existing robot, another publisher of commands."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_no_robot_is_simulated_where_one_is(
     assert status["sim"] is False
     assert status["pose"] == {"x": 0.0, "y": 0.0, "theta": 0.0}
     assert status["battery"] == 1.0
-    # it is driven as any other
+    # the existing robot is driven
     until(lambda: world.robotctl("set-mode", "moving").out == "Mode changed to MOVING\n")
     world.ok("stop")
 
@@ -41,14 +41,14 @@ def test_sim_forces_the_simulator(world: World, new_peer: Callable[[World], Peer
 
 
 def drive_a_robot_outside(world: World, peer: Peer) -> subprocess.Popen[str]:
-    """Start a robot and a daemon, each a process of its own, and wait until the robot drives."""
+    """Start a robot and a daemon as separate processes, and wait until the robot drives."""
     peer("listen")
     robot = world.spawn("sim")
     assert robot.stdout is not None
     assert "simulated robot robot runs in ROS domain" in robot.stdout.readline()
     assert "simulator   no" in world.ok("start")
     world.ok("set-mode", "moving")
-    # The peer finds robot and daemon each in its own time.
+    # The peer discovers robot and daemon at different times.
     until(lambda: any(command[2] > 0.1 for command in peer("heard")["commands"]))
     until(lambda: peer("heard")["speed"] > 0.1)
     return robot
@@ -67,9 +67,9 @@ def test_a_robot_outside_stops_by_itself_when_the_daemon_is_killed(
     robot = drive_a_robot_outside(world, peer)
     world.kill(int(world.status()["pid"]))
     until(lambda: abs(peer("heard")["speed"]) < 0.01)
-    assert peer("heard")["commands"][-1][2] > 0.1  # nobody told it to
+    assert peer("heard")["commands"][-1][2] > 0.1  # without a new request
     end(robot)
-    (world.folder / "run" / "robotctl" / "robot.sock").unlink()  # the next start would
+    (world.folder / "run" / "robotctl" / "robot.sock").unlink()  # as the next start would
 
 
 def test_a_robot_outside_stops_by_itself_while_the_daemon_is_suspended_and_by_it_afterwards(

@@ -1,4 +1,4 @@
-"""Nodes that command the robot, measure for it, or take other commands than ours."""
+"""Nodes that publish commands or odometry, or subscribe to another type of command."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Event = dict[str, float]
 
 
 def events(world: World, name: str) -> list[Event]:
-    """The entries of the closed recording's journal with this name."""
+    """Return the journal entries of the closed recording with this name."""
     entries = journal_of(read_back(next(world.recordings.iterdir()))["/robotctl/journal"])
     return [json.loads(entry.data) | {"seq": entry.seq} for entry in entries if entry.name == name]
 

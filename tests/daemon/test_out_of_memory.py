@@ -1,4 +1,4 @@
-"""A daemon without memory sends zeros, ends with exit code 1, and says so in a line."""
+"""A daemon without memory sends zeros, and ends with exit code 1 and a log line."""
 
 from __future__ import annotations
 

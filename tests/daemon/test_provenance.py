@@ -1,4 +1,4 @@
-"""A recording names what made it, as far as that is known, and a start never fails for it."""
+"""A recording names the software that made it; unknown versions never fail a start."""
 
 from __future__ import annotations
 

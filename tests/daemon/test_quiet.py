@@ -1,4 +1,4 @@
-"""A daemon that only watches a quiet robot lets its processor sleep."""
+"""A daemon with a quiet robot uses little CPU time."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 from robotctl.ros.executor.pool import Pool
 
 LOOKS_PER_S = 100
-"""Of the recorder at its topics. A rest of 30 ms makes 33 of them, one of 2 ms made 200."""
+"""Limit of the polls of the recorder's topics: a rest of 30 ms makes 33, of 2 ms 200."""
 
 
 async def test_the_recorder_of_a_quiet_robot_looks_seldom(

@@ -1,4 +1,4 @@
-"""A recorder that fails is told everywhere, and stops the robot unless it is not to."""
+"""A failed recorder is reported everywhere, and stops the robot if so configured."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ async def test_the_robot_goes_on_when_it_is_only_to_warn(
         assert is_moving(await daemon.ask("status"))
         assert (await daemon.ask("set_mode", mode=0, source="test"))["mode"] == "IDLE"
         answer = await daemon.ask("set_mode", mode=1, source="test")
-        assert answer["mode"] == "MOVING"  # a recorder is no start condition then
+        assert answer["mode"] == "MOVING"  # then a recorder is no start condition
     errors = [record for record in caplog.records if record.levelno == logging.ERROR]
     assert [("No space left on device" in record.message) for record in errors] == [True]
 
@@ -108,7 +108,7 @@ async def test_a_heavy_topic_is_named_once_with_the_filter_that_leaves_it_out(
 
 def test_a_recorder_that_fails_stops_the_robot(world: World) -> None:
     world.ok("start", "--sim", "--drive", "circle", "--config", str(world.patient))
-    # Not from its start: shared memory counts as a file, too.
+    # Not from the start: shared memory counts as a file as well.
     resource.prlimit(world.status()["pid"], resource.RLIMIT_FSIZE, (FILE_BYTES, FILE_BYTES))
     until(lambda: world.status()["mode"] == "ERROR")
     status = world.status()

@@ -1,4 +1,4 @@
-"""Wherever the recordings are to go: it is recorded there, or nowhere and said so."""
+"""A recordings folder at any path is used, or the start fails with the reason."""
 
 from __future__ import annotations
 

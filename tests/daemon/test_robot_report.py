@@ -1,4 +1,4 @@
-"""The driven path, as much of it as is worth keeping."""
+"""The driven path, with a limited number of poses."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from robotctl.testing.kernels import Bench, moving
 
 
 def of(bench: Bench) -> RobotReport:
-    control: Any = bench  # `state` is all of it that is looked at
+    control: Any = bench  # only its `state` is read
     return RobotReport(control, KernelParams())
 
 

@@ -1,4 +1,4 @@
-"""What is recorded, played and recorded again is the same."""
+"""A recording that is played and recorded again is the same."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_a_replay_recorded_again_has_the_same_messages_in_the_same_order(world: 
     again = read_back(second)
     for topic in RELIABLE:
         assert _bytes(again[topic]) == _bytes(recorded[topic])
-    for topic in BEST_EFFORT:  # may lose a message, and the recorder then says so
+    for topic in BEST_EFFORT:  # messages may be lost; then the recorder reports it
         sent = iter(_bytes(recorded[topic]))
         assert all(data in sent for data in _bytes(again[topic]))
 
@@ -44,5 +44,5 @@ def _count(world: World, topic: str) -> int:
 
 
 def _bytes(messages: list[Any]) -> list[bytes]:
-    """As DDS delivers them: what was recorded at the source has no padding yet."""
+    """Add the padding of DDS, which data recorded at its source lacks."""
     return [padded(message.data) for message in messages]

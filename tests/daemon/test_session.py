@@ -1,4 +1,4 @@
-"""One life of the daemon, from start to stop, and what it leaves: every promise on its own."""
+"""One run of the daemon from start to stop, and its files; one promise in each test."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tests.support.world import Peer, World, journal_of, new_world, read_back
 
 @dataclass(frozen=True, slots=True)
 class Session:
-    """What was seen of one life of the daemon."""
+    """The observations of one run of the daemon."""
 
     started: str
     idle: Any
@@ -48,7 +48,7 @@ class Session:
 
 @pytest.fixture(scope="module")
 def session() -> Iterator[Session]:
-    """Live through it once."""
+    """Run it once."""
     with new_world() as world:
         peer = Peer(world)
         try:
@@ -102,7 +102,7 @@ def _live(world: World, peer: Peer) -> Session:
 
 
 def _ask(world: World, *requests: dict[str, Any]) -> Any:
-    """The answer to the last of these requests on one connection."""
+    """Return the answer to the last of these requests on one connection."""
     lines = [{"method": "hello", "params": {"protocol": 1}}, *requests]
     return _talk(
         world, *(json.dumps({"jsonrpc": "2.0", "id": i, **line}) for i, line in enumerate(lines))
@@ -118,7 +118,7 @@ def _talk(world: World, *lines: str) -> list[Any]:
 
 
 def _malformed(world: World) -> list[Any]:
-    """What is answered to nonsense, while another client waits for its own answer."""
+    """Return the answers to invalid requests while another client waits for its answer."""
     return _talk(world, "{", '{"jsonrpc": "2.0", "id": 1, "method": "set_mode", "params": [NaN]}')
 
 
@@ -283,7 +283,7 @@ def test_the_last_command_is_zero(session: Session) -> None:
 def test_every_command_and_odometry_of_the_journal_is_recorded(session: Session) -> None:
     named = [entry.name for entry in session.journal]
     assert named.count("PublishTwist") == len(session.topics["/cmd_vel"])
-    # The last odometry may be on its way to one of the two when the daemon ends.
+    # At the end of the daemon, the last odometry may have reached only one of the two.
     assert 0 <= len(session.topics["/odom"]) - named.count("OdomReceived") <= 1
 
 

@@ -1,4 +1,4 @@
-"""Starting twice, starting wrong, starting without a robot: nothing half-done is left."""
+"""A second start, a wrong start, a start without a robot: no partial state stays behind."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_a_daemon_whose_socket_and_lock_are_removed_is_found_again_and_keeps_its
 ) -> None:
     world.ok("start", "--sim", "--drive", "circle")
     pid = pid_of(world)
-    # As when the user logs out; at once, for meanwhile the daemon may make its socket anew.
+    # As at a logout; both at once, because the daemon may create its socket again.
     rmtree((world.folder / "run" / "robotctl").rename(world.folder / "removed"))
     until(lambda: world.sockets() != [])
     second = world.robotctl("start", "--sim")
@@ -222,7 +222,7 @@ def test_a_start_without_a_robot_is_ready_and_says_what_is_missing(world: World)
         "note: no robot to drive yet: no odometry was received on odom yet",
         "note: no robot to drive yet: no battery level was received on battery_state yet",
         "note: no robot to drive yet: no node subscribes to cmd_vel",
-        "check that the robot publishes odometry",  # why nothing is driven
+        "check that the robot publishes odometry",  # why the drive is refused
     ):
         assert text in out
     status = world.status()

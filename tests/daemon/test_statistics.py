@@ -1,4 +1,4 @@
-"""What the counts of the recorder tell: rates, heavy topics, and a diagnosis."""
+"""Rates, heavy topics and a diagnosis from the recorder's counts."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_a_rate_is_that_between_the_last_two_samples() -> None:
 
 
 def rates_of(sizes: Sequence[int]) -> list[float | None]:
-    """The rate of a topic that is heavy, second by second; None while it is not."""
+    """Return the rate of a topic for each second in which it is heavy, else None."""
     heavy = HeavyTopics()
     rates = []
     for t, size in enumerate(sizes):
@@ -80,7 +80,7 @@ def test_a_topic_that_gets_heavy_after_hours_is_found_as_fast() -> None:
 
 
 def test_the_rate_of_a_heavy_topic_is_that_of_now() -> None:
-    """It was 100 MB/s, and what was said stayed at the 9.4 MB/s of its first second."""
+    """The warning of a topic of 100 MB/s stayed at the 9.4 MB/s of its first second."""
     sizes = [0] * 10
     for step in [HEAVY] * 10 + [20 * HEAVY] * 10:
         sizes.append(sizes[-1] + step)

@@ -1,4 +1,4 @@
-"""What becomes of whatever fails."""
+"""Failures become events, and failed tasks start again."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def told(monkeypatch: pytest.MonkeyPatch) -> list[Event]:
 
 
 async def die_once_of(error: Exception, told: list[Event]) -> str:
-    """Run a task that dies and is started again; return what the kernel is told of it."""
+    """Run a task that fails and starts again; return the events for the kernel."""
     lives = iter([error])
 
     async def work() -> None:

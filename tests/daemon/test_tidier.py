@@ -1,4 +1,4 @@
-"""The recordings folder is tidied behind everybody's back: nothing waits for what lies in it."""
+"""The recordings folder is tidied in the background: no part of the daemon waits for it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def _hear(event: str, arguments: tuple[Any, ...]) -> None:
 
 @contextmanager
 def opened_below(folder: Path) -> Iterator[list[Path]]:
-    """What this process opens below a folder."""
+    """The files that this process opens in a folder."""
     found: list[Path] = []
 
     def listen(name: str) -> None:
@@ -37,7 +37,7 @@ def opened_below(folder: Path) -> Iterator[list[Path]]:
             found.append(Path(name))
 
     if not _listeners:
-        sys.addaudithook(_hear)  # it can never be removed
+        sys.addaudithook(_hear)  # an audit hook cannot be removed
     _listeners.append(listen)
     try:
         yield found
@@ -46,7 +46,7 @@ def opened_below(folder: Path) -> Iterator[list[Path]]:
 
 
 def torn(folder: Path) -> Path:
-    """A recording whose end a crash took, and whose closing mark with it."""
+    """A recording without its end, as a crash leaves it."""
     recorder = Recorder(folder, on_failure=pytest.fail)
     write_numbered(recorder, recorder.add_topic(TWIST), range(1, 101))
     file = recorder.close().file
@@ -56,7 +56,7 @@ def torn(folder: Path) -> Path:
 
 @contextmanager
 def tidied_by_somebody(recordings: Path) -> Iterator[None]:
-    """Another daemon tidies the folder, and takes its time."""
+    """Another daemon that tidies the folder slowly."""
     folder = os.open(recordings, os.O_RDONLY)
     try:
         flock(folder, LOCK_EX)

@@ -1,4 +1,4 @@
-"""The watchdog's thread: silent while the loop ticks, and in its place when it does not."""
+"""The watchdog: silent while the loop ticks, and zeros while it does not."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Gate:
 
 
 def stall_of(watchdog: Watchdog) -> LoopStalled:
-    """Wait until there is a stall to take, and take it."""
+    """Wait for a stall, and take it."""
     found = until(watchdog.take)
     assert isinstance(found, LoopStalled)
     return found
@@ -87,17 +87,17 @@ def test_a_stall_that_is_taken_without_a_tick_goes_on() -> None:
     now_ns = 0
     with Watchdog(50.0, Gate(), lambda: now_ns) as watchdog:
         watchdog.ping()
-        for now_ns in (200_000_000, 500_000_000):  # meanwhile only another event came
+        for now_ns in (200_000_000, 500_000_000):  # another event came, but no tick
             assert stall_of(watchdog).stalled_s == now_ns / 1e9
 
 
 class TickingEvent(threading.Event):
-    """An end that has not come: the loop ticks each time the watchdog waits for it."""
+    """An event that is never set: each wait of the watchdog makes the loop tick."""
 
     watchdog: Watchdog
 
     def __init__(self, only_for_s: float | None = None) -> None:
-        """`only_for_s` limits the ticks to waits of this length."""
+        """`only_for_s`: only waits of this length make it tick."""
         super().__init__()
         self.only_for_s = only_for_s
         self.ticks = threading.Semaphore(0)
@@ -120,7 +120,7 @@ def test_a_loop_that_ticks_is_left_alone() -> None:
 
 
 class VirtualTime(threading.Event):
-    """The time of a loop that ticks at `ticks_ms`; a wait moves it on and takes no real time."""
+    """A virtual clock: a wait advances it at once; the loop ticks at `ticks_ms`."""
 
     watchdog: Watchdog
 
@@ -141,7 +141,7 @@ class VirtualTime(threading.Event):
         return not self.ticks_ms
 
     def run(self, rate_hz: float, gate: Gate) -> None:
-        """Let a watchdog watch the ticks to their end."""
+        """Run a watchdog until the last tick."""
         self.watchdog = Watchdog(rate_hz, gate, lambda: self.now_ns, self)
         with self.watchdog:
             self.watchdog.ping()
@@ -151,7 +151,7 @@ class VirtualTime(threading.Event):
 @pytest.mark.parametrize(
     ("ticks_ms", "stalled"),
     [
-        ([20, 130, 150], False),  # the look that the tick at 0 asked for is at 100
+        ([20, 130, 150], False),  # the check for the tick at 0 is at 100
         ([115, 130], False),
         ([20, 145, 165], True),
         ([125, 145], True),
@@ -164,7 +164,7 @@ def test_every_late_tick_is_given_its_confirmation(ticks_ms: list[int], stalled:
 
 
 def keeps_accounts() -> bool:
-    """Whether the kernel counts what its scheduler does: not all are built so."""
+    """Return whether this Linux kernel has scheduler statistics."""
     account = Path("/proc/self/schedstat")
     return account.exists() and int(account.read_text().split()[0]) > 0
 
@@ -173,7 +173,7 @@ def keeps_accounts() -> bool:
 def test_a_thread_that_has_to_share_its_processor_has_waited() -> None:
     asked = ProcessorWait()
     cores = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, {min(cores)})  # of this thread, and of those that it starts
+    os.sched_setaffinity(0, {min(cores)})  # for this thread and its children
     try:
         spinning = subprocess.Popen([sys.executable, "-c", "while True: pass"])
         try:
@@ -217,7 +217,7 @@ def test_where_a_stack_stands_is_told_without_its_source() -> None:
 
 @contextmanager
 def no_descriptor_left() -> Iterator[None]:
-    """Let nothing be opened."""
+    """Make every open fail in the block."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (0, hard))
     try:

@@ -1,4 +1,4 @@
-"""`robotctl why` beside a real daemon: at once, after a kill, and after a restart."""
+"""`robotctl why` with a real daemon: at once, after a kill, and after a restart."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ROUNDS = 5
 
 @pytest.fixture
 def here(world: World, monkeypatch: pytest.MonkeyPatch) -> World:
-    """A world that command lines in this very process belong to, too."""
+    """A world that commands in this process use as well."""
     for name in ("XDG_RUNTIME_DIR", "XDG_STATE_HOME", "ROS_DOMAIN_ID"):
         monkeypatch.setenv(name, world.environment[name])
     monkeypatch.chdir(world.folder)
@@ -74,7 +74,7 @@ def test_a_kill_while_moving_is_told_also_after_a_restart(here: World) -> None:
 
 
 class SlowDisk:
-    """A recorder whose disk takes one message each time somebody looks, up to a limit."""
+    """A recorder whose disk writes one message at each check, up to a limit."""
 
     def __init__(self, takes: int, failure: str = "") -> None:
         self.failure = failure

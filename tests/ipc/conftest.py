@@ -1,4 +1,4 @@
-"""A control server in this loop, with a robot behind it that only remembers its mode."""
+"""A control server in this loop, with a fake robot that only has a mode."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ async def robot() -> FakeRobot:
 
 @pytest.fixture
 def unreachable() -> list[str]:
-    """What the server says of being found by no client."""
+    """The problems that the server reports as unreachable."""
     return []
 
 
@@ -158,7 +158,7 @@ def serve(path: Path, robot: FakeRobot, unreachable: list[str]) -> type_serve:
 
 @pytest.fixture
 async def connect(path: Path) -> AsyncIterator[Callable[..., Any]]:
-    """Raw clients, closed at the end; greeted unless told otherwise."""
+    """Return a function that connects raw clients, which say hello by default."""
     peers: list[Peer] = []
 
     async def connected(*, greet: bool = True) -> Peer:

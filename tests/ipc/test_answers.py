@@ -1,4 +1,4 @@
-"""The keys of the answers: scripts read them, so they may grow and never go away."""
+"""The keys of the answers: scripts read them, so keys may be added but never removed."""
 
 from __future__ import annotations
 

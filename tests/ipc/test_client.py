@@ -1,4 +1,4 @@
-"""What a command may rely on: an answer, or one error that says what to do, in bounded time."""
+"""A call returns an answer, or one error that says what to do, within its deadline."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ type_script = Callable[[socket.socket], None]
 
 @contextmanager
 def daemon(path: Path, script: type_script, connections: int = 1) -> Iterator[None]:
-    """Something that listens at `path` and treats each of its clients as the script says."""
+    """A server at `path` that handles each client as the script says."""
     path.parent.mkdir(exist_ok=True)
 
     def serve() -> None:
@@ -50,7 +50,7 @@ def daemon(path: Path, script: type_script, connections: int = 1) -> Iterator[No
 
 
 def answers(*replies: object) -> type_script:
-    """Takes what comes, sends these replies, and closes once the client has left."""
+    """Read requests, send these replies, and close after the client has disconnected."""
 
     def script(sock: socket.socket) -> None:
         sock.recv(65536)
@@ -63,7 +63,7 @@ def answers(*replies: object) -> type_script:
     return script
 
 
-# Nobody there
+# No daemon
 
 
 @pytest.mark.parametrize(
@@ -217,7 +217,7 @@ def test_why_an_emergency_stop_was_refused_is_not_lost(path: Path) -> None:
 def test_a_call_without_a_deadline_outlasts_silence_while_the_daemon_answers_others(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # How long it is silent before it asks, and how long the daemon then has to answer.
+    # The time before the client checks, and the daemon's time to answer the check.
     monkeypatch.setattr(client_module, "LIVENESS_S", 0.5)
     asked_again = threading.Event()
 

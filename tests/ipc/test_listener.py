@@ -1,4 +1,4 @@
-"""Whose the socket file is, and what becomes of it."""
+"""The socket file: its owner, its permissions, and its recreation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Parse, or one error type: nothing that a peer sends ends in anything else."""
+"""Any input is parsed or raises ProtocolError, and no other exception."""
 
 from __future__ import annotations
 
@@ -206,7 +206,7 @@ def test_lines_are_the_same_however_the_bytes_arrive(
 
 
 def outcomes(stream: bytes, chunk: int) -> list[Request | Code]:
-    """What a server makes of a stream that arrives in chunks."""
+    """Return the requests that a server parses from a stream in chunks."""
     lines, seen = LineBuffer(300), list[Request | Code]()
     for start in range(0, len(stream), chunk):
         lines.receive(stream[start : start + chunk])
@@ -224,7 +224,7 @@ def outcomes(stream: bytes, chunk: int) -> list[Request | Code]:
 
 
 def mutated(rng: random.Random) -> bytes:
-    """A valid line with some bytes changed, lost, doubled or taken from elsewhere."""
+    """A valid line with some bytes changed, removed, doubled or inserted."""
     line = bytearray(rng.choice(VALID))
     for _ in range(rng.randint(1, 4)):
         at = rng.randrange(len(line))

@@ -1,4 +1,4 @@
-"""Who may speak to the daemon, and what it answers to sense and nonsense."""
+"""The users that the daemon answers, and its answers to valid and invalid requests."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ HELLO = request("hello", protocol=1)
 ESTOP = request("set_mode", mode=3, source="test")
 
 
-# Who may come in
+# Admission
 
 
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can become somebody else")

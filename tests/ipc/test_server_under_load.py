@@ -1,4 +1,4 @@
-"""Clients that are slow, silent, too many or never stop asking."""
+"""Clients that are slow, silent, too many, or send requests without pause."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ async def test_a_client_that_only_closed_its_sending_half_is_answered(
         await peer.send(request("wait"))
         peer.writer.write_eof()
         await robot.called.wait()
-        await asyncio.sleep(0.02)  # several looks at the socket
+        await asyncio.sleep(0.02)  # several checks of the socket
         robot.never.set()
         assert (await peer.reply())["result"] == {}
         assert await peer.is_closed()
@@ -201,7 +201,7 @@ async def test_a_request_that_is_being_answered_keeps_its_place(
         first = await connect(greet=False)
         await first.send(ESTOP)
         await asked.wait()
-        second = await connect(greet=False)  # waits, for nobody is idle
+        second = await connect(greet=False)  # waits, because no client is idle
         await second.send(ESTOP)
         may_stop.set()
         for peer in (first, second):
