@@ -136,7 +136,7 @@ def test_a_split_loses_nothing(flight: Flight) -> None:
     assert sum(entry.kind is EntryKind.SNAPSHOT for entry in journal) >= 2
 
 
-def test_each_file_tells_what_made_it(flight: Flight) -> None:
+def test_each_file_names_the_software_that_made_it(flight: Flight) -> None:
     modes = []
     for path in flight.files:
         with path.open("rb") as stream:
@@ -220,7 +220,7 @@ def test_clips_are_no_part_of_the_bag(flight: Flight) -> None:
     assert "clips" not in metadata
 
 
-def test_the_list_tells_that_it_goes_on_and_what_happened(flight: Flight) -> None:
+def test_the_list_shows_a_live_recording_and_its_worst_event(flight: Flight) -> None:
     (listed,) = flight.live["recordings"]
     assert (listed["live"], listed["worst"], listed["robot"]) == (True, "error", "robot")
     assert len(listed["clips"]) == 1

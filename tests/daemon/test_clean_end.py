@@ -57,7 +57,7 @@ def test_an_emergency_stop_is_left_by_reset_only(world: World) -> None:
     world.ok("stop")
 
 
-def test_a_latch_that_cannot_be_written_is_told_and_the_robot_stops_all_the_same(
+def test_a_latch_that_cannot_be_written_is_reported_and_the_robot_stops(
     world: World,
 ) -> None:
     world.ok("start", "--sim")
@@ -77,7 +77,7 @@ def test_a_latch_that_cannot_be_written_is_told_and_the_robot_stops_all_the_same
     world.ok("stop")
 
 
-def test_a_stop_answers_whoever_owns_the_folder_of_the_latch(world: World) -> None:
+def test_a_stop_answers_with_any_owner_of_the_latch_folder(world: World) -> None:
     if os.getuid() != 0:
         pytest.skip("only root gives a folder away")
     world.ok("start", "--sim", "--drive", "circle")

@@ -8,7 +8,7 @@ from tests.support.waiting import DEADLINE_S, until
 from tests.support.world import World
 
 
-def test_a_waiting_client_that_is_killed_ends_its_drive_and_the_next_one_is_told_of_the_end(
+def test_a_killed_waiting_client_ends_its_drive_and_the_next_client_sees_the_end(
     world: World,
 ) -> None:
     world.ok("start", "--sim")
@@ -56,7 +56,7 @@ def test_the_cures_of_a_named_robot_work_when_they_are_pasted(world: World) -> N
     world.ok("stop", "--robot", "r2")
 
 
-def test_why_is_told_while_the_daemon_runs_and_the_recording_proves_it(world: World) -> None:
+def test_why_answers_while_the_daemon_runs_and_names_its_evidence(world: World) -> None:
     world.ok("start", "--sim")
     world.ok("drive", "square")
     until(lambda: world.status()["velocity"]["linear"] > 0.05)

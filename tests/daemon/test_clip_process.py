@@ -79,7 +79,7 @@ async def cut(
         ('say(\'{"target": "a.mcap", "lost": ["a chunk"]}\')', "it lacks something: a chunk"),
     ],
 )
-async def test_a_cutter_that_fails_is_told_in_the_log_and_nowhere_else(
+async def test_a_failed_clip_process_is_only_logged(
     program: str,
     said: str,
     cutter: Cutter,
@@ -100,7 +100,7 @@ async def test_no_clip_is_cut_of_what_is_no_fault_or_where_it_is_switched_off(
     assert log() == "cut\n"
 
 
-async def test_more_than_a_few_do_not_wait_and_that_is_said(
+async def test_more_than_a_few_waiting_clips_are_refused_and_logged(
     cutter: Cutter, log: Log, caplog: pytest.LogCaptureFixture
 ) -> None:
     await cut(cutter(WRITE), *[NOW] * 20, limits=ClipLimits(waiting=3))
@@ -108,7 +108,7 @@ async def test_more_than_a_few_do_not_wait_and_that_is_said(
     assert caplog.text.count("the limit is reached") == 17
 
 
-async def test_a_life_has_a_limit_of_clips(cutter: Cutter, log: Log) -> None:
+async def test_a_run_has_a_limit_of_clips(cutter: Cutter, log: Log) -> None:
     limits = ClipLimits(clips=3)
     box = BlackBox(PARAMS, Path("/nowhere"), cutter=cutter(WRITE), limits=limits)
     for _ in range(5):
@@ -117,7 +117,7 @@ async def test_a_life_has_a_limit_of_clips(cutter: Cutter, log: Log) -> None:
     assert log().count("cut") == 3
 
 
-async def test_each_is_cut_when_its_time_has_come_and_none_twice(cutter: Cutter, log: Log) -> None:
+async def test_each_clip_is_cut_once_when_its_time_has_passed(cutter: Cutter, log: Log) -> None:
     params = RecordingParams(clip_before_s=1.0, clip_after_s=600.0)
     slept: list[float] = []
 
@@ -158,7 +158,7 @@ async def test_a_clock_that_is_set_back_does_not_hold_up_a_clip(cutter: Cutter) 
     await box.finish()
 
 
-async def test_a_cutter_that_hangs_is_ended(
+async def test_a_clip_process_that_hangs_is_ended(
     cutter: Cutter, caplog: pytest.LogCaptureFixture
 ) -> None:
     limits = ClipLimits(end_s=0.2, patience_s=0.2)
@@ -167,7 +167,7 @@ async def test_a_cutter_that_hangs_is_ended(
     assert caplog.records[-1].levelno == logging.WARNING
 
 
-def test_the_cutter_has_the_lowest_priority(tmp_path: Path) -> None:
+def test_the_clip_process_has_the_lowest_priority(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
     moment = Moment(time.time_ns(), EventKind.ERROR)
     job = ClipJob(tmp_path / "run", moment, 1.0, 600.0)
@@ -184,7 +184,7 @@ def test_the_cutter_has_the_lowest_priority(tmp_path: Path) -> None:
     assert said["target"].startswith(str(tmp_path / "run" / "clips"))
 
 
-async def test_what_the_cutter_writes_stands_in_the_daemons_log(
+async def test_the_output_of_the_clip_process_is_in_the_daemons_log(
     cutter: Cutter, capfd: pytest.CaptureFixture[str]
 ) -> None:
     await cut(cutter("print('to stdout', flush=True)\nraise SystemExit('it broke')"), NOW)

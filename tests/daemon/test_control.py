@@ -88,7 +88,7 @@ def test_what_an_effect_dispatches_waits_its_turn() -> None:
     assert first_divergence(bench.entries) is None
 
 
-def test_the_effects_after_one_that_failed_are_carried_out_all_the_same() -> None:
+def test_the_effects_after_a_failed_one_are_carried_out() -> None:
     bench = Bench()
 
     def fail_to_publish(effect: Effect) -> None:
@@ -110,7 +110,7 @@ def test_the_effects_after_one_that_failed_are_carried_out_all_the_same() -> Non
     assert first_divergence(bench.entries) is None
 
 
-def test_a_failure_that_lasts_is_told_once_until_it_is_over() -> None:
+def test_a_lasting_failure_is_reported_once() -> None:
     bench = Bench()
     broken = True
 
@@ -129,7 +129,7 @@ def test_a_failure_that_lasts_is_told_once_until_it_is_over() -> None:
     assert len(bench.failures) == 2
 
 
-async def test_a_request_that_nobody_waits_for_any_more_is_forgotten() -> None:
+async def test_a_cancelled_request_is_removed() -> None:
     bench = Bench()
     bench.requests.expect_reply(1).cancel()
     bench.requests.answer(Reply(1, True, "", Mode.IDLE))

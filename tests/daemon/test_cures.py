@@ -33,7 +33,7 @@ def report() -> RecorderReport:
     return cast(RecorderReport, fake)
 
 
-async def test_a_failed_recorder_tells_the_cure_for_its_robot(report: RecorderReport) -> None:
+async def test_a_failed_recorder_names_the_robot_in_its_cure(report: RecorderReport) -> None:
     stats = SimpleNamespace(received=1, written=1, dropped=0)
     recorder = SimpleNamespace(
         failure=FAILURE, report=report, stats=lambda: stats, split=lambda: None
@@ -48,7 +48,7 @@ async def test_a_failed_recorder_tells_the_cure_for_its_robot(report: RecorderRe
             await methods[name].handler(params)
 
 
-def test_the_notes_of_a_start_tell_the_cure_for_its_robot(report: RecorderReport) -> None:
+def test_the_notes_of_a_start_name_the_robot_in_a_cure(report: RecorderReport) -> None:
     robot: Any = SimpleNamespace(
         facts=lambda: dict.fromkeys(RobotFacts.__required_keys__),
         remedies=lambda: (),
@@ -61,7 +61,7 @@ def test_the_notes_of_a_start_tell_the_cure_for_its_robot(report: RecorderReport
     assert "(robotctl status --robot r2 lists the topics)" in told
 
 
-def test_diagnostics_on_ros_tell_the_cure_for_its_robot() -> None:
+def test_diagnostics_on_ros_name_the_robot_in_a_cure() -> None:
     failed = RecorderStats(
         state=RecorderState.FAILED,
         file=Path("run.mcap"),

@@ -51,7 +51,7 @@ async def wait_for(ended: DriveEnded, mode: Mode, laps: int) -> Any:
 
 
 @pytest.mark.parametrize("mode", [Mode.IDLE, Mode.MOVING, Mode.EMERGENCY_STOP])
-async def test_a_completed_drive_is_told_as_one_whatever_somebody_did_since(mode: Mode) -> None:
+async def test_a_completed_drive_is_reported_as_completed_in_any_later_mode(mode: Mode) -> None:
     answer = await wait_for(ENDED, mode, laps=1)
     assert (answer["message"], answer["laps"]) == (ENDED.reason, 1)
 
@@ -70,7 +70,7 @@ async def test_a_drive_that_ended_early_is_refused_and_gives_its_numbers() -> No
     }
 
 
-async def test_a_number_of_a_drive_that_is_not_known_can_be_told() -> None:
+async def test_an_unknown_figure_of_a_drive_is_null() -> None:
     report = DriveReport(0, 0.4, inf, inf, nan)
     ended = replace(ENDED, completed=False, reason="stopped", report=report)
     with pytest.raises(Refused) as refused:
@@ -151,7 +151,7 @@ async def test_a_client_that_leaves_ends_no_other_drive_and_releases_no_stop(sta
     assert await leave(state) == []
 
 
-async def test_a_drive_that_nobody_waits_for_goes_on() -> None:
+async def test_a_drive_without_a_waiting_client_continues() -> None:
     assert await leave(driving(7), wait=False) == []
 
 

@@ -92,7 +92,7 @@ async def test_a_stop_that_could_not_be_saved_is_confirmed_with_that(world: Worl
     await world.latch.close()
 
 
-async def test_what_somebody_will_look_for_is_noted_in_the_recording(world: World) -> None:
+async def test_stops_errors_and_drive_ends_are_events_of_the_recording(world: World) -> None:
     for mode in Mode:
         world.effects.carry_out(ModeChanged(Mode.IDLE, mode, f"to {mode.name}"))
     report = DriveReport(2, 8.0, 0.01, 0.02, 0.005)
@@ -109,7 +109,7 @@ async def test_what_somebody_will_look_for_is_noted_in_the_recording(world: Worl
     await world.latch.close()
 
 
-async def test_the_log_tells_the_cure_for_its_robot(
+async def test_the_log_names_the_robot_in_a_cure(
     world: World, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO)

@@ -229,7 +229,7 @@ async def test_a_wall_clock_that_is_set_does_not_touch_the_drive(
     assert first_divergence(journal) is None
 
 
-async def test_the_status_says_what_came_of_the_priority_that_was_asked_for(
+async def test_the_status_shows_the_scheduling_that_was_granted(
     in_process: Callable[..., Any], tmp_path: Path
 ) -> None:
     config = tmp_path / "config.yaml"

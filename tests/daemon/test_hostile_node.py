@@ -53,7 +53,7 @@ def test_the_daemon_drives_on_and_names_what_it_does_not_record(
     assert "\x1b" not in world.log()
 
 
-def test_whoever_commands_the_robot_is_named_whatever_its_name_is(
+def test_each_publisher_of_commands_is_named_even_with_a_strange_name(
     world: World, hostile: Told
 ) -> None:
     world.ok("start", "--sim")

@@ -54,7 +54,7 @@ async def look_again(velocity: Velocity, times: int) -> None:
     await loop_until(lambda: velocity.looks > looks + times)
 
 
-async def test_other_publishers_are_told_when_they_come_and_when_they_go(
+async def test_other_publishers_are_events_when_they_appear_and_disappear(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(graph_watch, "PUBLISHER_POLL_S", 0.0)
@@ -73,7 +73,7 @@ async def test_other_publishers_are_told_when_they_come_and_when_they_go(
     watching.cancel()
 
 
-async def test_who_takes_the_command_is_told_when_it_changes(
+async def test_a_change_of_the_command_subscribers_is_an_event(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(graph_watch, "PUBLISHER_POLL_S", 0.0)
@@ -105,7 +105,7 @@ class Publishers:
         return [event.publisher for event in self.events]  # type: ignore[union-attr]
 
 
-def test_our_own_commands_are_nobody_elses() -> None:
+def test_our_own_commands_are_not_foreign() -> None:
     publishers = Publishers(moves=True)
     publishers.heard(b"ours")
     assert publishers.told == []
@@ -117,7 +117,7 @@ def test_the_first_command_of_another_publisher_is_enough() -> None:
     assert publishers.told == ["/teleop"]
 
 
-def test_a_publisher_that_is_gone_already_is_told_all_the_same() -> None:
+def test_a_publisher_that_is_already_gone_is_reported() -> None:
     publishers = Publishers(moves=True)
     publishers.heard(b"gone")
     assert publishers.told == [NAMELESS]
@@ -130,14 +130,14 @@ def test_a_flood_of_one_publisher_hides_no_other() -> None:
     assert publishers.told == ["/teleop", NAMELESS]
 
 
-def test_ever_new_publishers_are_told_now_and_then() -> None:
+def test_a_flood_of_new_publishers_gives_few_events() -> None:
     publishers = Publishers(moves=False)
     for number in range(1000):
         publishers.heard(b"%d" % number)
     assert 0 < len(publishers.told) <= 5 * MAX_TOLD
 
 
-def test_a_flood_at_a_robot_that_stands_is_told_now_and_then() -> None:
+def test_a_flood_to_an_idle_robot_gives_few_events() -> None:
     publishers = Publishers(moves=False)
     for _ in range(1000):
         publishers.heard(b"theirs")

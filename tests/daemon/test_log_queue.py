@@ -63,7 +63,7 @@ def read_all(reading: int) -> str:
         return pipe.read().decode().replace("-", "")
 
 
-def test_lines_that_do_not_fit_are_counted_and_told_when_stderr_takes_lines_again(run: Run) -> None:
+def test_dropped_lines_are_counted_and_reported_when_stderr_takes_lines_again(run: Run) -> None:
     reading, writing = full_pipe()
     lines, length = 3000, 1000
     assert lines * length > CAPACITY_BYTES

@@ -144,7 +144,7 @@ def test_what_people_read_says_that_it_observes(observed: Observed) -> None:
     assert "None" not in observed.line
 
 
-def test_whatever_would_move_or_stop_a_robot_is_refused_with_a_sentence(
+def test_each_method_that_moves_or_stops_a_robot_is_refused_with_a_sentence(
     observed: Observed,
 ) -> None:
     for ran in observed.refusals:

@@ -92,7 +92,7 @@ def test_a_robot_outside_stops_by_itself_while_the_daemon_is_suspended_and_by_it
     end(robot)
 
 
-def test_somebody_elses_commands_are_shown_and_refuse_motion(
+def test_commands_of_another_node_are_shown_and_refuse_motion(
     world: World, new_peer: Callable[[World], Peer]
 ) -> None:
     world.ok("start", "--sim", "--drive", "circle")

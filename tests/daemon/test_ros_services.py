@@ -21,7 +21,7 @@ NewPeer = Callable[[World], Peer]
 
 
 @pytest.mark.parametrize(("service", "mode"), [("estop", 0), ("set_mode", 3)])
-def test_a_stop_does_not_wait_for_a_ramp_that_was_asked_for_before(
+def test_a_stop_does_not_wait_for_an_earlier_ramp(
     world: World, new_peer: NewPeer, service: str, mode: int
 ) -> None:
     gentle = world.folder / "gentle.yaml"

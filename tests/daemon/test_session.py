@@ -162,7 +162,7 @@ def test_status_has_the_stable_keys(session: Session) -> None:
     }
 
 
-def test_status_tells_what_is(session: Session) -> None:
+def test_status_shows_the_present_state(session: Session) -> None:
     assert (session.idle["mode"], session.idle["phase"]) == ("IDLE", "standing")
     assert (session.moving["mode"], session.moving["phase"]) == ("MOVING", "driving")
     assert session.idle["sim"] is True
@@ -353,7 +353,7 @@ def test_stop_leaves_no_process(session: Session) -> None:
     assert str(session.folder) in session.stopped
 
 
-def test_the_log_tells_each_change_of_mode_with_time_and_reason(session: Session) -> None:
+def test_the_log_has_each_change_of_mode_with_time_and_reason(session: Session) -> None:
     line = r"^\d{4}-\d\d-\d\d .* IDLE -> MOVING: requested by the ROS service /set_mode$"
     assert re.search(line, session.log, re.MULTILINE)
 

@@ -147,7 +147,7 @@ def test_a_socket_path_that_is_too_long_starts_nothing(world: World) -> None:
     assert not world.recordings.exists()
 
 
-def test_something_else_in_the_place_of_the_socket_starts_nothing(world: World) -> None:
+def test_a_start_fails_if_the_socket_path_is_not_a_socket(world: World) -> None:
     (world.folder / "run" / "robotctl").mkdir(mode=0o700)
     in_the_way = world.folder / "run" / "robotctl" / "robot.sock"
     in_the_way.write_text("mine")

@@ -35,16 +35,16 @@ async def die_once_of(error: Exception, told: list[Event]) -> str:
     return fault.detail
 
 
-async def test_a_task_that_dies_is_told_and_started_again(told: list[Event]) -> None:
+async def test_a_failed_task_is_reported_and_started_again(told: list[Event]) -> None:
     assert await die_once_of(ValueError("why"), told) == "the test task failed (ValueError: why)"
 
 
-async def test_what_a_group_of_tasks_wraps_around_a_fault_is_taken_off(told: list[Event]) -> None:
+async def test_the_exception_of_a_task_group_is_unwrapped(told: list[Event]) -> None:
     wrapped = ExceptionGroup("outer", [ExceptionGroup("inner", [KeyError("deep")])])
     assert "(KeyError: 'deep')" in await die_once_of(wrapped, told)
 
 
-async def test_a_fault_of_many_words_is_told_in_short_and_logged_whole(
+async def test_a_long_fault_is_shortened_for_the_journal_and_logged_whole(
     told: list[Event], caplog: pytest.LogCaptureFixture
 ) -> None:
     words = "x" * 10 * MAX_DETAIL
@@ -52,13 +52,13 @@ async def test_a_fault_of_many_words_is_told_in_short_and_logged_whole(
     assert words in caplog.text
 
 
-async def test_before_anybody_listens_a_fault_is_logged(caplog: pytest.LogCaptureFixture) -> None:
+async def test_a_fault_before_the_kernel_exists_is_logged(caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.ERROR):
         Supervisor(lambda: None).callback_failed(ValueError("early"), "/odom")
     assert "the callback of /odom failed (ValueError: early)" in caplog.text
 
 
-async def test_what_the_loop_alone_sees_is_told_and_what_is_no_exception_only_logged(
+async def test_an_exception_in_the_loop_is_a_fault_and_anything_else_is_only_logged(
     told: list[Event],
 ) -> None:
     watched, loop = Supervisor(lambda: None), asyncio.get_running_loop()

@@ -102,7 +102,7 @@ def test_what_is_lost_is_in_the_status_and_what_is_well_in_the_log_only(world: W
     world.ok("stop")
 
 
-def test_start_and_stop_do_not_wait_for_somebody_who_tidies(world: World) -> None:
+def test_start_and_stop_do_not_wait_for_another_process_that_tidies(world: World) -> None:
     file = torn(world.recordings / "robot_1")
     size = file.stat().st_size
     with tidied_by_somebody(world.recordings):

@@ -59,7 +59,7 @@ def test_before_the_first_tick_nothing_is_watched() -> None:
     assert gate.closed == 0
 
 
-def test_a_loop_that_stops_ticking_is_stopped_and_zeros_go_on_until_the_stall_is_taken() -> None:
+def test_zeros_are_sent_from_the_last_tick_until_the_stall_is_taken() -> None:
     gate = Gate()
     with Watchdog(50.0, gate) as watchdog:
         watchdog.ping()
@@ -74,7 +74,7 @@ def test_a_loop_that_stops_ticking_is_stopped_and_zeros_go_on_until_the_stall_is
         assert watchdog.take() is None
 
 
-def test_after_it_was_taken_the_loop_is_watched_again() -> None:
+def test_after_a_stall_the_loop_is_watched_again() -> None:
     gate = Gate()
     with Watchdog(50.0, gate) as watchdog:
         watchdog.ping()
@@ -83,7 +83,7 @@ def test_after_it_was_taken_the_loop_is_watched_again() -> None:
     assert gate.closed == 2
 
 
-def test_a_stall_that_is_taken_without_a_tick_goes_on() -> None:
+def test_a_stall_without_a_later_tick_continues() -> None:
     now_ns = 0
     with Watchdog(50.0, Gate(), lambda: now_ns) as watchdog:
         watchdog.ping()
@@ -203,7 +203,7 @@ def test_a_stall_that_was_spent_waiting_for_a_processor_says_so(
     assert re.match(r"the machine was busy: no processor for \d+\.\d\d s", stall.detail)
 
 
-def test_where_a_stack_stands_is_told_without_its_source() -> None:
+def test_the_calls_of_a_stack_are_named_without_reading_source() -> None:
     code = compile(
         "import sys\ndef held():\n    return sys._getframe()\nframe = held()", "/x/y.py", "exec"
     )
@@ -228,7 +228,7 @@ def no_descriptor_left() -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
-def test_with_no_descriptor_free_zeros_are_sent_all_the_same() -> None:
+def test_without_a_free_descriptor_zeros_are_sent() -> None:
     gate = Gate()
     with Watchdog(50.0, gate) as watchdog, no_descriptor_left():
         watchdog.ping()
@@ -247,7 +247,7 @@ def test_a_zero_that_cannot_be_sent_is_counted_and_followed_by_the_next() -> Non
 
 
 @pytest.mark.filterwarnings("error::pytest.PytestUnhandledThreadExceptionWarning")
-def test_a_watchdog_that_dies_is_a_fault_and_told_once() -> None:
+def test_a_watchdog_that_dies_is_one_fault() -> None:
     gate = Gate()
     gate.broken, gate.error = 1, SystemExit("out of everything")
     with Watchdog(50.0, gate) as watchdog:

@@ -28,7 +28,7 @@ def here(world: World, monkeypatch: pytest.MonkeyPatch) -> World:
     return world
 
 
-def test_why_knows_all_that_the_daemon_has_told_anybody_by_then(
+def test_why_knows_everything_that_the_daemon_has_answered_so_far(
     here: World, capsys: pytest.CaptureFixture[str]
 ) -> None:
     here.ok("start", "--sim")
@@ -43,7 +43,7 @@ def test_why_knows_all_that_the_daemon_has_told_anybody_by_then(
     here.ok("stop")
 
 
-def test_the_running_daemon_is_asked_also_where_other_recordings_lie_at_hand(
+def test_the_running_daemon_comes_before_recordings_in_the_folder(
     here: World,
 ) -> None:
     here.ok("start", "--sim")
@@ -58,7 +58,7 @@ def test_the_running_daemon_is_asked_also_where_other_recordings_lie_at_hand(
     here.ok("stop")
 
 
-def test_a_kill_while_moving_is_told_also_after_a_restart(here: World) -> None:
+def test_why_knows_a_kill_while_moving_after_a_restart(here: World) -> None:
     here.ok("start", "--sim")
     here.ok("drive", "square")
     until(lambda: here.status()["velocity"]["linear"] > 0.1)

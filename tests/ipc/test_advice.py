@@ -29,7 +29,7 @@ def refusal_in(rule: Rule, reason: str) -> Reply:
 
 
 @pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.cause.value)
-def test_a_refusal_tells_its_cure_and_one_reset(rule: Rule) -> None:
+def test_a_refusal_has_its_cure_and_one_reset(rule: Rule) -> None:
     reply = refusal_in(rule, "something is wrong")
     told = advice(reply.message, reply.remedies, "robot")
     assert told.cause == f"moving is refused in {rule.action.name} (something is wrong)"

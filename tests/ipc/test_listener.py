@@ -24,7 +24,7 @@ from tests.support.waiting import loop_until
 IDENTITY = Identity("robot", "0.1.0", 1)
 
 
-def test_the_socket_is_private_whatever_the_umask(path: Path) -> None:
+def test_the_socket_is_private_with_any_umask(path: Path) -> None:
     previous = os.umask(0)
     try:
         with ControlServer(path, {}, IDENTITY):
@@ -97,7 +97,7 @@ def test_a_living_daemons_socket_is_left_alone(
             client.close()
 
 
-async def test_a_socket_that_is_removed_is_made_anew(
+async def test_a_removed_socket_is_created_again(
     path: Path, serve: Any, connect: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(listener, "LOOK_S", 0.01)
@@ -112,7 +112,7 @@ async def test_a_socket_that_is_removed_is_made_anew(
         assert "result" in await before.call("status")
 
 
-async def test_a_socket_that_cannot_be_made_anew_is_told_once_and_made_as_soon_as_it_can(
+async def test_a_socket_that_cannot_be_created_again_is_reported_once_and_retried(
     path: Path,
     serve: Any,
     connect: Any,
@@ -158,7 +158,7 @@ def give_back(path: Path, thief: str) -> None:
 
 
 @pytest.mark.parametrize("thief", ["file", "another server", "link", "open folder"])
-async def test_a_socket_that_is_not_ours_any_more_is_made_again_when_its_path_is_free(
+async def test_a_replaced_socket_is_created_again_when_its_path_is_free(
     thief: str,
     path: Path,
     serve: Any,

@@ -79,7 +79,7 @@ def test_brackets_inside_text_are_not_nesting() -> None:
     assert parse_request(member("x", text)).params == {"x": "[{" * 50 + '"['}
 
 
-def test_nesting_is_taken_up_to_the_limit() -> None:
+def test_nesting_is_allowed_up_to_the_limit() -> None:
     inner = MAX_DEPTH - 2  # the message and its params are two levels
     assert parse_request(member("x", "[" * inner + "1" + "]" * inner)).params["x"]
     assert code_of(member("x", "[" * (inner + 1) + "]" * (inner + 1))) is Code.PARSE_ERROR

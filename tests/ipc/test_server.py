@@ -61,7 +61,7 @@ async def test_another_uid_is_refused_every_time(path: Path, serve: Any, robot: 
 # The dialogue
 
 
-async def test_hello_tells_who_answers(serve: Any, connect: Any) -> None:
+async def test_hello_returns_the_identity_of_the_daemon(serve: Any, connect: Any) -> None:
     async with serve():
         reply = await (await connect(greet=False)).call("hello", protocol=1)
     assert reply["result"] == {

@@ -94,7 +94,7 @@ async def test_a_client_that_only_closed_its_sending_half_is_answered(
         assert await peer.is_closed()
 
 
-async def test_a_call_under_way_is_told_that_the_daemon_stops(
+async def test_a_pending_call_gets_the_answer_that_the_daemon_stops(
     serve: Any, connect: Any, robot: Any
 ) -> None:
     async with serve():
@@ -136,7 +136,7 @@ async def test_the_loop_turns_between_two_requests_of_one_client(
 # Too many clients
 
 
-async def test_a_client_over_the_cap_is_told_busy(serve: Any, connect: Any) -> None:
+async def test_a_client_above_the_limit_gets_busy(serve: Any, connect: Any) -> None:
     async with serve(ClientLimits(clients=1)):
         first, second = await connect(), await connect()
         reply = await second.call("status")
@@ -271,7 +271,7 @@ async def test_a_place_is_free_again_when_its_client_leaves(serve: Any, connect:
         assert "result" in await (await connect()).call("status")
 
 
-async def test_1000_clients_at_once_are_all_answered_or_told_busy(
+async def test_each_of_1000_clients_at_once_gets_an_answer_or_busy(
     serve: Any, path: Path, robot: Any
 ) -> None:
     count = 1000

@@ -143,7 +143,7 @@ async def test_a_robot_that_takes_another_type_is_no_listener_and_its_type_is_na
     stamped.destroy_node()
 
 
-async def test_the_identity_of_our_commands_is_asked_once(
+async def test_the_gid_of_our_commands_is_read_once(
     session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[object] = []
