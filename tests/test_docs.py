@@ -41,6 +41,20 @@ def test_the_readme_names_every_command() -> None:
     assert [name for name in COMMANDS if f"robotctl {name}" not in readme] == []
 
 
+def test_every_module_of_commands_is_a_command() -> None:
+    modules = (ROOT / "robotctl" / "cli" / "commands").glob("[a-z]*")
+    assert {path.stem.replace("_", "-") for path in modules} == set(COMMANDS)
+
+
+def test_every_node_is_documented() -> None:
+    page = (ROOT / "docs" / "ros.md").read_text()
+    documented = re.findall(r"^\| `/(\w+)` \|", page, re.MULTILINE)
+    ros = ROOT / "robotctl" / "ros"
+    code = "\n".join(path.read_text() for path in [ros / "session.py", *ros.glob("nodes/*.py")])
+    named = r'(?:\.node\(|^(?:RECORDER_NODE|NODE_NAME) = )"(\w+)"'
+    assert sorted(re.findall(named, code, re.MULTILINE)) == sorted(documented)
+
+
 def test_the_parameters_are_documented_with_their_defaults() -> None:
     table = (ROOT / "docs" / "ros.md").read_text()
     documented = dict(re.findall(r"^\| `([\w.]+)` \| (\S*) \|", table, re.MULTILINE))

@@ -11,10 +11,11 @@ from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 
+from robotctl.kernel import Effect, Event
 from robotctl.testing.drives import drive, record
 
 ROOT = Path(__file__).parents[1]
@@ -88,6 +89,11 @@ def test_a_face_names_all_that_it_offers_and_no_more(face: str) -> None:
         assert getattr(module, name) is getattr(source_of(face, name), name)
     with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
         _ = module.nothing
+
+
+def test_every_event_and_effect_is_public() -> None:
+    values = {kind.__name__ for kind in (*get_args(Event), *get_args(Effect))}
+    assert values <= set(import_module("robotctl.kernel").__all__)
 
 
 @pytest.mark.parametrize(("face", "name"), PUBLIC)
