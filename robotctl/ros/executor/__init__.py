@@ -1,8 +1,8 @@
 """AsyncioExecutor: rclpy callbacks in the asyncio loop, without a spinning thread.
 
-What `__all__` names is for users of the library; the modules below may change. The package imports
-nothing else of robotctl, and loads each name on first use: `Tick`, `Ticker` and the errors need no
-rclpy. It logs to the logger `robotctl.ros.executor`.
+`__all__` lists what users of the library may rely on; the modules of the package may change. The
+package imports nothing else of robotctl, and loads each name on first use: `Tick`, `Ticker` and
+the errors need no rclpy. It logs to the logger `robotctl.ros.executor`.
 """
 
 from __future__ import annotations

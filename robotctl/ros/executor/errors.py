@@ -1,4 +1,4 @@
-"""What an AsyncioExecutor raises of its own."""
+"""The exception classes of the executor."""
 
 from __future__ import annotations
 

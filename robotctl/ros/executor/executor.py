@@ -40,8 +40,8 @@ class AsyncioExecutor:
     """Runs the callbacks of rclpy nodes in an asyncio loop while `async with` is open.
 
     It behaves as an `rclpy.executors.Executor`: `add_node`, `remove_node`, `get_nodes`,
-    `create_task`, `wake` and `shutdown` may be called from any thread. It has no `spin`: the loop
-    itself runs the callbacks.
+    `create_task`, `wake` and `shutdown` may be called from any thread. Only `spin` raises
+    RuntimeError, because the loop itself runs the callbacks.
 
     An exception in a callback goes to `on_exception(error, where)`, by default to the loop's own
     exception handler; the executor continues.

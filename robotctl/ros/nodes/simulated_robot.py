@@ -21,7 +21,8 @@ from robotctl.ros.session import Session
 from robotctl.sim.robot import Robot, SimParams
 
 MAX_STEP_S = 0.1
-"""A step is at most this long: after a longer pause of the process the robot has not jumped."""
+"""The longest step of the motion. The rest of a longer pause of the process is ignored, so that the
+robot does not jump."""
 
 
 def odometry_topic(name: str) -> OwnTopic:

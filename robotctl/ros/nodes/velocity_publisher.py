@@ -46,7 +46,7 @@ class VelocityPublisher:
         self._publisher = own_topic.create_publisher(self._node)
         self._type_name = own_topic.type_name
         self.gid = gid_of(self._publisher)
-        """The identity that our commands carry."""
+        """The gid that our commands carry."""
         self._zero = encode_twist(ZERO)
         self._lock = Lock()
         self._gated = False
@@ -67,7 +67,7 @@ class VelocityPublisher:
         QoS.
         """
         tap = RawTap(lambda data, received, source, sequence, gid: heard(gid), latency_s=latency_s)
-        # rclpy's own types know a callback of one argument only.
+        # rclpy's types allow a callback of one argument only.
         callback: Any = tap
         self._node.create_subscription(
             TwistMessage,

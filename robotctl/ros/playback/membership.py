@@ -23,7 +23,7 @@ class Membership:
     def __init__(self, domain_id: int) -> None:
         self.domain_id = domain_id
         self.was_certainly_empty = is_certainly_empty(domain_id)
-        """Whether no other process was in the domain when this one joined."""
+        """Whether the domain certainly had no other process when this one joined."""
 
         self.since_s = time.monotonic()
         self._context = open_context(domain_id)

@@ -78,7 +78,7 @@ class RequestSender:
     def __init__(self, client: Client, event_type: Any) -> None:
         self._client = client
         self._event_type = event_type
-        self._told: OrderedDict[tuple[int, str], int] = OrderedDict()
+        self._balances: OrderedDict[tuple[int, str], int] = OrderedDict()
         """Request -> number of client events minus number of server events."""
 
     def __call__(self, data: bytes) -> bool | None:
@@ -97,10 +97,10 @@ class RequestSender:
 
     def _was_sent(self, event: Any) -> bool:
         key = (event.info.sequence_number, repr(event.request[0]))  # bytes differ in their padding
-        balance = self._told.pop(key, 0)
+        balance = self._balances.pop(key, 0)
         change = 1 if event.info.event_type == ServiceEventInfo.REQUEST_SENT else -1
         if balance + change:
-            self._told[key] = balance + change
-        if len(self._told) > MAX_OPEN_REQUESTS:
-            self._told.popitem(last=False)
+            self._balances[key] = balance + change
+        if len(self._balances) > MAX_OPEN_REQUESTS:
+            self._balances.popitem(last=False)
         return balance * change < 0

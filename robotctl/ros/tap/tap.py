@@ -24,17 +24,18 @@ POLL_S = 0.05
 """A foreign topic is found within twice this."""
 
 LOOKS_PER_COUNT = 4
-"""Looks at the graph from one count of a tapped topic's publishers to the next..."""
+"""The publishers of a tapped topic are counted once in this number of looks at the graph..."""
 
 LOOKS_PER_INSPECTION = 20
-"""...and from one inspection of them to the next: with the same count, one may have replaced
+"""...and inspected once in this number of looks: with the same count, one may have replaced
 another."""
 
 TOPICS_PER_TURN = 50
 """Topics that are looked at in one turn of the loop, so that the loop is not held up."""
 
 ABANDONED_S = 60.0
-"""A topic without publishers for this long is released; a restarting node comes back sooner."""
+"""The subscription of a topic without publishers ends after this time, which is long enough for a
+node to restart."""
 
 RESERVED_FILES = 256
 """File descriptors that are left for the rest of the process; each subscription takes one."""

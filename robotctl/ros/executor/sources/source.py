@@ -88,7 +88,7 @@ class Source:
             self.runtime.report(error, self.where)
         finally:
             if self._custom_group:
-                self._end_async()
+                self._leave_group()
         self.runtime.slow.check(self.where, time.monotonic_ns() - begun)
         if isinstance(rest, CoroutineType):
             self.run_async(rest)
@@ -97,9 +97,9 @@ class Source:
     def run_async(self, coroutine: Coroutine[Any, Any, Any]) -> None:
         """Run the coroutine of an async callback as a task that occupies the callback group."""
         self.group.beginning_execution(self.entity)
-        self.runtime.spawn(coroutine, self.where, self._end_async)
+        self.runtime.spawn(coroutine, self.where, self._leave_group)
 
-    def _end_async(self) -> None:
+    def _leave_group(self) -> None:
         self.group.ending_execution(self.entity)
         self.runtime.release(self.group)
 
@@ -207,7 +207,7 @@ class EventFdSource(Source):
                 runtime.report(error, self.where)
             finally:
                 if self._custom_group:
-                    self._end_async()
+                    self._leave_group()
             now = time.monotonic_ns()
             if now - last > SLOW_CALLBACK_NS:
                 runtime.slow.check(self.where, now - last)
