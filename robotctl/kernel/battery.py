@@ -28,5 +28,5 @@ def full_level(scale: BatteryScale) -> float:
 
 
 def is_level(level: float | None) -> TypeGuard[float]:
-    """Return whether the level is possible; None and NaN are not."""
+    """Return whether this is a possible battery level; None and NaN are not."""
     return level is not None and 0.0 <= level <= FULLEST_LEVEL

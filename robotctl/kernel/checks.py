@@ -42,7 +42,7 @@ def reported(cause: Cause) -> Check:
 
 
 def battery_at_stop(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Say that the battery is at or below the level at which the robot stops."""
+    """Return a sentence if the battery is at or below its stop level, else ""."""
     level, stop_level = health.battery_level, params.battery.stop_level
     if not params.battery.topic or not is_level(level) or level > stop_level:
         return ""
@@ -50,7 +50,7 @@ def battery_at_stop(health: Health, params: KernelParams, t_ns: int) -> str:
 
 
 def battery_before_clear(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Say that the battery is below the level at which the stop clears."""
+    """Return a sentence if the battery is below its clear level, else ""."""
     level, clear_level = health.battery_level, params.battery.clear_level
     if not params.battery.topic or (is_level(level) and level >= clear_level):
         return ""
@@ -62,7 +62,7 @@ def _shown(level: float | None) -> str:
 
 
 def battery_unknown(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Say that no battery level is known, or that it is no level, or too old."""
+    """Return a sentence if the battery level is unknown, impossible or too old, else ""."""
     if not params.battery.topic:
         return ""
     if health.battery_level is None:
@@ -75,14 +75,14 @@ def battery_unknown(health: Health, params: KernelParams, t_ns: int) -> str:
 
 
 def odometry_wrong(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Say why no sample of odometry could be used for the timeout."""
+    """Return why no odometry sample was usable for the timeout, "" if one was."""
     if not health.odometry_fault or not odometry_lost(health, params, t_ns):
         return ""
     return health.odometry_fault
 
 
 def odometry_lost(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Say that there is no odometry, or that the last usable sample is too old."""
+    """Return a sentence if there is no odometry or the last usable sample is too old, else ""."""
     if health.odometry is None:
         return f"no odometry was received on {params.odometry.topic} yet"
     age_s = _age_s(health.odometry_t_ns, t_ns)
@@ -92,7 +92,7 @@ def odometry_lost(health: Health, params: KernelParams, t_ns: int) -> str:
 
 
 def odometry_contradicted(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Say that a second publisher of odometry reports another pose."""
+    """Return a sentence if a second odometry publisher reports another pose, else ""."""
     second, limits = health.odometry_sources.second, params.odometry
     if second is None or _age_s(second.t_ns, t_ns) > limits.timeout_s:
         return ""
@@ -105,7 +105,7 @@ def odometry_contradicted(health: Health, params: KernelParams, t_ns: int) -> st
 
 
 def second_odometry(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Say that two nodes publish odometry."""
+    """Return a sentence if two nodes publish odometry, else ""."""
     second = health.odometry_sources.second
     if second is None or _age_s(second.t_ns, t_ns) > params.odometry.timeout_s:
         return ""
@@ -120,7 +120,7 @@ def _two_sources(health: Health) -> str:
 
 
 def tracking_lost(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Say that the robot is too far from the reference of its drive."""
+    """Return a sentence if the robot is too far from the reference of its drive, else ""."""
     error_m, limit_m = health.path_error_m, params.tracking.max_error_m
     if error_m <= limit_m:
         return ""
@@ -130,7 +130,7 @@ def tracking_lost(health: Health, params: KernelParams, t_ns: int) -> str:
 
 
 def foreign_publisher(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Say that another node publishes velocity commands, or did a moment ago."""
+    """Return a sentence if another node publishes velocity commands, or just did, else ""."""
     if health.foreign_publishers:
         names = ", ".join(health.foreign_publishers)
         verb = "publishes" if len(health.foreign_publishers) == 1 else "publish"
@@ -142,7 +142,7 @@ def foreign_publisher(health: Health, params: KernelParams, t_ns: int) -> str:
 
 
 def command_unheard(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Say that no node takes the velocity command."""
+    """Return a sentence if no node subscribes to the velocity command, else ""."""
     topic = health.command_topic
     if topic.listeners is None or topic.listeners > 0:
         return ""
@@ -153,7 +153,7 @@ def command_unheard(health: Health, params: KernelParams, t_ns: int) -> str:
 
 
 def tick_overrun(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Say that the time between two events was too long, or negative."""
+    """Return a sentence if the time since the last tick is too long or negative, else ""."""
     gap_s = health.tick_gap_s
     if gap_s < 0.0:
         return f"the steady clock went back by {-gap_s:.2f} s"

@@ -20,7 +20,7 @@ class Pose:
     theta: float = 0.0
 
     def compose(self, local: Pose) -> Pose:
-        """Return `local`, a pose relative to this one, in the frame that this pose is given in."""
+        """Return `local`, a pose relative to this one, in the parent frame of this pose."""
         c, s = cos(self.theta), sin(self.theta)
         return Pose(
             self.x + c * local.x - s * local.y,
@@ -29,7 +29,7 @@ class Pose:
         )
 
     def express(self, other: Pose) -> Pose:
-        """Return `other`, given in the same frame as this pose, relative to this pose."""
+        """Return `other`, a pose in the same parent frame, relative to this pose."""
         c, s = cos(self.theta), sin(self.theta)
         dx, dy = other.x - self.x, other.y - self.y
         return Pose(c * dx + s * dy, c * dy - s * dx, wrap_angle(other.theta - self.theta))

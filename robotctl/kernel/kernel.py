@@ -45,7 +45,7 @@ from robotctl.kernel.types import (
 
 
 class Kernel(RequestControl):
-    """Decides mode and command; each step replaces `state` as a whole."""
+    """The kernel: it decides mode and command, and each step replaces `state` as a whole."""
 
     def step(self, event: Event) -> tuple[Effect, ...]:
         """Take one event and return the effects that the caller must carry out, in order."""

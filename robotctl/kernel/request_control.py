@@ -35,7 +35,7 @@ VALID_MODES = ", ".join(f"{mode.value} {mode.name}" for mode in Mode)
 
 
 class RequestControl(ModeControl):
-    """Decides on requests for a mode, a reset or a drive."""
+    """The decisions on requests for a mode, a reset or a drive."""
 
     def _request(self, event: ModeRequested) -> None:
         try:

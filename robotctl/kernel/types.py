@@ -224,7 +224,7 @@ Event = (
 
 @dataclass(frozen=True, slots=True)
 class PublishTwist:
-    """The command to send to the robot."""
+    """A velocity command to send to the robot."""
 
     twist: Twist
 
@@ -241,7 +241,7 @@ class ModeChanged:
 
 @dataclass(frozen=True, slots=True)
 class LatchEmergencyStop:
-    """The emergency stop to keep over restarts; a cause of None means the operator."""
+    """An emergency stop that must be kept over restarts; a cause of None means the operator."""
 
     reason: str
     cause: Cause | None = None
@@ -249,7 +249,7 @@ class LatchEmergencyStop:
 
 @dataclass(frozen=True, slots=True)
 class ReleaseEmergencyStop:
-    """The end of the latched emergency stop."""
+    """The release of the latched emergency stop."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,7 +267,7 @@ class Reply:
 class DriveReport:
     """How well a drive followed its path, by odometry.
 
-    `closure_m` is the distance between the begin of the drive and the end of its last complete
+    `closure_m` is the distance between the start of the drive and the end of its last complete
     lap, NaN before one is complete.
     """
 

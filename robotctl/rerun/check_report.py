@@ -104,7 +104,7 @@ class Report:
         )
 
     def moment(self, t_ns: int) -> dict[str, Any]:
-        """Return a steady time also as seconds after the begin, and as date and time."""
+        """Return a steady time with its seconds after the start of the recording, and its date."""
         after_ns = t_ns - self.begin_ns
         wall_s = (self.begin_log_ns + after_ns) / NS_PER_S
         try:

@@ -54,7 +54,7 @@ class Violation:
 
 
 class Invariants:
-    """Checks the journal step by step from a snapshot on, and collects the `violations`."""
+    """The check of a journal, step by step from a snapshot on; it collects the `violations`."""
 
     def __init__(self) -> None:
         self.violations: list[Violation] = []

@@ -47,7 +47,7 @@ class Divergence:
 
 
 class Decided(NamedTuple):
-    """A step decided again; `effects` is None without a kernel and after a divergence."""
+    """The result of one step; `effects` is None without a kernel and after a divergence."""
 
     event: Event
     effects: tuple[Effect, ...] | None = None
@@ -72,7 +72,7 @@ class Rerun:
         self.kernel = None
 
     def snapshot(self, entry: JournalEntry) -> tuple[Snapshot, Divergence | None]:
-        """Continue from a snapshot, and return it with its difference from the kernel so far.
+        """Continue from a recorded snapshot; return it, and how the kernel differs from it.
 
         Raises:
             UnreadableFile: The entry is not a snapshot of this version.

@@ -44,7 +44,7 @@ def is_still(data: bytes) -> bool:
 
 
 class CommandTraffic:
-    """Pairs published commands with decided ones, by value, in any order, each once.
+    """The comparison of published and decided commands: by value, in any order, each once.
 
     Commands of zero are ignored: they are always allowed.
     """

@@ -26,7 +26,7 @@ _READERS = {
 
 
 class Vocabulary:
-    """Remembers the forms whose fields are all known."""
+    """The forms of entries whose fields are all known."""
 
     def __init__(self) -> None:
         self._known: set[tuple[str, bytes]] = set()

@@ -158,7 +158,7 @@ def mutated(data: bytes, dice: random.Random) -> bytes:
 
 
 def chunks_of(data: bytes) -> list[tuple[int, int]]:
-    """Return the begin and the end of each chunk record in a valid MCAP file."""
+    """Return the start and end offset of each chunk record in a valid MCAP file."""
     found = []
     for offset in record_boundaries(data):
         opcode, length = _RECORD_HEAD.unpack_from(data, offset)

@@ -51,23 +51,23 @@ class Bench:
         return self.kernel.state
 
     def give(self, event: Event) -> tuple[Effect, ...]:
-        """Give the kernel an event and return its effects."""
+        """Feed the kernel an event and return its effects."""
         self.events.append(event)
         effects = self.kernel.step(event)
         self.effects += effects
         return effects
 
     def odometry(self, pose: Pose = ORIGIN, stamp_ns: int | None = None) -> tuple[Effect, ...]:
-        """Give odometry at the present time."""
+        """Feed the kernel odometry at the present time."""
         stamp_ns = self.t_ns if stamp_ns is None else stamp_ns
         return self.give(OdomReceived(self.t_ns, Odometry(pose, ZERO, stamp_ns)))
 
     def battery(self, level: float) -> tuple[Effect, ...]:
-        """Give a battery level at the present time."""
+        """Feed the kernel a battery level at the present time."""
         return self.give(BatteryReceived(self.t_ns, level))
 
     def tick(self) -> tuple[Effect, ...]:
-        """Advance the time by one tick, and give it."""
+        """Advance the time by one tick, and feed the kernel that tick."""
         self.t_ns += TICK_NS
         return self.give(Tick(self.t_ns))
 
