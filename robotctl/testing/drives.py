@@ -132,7 +132,8 @@ def record(
 ) -> Path:
     """Make a recording in `folder`, and return the folder.
 
-    Log times follow the times of the journal; `clock` maps them to wall-clock times, to test a clock that is set.
+    Log times follow the times of the journal. `clock` maps them to wall-clock times, so that a
+    test can set the clock.
     """
     parameters = {f"parameter.{key}": str(v) for key, v in flat(config or Config()).items()}
     recorder = Recorder(
