@@ -32,6 +32,7 @@ if TYPE_CHECKING:
         VelocityLimits,
     )
     from robotctl.kernel.patterns import Pattern, PatternKind
+    from robotctl.kernel.remedies import Remedy
     from robotctl.kernel.snapshot import Snapshot
     from robotctl.kernel.state import State, latched
     from robotctl.kernel.types import (
@@ -96,6 +97,7 @@ __all__ = [
     "Pose",
     "PublishTwist",
     "ReleaseEmergencyStop",
+    "Remedy",
     "Reply",
     "ResetRequested",
     "Snapshot",
@@ -120,6 +122,7 @@ _MODULES = {
     "Pattern": "patterns",
     "PatternKind": "patterns",
     "Pose": "geometry",
+    "Remedy": "remedies",
     "Snapshot": "snapshot",
     "State": "state",
     "TrackingParams": "params",

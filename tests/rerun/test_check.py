@@ -19,9 +19,8 @@ from robotctl.kernel.tracking import Reference, track
 from robotctl.kernel.types import CommandPublishersSeen, ModeRequested, Twist
 from robotctl.recording import Recorder, RecorderOptions, Recording
 from robotctl.recording.format.journal import EntryKind, JournalEntry, encode
-from robotctl.recording.format.metadata_names import MADE_BY
 from robotctl.rerun.check import check_recording
-from robotctl.rerun.check_report import Report, Verdict
+from robotctl.rerun.check_report import Verdict
 from robotctl.rerun.incident import find_incident
 from robotctl.rerun.resim import resimulate
 from robotctl.rerun.whatif import what_if
@@ -37,27 +36,8 @@ from robotctl.testing.drives import (
     drive_requested,
     record,
 )
+from tests.support.checked_drives import checked
 from tests.support.waiting import until
-
-
-@pytest.fixture(scope="module")
-def drive_of_3_s() -> list[Written]:
-    return drive(3.0, snapshots_s=(0.0, 1.5))
-
-
-def checked(folder: Path, written: list[Written], version: str = __version__) -> Report:
-    return check_recording(record(folder / "run", written, version=version))
-
-
-def altered(written: list[Written], name: str, old: str, new: str) -> tuple[list[Written], int]:
-    """Return the journal with the last entry of that name changed, and its number."""
-    changed = list(written)
-    for position in range(len(changed) - 1, -1, -1):
-        each = changed[position]
-        if isinstance(each, JournalEntry) and each.name == name and old in each.data:
-            changed[position] = each._replace(data=each.data.replace(old, new, 1))
-            return changed, each.seq
-    raise AssertionError(f"no {name} holds {old}")
 
 
 def test_the_same_kernel_decides_the_same(tmp_path: Path, drive_of_3_s: list[Written]) -> None:
@@ -105,97 +85,6 @@ def test_a_command_that_goes_on_being_published_is_found(
     assert "2 commands without a decision" in report.violations[0].text
 
 
-def test_a_recording_of_another_version_says_so_and_compares_decisions(
-    tmp_path: Path, drive_of_3_s: list[Written]
-) -> None:
-    changed, _ = altered(drive_of_3_s, "Reply", "Mode changed to MOVING", "OK, moving")
-    report = checked(tmp_path, changed, version="0.0.9")
-    assert report.verdict is Verdict.SAME
-    assert not report.bitwise
-    assert report.notes[0].startswith("made by robotctl 0.0.9, this is ")
-    assert checked(tmp_path / "ours", changed).verdict is Verdict.DIVERGED
-
-
-OTHER_RULES = f"decided by the rules of another version (0.0.9, this is {__version__}): "
-
-
-def test_what_another_version_decides_otherwise_is_incomplete_and_not_a_fault(
-    tmp_path: Path, drive_of_3_s: list[Written]
-) -> None:
-    changed, seq = altered(drive_of_3_s, "PublishTwist", '"linear":0.32', '"linear":0.3200001')
-    report = checked(tmp_path, changed, version="0.0.9")
-    assert report.violations == []
-    assert (report.verdict, report.verdict.exit_code) == (Verdict.INCOMPLETE, 6)
-    assert len(report.missing) == 1
-    assert report.missing[0].startswith(f"{OTHER_RULES}entry {seq}, after Tick: twist.linear: ")
-    assert report.divergence is not None
-    ours = checked(tmp_path / "ours", changed)
-    assert (ours.verdict, ours.verdict.exit_code) == (Verdict.DIVERGED, 7)
-
-
-def test_a_broken_promise_of_another_version_stays_a_fault(
-    tmp_path: Path, drive_of_3_s: list[Written]
-) -> None:
-    changed, _ = altered(drive_of_3_s, "PublishTwist", '"linear":0.3', '"linear":99.3')
-    assert checked(tmp_path, changed, version="0.0.9").verdict is Verdict.BROKEN
-
-
-@pytest.mark.parametrize(
-    ("name", "old", "new", "unknown"),
-    [
-        ("Tick", '"missed":', '"late_s":0.5,"missed":', "'Tick.late_s' is not known"),
-        ("OdomReceived", '"x":', '"z":0.5,"x":', "'OdomReceived.odometry.pose.z' is not known"),
-        ("PublishTwist", '"twist":', '"gid":[],"twist":', "'PublishTwist.gid' is not known"),
-        ("Snapshot", '"mode":', '"mood":1,"mode":', "'Snapshot.state.mood' is not known"),
-    ],
-)
-def test_a_field_of_another_version_that_is_not_known_is_named(
-    tmp_path: Path, drive_of_3_s: list[Written], name: str, old: str, new: str, unknown: str
-) -> None:
-    changed, seq = altered(drive_of_3_s, name, old, new)
-    report = checked(tmp_path, changed, version="0.0.9")
-    assert report.verdict is Verdict.INCOMPLETE
-    assert report.missing == [f"{OTHER_RULES}entry {seq}: {unknown}"]
-    assert report.divergence is None
-
-
-@pytest.mark.parametrize("name", ["Tick", "PublishTwist", "Snapshot"])
-def test_a_name_of_another_version_that_is_not_known_is_named(
-    tmp_path: Path, drive_of_3_s: list[Written], name: str
-) -> None:
-    changed, seq = altered(drive_of_3_s, name, "{", "{")
-    changed = [
-        each._replace(name="Unheard")
-        if isinstance(each, JournalEntry) and each.seq == seq
-        else each
-        for each in changed
-    ]
-    report = checked(tmp_path, changed, version="0.0.9")
-    assert report.verdict is Verdict.INCOMPLETE
-    assert report.missing[0].startswith(f"{OTHER_RULES}journal entry {seq} is not ours: ")
-    assert "'Unheard'" in report.missing[0]
-
-
-def test_a_field_that_another_version_did_not_have_takes_its_default(
-    tmp_path: Path, drive_of_3_s: list[Written]
-) -> None:
-    changed, _ = altered(drive_of_3_s, "Tick", ',"missed":0', "")
-    report = checked(tmp_path, changed, version="0.0.9")
-    assert (report.verdict, report.missing) == (Verdict.SAME, [])
-    assert checked(tmp_path / "ours", changed).verdict is Verdict.DIVERGED
-
-
-@pytest.mark.parametrize("version", [__version__, "0.0.9"])
-def test_an_entry_that_is_nested_too_deeply_is_named(
-    tmp_path: Path, drive_of_3_s: list[Written], version: str
-) -> None:
-    nested = '"x":' + "[" * 50_000 + "]" * 50_000 + ',"missed":'
-    changed, seq = altered(drive_of_3_s, "Tick", '"missed":', nested)
-    report = checked(tmp_path, changed, version=version)
-    assert report.verdict is Verdict.INCOMPLETE
-    assert f"journal entry {seq} is n" in report.missing[0]
-
-
 def test_a_recording_without_a_journal_is_not_called_the_same(tmp_path: Path) -> None:
     report = checked(tmp_path, [Twist(), Twist()])
     assert report.verdict is Verdict.INCOMPLETE
@@ -209,25 +98,6 @@ def test_what_a_gap_leaves_is_checked_and_the_gap_is_named(
     report = checked(tmp_path, drive_of_3_s[:position] + drive_of_3_s[position + 3 :])
     assert report.verdict is Verdict.INCOMPLETE
     assert report.missing[0].startswith("the journal lacks")
-
-
-@pytest.mark.parametrize(("digits", "same"), [("e-13", True), ("e-7", False)])
-def test_floats_of_another_platform_may_differ_by_a_billionth(
-    tmp_path: Path, drive_of_3_s: list[Written], digits: str, same: bool
-) -> None:
-    changed: list[Written] = []
-    for each in drive_of_3_s:
-        if isinstance(each, JournalEntry) and each.kind is EntryKind.SNAPSHOT:
-            changed.append(each._replace(data=each.data.replace(MADE_BY, "another")))
-        elif isinstance(each, JournalEntry) and '"linear":0.0,' in each.data and each.seq < 20:
-            data = each.data.replace('"linear":0.0,', f'"linear":1{digits},')
-            changed.append(each._replace(data=data) if each.name == "PublishTwist" else each)
-        else:
-            changed.append(each)
-    report = checked(tmp_path, changed)
-    assert (report.divergence is None) is same
-    assert not report.bitwise
-    assert report.notes[0].startswith("made with another, this is Python ")
 
 
 def test_a_kernel_that_fails_in_itself_diverges(
