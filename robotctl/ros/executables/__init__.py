@@ -1,4 +1,4 @@
-"""The ROS executables: one role in a process of its own, for `ros2 run`, launch files and shells.
+"""The ROS executables: one node per process, for `ros2 run`, launch files and shells.
 
 Each function is a console script. It prepares the environment before anything imports rclpy.
 """
@@ -33,7 +33,7 @@ def mode_service() -> int:
 
 
 def mode_client() -> int:
-    """Ask for a mode, print the answer, and return the exit code."""
+    """Request a mode, print the response, and return the exit code."""
     environment.prepare()
     from robotctl.ros.executables.mode_client import main
 

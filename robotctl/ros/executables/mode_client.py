@@ -1,5 +1,5 @@
 # mypy: disallow-untyped-calls=False
-"""Asks the service `set_mode` for a mode, and prints the answer."""
+"""Requests a mode from the service `set_mode`, and prints the response."""
 
 from __future__ import annotations
 
@@ -15,16 +15,17 @@ from robotctl.errors import NoDaemon, Refused, RobotctlError, UsageError
 from robotctl.kernel.modes import Mode
 from robotctl.ros.context import close_context
 from robotctl.ros.executor import AsyncioExecutor
+from robotctl.ros.nodes.mode_service import SET_MODE
 
 SERVICE_S = 5.0
 """How long to look for the service."""
 
 ANSWER_S = 30.0
-"""How long to wait for the answer: a request for IDLE is answered after the ramp."""
+"""How long to wait for the response: a request for IDLE is answered after the ramp."""
 
 
 def mode_of(text: str) -> Mode:
-    """Return the mode of a name in any case, with - or _, or of a number 0 to 3.
+    """Return the mode that a text names: a number 0 to 3, or a name in any case, with - or _.
 
     Raises:
         UsageError: There is no such mode.
@@ -38,17 +39,17 @@ def mode_of(text: str) -> Mode:
 
 
 async def ask(mode: Mode) -> SetMode.Response:
-    """Call the service and return its answer.
+    """Call the service and return its response.
 
     Raises:
-        NoDaemon: There is no service, or it does not answer.
+        NoDaemon: The service does not exist, or does not respond.
     """
     context = Context()
     context.init(args=sys.argv)
     node = Node("mode_client", context=context, start_parameter_services=False)
     try:
-        client = node.create_client(SetMode, "set_mode")
-        name = node.resolve_service_name("set_mode")
+        client = node.create_client(SetMode, SET_MODE)
+        name = node.resolve_service_name(SET_MODE)
         async with AsyncioExecutor(context) as executor:
             executor.add_node(node)
             try:
@@ -68,7 +69,7 @@ async def ask(mode: Mode) -> SetMode.Response:
 
 
 def main() -> int:
-    """Ask for the mode that the command line names; return 0, 2, 3 or 4 (see docs/ros.md)."""
+    """Request the mode that the command line names; return 0, 2, 3 or 4 (see docs/ros.md)."""
     try:
         words = remove_ros_args(sys.argv)[1:]
         if len(words) != 1:

@@ -1,8 +1,8 @@
 # mypy: disallow-untyped-calls=False, disallow-subclassing-any=False
-"""Node `mode_service` as the first-package tutorial has it: modes without a robot.
+"""Node `mode_service` of the first-package tutorial: modes without a robot.
 
-The service that moves and records a robot is that of `robotctl start`. This one answers by the same
-table of transitions, but it owns no command, so it leaves MOVING as soon as a robot joins.
+The service of `robotctl start` moves and records a robot. This one uses the same table of
+transitions, but sends no commands, so it leaves MOVING as soon as a robot joins the domain.
 """
 
 from __future__ import annotations
@@ -19,9 +19,10 @@ from std_srvs.srv import Trigger
 from robotctl.kernel.modes import REQUESTS, TRANSITIONS, Guard, Mode
 from robotctl.ros.executables.process import run_node
 from robotctl.ros.messages import qos
+from robotctl.ros.nodes.mode_service import ESTOP, SET_MODE, STATUS
 
 LOOK_S = 0.1
-"""How often to look whether a robot has joined."""
+"""The time between two looks for a robot on the graph."""
 
 STATUS_S = 1.0
 
@@ -35,10 +36,10 @@ class ModeService(Node):
         """Create the node in mode IDLE; `options` are those of rclpy's Node."""
         super().__init__("mode_service", context=context, **options)
         self.mode = Mode.IDLE
-        self._status = self.create_publisher(RobotStatus, "robot_status", qos.LATCHED)
+        self._status = STATUS.create_publisher(self)
         self._services = [
-            self.create_service(SetMode, "set_mode", self._set_mode, qos_profile=qos.REQUESTS),
-            self.create_service(Trigger, "estop", self._estop, qos_profile=qos.REQUESTS),
+            self.create_service(SetMode, SET_MODE, self._set_mode, qos_profile=qos.REQUESTS),
+            self.create_service(Trigger, ESTOP, self._estop, qos_profile=qos.REQUESTS),
         ]
         self.create_timer(LOOK_S, self._look_for_robot)
         self.create_timer(STATUS_S, self._publish)
@@ -47,7 +48,7 @@ class ModeService(Node):
         self.get_logger().warning(f"{NO_ROBOT}; to drive one: robotctl start")
 
     def robot(self) -> str:
-        """Return what of a robot is on the graph, "" where there is none."""
+        """Return a sentence on the robot that is on the graph, "" where there is none."""
         if self.count_publishers("odom"):
             return "odometry is published"
         if self.count_subscribers("cmd_vel"):
@@ -55,7 +56,7 @@ class ModeService(Node):
         return ""
 
     def request(self, number: int) -> tuple[bool, str]:
-        """Ask for the mode of this number; return whether it is granted, and a sentence."""
+        """Request the mode of this number; return whether it was granted, and a sentence."""
         if number not in [mode.value for mode in Mode]:
             return False, f"no mode {number}: use 0 to {max(Mode).value}"
         wanted = Mode(number)
@@ -81,7 +82,7 @@ class ModeService(Node):
         robot = self.robot() if self.mode is Mode.MOVING else ""
         if robot:
             self._go(Mode.IDLE)
-            self.get_logger().error(f"{robot}: back to IDLE, for this service drives no robot")
+            self.get_logger().error(f"{robot}: back to IDLE, because this service drives no robot")
 
     def _go(self, mode: Mode) -> None:
         if mode is not self.mode:

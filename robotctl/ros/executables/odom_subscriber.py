@@ -1,5 +1,5 @@
 # mypy: disallow-untyped-calls=False, disallow-subclassing-any=False
-"""Node `odom_subscriber` as the first-package tutorial has it: tells each tenth position."""
+"""Node `odom_subscriber` of the first-package tutorial: logs every tenth position."""
 
 from __future__ import annotations
 
@@ -12,14 +12,11 @@ from rclpy.node import Node
 from robotctl.ros.executables.process import run_node
 from robotctl.ros.messages import qos
 
-TOLD_EVERY = 10
+LOG_EVERY = 10
 
 
 class OdomSubscriber(Node):
-    """Counts the messages on `odom`, and logs the position of each tenth.
-
-    It takes odometry of any quality of service.
-    """
+    """Counts the messages on `odom`, from publishers of any QoS, and logs every tenth position."""
 
     def __init__(self, context: Context | None = None, **options: Any) -> None:
         """Create the node and its subscription; `options` are those of rclpy's Node."""
@@ -34,7 +31,7 @@ class OdomSubscriber(Node):
 
     def _take(self, message: Odometry) -> None:
         self._messages += 1
-        if self._messages % TOLD_EVERY == 0:
+        if self._messages % LOG_EVERY == 0:
             at = message.pose.pose.position
             self.get_logger().info(f"Position: x={at.x:.2f}, y={at.y:.2f}, z={at.z:.2f}")
             self.get_logger().info(f"Messages received: {self._messages}")

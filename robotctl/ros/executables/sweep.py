@@ -9,7 +9,7 @@ MAX_STEPS = 20
 def sweep_mps(number: int) -> float:
     """Return the speed [m/s] of the sweep's step `number`, counted from 0.
 
-    0.1, 0.2 ... 2.0, 1.9 ... -2.0, -1.9 ... 0.0, and from the beginning.
+    The steps are 0.1, 0.2 ... 2.0, 1.9 ... -2.0, -1.9 ... 0.0, and then repeat.
     """
     place = (number + 1) % (4 * MAX_STEPS)
     if place > 3 * MAX_STEPS:

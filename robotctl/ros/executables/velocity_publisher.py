@@ -1,7 +1,7 @@
 # mypy: disallow-untyped-calls=False, disallow-subclassing-any=False
-"""Node `velocity_publisher` as the first-package tutorial has it: a Twist each 0.5 s.
+"""Node `velocity_publisher` of the first-package tutorial: a Twist every 0.5 s.
 
-The speeds sweep only where nothing else can be moved by them: see `VelocityPublisher.obstacle`.
+The speeds sweep only where they cannot move a real robot: see `VelocityPublisher.obstacle`.
 """
 
 from __future__ import annotations
@@ -19,32 +19,33 @@ from robotctl.ros.executables.process import run_node
 from robotctl.ros.executables.sweep import sweep_mps
 from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.publishers import full_name, gid_of
-from robotctl.ros.messages import qos
+from robotctl.ros.nodes.velocity_publisher import NODE_NAME, command_topic
+from robotctl.ros.session import RECORDER_NODE
 
 PERIOD_S = 0.5
 QUIET_TICKS = 8
-"""Zeros at first, 4 s of them: by then others are discovered."""
+"""The first ticks, 4 s of zeros, during which other nodes are discovered."""
 
 MAX_LINEAR_MPS = 2.0
 MAX_ANGULAR_RPS = 2.0
 
-OWN_LISTENERS = ("recorder", "velocity_publisher", "simulated_robot")
-"""Nodes of robotctl that take commands and move nothing that could hurt."""
+OWN_LISTENERS = (RECORDER_NODE, NODE_NAME, "simulated_robot")
+"""Nodes of robotctl that receive commands and move no real robot."""
 
 
 class VelocityPublisher(Node):
     """Publishes `cmd_vel`: zeros for 4 s, then a sweep from -2 to 2 m/s in steps of 0.1.
 
-    It publishes zeros instead, and says why, while something else publishes or takes the commands,
-    or where discovery reaches beyond this machine. The parameter `sweep` set to true overrides
-    that. A call of `set_velocity` ends the sweep.
+    It publishes zeros instead, and logs why, while another node publishes or receives commands, or
+    where discovery reaches beyond this machine. With the parameter `sweep` set to true it sweeps
+    anyway. A call of `set_velocity` ends the sweep.
     """
 
     def __init__(self, context: Context | None = None, **options: Any) -> None:
         """Create the node and its timer; `options` are those of rclpy's Node."""
-        super().__init__("velocity_publisher", context=context, **options)
+        super().__init__(NODE_NAME, context=context, **options)
         self.declare_parameter("sweep", False)
-        self._publisher = self.create_publisher(Twist, "cmd_vel", qos.COMMAND)
+        self._publisher = command_topic("cmd_vel").create_publisher(self)
         self._ticks = 0
         self._steps = 0
         self._asked: tuple[float, float] | None = None
