@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from robotctl.errors import UnreadableFile
+from robotctl.kernel.remedies import Remedy
 from robotctl.kernel.types import (
     BatteryReceived,
     Cause,
@@ -24,7 +25,7 @@ from robotctl.recording.write.recording_file import RecordingFile
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
 from robotctl.rerun.incident import Incident, IncidentKind, find_incident
-from robotctl.rerun.why import explain
+from robotctl.rerun.why import explain, rule_of
 from robotctl.testing.drives import BEGIN_NS, START_NS, drive, drive_requested, record
 
 
@@ -109,7 +110,11 @@ def test_the_chain_of_a_stop_is_told(tmp_path: Path, name: str) -> None:
     assert check_recording(folder).verdict is Verdict.SAME
     found = incident(folder)
     assert found.kind is case.kind
-    told = str(explain(found))
+    why = explain(found)
+    rule = rule_of(found)
+    remedies = (rule.remedy,) if rule is not None and case.kind is IncidentKind.FAULT else ()
+    assert why.remedies == remedies
+    told = str(why)
     for sentence in case.said:
         assert sentence in told
     assert found.zero_ns is not None
@@ -122,6 +127,7 @@ def test_a_refusal_names_the_condition_and_its_rule(tmp_path: Path) -> None:
     assert found.kind is IncidentKind.REFUSAL
     told = explain(found)
     assert told.what.startswith("refused: no odometry was received on odom yet")
+    assert told.remedies == (Remedy.CHECK_ODOMETRY_IS_PUBLISHED,)
     assert told.rule == "odometry lost forbids to start (odometry.timeout_s is 0.5)"
     assert told.went_out == ()
 
