@@ -141,8 +141,8 @@ def test_a_server_of_another_user_is_sent_nothing(
     out, err = capsys.readouterr()
     assert (exit_code, out) == (4, "")
     assert err == (
-        f"robotctl: {socket_path('robot')} is answered by a process of uid {STRANGER}, neither "
-        f"you nor root: nothing was sent (see whose it is: ps -fp {impostor.pid})\n"
+        f"robotctl: the process at {socket_path('robot')} belongs to uid {STRANGER}, neither "
+        f"you nor root: nothing was sent (see which it is: ps -fp {impostor.pid})\n"
     )
     assert said == b"received: b''\n"
 

@@ -13,7 +13,7 @@ from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.driver import Driver
 from robotctl.daemon.host import DaemonKind, Host, Ready
 from robotctl.daemon.observer import Observer
-from robotctl.daemon.recording.folder import remember
+from robotctl.daemon.recording.folder import save_recordings_path
 from robotctl.daemon.shutdown import end_signals
 from robotctl.daemon.supervisor import Supervisor
 from robotctl.domains import is_certainly_empty
@@ -53,7 +53,10 @@ async def serve(
         ) as session,
         AsyncExitStack() as stack,
     ):
-        notes = [*notes, *await asyncio.to_thread(remember, options.recordings, options.robot)]
+        notes = [
+            *notes,
+            *await asyncio.to_thread(save_recordings_path, options.recordings, options.robot),
+        ]
         for folder in (address.parent, robot_state_folder(options.robot)):
             notes += chain_to(folder).group_writable()
         host = Host(options, config, alone, supervisor, stop, session, warnings=[])
@@ -79,6 +82,6 @@ async def serve(
         try:
             await daemon.run(server, notes, ready)
         except BaseException:
-            await daemon.cut()
+            await daemon.stop_robot()
             raise
     supervisor.check()

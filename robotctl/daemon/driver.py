@@ -170,7 +170,7 @@ class Driver:
         if not ready:
             raise RobotctlError("the daemon was stopped before it was ready")
 
-    async def cut(self) -> None:
+    async def stop_robot(self) -> None:
         """Send a zero directly, and record it."""
         try:
             self._velocity.publish(ZERO)

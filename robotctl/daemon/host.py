@@ -52,7 +52,7 @@ class DaemonKind(Protocol):
     async def run(self, server: ControlServer, notes: list[str], on_ready: Ready) -> None:
         """Run every task until the daemon is stopped."""
 
-    async def cut(self) -> None:
+    async def stop_robot(self) -> None:
         """Stop the robot at once: the daemon is about to fail."""
 
 

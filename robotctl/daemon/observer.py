@@ -60,7 +60,7 @@ class Observer:
             await self._host.stop.wait()
             _log.info("stopping")
 
-    async def cut(self) -> None:
+    async def stop_robot(self) -> None:
         """Do nothing: there is no robot to stop."""
 
     def facts(self) -> RobotFacts:

@@ -28,19 +28,19 @@ class StartReport:
         if ready_fd is not None:
             os.set_inheritable(ready_fd, False)
 
-    def tell(self, said: Mapping[str, Any]) -> None:
+    def send(self, report: Mapping[str, Any]) -> None:
         """Send the report; in the background only the first call sends.
 
         If the starter of a ready daemon has ended, the daemon ends itself with SIGTERM.
         """
-        line = f"{json.dumps(said)}\n".encode()
+        line = f"{json.dumps(report)}\n".encode()
         if not self._in_background:  # stdout may block: the loop must not wait
             Thread(target=_write, args=(_STDOUT, line), name="READY", daemon=True).start()
         elif self._ready_fd is not None:
             is_read = _write(self._ready_fd, line)
             os.close(self._ready_fd)
             self._ready_fd = None  # the number will be reused
-            if said["ready"] and not is_read:
+            if report["ready"] and not is_read:
                 signal.raise_signal(signal.SIGTERM)  # no user knows of this daemon
 
     def fail(self, error: RobotctlError) -> int:
@@ -51,7 +51,7 @@ class StartReport:
         else:
             _log.error("%s", error)
             failure = {"error": str(error), "exit_code": error.exit_code, **error.details()}
-            self.tell({"ready": False, **failure})
+            self.send({"ready": False, **failure})
         return error.exit_code
 
     def fail_unexpectedly(self, error: Exception) -> int:
@@ -66,6 +66,6 @@ def _write(descriptor: int, line: bytes) -> bool:
     try:
         os.write(descriptor, line)
     except OSError as error:
-        _log.warning("the process that started this daemon has ended: %s", error)
+        _log.warning("the report of the start could not be written: %s", error)
         return False
     return True

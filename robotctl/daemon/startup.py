@@ -29,33 +29,33 @@ def main(arguments: list[str]) -> int:
 
 def _main(arguments: list[str], notes: list[str], at_end: ExitStack) -> int:
     """Run as `main` does; `at_end` holds what must happen after everything else, the log too."""
-    starter = StartReport(command_line.parse_ready_fd(arguments))
+    report = StartReport(command_line.parse_ready_fd(arguments))
     _allow_many_files()
     try:
         options = command_line.parse(arguments)
         at_end.enter_context(owned(lock_path(options.robot), options.robot))
-        _run(options, starter.tell, notes, at_end)
+        _run(options, report.send, notes, at_end)
     except RobotctlError as error:
-        return starter.fail(error)
+        return report.fail(error)
     except KeyboardInterrupt:  # before the loop handles signals
         return INTERRUPTED_EXIT_CODE
     except OSError as error:
         where = f": {error.filename}" if error.filename else ""
-        return starter.fail(RobotctlError(f"{error.strerror or error}{where}"))
-    except Exception as error:  # noqa: BLE001 - the starter gets any error
-        return starter.fail_unexpectedly(error)
+        return report.fail(RobotctlError(f"{error.strerror or error}{where}"))
+    except Exception as error:  # noqa: BLE001 - the report gets any error
+        return report.fail_unexpectedly(error)
     return 0
 
 
 def _run(
     options: DaemonOptions,
-    tell: Callable[[Mapping[str, Any]], None],
+    send: Callable[[Mapping[str, Any]], None],
     notes: list[str],
     at_end: ExitStack,
 ) -> None:
     from robotctl.daemon.app import serve  # after environment.prepare(): it imports rclpy
 
-    asyncio.run(serve(options, notes, tell, at_end))
+    asyncio.run(serve(options, notes, send, at_end))
 
 
 def _allow_many_files() -> None:

@@ -121,9 +121,9 @@ class Client:
             raise Refused(f"{self._path} belongs to another user") from None
         if not is_trusted:
             raise Refused(
-                f"{self._path} is answered by a process of {user_text(server.uid)}, neither you "
+                f"the process at {self._path} belongs to {user_text(server.uid)}, neither you "
                 "nor root: nothing was sent",
-                f"see whose it is: ps -fp {server.pid}" if server.pid else "",
+                f"see which it is: ps -fp {server.pid}" if server.pid else "",
                 sentence=IN_PARENTHESES,
             )
 

@@ -76,7 +76,7 @@ async def cut(
         ("say('nonsense')", "no clip was cut of the error"),
         ("say('[1]')", "no clip was cut of the error"),
         ("pass", "its process ended with 0 and made no report"),
-        ('say(\'{"target": "a.mcap", "lost": ["a chunk"]}\')', "it lacks something: a chunk"),
+        ('say(\'{"target": "a.mcap", "lost": ["a chunk"]}\')', "the clip is incomplete: a chunk"),
     ],
 )
 async def test_a_failed_clip_process_is_only_logged(

@@ -28,7 +28,7 @@ def report_without_reader() -> StartReport:
 
 
 def test_a_daemon_that_no_command_waits_for_ends(ended: list[int]) -> None:
-    report_without_reader().tell({"ready": True})
+    report_without_reader().send({"ready": True})
     assert ended == [signal.SIGTERM]
 
 
@@ -40,7 +40,7 @@ def test_a_start_that_failed_keeps_its_exit_code(ended: list[int]) -> None:
 
 def test_a_daemon_that_a_command_waits_for_goes_on(ended: list[int]) -> None:
     reading, writing = os.pipe()
-    StartReport(writing).tell({"ready": True})
+    StartReport(writing).send({"ready": True})
     assert os.read(reading, 100) == b'{"ready": true}\n'
     os.close(reading)
     assert ended == []

@@ -57,7 +57,7 @@ def recording_methods(recorder: FlightRecorder, robot: str) -> dict[str, Method[
         if recorder.failure:
             raise Refused(failure())
         file = _file_of(recorder)
-        return {"message": f"Recording goes on in {file}", "finished": before, "file": file}
+        return {"message": f"Recording continues in {file}", "finished": before, "file": file}
 
     async def mark(params: MarkParams) -> Marked:
         if recorder.failure:

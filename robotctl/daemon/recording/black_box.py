@@ -103,7 +103,7 @@ class BlackBox:
         while self._waiting and time.monotonic() < until:
             await self._cut_next(until - time.monotonic())
         for event in self._waiting:
-            _log.warning("no clip was cut of the %s: see robotctl clip", event.kind.value)
+            _log.warning("no clip was cut of the %s: cut one with robotctl clip", event.kind.value)
 
     async def _cut_next(self, deadline_s: float) -> None:
         event = self._waiting.popleft()
@@ -128,7 +128,7 @@ class BlackBox:
         if "target" in said:
             _log.info("clip of the %s: %s", what, said["target"])
             for sentence in said["lost"]:
-                _log.warning("it lacks something: %s", sentence)
+                _log.warning("the clip is incomplete: %s", sentence)
         else:
             _log.warning("no clip was cut of the %s: %s", what, said["error"])
 

@@ -193,7 +193,7 @@ class FlightRecorder:
             self.split()
 
     def _file_begun(self, path: Path) -> None:
-        _log.info("recording goes on in %s", path)
+        _log.info("recording continues in %s", path)
         self.tidier.file_finished()
 
     def _open_sink(self, topic: TopicDescription) -> ViewSink:

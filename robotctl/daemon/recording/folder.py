@@ -22,7 +22,7 @@ def retention_policy(params: RecordingParams) -> RetentionPolicy:
     )
 
 
-def remember(recordings: Path, robot: str) -> list[str]:
+def save_recordings_path(recordings: Path, robot: str) -> list[str]:
     """Save the path of the robot's recordings for later commands; return a note on failure."""
     note = recordings_note_path(robot)
     try:
