@@ -135,7 +135,7 @@ def test_its_status_has_the_same_keys_and_no_robot(observed: Observed) -> None:
 
 
 def test_what_people_read_says_that_it_observes(observed: Observed) -> None:
-    assert "mode        observing (records, drives nothing)" in observed.started
+    assert "mode        observing (only records)" in observed.started
     assert "simulator" not in observed.started
     assert observed.screen.startswith("robot: observing")
     assert "pose" not in observed.screen
