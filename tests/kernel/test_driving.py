@@ -15,14 +15,14 @@ from robotctl.kernel.geometry import ORIGIN, Pose, wrap_angle
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams, VelocityLimits
-from robotctl.kernel.patterns import MIN_SIZE_M, Pattern, PatternKind, lap_of
+from robotctl.kernel.patterns import MIN_SIZE_M, SHAPES, Pattern, PatternKind, lap_of
 from robotctl.kernel.tracking import Reference, track
 from robotctl.kernel.types import ZERO, DriveEnded, DriveRequested, ModeChanged, ModeRequested
 from robotctl.rerun.closed_loop import closed_loop
 from robotctl.sim.robot import SimParams
 from robotctl.testing.kernels import Driven, drive_simulated, moving, while_moving
 
-SIZES = {PatternKind.SQUARE: 1.0, PatternKind.CIRCLE: 0.5, PatternKind.FIGURE_EIGHT: 0.5}
+SIZES = {kind: shape.default_size_m for kind, shape in SHAPES.items()}
 
 
 def drive(kind: PatternKind, laps: int = 1, rate_hz: float = 50.0, seed: int = 1) -> Driven:
