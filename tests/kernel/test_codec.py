@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
 from typing import Any, get_args
 
@@ -131,6 +131,34 @@ def test_the_json_is_strict() -> None:
 def test_what_is_not_a_kernel_value_is_a_value_error(kind: type, text: str) -> None:
     with pytest.raises(ValueError, match=r"."):
         from_json(kind, text)
+
+
+@dataclass(frozen=True, slots=True)
+class Tuples:
+    one: tuple[float]
+    three: tuple[int, str, float]
+    any_number: tuple[int, ...] = ()
+
+
+@pytest.mark.parametrize("values", [(), (1,), (1, 2), (1, 2, 3)])
+def test_a_tuple_keeps_its_length_and_types(values: tuple[int, ...]) -> None:
+    tuples = Tuples((0.5,), (1, "a", 2.0), values)
+    assert bits(from_json(Tuples, to_json(tuples))) == bits(tuples)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '{"one":[],"three":[1,"a",2.0]}',
+        '{"one":[0.5,0.5],"three":[1,"a",2.0]}',
+        '{"one":[0.5],"three":[1,"a"]}',
+        '{"one":[0.5],"three":[1,"a",2.0,3]}',
+        '{"one":[0.5],"three":["a",1,2.0]}',
+    ],
+)
+def test_a_tuple_of_another_length_or_type_is_a_value_error(text: str) -> None:
+    with pytest.raises(ValueError, match=r"."):
+        from_json(Tuples, text)
 
 
 def test_an_error_quotes_the_begin_of_the_text() -> None:

@@ -47,6 +47,11 @@ def test_an_orientation_may_be_a_tenth_too_long_or_too_short(
     assert isnan(yaw_of(x, y, z, w)) is not is_one
 
 
+@pytest.mark.parametrize("length", [0.9, 1.1])
+def test_an_orientation_that_is_a_tenth_off_is_still_one(length: float) -> None:
+    assert yaw_of(0.0, 0.0, 0.0, length) == 0.0
+
+
 @pytest.mark.parametrize(
     ("angle", "same"),
     [
