@@ -33,7 +33,7 @@ def checked_value(key: str, value: object, kind: Any, metadata: Mapping[str, Any
         low, high, unit = metadata.get("range", Range(-1e12, 1e12))
         if not isinstance(value, int | float) or isinstance(value, bool):
             raise not_allowed(key, value, f"use a number from {low:g} to {high:g} {unit}".rstrip())
-        if not low <= value <= high:  # so is NaN
+        if not low <= value <= high:  # NaN is refused, too
             raise not_allowed(key, value, f"use {low:g} to {high:g} {unit}".rstrip())
         return float(value)
     if "choices" in metadata and value not in metadata["choices"]:

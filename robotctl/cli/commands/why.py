@@ -86,7 +86,7 @@ def why(
       robotctl why incident.mcap --json
     """
     missing: list[str] = []
-    paths = _paths(file, robot, folder, missing)
+    paths = _recordings_to_search(file, robot, folder, missing)
     with progress_bar("reading the journal", quiet=as_json) as on_progress:
         if at is None:
             found = _find(paths, None, missing, on_progress)
@@ -96,10 +96,10 @@ def why(
     print_answer(as_object(found), why_lines(found), as_json=as_json)
 
 
-def _paths(
+def _recordings_to_search(
     file: str | None, robot: str | None, folder: Path | None, missing: list[str]
 ) -> list[Path]:
-    """Return the recordings to search, newest first; a running daemon has committed its own."""
+    """Let a running daemon commit, then return the recordings to search, newest first."""
     newest = asked = None
     if file is None and folder is None:
         asked = robot or DEFAULT_ROBOT

@@ -24,7 +24,7 @@ LINE_S = 1.0
 class Screen(Protocol):
     """The display of the player's reports."""
 
-    def show(self, said: dict[str, Any]) -> None:
+    def show(self, report: dict[str, Any]) -> None:
         """Show a report: a note, the start, or the progress."""
 
     def suspend(self) -> None:
@@ -51,7 +51,7 @@ def screen(robot: RecordedRobot | None, *, quiet: bool) -> Iterator[Screen]:
 
 
 class _Nothing:
-    def show(self, said: dict[str, Any]) -> None:
+    def show(self, report: dict[str, Any]) -> None:
         pass
 
     def suspend(self) -> None:
@@ -68,11 +68,11 @@ class _Notes(_Nothing):
         self._robot = robot
         self._line_at = 0.0
 
-    def show(self, said: dict[str, Any]) -> None:
-        if "note" in said:
-            print(printable(said["note"]), flush=True)
-        if "progress" in said and self._robot is not None:
-            self._print_robot(self._robot, said["progress"]["position_s"])
+    def show(self, report: dict[str, Any]) -> None:
+        if "note" in report:
+            print(printable(report["note"]), flush=True)
+        if "progress" in report and self._robot is not None:
+            self._print_robot(self._robot, report["progress"]["position_s"])
 
     def _print_robot(self, robot: RecordedRobot, position_s: float) -> None:
         from robotctl.cli.terminal.replay_view import recorded_line
@@ -96,16 +96,16 @@ class _Bar:
         self._robot = robot
         self._length_s = 0.0
 
-    def show(self, said: dict[str, Any]) -> None:
-        if "note" in said:
-            self._live.console.print(printable(said["note"]), markup=False, highlight=False)
-        elif "waiting" in said:
-            there, expected = said["waiting"]["there"], said["waiting"]["for"]
+    def show(self, report: dict[str, Any]) -> None:
+        if "note" in report:
+            self._live.console.print(printable(report["note"]), markup=False, highlight=False)
+        elif "waiting" in report:
+            there, expected = report["waiting"]["there"], report["waiting"]["for"]
             self._draw(f"waiting for subscribers: {there} of {expected}")
-        elif "start" in said:
-            self._length_s = said["start"]["length_s"]
-        elif "progress" in said:
-            self._draw(self._bar(said["progress"]), said["progress"]["position_s"])
+        elif "start" in report:
+            self._length_s = report["start"]["length_s"]
+        elif "progress" in report:
+            self._draw(self._bar(report["progress"]), report["progress"]["position_s"])
 
     def suspend(self) -> None:
         self._live.stop()

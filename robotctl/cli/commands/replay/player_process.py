@@ -89,8 +89,8 @@ class _Player:
         self._report.ended = not ready
         if child.fileno() in ready:
             try:
-                for said in child.receive():
-                    self._hear(said)
+                for report in child.receive():
+                    self._handle(report)
             except EOFError:
                 self._report.ended = True
         if not set(ready).isdisjoint(keyboard.sources):
@@ -109,13 +109,13 @@ class _Player:
         if self._was_playing:
             self._send(Command.RESUME)
 
-    def _hear(self, said: dict[str, Any]) -> None:
-        if "error" in said:
-            self._report.error = error_for_exit_code(said["exit_code"], said["error"], said)
-        if "progress" in said:
-            self._paused = said["progress"]["paused"]
-        self._report.summary = said.get("summary", self._report.summary)
-        self._screen.show(said)
+    def _handle(self, report: dict[str, Any]) -> None:
+        if "error" in report:
+            self._report.error = error_for_exit_code(report["exit_code"], report["error"], report)
+        if "progress" in report:
+            self._paused = report["progress"]["paused"]
+        self._report.summary = report.get("summary", self._report.summary)
+        self._screen.show(report)
 
     def _press(self, key: str) -> None:
         if key == QUIT:
