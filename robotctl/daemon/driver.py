@@ -71,7 +71,7 @@ MAX_COMMAND_LATENCY_S = 0.01
 
 
 class Driver:
-    """Connects kernel, ROS roles and recorder."""
+    """A daemon that connects kernel, ROS roles and recorder."""
 
     def __init__(self, host: Host) -> None:
         self._host = host

@@ -24,7 +24,7 @@ _log = logging.getLogger(__name__)
 
 
 class Observer:
-    """Connects the recorder and the control socket."""
+    """A daemon that connects only the recorder and the control socket."""
 
     def __init__(self, host: Host) -> None:
         self._host = host

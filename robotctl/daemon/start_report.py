@@ -20,7 +20,7 @@ _STDOUT = 1
 
 
 class StartReport:
-    """Sends one report to the starter, on `ready_fd`, or on stdout and stderr if that is None."""
+    """One report to the starter, on `ready_fd`, or on stdout and stderr if that is None."""
 
     def __init__(self, ready_fd: int | None) -> None:
         self._ready_fd = ready_fd

@@ -1,4 +1,4 @@
-"""Turns failures in the daemon into events: the kernel answers with zero and ERROR."""
+"""Failures in the daemon as events: the kernel answers with zero and ERROR."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Work = Callable[[], Coroutine[Any, Any, None]]
 
 
 class Supervisor:
-    """Runs tasks, and handles the exceptions that no other code handles.
+    """The runner of all tasks, which handles the exceptions that no other code handles.
 
     A failed task is started again, so that status, stop and zeros stay available. Its fault lasts
     until the daemon is restarted. When memory runs out, the robot is stopped and the daemon ends.

@@ -23,7 +23,7 @@ from robotctl.ipc.request_handler import Identity, RequestHandler, encode_failur
 
 
 class Connection:
-    """Answers one client until it disconnects, misses a deadline or sends a line that is too long.
+    """The connection of one client, until its end, a missed deadline or a line that is too long.
 
     With `over_cap` there are too many clients already: then one emergency stop is answered.
     """

@@ -32,7 +32,7 @@ _RETRY_ACCEPT_S = 0.1
 
 
 class Listener:
-    """Listens at `path` from `open` to `close`; `close` removes the file if it is still ours."""
+    """A listening socket at `path`; `close` removes the file if it is still the listener's own."""
 
     def __init__(self, path: Path) -> None:
         self._path = path

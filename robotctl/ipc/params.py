@@ -43,19 +43,19 @@ class SetModeParams(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class ResetParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """Releases ERROR and EMERGENCY_STOP to IDLE."""
+    """The parameters of `reset`, which releases ERROR and EMERGENCY_STOP to IDLE."""
 
     source: Source
 
 
 class EndDriveParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """Ramps a drive down to IDLE; changes nothing in any mode but MOVING."""
+    """The parameters of `end_drive`, which ramps down to IDLE and acts in MOVING only."""
 
     source: Source
 
 
 class MarkParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """Marks the present moment in the recording."""
+    """The parameters of `mark`, which marks the present moment in the recording."""
 
     text: Annotated[str, Meta(min_length=1, max_length=MAX_MARK_LENGTH)]
     source: Source

@@ -90,7 +90,7 @@ class Failure(NamedTuple):
 
 
 class LineBuffer:
-    """Splits a byte stream into lines of at most `limit` bytes."""
+    """A buffer that splits a byte stream into lines of at most `limit` bytes."""
 
     def __init__(self, limit: int) -> None:
         self._limit = limit

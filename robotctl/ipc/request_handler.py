@@ -52,7 +52,7 @@ class _Rejected(Exception):
 
 
 class RequestHandler:
-    """Answers the requests of one connection, one at a time."""
+    """The handler of one connection's requests, one at a time."""
 
     def __init__(
         self,

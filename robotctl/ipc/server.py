@@ -27,7 +27,7 @@ _FULL_POLL_S = 0.005
 
 
 class ControlServer:
-    """Listens within the `with` block, and answers while `serve` runs.
+    """The server of the control socket: listens in the `with` block, answers while `serve` runs.
 
     A socket that a dead daemon has left at `path` is replaced; the caller owns the robot's lock.
 

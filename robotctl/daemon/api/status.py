@@ -34,7 +34,7 @@ class RobotView(Protocol):
 
 
 class StatusSource:
-    """Collects the status; `scheduling` is the Linux scheduling of the loop's thread."""
+    """The source of the status; `scheduling` is the Linux scheduling of the loop's thread."""
 
     def __init__(
         self,

@@ -29,7 +29,7 @@ SNAPSHOT_PERIOD_NS = 10 * NS_PER_S
 
 
 class Control:
-    """Owns the kernel. `dispatch` is synchronous, and is called in the loop's thread only.
+    """The owner of the kernel. `dispatch` is synchronous, for the loop's thread only.
 
     An event that is dispatched while another is handled waits in a FIFO. Each event is journaled
     before it is handled, each effect after it is carried out.

@@ -1,4 +1,4 @@
-"""Carries out the kernel's effects: passes each one to the part that does it."""
+"""Effects of the kernel: each one is passed to the part that carries it out."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _NOTED = {Mode.EMERGENCY_STOP: EventKind.EMERGENCY_STOP, Mode.ERROR: EventKind.E
 
 
 class Effects:
-    """Carries out effects in the loop's thread, and never waits."""
+    """The code for each effect; it runs in the loop's thread, and never waits."""
 
     def __init__(
         self,

@@ -19,7 +19,7 @@ NAMELESS = "a publisher that is gone, or has no name yet,"
 
 
 class ForeignCommands:
-    """Checks the publisher of each heard command, and dispatches an event for a foreign one.
+    """The check of each heard command's publisher; a foreign command becomes an event.
 
     `name_of(gid)` returns the name of the node with this publisher, "" if unknown. While `moves()`
     returns true each foreign command is an event: the first one ends the motion. Otherwise each

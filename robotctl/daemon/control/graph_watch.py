@@ -1,4 +1,4 @@
-"""Watches the ROS graph: publishers of odometry, other publishers and subscribers of commands."""
+"""The watch on the ROS graph: publishers of odometry, publishers and subscribers of commands."""
 
 from __future__ import annotations
 

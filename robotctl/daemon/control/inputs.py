@@ -1,4 +1,4 @@
-"""Turns input from ROS and from the recorder into events for the kernel."""
+"""Input from ROS and from the recorder, as events for the kernel."""
 
 from __future__ import annotations
 

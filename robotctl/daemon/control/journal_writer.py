@@ -1,4 +1,4 @@
-"""Writes the journal: numbers the entries and serializes each one."""
+"""The writer of the journal, which numbers and serializes the entries."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from robotctl.recording.format.metadata_names import MADE_BY
 
 
 class Journal:
-    """Passes each entry, serialized as a ROS message, to `write` in order."""
+    """The journal; each entry goes to `write` in order, serialized as a ROS message."""
 
     def __init__(self, write: Callable[[bytes, int], None]) -> None:
         """`write(serialized, seq)` is called for each entry."""

@@ -34,7 +34,7 @@ _EXPECTED = (Cause.ODOMETRY_LOST, Cause.BATTERY_UNKNOWN, Cause.COMMAND_UNHEARD)
 
 
 class RobotReport:
-    """Reads the kernel's state, and keeps the driven path; `sim`: the robot is simulated."""
+    """A report of the kernel's state, and the driven path; `sim`: the robot is simulated."""
 
     def __init__(self, control: Control, params: KernelParams) -> None:
         self.sim = False

@@ -55,7 +55,7 @@ class LoopTick:
 
 
 class Watchdog:
-    """Watches the ticks in a thread, from the first `ping` to the end of the `with` block.
+    """A thread that watches the ticks, from the first `ping` to the end of the `with` block.
 
     When the ticks stop, the thread closes the gate and sends zeros until the loop calls `take`.
     Until the first zero is sent, it opens no file, imports no module, logs nothing, and takes no

@@ -12,7 +12,7 @@ from robotctl.printable import printable, without_colours
 
 
 class PlainFormatter(logging.Formatter):
-    """Formats lines so that foreign text cannot control a terminal or imitate a log line."""
+    """A formatter: foreign text can neither control a terminal nor imitate a log line."""
 
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - logging's own name
         """Return the message without colours, control characters escaped, extra lines indented."""
@@ -21,7 +21,7 @@ class PlainFormatter(logging.Formatter):
 
 
 class QueueHandler(logging.Handler):
-    """Queues each record without waiting; counts repeated records instead."""
+    """A handler that queues records without waiting, and counts repeated ones instead."""
 
     def __init__(self, queue: StderrQueue) -> None:
         super().__init__()

@@ -26,7 +26,7 @@ _END = b"\0"
 
 
 class StderrQueue:
-    """Takes lines from any thread within the `with` block, in order and without waiting.
+    """A queue for lines of any thread within the `with` block; a line never waits.
 
     If stderr is a terminal, a pipe or a socket, the output of C and C++ libraries goes through the
     queue as well. They write directly to a regular file, so that the last words of an abort are

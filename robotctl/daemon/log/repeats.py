@@ -25,7 +25,7 @@ class _Burst:
 
 
 class Repeats:
-    """Decides which records are written. Equal records have logger, level, text, exception alike.
+    """A filter for repeated records. Equal records have the same logger, level, text, exception.
 
     Records below the level of a warning are always written.
     """

@@ -46,7 +46,7 @@ DEFAULT_LIMITS = ClipLimits()
 
 
 class BlackBox:
-    """Starts the clip processes, in the loop's thread; they have the lowest priority."""
+    """The starter of clip processes, for the loop's thread; they have the lowest priority."""
 
     def __init__(
         self,

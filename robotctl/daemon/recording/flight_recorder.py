@@ -44,7 +44,7 @@ SAMPLE_PERIOD_S = 1.0
 
 
 class FlightRecorder:
-    """Connects recorder and tap: records own topics from its creation, others while its work runs.
+    """Recorder and tap: they record own topics at once, other topics while the work runs.
 
     Command, odometry, robot status and journal are recorded with any topic filter.
     """

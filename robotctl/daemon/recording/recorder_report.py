@@ -24,7 +24,7 @@ _NO_MEMORY = "are not recorded, because memory ran out: end other programs, or e
 
 
 class RecorderReport:
-    """Reads the counts of recorder and tap, and reports them."""
+    """A report of the counts of recorder and tap."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""Removes old recordings and repairs broken ones, in a process that the daemon never waits for."""
+"""The removal of old recordings and repair of broken ones, in a separate process."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MAX_PROBLEMS = 10
 
 
 class Tidier:
-    """Starts the processes that tidy the folder; used in the loop's thread.
+    """The starter of processes that tidy the folder, for the loop's thread.
 
     After `begin`, a process of the lowest priority removes what exceeds the retention policy, and
     repairs what a crash has left. It is a process because files of any origin and size are read.

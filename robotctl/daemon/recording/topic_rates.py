@@ -19,7 +19,7 @@ TopicKey = tuple[str, str]
 
 
 class RateMeter:
-    """Computes rates [1/s] from counts, over the time between the last two samples."""
+    """Rates [1/s] from counts, over the time between the last two samples."""
 
     def __init__(self) -> None:
         self._counts: Mapping[TopicKey, int] = {}
@@ -41,7 +41,7 @@ class RateMeter:
 
 
 class HeavyTopics:
-    """Finds the heavy topics, and their data rates [bytes/s]."""
+    """The heavy topics, and their data rates [bytes/s]."""
 
     def __init__(self) -> None:
         self._samples: deque[tuple[int, Mapping[TopicKey, int]]] = deque()
