@@ -54,8 +54,8 @@ def test_without_a_daemon_every_command_says_how_to_start_one(
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        ("set-mode flying", "no mode 'flying': use idle, moving, error, emergency-stop, or 0 to 3"),
-        ("set-mode 7", "no mode '7': use idle, moving, error, emergency-stop, or 0 to 3"),
+        ("set-mode flying", f"no mode 'flying': use {quick_actions.VALID_MODES}"),
+        ("set-mode 255", f"no mode '255': use {quick_actions.VALID_MODES}"),
         ("status --robot ../etc", "robot name '../etc': use a letter"),
         ("stat", "No such command 'stat'. Did you mean 'start', 'status'?"),
         ("drive", "Missing argument 'PATTERN'. Choose from: square, circle, figure-eight"),
