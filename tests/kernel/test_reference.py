@@ -253,6 +253,19 @@ def test_the_figure_eight_is_as_long_as_two_circles_and_turns_most_at_a_quarter(
     assert isclose(eight.curvature_at(eight.length / 4), eight.top_curvature)
 
 
+@pytest.mark.parametrize("lap", [0, 1])
+def test_the_distance_to_the_figure_eight_is_exact_for_a_robot_beside_its_reference(
+    lap: int,
+) -> None:
+    eight = lap_of(PatternKind.FIGURE_EIGHT, 1.0).segments[0]
+    for share in (0.0, 0.1, 0.3, 0.5, 0.77, 0.99):
+        length = share * eight.length
+        for beside_m in (-0.2, 0.0, 0.3):
+            point = eight.pose_at(length).compose(Pose(0.0, beside_m, 0.0))
+            far_m = eight.distance_to(point, length + lap * eight.length)
+            assert isclose(far_m, abs(beside_m), abs_tol=1e-9)
+
+
 # The law
 
 
