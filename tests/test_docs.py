@@ -36,6 +36,14 @@ def test_every_page_that_a_page_links_to_exists(page: Path) -> None:
     assert not missing
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_file_that_a_page_names_exists(page: Path) -> None:
+    """A path is meant from the root, from robotctl/, or from the page's own folder."""
+    named = re.findall(r"`([a-z_]+/[a-z_/]+\.(?:py|msg|toml|xml|yml))\b", page.read_text())
+    places = [ROOT, ROOT / "robotctl", page.parent]
+    assert [name for name in named if not any((place / name).exists() for place in places)] == []
+
+
 def test_the_readme_names_every_command() -> None:
     readme = (ROOT / "README.md").read_text()
     assert [name for name in COMMANDS if f"robotctl {name}" not in readme] == []
