@@ -36,7 +36,7 @@ def from_json(kind: Callable[..., T], text: str) -> T:
     try:
         value: T = _reader(kind)(json.loads(text))
     except (KeyError, TypeError, OverflowError, RecursionError) as error:
-        raise ValueError(f"not a {kind}: {text[:80]}") from error
+        raise ValueError(f"not a {getattr(kind, '__name__', kind)}: {text[:80]}") from error
     return value
 
 

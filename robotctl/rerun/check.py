@@ -205,7 +205,7 @@ class _Check:
         if not ledger and CLIP_RECORD in self._info.metadata:
             return  # a clip has no ledger: its source has it
         if not ledger:
-            self._report.notes.append("it was not closed: its loss ledger is not there to check")
+            self._report.notes.append("it was not closed: it has no loss ledger to check")
             return
         for sentence in unbalanced(ledger, finished=path.is_dir()):
             self._invariants.violate(sentence)

@@ -62,7 +62,7 @@ def read_snapshot(entry: JournalEntry) -> Snapshot:
     try:
         check_all(Config(kernel=snapshot.params))
     except ConfigError as error:
-        raise UnreadableFile(f"journal entry {entry.seq} is not ours: {error}") from None
+        raise UnreadableFile(f"journal entry {entry.seq} cannot be read: {error}") from None
     return snapshot
 
 
@@ -96,4 +96,4 @@ def _read(kinds: Mapping[str, Any], noun: str, entry: JournalEntry) -> Any:
         except (msgspec.DecodeError, RecursionError):  # nan and inf are strings there
             return from_json(kind, entry.data)
     except ValueError as error:
-        raise UnreadableFile(f"journal entry {entry.seq} is not ours: {error}") from None
+        raise UnreadableFile(f"journal entry {entry.seq} cannot be read: {error}") from None

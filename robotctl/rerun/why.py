@@ -134,7 +134,7 @@ def _known(incident: Incident) -> str:
     """Return what the kernel knew when it decided."""
     state = incident.after
     if state is None or incident.params is None:
-        return "cannot be told: the journal has a gap or no snapshot before"
+        return "unknown: the journal has a gap or no snapshot before"
     health, facts = state.health, []
     if health.odometry is None:
         facts.append("no odometry yet")
@@ -165,7 +165,7 @@ def _rule(incident: Incident) -> str:
         return _table_rule(incident, before)
     measures = _measures(rule, params)
     if incident.kind is IncidentKind.REFUSAL:
-        holds = f"holds {before.mode.name}" if before.cause is not None else "forbids to start"
+        holds = f"holds {before.mode.name}" if before.cause is not None else "prevents a start"
         return f"{rule.cause.value} {holds}{measures}"
     if not rule.raised_in:
         return f"{rule.cause.value}: a request for {rule.action.name} is always granted"

@@ -148,7 +148,7 @@ def test_a_recording_that_goes_on_is_checked_as_far_as_it_is(
     recorder.close()
     assert report.verdict is Verdict.SAME
     assert report.events == sum(entry.kind is EntryKind.EVENT for entry in entries)
-    assert "its loss ledger is not there" in report.notes[0]
+    assert "it has no loss ledger" in report.notes[0]
 
 
 @pytest.mark.parametrize("damage", ["cut", "hole"])

@@ -118,7 +118,9 @@ def test_an_event_of_another_version_is_named() -> None:
     journal = a_journal()
     at = next(i for i, entry in enumerate(journal) if entry.name == "Tick")
     journal[at] = journal[at]._replace(name="Tock")
-    with pytest.raises(UnreadableFile, match=f"journal entry {at} is not ours: no event is called"):
+    with pytest.raises(
+        UnreadableFile, match=f"journal entry {at} cannot be read: no event is called"
+    ):
         first_divergence(journal)
 
 

@@ -128,7 +128,7 @@ def test_a_refusal_names_the_condition_and_its_rule(tmp_path: Path) -> None:
     told = explain(found)
     assert told.what.startswith("refused: no odometry was received on odom yet")
     assert told.remedies == (Remedy.CHECK_ODOMETRY_IS_PUBLISHED,)
-    assert told.rule == "odometry lost forbids to start (odometry.timeout_s is 0.5)"
+    assert told.rule == "odometry lost prevents a start (odometry.timeout_s is 0.5)"
     assert told.went_out == ()
 
 
@@ -170,7 +170,7 @@ def test_without_a_snapshot_before_it_says_what_it_cannot_tell(tmp_path: Path) -
     written = drive(3.0, requests=[drive_requested(), ESTOP])
     told = explain(incident(record(tmp_path / "run", written[200:])))
     assert told.what == "MOVING -> EMERGENCY_STOP: requested by robotctl estop (pid 99)"
-    assert told.known.startswith("cannot be told")
+    assert told.known.startswith("unknown: ")
 
 
 def test_where_nothing_happened_it_says_so(tmp_path: Path) -> None:
