@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
+from operator import attrgetter
 from typing import Final
 
 
@@ -27,8 +28,10 @@ class MessageCounts:
 
 COUNTERS: Final = tuple(field.name for field in fields(MessageCounts))
 
+_values = attrgetter(*COUNTERS)
+
 
 def total(counts: Iterable[MessageCounts]) -> dict[str, int]:
     """Return the sum of each counter, by name."""
-    each = list(counts)
-    return {name: sum(getattr(one, name) for one in each) for name in COUNTERS}
+    sums = map(sum, zip(*map(_values, counts), strict=True))
+    return dict(zip(COUNTERS, sums, strict=False)) or dict.fromkeys(COUNTERS, 0)
