@@ -105,7 +105,7 @@ def _check_definitions(
     if not job.changed_types:
         raise Refused(
             f"{what}; subscribers would misread it",
-            "leave it out: --exclude NAME; play it all the same: --force-types",
+            "leave it out: --exclude NAME; play it anyway: --force-types",
             sentence=IN_PARENTHESES,
         )
-    report.note(f"{what}; --force-types plays it all the same")
+    report.note(f"{what}; --force-types plays it anyway")

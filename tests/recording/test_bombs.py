@@ -175,7 +175,7 @@ def test_what_robots_record_that_is_all_zeros_passes(tmp_path: Path, count: int,
     path.write_bytes(path.read_bytes()[:-20])
     info = read_info(path)
     assert info.message_count == count
-    assert info.missing == ("its end is damaged: what was written last may be lost",)
+    assert info.missing == ("its end is damaged: the last messages may be lost",)
 
 
 @pytest.mark.parametrize(

@@ -192,7 +192,7 @@ def test_names_that_are_no_text_are_written_escaped(tmp_path: Path) -> None:
 
 
 def test_a_time_without_messages_is_refused(recording: Path, tmp_path: Path) -> None:
-    with pytest.raises(Refused, match="holds nothing of that time"):
+    with pytest.raises(Refused, match="has no messages in that time range"):
         clip(recording, tmp_path / "clip.mcap", 100, 200)
     assert list(tmp_path.iterdir()) == []
 

@@ -120,7 +120,7 @@ def test_a_message_that_cannot_be_decompressed_is_missing(tmp_path: Path) -> Non
     messages, missing = salvaged(folder)
     assert [message.data for message in messages] == SENT[:7] + SENT[9:]
     assert missing
-    assert all("messages are not compressed as the bag says" in each for each in missing)
+    assert all("messages are not compressed as the metadata says" in each for each in missing)
     salvage = recover(folder / "bag_0.mcap", tmp_path / "out.mcap")
     assert salvage.message_count == len(SENT) - 2
     assert salvage.lost

@@ -86,10 +86,10 @@ async def test_a_type_that_has_changed_is_refused_unless_left_out_or_insisted_on
     await until(lambda: listener.heard == {"/alpha": data(alpha), "/beta": []})
     ran = await replay(file, "--json")
     error = json.loads(ran.out)["error"]
-    assert error["cure"] == "leave it out: --exclude NAME; play it all the same: --force-types"
+    assert error["cure"] == "leave it out: --exclude NAME; play it anyway: --force-types"
     assert error["cause"].endswith("subscribers would misread it")
     ran = await replay(file, "--force-types", "--topics", "/beta", "--json")
-    assert "--force-types plays it all the same" in ran.summary["notes"][0]
+    assert "--force-types plays it anyway" in ran.summary["notes"][0]
     await until(lambda: listener.heard["/beta"] == data(beta))
 
 

@@ -72,7 +72,7 @@ async def test_the_cure_for_changed_types_moves_no_idle_robot(
     async with daemon():
         ran = await replay(file)
         assert ran.exit_code == 4
-        assert "play it all the same: --force-types)" in ran.err
+        assert "play it anyway: --force-types)" in ran.err
         ran = await replay(file, "--force-types")
     assert ran.exit_code == 0, ran.err
     await until(lambda: listener.heard["/replay/cmd_vel"] == data(commands))

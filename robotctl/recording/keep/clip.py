@@ -91,7 +91,7 @@ def cut_clip(
     info = recording.info()
     start_ns, end_ns = max(window[0], info.start_ns), min(window[1], info.end_ns)
     if not info.message_count or start_ns > end_ns:
-        raise Refused(f"{recording.path} holds nothing of that time")
+        raise Refused(f"{recording.path} has no messages in that time range")
     copy = _ClipWriter(recording, moment, (start_ns, end_ns), on_progress)
     with new_file(target) as storage:
         copy.run(McapFile(storage, profile=info.profile, library=LIBRARY), target.name)
@@ -132,7 +132,7 @@ class _ClipWriter:
         before = self.message_count
         self._write(mcap, self._within())
         if self.message_count == before:
-            raise Refused(f"{self._recording.path} holds nothing of that time")
+            raise Refused(f"{self._recording.path} has no messages in that time range")
         mcap.add_metadata(CLIP_RECORD, self._about())
         summary = mcap.summary
         bag_file = BagFile(name, summary.start_ns, summary.end_ns, dict(summary.counts))

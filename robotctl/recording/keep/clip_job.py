@@ -114,7 +114,9 @@ def _free_name(job: ClipJob) -> Path:
         if not folder.is_dir():
             make_folder(folder, shared=is_shared(folder.parent))
     except OSError as error:
-        raise Refused(f"cannot write into {folder}: {error.strerror} (elsewhere: -o)") from error
+        raise Refused(
+            f"cannot write into {folder}: {error.strerror} (choose another file: -o FILE)"
+        ) from error
     at = time.strftime("%H%M%S", time.localtime(job.moment.log_ns // NS_PER_S))
     kind = "at" if job.moment.kind is None else job.moment.kind.value
     name, attempt = f"{source.stem}_{kind}_{at}", 1

@@ -153,7 +153,7 @@ class _RecoveryWriter:
         for offset in sorted(self._index.attachments):
             try:
                 if offset < behind:
-                    raise Damaged("it lies within another one")
+                    raise Damaged("it overlaps another attachment")
                 _, length = read_record_head(self._file, offset)
                 behind = offset + length
                 mcap.add_attachment(read_attachment(self._file, offset))

@@ -49,7 +49,7 @@ def find_unfinished_commit(file: InputFile, index: FileIndex, data_end: int) -> 
         unindexed = opcode == Opcode.CHUNK and offset not in indexed
         if opcode not in _DATA or unindexed or end > data_end:
             if offset < last_indexed:
-                raise Damaged("a record that is not ours lies before its last chunk")
+                raise Damaged("a record of another writer precedes its last chunk")
             return offset
         offset = end
     return None

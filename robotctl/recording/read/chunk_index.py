@@ -50,7 +50,7 @@ def read_chunk_index(data: bytes, position: int, end: int) -> ChunkEntry:
     except (struct.error, ValueError) as error:
         raise Damaged("a chunkindex record is malformed") from error
     if stored != stored_size_of(length, compression):
-        raise Damaged("its summary gives a chunk two sizes")
+        raise Damaged("its summary gives two sizes for the same chunk")
     place = Place(
         PlaceKind.CHUNK,
         offset,

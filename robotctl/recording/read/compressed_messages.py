@@ -82,7 +82,7 @@ class MessageDecompressor:
             self._spend(size)
             return self._zstd.decompress(frame, max_output_size=size)
         except (ZstdError, ValueError, MemoryError) as error:
-            raise Damaged("messages are not compressed as the bag says") from error
+            raise Damaged("messages are not compressed as the metadata says") from error
 
     def _spend(self, size: int) -> None:
         if size > self._limits.chunk_bytes:

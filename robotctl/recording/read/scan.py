@@ -61,16 +61,16 @@ def index_by_scanning(
                 on_progress(offset)
             break
         except BeyondLimit as limit:
-            index.miss_beyond(f"what follows byte {offset} is not read", limit)
+            index.miss_beyond(f"the data after byte {offset} is not read", limit)
             break
         except Damaged as damage:
             if scan.data_ended:
-                index.miss("its end is damaged: what was written last may be lost")
+                index.miss("its end is damaged: the last messages may be lost")
                 break
             try:
                 found = find_chunk(file, offset + 1, scan.budget)
             except BeyondLimit as limit:
-                index.miss_beyond(f"what follows byte {offset} is not read", limit)
+                index.miss_beyond(f"the data after byte {offset} is not read", limit)
                 break
             end = file.size if found is None else found
             index.miss(f"bytes {offset} to {end} are lost: {damage}")

@@ -73,7 +73,7 @@ def read_chunk_ref(file: InputFile, offset: int, length: int) -> ChunkRef:
         name_start = RECORD_HEAD.size + _CHUNK_FIELDS.size + 4
         (name_size,) = struct.unpack_from("<I", prefix, name_start - 4)
         if name_size > _MAX_NAME_BYTES:
-            raise Damaged("a chunk's compression has no name")
+            raise Damaged(f"the compression of a chunk has a name of {name_size} bytes")
         name_end = name_start + name_size
         compression = prefix[name_start:name_end].decode()
         (data_size,) = struct.unpack_from("<Q", prefix, name_end)
