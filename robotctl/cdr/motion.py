@@ -57,7 +57,7 @@ def decode_twist(data: bytes) -> Twist:
 
 
 def encode_twist(twist: Twist) -> bytes:
-    """Return a serialized geometry_msgs/Twist whose other components are 0."""
+    """Return a serialized geometry_msgs/Twist of this linear.x and angular.z; the rest is 0."""
     return _TWIST.pack(ENCAPSULATION, twist.linear, 0.0, 0.0, 0.0, 0.0, twist.angular)
 
 

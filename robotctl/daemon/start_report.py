@@ -29,9 +29,10 @@ class StartReport:
             os.set_inheritable(ready_fd, False)
 
     def send(self, report: Mapping[str, Any]) -> None:
-        """Send the report; in the background only the first call sends.
+        """Send the report. A daemon in the background sends only its first report.
 
-        If the starter of a ready daemon has ended, the daemon ends itself with SIGTERM.
+        If it reports that it is ready, but the process that started it is gone, it ends itself with
+        SIGTERM.
         """
         line = f"{json.dumps(report)}\n".encode()
         if not self._in_background:  # stdout may block: the loop must not wait

@@ -1,4 +1,4 @@
-"""The checks of the safety table: each returns what is wrong now, "" if nothing is."""
+"""The checks of the rules in `safety.RULES`: each returns what is wrong now, "" if nothing is."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ class PlaybackControl:
         return self._schedule
 
     def begin(self, moment_ns: int) -> None:
-        """Let recorded time begin at `moment_ns`, or at the end of a current pause."""
+        """Start playback at `moment_ns` of the steady clock, or at the end of a current pause."""
         with self._changing:
             self._schedule = replace(self._schedule, moment_ns=moment_ns)
 

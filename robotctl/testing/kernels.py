@@ -220,7 +220,7 @@ def drive_simulated(
 
 
 def _schedule(rate_hz: float, odometry_rate_hz: float) -> Iterator[tuple[str, int]]:
-    """Yield kind and time [ns] of the inputs for 200 s; ticks come 1 ms after odometry."""
+    """Yield kind and time [ns] of each input of 200 simulated seconds: odometry, a tick 1 ms later, and so on."""
     due_ns = {"odometry": 0, "battery": 500_000, "tick": 1_000_000}
     period_ns = {
         "odometry": round(NS_PER_S / odometry_rate_hz),

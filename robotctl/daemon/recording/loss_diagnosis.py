@@ -14,7 +14,8 @@ MAX_TOPICS = 100
 
 
 def diagnose(stats: RecorderStats, warnings: Sequence[str]) -> Diagnosis:
-    """Return the diagnosis: an error if recording has failed, a warning if messages are missing."""
+    """Return the recorder's part of /diagnostics: ERROR if recording has failed, WARN if the
+    recording lacks messages, else OK."""
     if stats.state is not RecorderState.RECORDING:
         level, message = Level.ERROR, stats.failure or stats.state.value
     elif stats.dropped or stats.lost:

@@ -51,7 +51,7 @@ def share_with_group(path: Path) -> None:
 
 
 def share_like(path: Path, source: Path) -> None:
-    """Let the group read `path` if it may read `source`, from which it was made.
+    """Make `path` readable for its group if `source`, from which it was made, is.
 
     Raises:
         OSError: One of them does not exist.

@@ -1,6 +1,9 @@
-"""`python -m robotctl.recording.keep.tidy_process JOB --report-fd N`: tidy at the lowest priority.
+"""`python -m robotctl.recording.keep.tidy_process JOB --report-fd N`.
 
-JOB is the JSON object of a TidyJob. On N, a line of JSON for each action: {"text", "problem"}.
+Removes old recordings of a folder and repairs unfinished ones, at the lowest CPU priority.
+
+JOB is the JSON object of a TidyJob. On N, a line of JSON for each action: {"text", "problem"};
+"problem" is true where something could not be done.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The compressions of chunks that can be read; the recorder does not write all of them."""
+"""The chunk compressions that the reader supports; the recorder writes only some of them."""
 
 from __future__ import annotations
 

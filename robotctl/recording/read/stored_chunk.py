@@ -57,10 +57,10 @@ class UnpackBudget:
 
 
 def read_chunk_ref(file: InputFile, offset: int, length: int) -> ChunkRef:
-    """Parse the head of the chunk record at `offset`, which has `length` bytes.
+    """Parse the head of the chunk record at `offset`; the record has `length` bytes in all.
 
     Raises:
-        Damaged: There is no chunk of that length.
+        Damaged: At `offset` is no chunk record of that length.
     """
     prefix = file.read(offset, min(_PREFIX_BYTES, length))
     try:

@@ -36,9 +36,9 @@ class PackedMessages:
 class PackBuffer:
     """Room for many messages. `Recorder.write` packs into it and uses these attributes directly.
 
-    A message that would pass `limit` does not fit; the packer then changes to another buffer. The
-    taker sets `limit` to 0 to request that. `unordered` holds the channels whose log times may step
-    back; the others need no search for their lowest and highest time.
+    A message that would end beyond byte `limit` does not fit; the packer then changes to another
+    buffer. The writer thread sets `limit` to 0 to make it change. `unordered` holds the channels
+    whose log times may step back; the others need no search for their lowest and highest time.
     """
 
     __slots__ = ("_taken", "data", "end", "indexes", "limit", "size", "unordered")

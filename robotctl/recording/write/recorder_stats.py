@@ -22,8 +22,8 @@ class RecorderState(StrEnum):
 class RecorderStats(MessageCounts):
     """The recorder at one instant; the counts are the sums over `topics`.
 
-    `file` is the current file, `bytes` the size of all files on disk. `no_memory` of the dropped
-    messages were dropped for lack of memory. `failure` and `warning` are sentences, or "".
+    `file` is the current file, `bytes` the size of all files of this recording. `no_memory` counts
+    the dropped messages for which there was no memory. `failure` and `warning` are sentences, or "".
     """
 
     state: RecorderState

@@ -36,9 +36,9 @@ OWN_LISTENERS = (RECORDER_NODE, NODE_NAME, "simulated_robot")
 class VelocityPublisher(Node):
     """Publishes `cmd_vel`: zeros for 4 s, then a sweep from -2 to 2 m/s in steps of 0.1.
 
-    It publishes zeros instead, and logs why, while another node publishes or receives commands, or
-    where discovery reaches beyond this machine. With the parameter `sweep` set to true it sweeps
-    anyway. A call of `set_velocity` ends the sweep.
+    It publishes zeros instead, and logs why, while another node publishes the topic, while one that
+    may be a robot subscribes to it, or where discovery reaches beyond this machine. With the
+    parameter `sweep` set to true it sweeps anyway. The method `set_velocity` ends the sweep.
     """
 
     def __init__(self, context: Context | None = None, **options: Any) -> None:

@@ -131,7 +131,8 @@ class AsyncioExecutor:
 
         May be called from any thread, callback or signal handler. Called in another thread, it
         waits for running callbacks, at most `timeout_sec` seconds (None or negative: no limit).
-        Called in the loop's own thread, it does not wait; leaving `async with` does.
+        Called in the loop's own thread, it does not wait; leaving `async with` of the
+        executor waits.
 
         Returns:
             Whether no callback runs any more.

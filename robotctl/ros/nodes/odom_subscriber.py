@@ -39,7 +39,8 @@ class OdomSubscriber:
     ) -> None:
         """Call `on_odometry(odometry, source, sequence)` for each message.
 
-        `source` is the number of the message's publisher. Before a publisher's first message,
+        `source` is the number of the message's publisher, counted from 1; `sequence` is the
+        publisher's own number of the message. Before a publisher's first message,
         `on_source(source, gid, name)` is called with that number, the gid in hexadecimal digits,
         and the node's name, "" where it is not known yet. It is called again when `find_names`
         finds the node.
