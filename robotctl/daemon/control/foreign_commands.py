@@ -8,22 +8,22 @@ from collections.abc import Callable
 from robotctl.kernel.types import Event, ForeignCommandHeard
 
 REPEAT_NS = 200_000_000
-"""Period of the events for one publisher while the robot does not move.
+"""The shortest time between two events about one publisher while the robot does not move.
 
 A flood of commands must not fill the journal."""
 
 MAX_TOLD = 16
-"""Publishers that get an event within `REPEAT_NS` while the robot does not move."""
+"""The most publishers with an event within `REPEAT_NS` while the robot does not move."""
 
 NAMELESS = "a publisher that is gone, or has no name yet,"
 
 
 class ForeignCommands:
-    """The check of each heard command's publisher; a foreign command becomes an event.
+    """A check of the publisher of each command; a foreign command becomes an event.
 
     `name_of(gid)` returns the name of the node with this publisher, "" if unknown. While `moves()`
-    returns true each foreign command is an event: the first one ends the motion. Otherwise each
-    publisher gets one event in 0.2 s.
+    returns true, each foreign command is an event: the first one ends the motion. Otherwise there
+    is one event in 0.2 s about each publisher.
     """
 
     def __init__(

@@ -33,7 +33,7 @@ class _Change:
     number: int
     carry_out: Callable[[], None]
     fault: str
-    """The consequence if the change is not saved."""
+    """What a restart does wrong if the change is not saved."""
 
     def failed(self, error: Exception) -> str:
         """Return the sentence for a change that failed."""

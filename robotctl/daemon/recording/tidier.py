@@ -47,7 +47,7 @@ class Tidier:
         self._finished.set()
 
     async def run(self) -> None:
-        """Tidy until cancelled."""
+        """Tidy the folder after `begin` and after each finished file, until cancelled."""
         await self._begun.wait()
         if await asyncio.to_thread(self._has_others):
             await self._tidy(repairs=True)

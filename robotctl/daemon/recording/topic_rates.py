@@ -41,7 +41,7 @@ class RateMeter:
 
 
 class HeavyTopics:
-    """The heavy topics, and their data rates [bytes/s]."""
+    """The topics with a data rate above HEAVY_BYTES_PER_S, and their rates [bytes/s]."""
 
     def __init__(self) -> None:
         self._samples: deque[tuple[int, Mapping[TopicKey, int]]] = deque()
