@@ -220,7 +220,10 @@ def drive_simulated(
 
 
 def _schedule(rate_hz: float, odometry_rate_hz: float) -> Iterator[tuple[str, int]]:
-    """Yield kind and time [ns] of each input of 200 simulated seconds: odometry, a tick 1 ms later, and so on."""
+    """Yield kind and time [ns] of each input of 200 simulated seconds.
+
+    Odometry begins at 0 ms, ticks at 1 ms, each with its own period.
+    """
     due_ns = {"odometry": 0, "battery": 500_000, "tick": 1_000_000}
     period_ns = {
         "odometry": round(NS_PER_S / odometry_rate_hz),

@@ -23,7 +23,8 @@ class RecorderStats(MessageCounts):
     """The recorder at one instant; the counts are the sums over `topics`.
 
     `file` is the current file, `bytes` the size of all files of this recording. `no_memory` counts
-    the dropped messages for which there was no memory. `failure` and `warning` are sentences, or "".
+    the dropped messages for which there was no memory. `failure` and `warning` are
+    sentences, or "".
     """
 
     state: RecorderState

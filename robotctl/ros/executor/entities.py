@@ -44,7 +44,7 @@ class Attachments:
         return entity in self.sources
 
     def follow(self, present: dict[Any, Node]) -> None:
-        """Watch the new entities of `present` (entity -> node) in the loop; stop watching all others."""
+        """Watch the new entities of `present` (entity -> node) in the loop, and no others."""
         for entity in [entity for entity in self.sources if entity not in present]:
             source = self.sources.pop(entity)
             if is_destroyed(source.handle):
