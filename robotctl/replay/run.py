@@ -112,7 +112,9 @@ class Replay:
             raise UnreadableFile(f"{job.file} is incomplete: {'; '.join(missing)}")
 
     def _wait(self) -> None:
-        """Wait for the expected subscribers, and for matched publishers."""
+        """Wait until the expected subscribers have joined, and the publishers are matched with
+        theirs.
+        """
         ros, expected = self._ros, self._job.wait_for
         if expected:
             ros.wait_for_subscribers(

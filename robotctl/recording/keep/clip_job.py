@@ -71,7 +71,7 @@ class ClipJob:
 
 
 def remaining_s(job: ClipJob, listed: ListedRecording) -> float:
-    """Return how long the recording must go on until it contains the whole clip."""
+    """Return how long the recording must continue until it contains the whole clip [s]."""
     if not listed.live or listed.end_ns >= job.end_ns:
         return 0.0
     return max(job.end_ns - time.time_ns(), 0) / NS_PER_S
