@@ -9,7 +9,6 @@ import time
 from collections.abc import Iterable, Iterator
 from typing import Any
 
-from robotctl.kernel.units import NS_PER_S
 from robotctl.printable import printable as printable
 
 COLUMNS = 80
@@ -17,8 +16,8 @@ COLUMNS = 80
 UNLIMITED = 1 << 20
 """The width without a terminal: lines are neither cut nor wrapped, for other programs."""
 
-_LAST_MOMENT_NS = 253_402_300_800 * NS_PER_S
-"""The end of the year 9999."""
+_YEAR_10000_S = 253_402_300_800
+"""The end of the year 9999, in seconds since the epoch."""
 
 
 def json_text(value: object) -> str:
@@ -109,10 +108,12 @@ def duration(seconds: float) -> str:
 
 def moment(time_ns: int) -> str:
     """Return a time since the epoch as local date and time."""
-    if time_ns > _LAST_MOMENT_NS:  # a file may contain any number
+    from robotctl.kernel.units import NS_PER_S  # here, because `status` does not need it
+
+    seconds = time_ns // NS_PER_S
+    if seconds >= _YEAR_10000_S:  # a file may contain any number
         return f"{time_ns} ns"
-    seconds = time.localtime(time_ns // NS_PER_S)
-    return time.strftime("%Y-%m-%d %H:%M:%S %z", seconds)
+    return time.strftime("%Y-%m-%d %H:%M:%S %z", time.localtime(seconds))
 
 
 def number(value: Any, form: str) -> str:
