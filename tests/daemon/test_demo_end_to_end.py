@@ -30,7 +30,7 @@ def test_the_demo_drives_a_lap_and_shows_what_was_recorded(world: World) -> None
     assert f"recording   {folder.relative_to(world.folder)}" in out
     assert "0 lost" in out
     heard = {name: messages for name, messages in topics.items() if messages}
-    assert f"\n  and {len(topics) - len(heard)} more without a message\n" in out
+    assert f"\n  and {len(topics) - len(heard)} more without messages\n" in out
     for name, messages in heard.items():
         assert re.search(rf"^ *{name} .* {len(messages)} ", out, re.MULTILINE), name
     assert len(topics[f"/{robot[1]}/odom"]) > 500
