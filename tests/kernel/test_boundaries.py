@@ -13,7 +13,7 @@ from robotctl.kernel.geometry import ORIGIN, Pose
 from robotctl.kernel.health import Health, OdometrySources, SecondOdometry
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.odometry import dropped, may_follow, odometry_fault, source_found
+from robotctl.kernel.odometry import dropped, is_repeated, may_follow, odometry_fault, source_found
 from robotctl.kernel.params import BatteryParams, BatteryScale, KernelParams, OdometryParams
 from robotctl.kernel.safety import uncleared
 from robotctl.kernel.state import State
@@ -120,6 +120,12 @@ def test_a_stamp_may_stand_still_and_not_go_back() -> None:
     health = replace(HEALTHY, odometry_stamp_ns=7)
     assert odometry_fault(health, odometry(stamp_ns=7), OdometryParams()) == ""
     assert odometry_fault(health, odometry(stamp_ns=6), OdometryParams())
+
+
+@pytest.mark.parametrize(("stamp_ns", "is_known"), [(-1, True), (0, False), (1, True)])
+def test_a_sample_without_a_stamp_is_never_a_repeated_one(stamp_ns: int, is_known: bool) -> None:
+    sample = odometry(stamp_ns=stamp_ns)
+    assert is_repeated(replace(HEALTHY, odometry=sample), sample) is is_known
 
 
 @pytest.mark.parametrize("number", range(5))
