@@ -1,4 +1,4 @@
-"""ROS domains: the discovery range, and which domains are in use, without joining one.
+"""ROS domains: the discovery range, which domains are in use, and reserving a free one.
 
 A domain is in use if processes on this machine have bound its ports.
 """

@@ -115,7 +115,7 @@ class Connection:
                     self._is_listening = False
 
     async def _send(self, line: bytes) -> None:
-        """Send a reply, without giving up the loop where the socket takes it whole."""
+        """Send a reply in time; other tasks get no turn if the socket takes it at once."""
         async with asyncio.timeout(self._limits.write_s):
             await asyncio.get_running_loop().sock_sendall(self._sock, line)
 

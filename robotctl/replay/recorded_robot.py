@@ -106,6 +106,6 @@ class RecordedRobot:
 
 
 def _busiest(topics: Sequence[TopicInfo], type_name: str) -> TopicInfo | None:
-    """Return the topic of a type with the most messages, or None."""
+    """Return the topic of this type with the most messages; None if none has a message."""
     found = [topic for topic in topics if topic.type_name == type_name and topic.message_count]
     return max(found, key=lambda topic: topic.message_count, default=None)

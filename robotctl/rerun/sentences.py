@@ -24,7 +24,7 @@ from robotctl.kernel.units import NS_PER_S
 
 
 def sentence_of(event: Event) -> str:
-    """Return a sentence about the event."""
+    """Describe an input event of the kernel in a phrase: lower case, no full stop."""
     match event:
         case Tick():
             missed = f", {event.missed} were missed before it" if event.missed else ""

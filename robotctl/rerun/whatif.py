@@ -122,7 +122,7 @@ class _TwoKernels:
         self._answer_count = 0
 
     def begin(self, t_ns: int, snapshot: Snapshot) -> None:
-        """Begin from a snapshot; later ones are ignored until `stop`."""
+        """Start both kernels from a snapshot; while they run, further snapshots are ignored."""
         if self._recorded.kernel is not None:
             return
         config = Config(kernel=snapshot.params)

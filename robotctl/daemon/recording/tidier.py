@@ -21,11 +21,11 @@ MAX_PROBLEMS = 10
 
 
 class Tidier:
-    """The starter of processes that tidy the folder, for the loop's thread.
+    """Starts a process of the lowest priority when the folder of recordings is to be tidied.
 
-    After `begin`, a process of the lowest priority removes what exceeds the retention policy, and
-    repairs what a crash has left. It is a process because files of any origin and size are read.
-    After `file_finished`, another process removes what then exceeds the policy.
+    The first, after `begin`, removes what exceeds the retention policy and repairs what a crash
+    left; each later one, after `file_finished`, only removes. They are processes because they read
+    files of any origin and size. For the loop's thread.
     """
 
     def __init__(self, policy: RetentionPolicy, recording: Path) -> None:

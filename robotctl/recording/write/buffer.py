@@ -124,7 +124,7 @@ class LargeMessage:
     __slots__ = ("_message",)
 
     def __init__(self, message: PlainMessage) -> None:
-        """Keep a message whose numbers fit into the fields of the format."""
+        """Keep the message. The caller has made its numbers fit the format: none is checked."""
         self._message = message
 
     @property
