@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.lines import Told, peer
+from tests.support.lines import Told, peer_command
 from tests.support.waiting import until
 from tests.support.world import Peer, World
 
@@ -29,7 +29,7 @@ TOO_LARGE = 160_000_000
 @pytest.fixture
 def hostile(world: World) -> Iterator[Told]:
     """A process that announces invalid data."""
-    told = Told(peer("hostile_peer"), world.environment)
+    told = Told(peer_command("tests.support.hostile_peer"), world.environment)
     yield told
     told.close()
 

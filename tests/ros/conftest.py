@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 
 from robotctl.domains import reserved_domain
-from tests.support.lines import Told
+from tests.support.lines import Told, peer_command
 from tests.support.waiting import until as wait_until
 
 # Inherited by every process that a test starts.
@@ -204,7 +204,7 @@ class Peer:
 
     def __init__(self, domain_id: int) -> None:
         environment = {**os.environ, "ROS_DOMAIN_ID": str(domain_id)}
-        self._told = Told([sys.executable, str(HERE / "executor_peer.py")], environment)
+        self._told = Told(peer_command("tests.ros.executor_peer"), environment)
         self.close = self._told.close
 
     async def __call__(self, do: str, **parameters: Any) -> Any:

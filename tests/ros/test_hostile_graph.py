@@ -23,7 +23,7 @@ from robotctl.ros.tap import tap, type_loader, unrecorded
 from robotctl.ros.tap.tap import Tap
 from robotctl.ros.tap.type_loader import TypeLoader
 from robotctl.ros.tap.unrecorded import MAX_WARNINGS
-from tests.support.lines import Told, peer
+from tests.support.lines import Told, peer_command
 from tests.support.waiting import DEADLINE_S
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
@@ -43,7 +43,7 @@ STRANGE_TOPICS = ("/my-topic", "/bad\xff\x1b[31m", "/line\nfeed", "//", "/" + "x
 def hostile(domain_id: int) -> Iterator[Hostile]:
     """A process that does not validate what it announces."""
     told = Told(
-        peer("hostile_peer"),
+        peer_command("tests.support.hostile_peer"),
         {**os.environ, "ROS_DOMAIN_ID": str(domain_id)},
     )
 

@@ -14,9 +14,9 @@ from tests.support.waiting import DEADLINE_S
 ROOT = Path(__file__).parents[2]
 
 
-def peer(module: str) -> list[str]:
-    """Return the command that runs a module of `tests.support` from any folder."""
-    run = f"import runpy; runpy.run_module('tests.support.{module}', run_name='__main__')"
+def peer_command(module: str) -> list[str]:
+    """Return the command that runs a module of `tests`, given by its full name, from any folder."""
+    run = f"import runpy; runpy.run_module('{module}', run_name='__main__')"
     return [sys.executable, "-c", f"import sys; sys.path.insert(0, {str(ROOT)!r}); {run}"]
 
 

@@ -27,7 +27,7 @@ from robotctl.recording.format.journal import JournalEntry, decode
 from robotctl.recording.keep.catalog import CLIPS_FOLDER
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
-from tests.support.lines import Told, peer
+from tests.support.lines import Told, peer_command
 from tests.support.waiting import DEADLINE_S, until
 
 
@@ -63,7 +63,7 @@ class Peer(Told):
     """A second process with plain rclpy (tests.support.ros_peer)."""
 
     def __init__(self, world: World) -> None:
-        super().__init__(peer("ros_peer"), world.environment)
+        super().__init__(peer_command("tests.support.ros_peer"), world.environment)
 
 
 class World:
