@@ -1,13 +1,10 @@
 """ModeService, the node of `python -m robot_controller.mode_service`."""
 
-from robotctl import environment
+from robotctl.ros import executables
 
 if __name__ == "__main__":
-    environment.prepare()  # before rclpy is imported
+    raise SystemExit(executables.mode_service())
 
 from robotctl.ros.executables.mode_service import ModeService, main
 
 __all__ = ["ModeService", "main"]
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -1,13 +1,10 @@
 """OdomSubscriber, the node of `python -m robot_controller.odom_subscriber`."""
 
-from robotctl import environment
+from robotctl.ros import executables
 
 if __name__ == "__main__":
-    environment.prepare()  # before rclpy is imported
+    raise SystemExit(executables.odom_subscriber())
 
 from robotctl.ros.executables.odom_subscriber import OdomSubscriber, main
 
 __all__ = ["OdomSubscriber", "main"]
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -14,9 +14,9 @@ from robotctl.daemon.driver import Driver
 from robotctl.daemon.host import DaemonKind, Host, Ready
 from robotctl.daemon.observer import Observer
 from robotctl.daemon.recording.folder import save_recordings_path
-from robotctl.daemon.shutdown import end_signals
 from robotctl.daemon.supervisor import Supervisor
 from robotctl.domains import is_certainly_empty
+from robotctl.end_signals import end_signals
 from robotctl.ipc.answers import StartSummary
 from robotctl.ipc.listener import remove_stale
 from robotctl.ipc.request_handler import Identity

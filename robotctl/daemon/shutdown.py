@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import signal
 import time
 from collections.abc import Callable
 
@@ -20,17 +19,6 @@ RAMP_DOWN_S = 3.0
 
 LAST_ZERO_S = 1.0
 """How long the last zero is tried; after that the robot's command timeout has stopped it."""
-
-
-def end_signals() -> asyncio.Event:
-    """Return an event that SIGINT, SIGTERM and, unless ignored as by nohup, SIGHUP set."""
-    numbers = [signal.SIGINT, signal.SIGTERM]
-    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
-        numbers.append(signal.SIGHUP)
-    loop, told = asyncio.get_running_loop(), asyncio.Event()
-    for number in numbers:
-        loop.add_signal_handler(number, told.set)
-    return told
 
 
 async def stand_still(

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 
 from robotctl.config import Config
-from robotctl.daemon.shutdown import end_signals
+from robotctl.end_signals import end_signals
 from robotctl.kernel.battery import full_level
 from robotctl.ros.nodes.simulated_robot import SimulatedRobot
 from robotctl.ros.session import ros_session

@@ -20,6 +20,7 @@ from robotctl.ipc.answers import DriveAnswer, Status
 from robotctl.ipc.client import Client, call
 from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
 from robotctl.kernel.modes import Mode
+from robotctl.mode_names import MODES
 from tests.support.waiting import until
 
 
@@ -278,5 +279,5 @@ def test_another_robots_hints_name_it(cli: Callable[..., Any]) -> None:
 
 def test_the_command_line_knows_the_modes_of_the_kernel() -> None:
     names = {mode.name.lower().replace("_", "-"): mode.value for mode in Mode}
-    assert names == quick_actions.MODES
+    assert names == MODES
     assert Mode.EMERGENCY_STOP == EMERGENCY_STOP_MODE

@@ -5,23 +5,18 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
-import warnings
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import AbstractAsyncContextManager, ExitStack, asynccontextmanager, suppress
 from typing import Any
 
 import pytest
 
+import tests.support.rosidl_parser  # noqa: F401
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.errors import NoDaemon
 from robotctl.ipc.client import call
 from tests.support.waiting import DEADLINE_S
 from tests.support.world import Peer, World, new_world
-
-with warnings.catch_warnings():
-    # Where the interface generators are installed, rclpy imports an old parser with them.
-    warnings.simplefilter("ignore")
-    import rosidl_generator_py  # noqa: F401
 
 
 @pytest.fixture

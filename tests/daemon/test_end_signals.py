@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from robotctl.daemon.shutdown import end_signals
+from robotctl.end_signals import end_signals
 from tests.support.waiting import loop_until
 
 

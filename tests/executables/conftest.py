@@ -1,10 +1,3 @@
-"""Imports what the interface generators bring before warnings count as errors."""
+"""The executables of the tutorial as processes, and as nodes."""
 
-from __future__ import annotations
-
-import warnings
-
-with warnings.catch_warnings():
-    # Where the interface generators are installed, rclpy imports an old parser with them.
-    warnings.simplefilter("ignore")
-    import rosidl_generator_py  # noqa: F401
+import tests.support.rosidl_parser  # noqa: F401

@@ -8,7 +8,6 @@ import os
 import signal
 import subprocess
 import sys
-import warnings
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
 from dataclasses import dataclass
@@ -17,11 +16,7 @@ from typing import Any
 
 import pytest
 
-with warnings.catch_warnings():
-    # Where the interface generators are installed, rclpy imports an old parser with them.
-    warnings.simplefilter("ignore")
-    import rosidl_generator_py  # noqa: F401
-
+import tests.support.rosidl_parser  # noqa: F401
 from robotctl.ipc.method import Method
 from robotctl.ipc.params import NoParams
 from robotctl.ipc.request_handler import Identity

@@ -8,7 +8,6 @@ import os
 import subprocess
 import sys
 import time
-import warnings
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -17,17 +16,13 @@ from typing import Any
 
 import pytest
 
+import tests.support.rosidl_parser  # noqa: F401
 from robotctl.domains import reserved_domain
 from tests.support.lines import Told, peer_command
 from tests.support.waiting import until as wait_until
 
 # Inherited by every process that a test starts.
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-
-with warnings.catch_warnings():
-    # Where the interface generators are installed, rclpy imports an old parser with them.
-    warnings.simplefilter("ignore")
-    import rosidl_generator_py  # noqa: F401
 
 HERE = Path(__file__).parent
 

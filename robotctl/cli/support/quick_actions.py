@@ -14,11 +14,10 @@ from robotctl.errors import RobotctlError, UsageError
 from robotctl.ipc.client import Client, call, command_for
 from robotctl.ipc.method_names import RESET, SET_MODE, STATUS, STOP
 from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
+from robotctl.mode_names import MODES, find_mode
 
 if TYPE_CHECKING:
     from robotctl.ipc.answers import ModeAnswer, Stopped
-
-MODES = {"idle": 0, "moving": 1, "error": 2, "emergency-stop": EMERGENCY_STOP_MODE}
 
 VALID_MODES = f"{', '.join(MODES)}, or 0 to {max(MODES.values())}"
 
@@ -80,12 +79,10 @@ def mode_number(text: str) -> int:
     Raises:
         UsageError: There is no such mode.
     """
-    name = text.strip().lower().replace("_", "-")
-    if name in MODES:
-        return MODES[name]
-    if name in [str(number) for number in MODES.values()]:
-        return int(name)
-    raise UsageError(f"no mode {text!r}", f"use {VALID_MODES}")
+    number = find_mode(text)
+    if number is None:
+        raise UsageError(f"no mode {text!r}", f"use {VALID_MODES}")
+    return number
 
 
 def request_source(command: str) -> str:

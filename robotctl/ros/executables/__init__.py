@@ -1,40 +1,49 @@
 """The ROS executables: one node per process, for `ros2 run`, launch files and shells.
 
-Each function is a console script. It prepares the environment before anything imports rclpy.
+Each public function is a console script: it runs the node of its name, or asks it, and returns the
+exit code.
 """
 
 from __future__ import annotations
 
+import sys
+from importlib import import_module
+
 from robotctl import environment
+from robotctl.errors import RobotctlError
+from robotctl.streams import open_standard_streams
 
 
 def velocity_publisher() -> int:
-    """Run node `velocity_publisher` until Ctrl-C; return the exit code."""
-    environment.prepare()
-    from robotctl.ros.executables.velocity_publisher import main
-
-    return main()
+    """Run node `velocity_publisher` until Ctrl-C."""
+    return _run("velocity_publisher")
 
 
 def odom_subscriber() -> int:
-    """Run node `odom_subscriber` until Ctrl-C; return the exit code."""
-    environment.prepare()
-    from robotctl.ros.executables.odom_subscriber import main
-
-    return main()
+    """Run node `odom_subscriber` until Ctrl-C."""
+    return _run("odom_subscriber")
 
 
 def mode_service() -> int:
-    """Run node `mode_service` until Ctrl-C; return the exit code."""
-    environment.prepare()
-    from robotctl.ros.executables.mode_service import main
-
-    return main()
+    """Run node `mode_service` until Ctrl-C."""
+    return _run("mode_service")
 
 
 def mode_client() -> int:
-    """Request a mode, print the response, and return the exit code."""
-    environment.prepare()
-    from robotctl.ros.executables.mode_client import main
+    """Request a mode and print the response."""
+    return _run("mode_client")
 
-    return main()
+
+def _run(name: str) -> int:
+    """Prepare the environment before anything imports rclpy, then run `main` of the module."""
+    open_standard_streams()
+    try:
+        environment.prepare()
+        code: int = import_module(f"{__name__}.{name}").main()
+    except KeyboardInterrupt:
+        print("Shutting down ...", file=sys.stderr)
+        return 0
+    except RobotctlError as error:
+        print(f"{name}: {error}", file=sys.stderr)
+        return error.exit_code
+    return code

@@ -104,4 +104,4 @@ class ModeService(Node):
 
 def main() -> int:
     """Run the node until Ctrl-C; return the exit code."""
-    return run_node(ModeService, lambda node: None)
+    return run_node(ModeService)

@@ -39,4 +39,4 @@ class OdomSubscriber(Node):
 
 def main() -> int:
     """Run the node until Ctrl-C; return the exit code."""
-    return run_node(OdomSubscriber, lambda node: None)
+    return run_node(OdomSubscriber)

@@ -1,45 +1,57 @@
 # mypy: disallow-untyped-calls=False
-"""Runs one node until Ctrl-C, in the asyncio loop."""
+"""Runs one node in the asyncio loop."""
 
 from __future__ import annotations
 
 import asyncio
-import signal
 import sys
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 from typing import TypeVar
 
 from rclpy.context import Context
 from rclpy.node import Node
 
+from robotctl.end_signals import end_signals
 from robotctl.ros.context import close_context
 from robotctl.ros.executor import AsyncioExecutor
 
 Made = TypeVar("Made", bound=Node)
 
 
-def run_node(make_node: Callable[[Context], Made], at_end: Callable[[Made], None]) -> int:
-    """Run the node that `make_node` returns until SIGINT, SIGTERM or SIGHUP; return 0.
+@asynccontextmanager
+async def opened_node(
+    make_node: Callable[[Context], Made], at_end: Callable[[Made], None] = lambda node: None
+) -> AsyncIterator[tuple[Made, AsyncioExecutor]]:
+    """Make a node, and run its callbacks in the loop until the block ends.
 
     The command line goes to rclpy, so `--ros-args` can rename, remap and set parameters. `at_end`
     is called with the node before it leaves the graph, when no callback runs any more.
     """
+    context = Context()
+    context.init(args=sys.argv)
+    nodes: list[Node] = []
+    try:
+        node = make_node(context)
+        nodes.append(node)
+        async with AsyncioExecutor(context) as executor:
+            executor.add_node(node)
+            yield node, executor
+        at_end(node)
+    finally:
+        close_context(context, nodes)
+
+
+def run_node(
+    make_node: Callable[[Context], Made], at_end: Callable[[Made], None] = lambda node: None
+) -> int:
+    """Run the node that `make_node` returns until SIGINT, SIGTERM or SIGHUP; return 0."""
     return asyncio.run(_run(make_node, at_end))
 
 
 async def _run(make_node: Callable[[Context], Made], at_end: Callable[[Made], None]) -> int:
-    loop, stopped = asyncio.get_running_loop(), asyncio.Event()
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        loop.add_signal_handler(number, stopped.set)
-    context = Context()
-    context.init(args=sys.argv)
-    node = make_node(context)
-    try:
-        async with AsyncioExecutor(context) as executor:
-            executor.add_node(node)
-            await stopped.wait()
-            node.get_logger().info("Shutting down ...")
-        at_end(node)
-    finally:
-        close_context(context, [node])
+    ended = end_signals()
+    async with opened_node(make_node, at_end) as (node, _):
+        await ended.wait()
+        node.get_logger().info("Shutting down ...")
     return 0

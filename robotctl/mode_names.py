@@ -1,0 +1,15 @@
+"""The names of the modes as users write them; imports nothing, for commands that must be quick."""
+
+from __future__ import annotations
+
+MODES = {"idle": 0, "moving": 1, "error": 2, "emergency-stop": 3}
+"""The number of each mode in robot_controller/msg/RobotStatus."""
+
+
+def find_mode(text: str) -> int | None:
+    """Return the number of a mode given by name, in any case, with - or _, or as 0 to 3."""
+    given = text.strip().lower().replace("_", "-")
+    for name, number in MODES.items():
+        if given in (name, str(number)):
+            return number
+    return None
