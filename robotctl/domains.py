@@ -11,7 +11,10 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from robotctl.errors import Refused
+from robotctl.errors import Refused, UsageError
+
+MAX_DOMAIN_ID = 232
+"""The last ROS domain whose ports exist (DDSI-RTPS 2.5, 9.6.2.3)."""
 
 DOMAINS = range(1, 102)
 """The domains to reserve. 0 is the default of every process; the ports of domains above 101 are
@@ -27,6 +30,21 @@ _RESERVATION = 9
 """The offset of the port that reserves a domain; DDS does not use it."""
 
 _TABLES = ("/proc/net/udp", "/proc/net/udp6")
+
+
+def requested_domain(given: int | None) -> int | None:
+    """Return the ROS domain of --domain-id, else of ROS_DOMAIN_ID, or None.
+
+    Raises:
+        UsageError: The number is not a ROS domain.
+    """
+    text = os.environ.get("ROS_DOMAIN_ID")
+    name, value = ("ROS_DOMAIN_ID", text) if given is None else ("--domain-id", str(given))
+    if not value:
+        return None
+    if not value.isdecimal() or int(value) > MAX_DOMAIN_ID:
+        raise UsageError(f"{name} is {value!r}", f"use 0 to {MAX_DOMAIN_ID}")
+    return int(value)
 
 
 def discovery_range() -> str:

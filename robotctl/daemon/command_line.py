@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from robotctl.config import PATTERN_HELP, Config, is_topic_pattern
+from robotctl.domains import requested_domain
 from robotctl.errors import UsageError
 from robotctl.kernel.patterns import PatternKind
 from robotctl.paths import DEFAULT_ROBOT, check_robot_name, namespace_of
-
-MAX_DOMAIN_ID = 232
-"""The last ROS domain whose ports exist (DDSI-RTPS 9.6.2.3)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +70,7 @@ def parse(arguments: list[str]) -> DaemonOptions:
         recordings=_absolute(given.recordings),
         drive=None if given.drive is None else PatternKind(given.drive),
         sim=given.sim,
-        domain_id=resolve_domain_id(given.domain_id),
+        domain_id=requested_domain(given.domain_id) or 0,
         observe=given.observe,
         include=_patterns("--include", given.include),
         exclude=_patterns("--exclude", given.exclude),
@@ -103,16 +100,3 @@ def parse_ready_fd(arguments: list[str]) -> int | None:
     parser.add_argument("--ready-fd", type=int)
     descriptor: int | None = parser.parse_known_args(arguments)[0].ready_fd
     return descriptor
-
-
-def resolve_domain_id(given: int | None) -> int:
-    """Return the given ROS domain, else that of ROS_DOMAIN_ID, else 0.
-
-    Raises:
-        UsageError: The number is not a ROS domain.
-    """
-    text = os.environ.get("ROS_DOMAIN_ID") or "0"
-    name, value = ("--domain-id", str(given)) if given is not None else ("ROS_DOMAIN_ID", text)
-    if not value.isdecimal() or int(value) > MAX_DOMAIN_ID:
-        raise UsageError(f"{name} is {value!r}", f"use 0 to {MAX_DOMAIN_ID}")
-    return int(value)

@@ -53,6 +53,10 @@ class Running:
         until(lambda: text in self.lines or self._process.poll() is not None)
         assert text in self.lines, self._log.read_text()
 
+    def send(self, number: signal.Signals) -> None:
+        """Send it a signal."""
+        self._process.send_signal(number)
+
     def end(self, number: signal.Signals = signal.SIGINT) -> int:
         """Signal it, and return its exit code."""
         self._process.send_signal(number)
@@ -238,6 +242,43 @@ def test_without_a_service_the_client_says_how_to_get_one(domain_id: int) -> Non
         "mode_client: no service /set_mode within 5 s: start one: robotctl start, "
         "or: ros2 run robot_controller mode_service\n"
     )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "domain", "text"),
+    [
+        (["-p", "sweep:=7"], "", "Trying to set parameter 'sweep' to '7' of type 'INTEGER'"),
+        (["-r"], "", "Couldn't parse trailing -r flag"),
+        (["-r", "__ns:=a b"], "", "Couldn't parse remap rule: '-r __ns:=a b'"),
+        ([], "9999", "ROS_DOMAIN_ID is '9999': use 0 to 232"),
+        ([], "kitchen", "ROS_DOMAIN_ID is 'kitchen': use 0 to 232"),
+    ],
+)
+def test_a_wrong_argument_is_named_in_a_sentence(
+    arguments: list[str], domain: str, text: str, monkeypatch: pytest.MonkeyPatch, domain_id: int
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain or str(domain_id))
+    command = [sys.executable, "-c", CALL.format(name="velocity_publisher"), "--ros-args"]
+    ran = subprocess.run(
+        [*command, *arguments], capture_output=True, text=True, check=False, timeout=60
+    )
+    assert ran.returncode == 2
+    assert "Traceback" not in ran.stderr
+    last = ran.stderr.splitlines()[-1]  # rcl may say something before
+    assert last.startswith("velocity_publisher: ")
+    assert text in last
+
+
+def test_under_nohup_a_closed_terminal_ends_nothing(start: Start) -> None:
+    ignored = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        service = start("mode_service")
+    finally:
+        signal.signal(signal.SIGHUP, ignored)
+    service.says("Mode Service Node started")
+    service.send(signal.SIGHUP)
+    assert client("MOVING").returncode == 0
+    assert service.end() == 0
 
 
 def test_the_mode_service_leaves_moving_when_a_robot_joins(start: Start, node: Node) -> None:

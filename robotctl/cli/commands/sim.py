@@ -35,10 +35,10 @@ def sim(
     import asyncio
 
     from robotctl.config import Config, load
-    from robotctl.daemon.command_line import resolve_domain_id
     from robotctl.daemon.simulator import simulate
+    from robotctl.domains import requested_domain
 
-    domain = resolve_domain_id(domain_id)
+    domain = requested_domain(domain_id) or 0
     namespace = namespace_of(check_robot_name(robot))
     settings = Config() if config is None else load(config)
 

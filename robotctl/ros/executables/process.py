@@ -10,11 +10,21 @@ from contextlib import asynccontextmanager
 from typing import TypeVar
 
 from rclpy.context import Context
+from rclpy.exceptions import NameValidationException, ParameterException
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 
+from robotctl.domains import requested_domain
 from robotctl.end_signals import end_signals
+from robotctl.errors import UsageError
 from robotctl.ros.context import close_context
 from robotctl.ros.executor import AsyncioExecutor
+
+_BAD_ARGUMENTS = (
+    *(_rclpy.RCLError, _rclpy.RCLInvalidROSArgsError, _rclpy.UnknownROSArgsError),
+    *(NameValidationException, ParameterException),
+)
+"""What rclpy raises for wrong `--ros-args`."""
 
 Made = TypeVar("Made", bound=Node)
 
@@ -27,12 +37,18 @@ async def opened_node(
 
     The command line goes to rclpy, so `--ros-args` can rename, remap and set parameters. `at_end`
     is called with the node before it leaves the graph, when no callback runs any more.
+
+    Raises:
+        UsageError: An argument is wrong, or ROS_DOMAIN_ID is not a domain.
     """
     context = Context()
-    context.init(args=sys.argv)
     nodes: list[Node] = []
     try:
-        node = make_node(context)
+        try:
+            context.init(args=sys.argv, domain_id=requested_domain(None))
+            node = make_node(context)
+        except _BAD_ARGUMENTS as error:
+            raise UsageError(str(error).partition("\n")[0]) from error
         nodes.append(node)
         async with AsyncioExecutor(context) as executor:
             executor.add_node(node)

@@ -7,13 +7,13 @@ The speeds sweep only where they cannot move a real robot: see `VelocityPublishe
 from __future__ import annotations
 
 import math
-import os
 from typing import Any
 
 from geometry_msgs.msg import Twist
 from rclpy.context import Context
 from rclpy.node import Node
 
+from robotctl.domains import discovery_range, is_on_this_machine_only
 from robotctl.printable import short_name
 from robotctl.ros.executables.process import run_node
 from robotctl.ros.executables.sweep import sweep_mps
@@ -81,9 +81,8 @@ class VelocityPublisher(Node):
         for each in endpoints.subscriptions(self, topic):
             if each.node_name not in OWN_LISTENERS and not each.node_name.startswith("_ros2cli"):
                 return f"{_name(each)} takes {topic} and may be a robot"
-        discovery = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
-        if discovery not in ("LOCALHOST", "OFF"):
-            return f"discovery reaches beyond this machine ({discovery})"
+        if not is_on_this_machine_only():
+            return f"discovery reaches beyond this machine ({discovery_range()})"
         return ""
 
     def stop(self) -> None:

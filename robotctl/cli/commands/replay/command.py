@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from pathlib import Path
 from signal import SIGHUP, SIGQUIT, SIGTERM
@@ -15,13 +14,11 @@ from robotctl.cli.support.given_options import given_options
 from robotctl.cli.support.recording_paths import RecordedBy, find_recording
 from robotctl.cli.support.signals import interrupted_by
 from robotctl.cli.terminal.text import short_path
+from robotctl.domains import requested_domain
 from robotctl.errors import UsageError
 from robotctl.paths import DEFAULT_ROBOT, check_robot_name
 
 app = new_app()
-
-MAX_DOMAIN_ID = 232
-"""The last ROS domain whose ports exist (DDSI-RTPS 2.5, 9.6.2.3)."""
 
 MAX_READ_AHEAD = 1_000_000
 
@@ -167,7 +164,7 @@ def replay(
     job = Job(
         file=path.absolute(),
         robot=daemon_robot,
-        domain_id=_domain_id(domain_id),
+        domain_id=requested_domain(domain_id),
         rate=parse_rate(rate),
         topics=_names(topics),
         regex=check_regex(regex),
@@ -223,14 +220,3 @@ def _only(files: list[Path]) -> Path:
 def _names(given: list[str] | None) -> tuple[str, ...]:
     """Return topic names that were given one by one or with commas."""
     return tuple(name for text in given or () for name in text.split(",") if name)
-
-
-def _domain_id(given: int | None) -> int | None:
-    """Return the ROS domain of --domain-id, else of ROS_DOMAIN_ID; raise UsageError."""
-    text = os.environ.get("ROS_DOMAIN_ID")
-    name, value = ("ROS_DOMAIN_ID", text) if given is None else ("--domain-id", str(given))
-    if not value:
-        return None
-    if not value.isdecimal() or int(value) > MAX_DOMAIN_ID:
-        raise UsageError(f"{name} is {value!r}", f"use 0 to {MAX_DOMAIN_ID}")
-    return int(value)
