@@ -21,7 +21,9 @@ if TYPE_CHECKING:
     from robotctl.kernel.codec import from_json, to_json
     from robotctl.kernel.geometry import Pose
     from robotctl.kernel.kernel import Kernel
+    from robotctl.kernel.lifecycle import LifecycleChanged, LifecycleState
     from robotctl.kernel.modes import Mode
+    from robotctl.kernel.parameter_change import ParameterChanged, ParameterRequested
     from robotctl.kernel.params import (
         BatteryParams,
         BatteryScale,
@@ -43,8 +45,6 @@ if TYPE_CHECKING:
         DriveEnded,
         DriveReport,
         DriveRequested,
-        Effect,
-        Event,
         FaultCleared,
         FaultReported,
         ForeignCommandHeard,
@@ -60,9 +60,13 @@ if TYPE_CHECKING:
         ReleaseEmergencyStop,
         Reply,
         ResetRequested,
+        SafetyInputReceived,
+        ScanReceived,
         Tick,
         Twist,
     )
+    from robotctl.kernel.types.effects import Effect
+    from robotctl.kernel.types.events import Event
 
 __all__ = [
     "BatteryParams",
@@ -83,6 +87,8 @@ __all__ = [
     "Kernel",
     "KernelParams",
     "LatchEmergencyStop",
+    "LifecycleChanged",
+    "LifecycleState",
     "LoopStalled",
     "Mode",
     "ModeChanged",
@@ -91,6 +97,8 @@ __all__ = [
     "Odometry",
     "OdometryParams",
     "OdometrySourceFound",
+    "ParameterChanged",
+    "ParameterRequested",
     "Pattern",
     "PatternKind",
     "Phase",
@@ -100,6 +108,8 @@ __all__ = [
     "Remedy",
     "Reply",
     "ResetRequested",
+    "SafetyInputReceived",
+    "ScanReceived",
     "Snapshot",
     "State",
     "Tick",
@@ -117,8 +127,12 @@ _MODULES = {
     "CommandParams": "params",
     "Kernel": "kernel",
     "KernelParams": "params",
+    "LifecycleChanged": "lifecycle",
+    "LifecycleState": "lifecycle",
     "Mode": "modes",
     "OdometryParams": "params",
+    "ParameterChanged": "parameter_change",
+    "ParameterRequested": "parameter_change",
     "Pattern": "patterns",
     "PatternKind": "patterns",
     "Pose": "geometry",

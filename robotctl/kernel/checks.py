@@ -6,9 +6,11 @@ from collections.abc import Callable
 from math import inf, isfinite
 
 from robotctl.kernel.battery import is_level
+from robotctl.kernel.fence import left_by
 from robotctl.kernel.health import Health
-from robotctl.kernel.params import KernelParams
-from robotctl.kernel.types import Cause
+from robotctl.kernel.lifecycle import LifecycleState
+from robotctl.kernel.params import Foreign, KernelParams, Stamping
+from robotctl.kernel.types import COMMAND_TYPES, TWIST, TWIST_STAMPED, Cause
 from robotctl.kernel.units import NS_PER_S
 
 FOREIGN_COMMAND_S = 1.0
@@ -41,6 +43,18 @@ def reported(cause: Cause) -> Check:
     return check
 
 
+def stands_alone(health: Health, params: KernelParams) -> bool:
+    """Return whether there is no robot at all, and `standalone` allows that."""
+    return params.standalone and health.odometry is None and not health.command_topic.listeners
+
+
+def not_active(health: Health, params: KernelParams, t_ns: int) -> str:
+    """Return a sentence if the node that gates motion is not active, else ""."""
+    if health.lifecycle is LifecycleState.ACTIVE:
+        return ""
+    return f"mode_service is {health.lifecycle.value}, not active"
+
+
 def battery_at_stop(health: Health, params: KernelParams, t_ns: int) -> str:
     """Return a sentence if the battery is at or below its stop level, else ""."""
     level, stop_level = health.battery_level, params.battery.stop_level
@@ -66,6 +80,8 @@ def battery_unknown(health: Health, params: KernelParams, t_ns: int) -> str:
     if not params.battery.topic:
         return ""
     if health.battery_level is None:
+        if stands_alone(health, params):
+            return ""
         return f"no battery level was received on {params.battery.topic} yet"
     if not is_level(health.battery_level):
         full, reported = (100, 100.0) if health.battery_in_percent else (1, 1.0)
@@ -84,6 +100,8 @@ def odometry_wrong(health: Health, params: KernelParams, t_ns: int) -> str:
 def odometry_lost(health: Health, params: KernelParams, t_ns: int) -> str:
     """Return a sentence if there is no odometry or the last usable sample is too old, else ""."""
     if health.odometry is None:
+        if stands_alone(health, params):
+            return ""
         return f"no odometry was received on {params.odometry.topic} yet"
     age_s = _age_s(health.odometry_t_ns, t_ns)
     if age_s <= params.odometry.timeout_s:
@@ -129,9 +147,24 @@ def tracking_lost(health: Health, params: KernelParams, t_ns: int) -> str:
     return f"the robot is {error_m:.2f} m from where it should be, more than {limit_m:g} m"
 
 
+def fence_left(health: Health, params: KernelParams, t_ns: int) -> str:
+    """Return a sentence if the robot is outside its fence, else ""."""
+    fence = params.fence
+    if not (fence.radius_m or fence.corners_m):
+        return ""
+    if health.fence_origin is None or health.odometry is None:
+        return ""
+    return left_by(fence, health.fence_origin, health.odometry.pose)
+
+
 def foreign_publisher(health: Health, params: KernelParams, t_ns: int) -> str:
+    """Return a sentence if another node commands in a way that is not configured, else ""."""
+    return "" if params.command.foreign is Foreign.WARN else foreign_command(health, params, t_ns)
+
+
+def foreign_command(health: Health, params: KernelParams, t_ns: int) -> str:
     """Return a sentence if another node publishes velocity commands, or just did, else ""."""
-    if health.foreign_publishers:
+    if health.foreign_publishers and params.command.foreign is not Foreign.YIELD:
         names = ", ".join(health.foreign_publishers)
         verb = "publishes" if len(health.foreign_publishers) == 1 else "publish"
         return f"{names} also {verb} velocity commands"
@@ -144,12 +177,21 @@ def foreign_publisher(health: Health, params: KernelParams, t_ns: int) -> str:
 def command_unheard(health: Health, params: KernelParams, t_ns: int) -> str:
     """Return a sentence if no node subscribes to the velocity command, else ""."""
     topic = health.command_topic
-    if topic.listeners is None or topic.listeners > 0:
+    if topic.listeners is None or topic.listeners > 0 or stands_alone(health, params):
         return ""
     if not topic.other_types:
         return f"no node subscribes to {params.command.topic}"
     types = ", ".join(topic.other_types)
-    return f"the robot takes {types} on {params.command.topic}, not geometry_msgs/msg/Twist"
+    return f"the robot takes {types} on {params.command.topic}, not {topic.type_name}"
+
+
+def command_types_mixed(health: Health, params: KernelParams, t_ns: int) -> str:
+    """Return a sentence if both types of command are taken and none is configured, else ""."""
+    topic = health.command_topic
+    taken = COMMAND_TYPES.intersection((topic.type_name, *topic.other_types))
+    if params.command.stamped is not Stamping.AUTO or not topic.listeners or len(taken) < 2:
+        return ""
+    return f"some nodes take {TWIST} on {params.command.topic}, others {TWIST_STAMPED}"
 
 
 def tick_overrun(health: Health, params: KernelParams, t_ns: int) -> str:

@@ -138,6 +138,11 @@ class Drive:
         )
         return Drive(self.request_id, self.pattern, self.laps, self.origin, at, score)
 
+    def cross_track_m(self, pose: Pose) -> float:
+        """Return the distance of a pose from the path, near the reference [m]."""
+        at = self.progress
+        return self.path.distance_to(self.origin.express(pose), at.segment, at.length)
+
     def report(self) -> DriveReport:
         """Return how well the path was followed so far."""
         score = self.score

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
 
-from robotctl.kernel.types import Cause, Odometry
+from robotctl.kernel.geometry import Pose
+from robotctl.kernel.lifecycle import LifecycleState
+from robotctl.kernel.safety_inputs import Reading
+from robotctl.kernel.types import TWIST, Cause, Odometry
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,13 +48,15 @@ class CommandTopic:
 
     `foreign_t_ns` and `foreign_by` are time and publisher of the last command of another node,
     None and "" if there was none. `listeners` is the number of subscriptions with the type that
-    robotctl sends, None before discovery. `other_types` are the types of other subscriptions.
+    robotctl sends, `type_name`, None before discovery. `other_types` are the types of other
+    subscriptions.
     """
 
     foreign_t_ns: int | None = None
     foreign_by: str = ""
     listeners: int | None = None
     other_types: tuple[str, ...] = ()
+    type_name: str = TWIST
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,13 +70,30 @@ class Stalls:
 
 
 @dataclass(frozen=True, slots=True)
+class Scan:
+    """The last laser scan: the nearest ranges by direction [m], () if it was not readable.
+
+    `nearest_m` is the smallest of them, and `ahead_m` the distance to what is in the path of the
+    present command, inf if nothing is.
+    """
+
+    t_ns: int
+    sectors: tuple[float, ...]
+    nearest_m: float = inf
+    ahead_m: float = inf
+
+
+@dataclass(frozen=True, slots=True)
 class Health:
     """What the kernel knows about everything that motion depends on; "" and () mean healthy.
 
     The odometry fields describe the followed publisher. `odometry` is its last usable sample, and
     `odometry_t_ns` the time when new odometry last came; `odometry_stamp_ns` and `odometry_fault`
     are of its last sample, usable or not. `reported` holds the faults that the daemon reported.
-    `battery_in_percent` means that `battery.scale: auto` has seen a level above 1.
+    `battery_in_percent` means that `battery.scale: auto` has seen a level above 1. `inputs` holds
+    the last reading of each safety input in their order, or nothing. `fence_origin` is the pose at
+    the first start of motion. `lifecycle` is the state of the node that gates
+    motion.
     """
 
     odometry: Odometry | None = None
@@ -87,3 +110,7 @@ class Health:
     command_topic: CommandTopic = CommandTopic()
     stalls: Stalls = Stalls()
     battery_in_percent: bool = False
+    inputs: tuple[Reading | None, ...] = ()
+    fence_origin: Pose | None = None
+    scan: Scan | None = None
+    lifecycle: LifecycleState = LifecycleState.ACTIVE

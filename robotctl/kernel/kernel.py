@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import inf
 from typing import assert_never
 
 from robotctl.kernel.battery import counts_in_percent, level_of
-from robotctl.kernel.health import Health, Stalls
+from robotctl.kernel.health import Health, Scan, Stalls
+from robotctl.kernel.lifecycle import LifecycleChanged
 from robotctl.kernel.limits import limit, within
 from robotctl.kernel.modes import Mode, Trigger
+from robotctl.kernel.obstacles import distance_ahead, farthest_m
 from robotctl.kernel.odometry import (
     dropped,
     is_finite,
@@ -17,8 +20,11 @@ from robotctl.kernel.odometry import (
     odometry_fault,
     source_found,
 )
-from robotctl.kernel.request_control import RequestControl
+from robotctl.kernel.parameter_change import ParameterRequested
+from robotctl.kernel.parameter_control import ParameterControl
+from robotctl.kernel.params import WhenIdle
 from robotctl.kernel.safety import RULE_OF, Finding, raised
+from robotctl.kernel.safety_inputs import Reading, with_reading
 from robotctl.kernel.state import State
 from robotctl.kernel.tracking import track
 from robotctl.kernel.types import (
@@ -40,11 +46,17 @@ from robotctl.kernel.types import (
     Phase,
     PublishTwist,
     ResetRequested,
+    SafetyInputReceived,
+    ScanReceived,
     Tick,
 )
+from robotctl.kernel.units import NS_PER_S
+
+SILENT_AFTER_NS = NS_PER_S
+"""So long zeros are sent in IDLE before silence, where that is configured."""
 
 
-class Kernel(RequestControl):
+class Kernel(ParameterControl):
     """The kernel: it decides mode and command, and each step replaces `state` as a whole."""
 
     def step(self, event: Event) -> tuple[Effect, ...]:
@@ -60,21 +72,40 @@ class Kernel(RequestControl):
                 self._learn(event.t_ns, odometry_sources=sources)
             case BatteryReceived():
                 self._battery(event)
+            case SafetyInputReceived():
+                reading = Reading(event.kind, event.value, event.t_ns, event.detail)
+                self._learn(event.t_ns, inputs=with_reading(self.state.health.inputs, reading))
+            case ScanReceived():
+                self._learn(event.t_ns, scan=self._looked_ahead(event.t_ns, event.sectors))
+            case LifecycleChanged():
+                self._learn(event.t_ns, lifecycle=event.state)
             case ModeRequested():
                 self._request(event)
             case ResetRequested():
                 self._reset(event)
             case DriveRequested():
                 self._request_drive(event)
+            case ParameterRequested():
+                self._request_parameter(event)
             case CommandPublishersSeen():
+                if event.names:
+                    self._robot_joined("its command has another publisher")
                 self._learn(event.t_ns, foreign_publishers=event.names)
             case ForeignCommandHeard():
+                self._robot_joined("another node commands it")
                 topic = self.state.health.command_topic
                 topic = replace(topic, foreign_t_ns=event.t_ns, foreign_by=event.publisher)
                 self._learn(event.t_ns, command_topic=topic)
             case CommandListenersSeen():
+                if event.count:
+                    self._robot_joined("its command has a subscriber")
                 topic = self.state.health.command_topic
-                topic = replace(topic, listeners=event.count, other_types=event.other_types)
+                topic = replace(
+                    topic,
+                    listeners=event.count,
+                    other_types=event.other_types,
+                    type_name=event.type_name,
+                )
                 self._learn(event.t_ns, command_topic=topic)
             case LoopStalled():
                 self._stalled(event)
@@ -88,6 +119,7 @@ class Kernel(RequestControl):
         state = self.state
         assert state.mode is Mode.MOVING or state.command == ZERO, state
         assert within(state.command, self.params.limits), state
+        assert not state.silent or state.mode is Mode.IDLE, state
         return tuple(self._effects)
 
     # Measurements
@@ -95,6 +127,8 @@ class Kernel(RequestControl):
     def _odometry(self, event: OdomReceived) -> None:
         """Take a sample of odometry; while MOVING, an impossible one is dropped and counted."""
         self._notice_gap(event.t_ns)
+        if self.state.drive is None:
+            self._robot_joined("odometry came")
         state, odometry, health = self.state, event.odometry, self.state.health
         sources = health.odometry_sources
         if event.source != sources.followed:
@@ -128,6 +162,10 @@ class Kernel(RequestControl):
             command_topic=health.command_topic,
             stalls=health.stalls,
             battery_in_percent=health.battery_in_percent,
+            inputs=health.inputs,
+            fence_origin=health.fence_origin,
+            scan=health.scan,
+            lifecycle=health.lifecycle,
         )
         self.state = State(
             mode=state.mode,
@@ -140,8 +178,15 @@ class Kernel(RequestControl):
             drive=drive,
             stop_reason=state.stop_reason,
             waiting=state.waiting,
+            idle_t_ns=state.idle_t_ns,
+            silent=state.silent,
         )
         self._raise_fault(event.t_ns)
+
+    def _robot_joined(self, how: str) -> None:
+        """Leave a MOVING without a robot: the robot that joins must stand."""
+        if self.state.mode is Mode.MOVING and self.state.drive is None:
+            self._stand(Trigger.STANDSTILL, f"a robot joined ({how}): ask again to move it", None)
 
     def _battery(self, event: BatteryReceived) -> None:
         before, scale = self.state.health.battery_in_percent, self.params.battery.scale
@@ -152,6 +197,17 @@ class Kernel(RequestControl):
             battery_t_ns=event.t_ns,
             battery_in_percent=in_percent,
         )
+
+    def _looked_ahead(self, t_ns: int, sectors: tuple[float, ...]) -> Scan:
+        """Return a scan with the distance to what is in the path of the present command."""
+        ahead_m = distance_ahead(sectors, self.state.command, self.params.scan, self._reach_m())
+        return Scan(t_ns, sectors, min(sectors, default=inf), ahead_m)
+
+    def _reach_m(self) -> float:
+        """Return how far ahead of the robot nothing may be: stop and braking distance."""
+        speed_mps, params = self.state.command.linear, self.params
+        braking_m = speed_mps * speed_mps / (2.0 * params.limits.linear_accel_mps2)
+        return params.scan.stop_distance_m + braking_m
 
     def _stalled(self, event: LoopStalled) -> None:
         """Continue from the zeros of the watchdog; raise a fault if the stall was too long."""
@@ -176,6 +232,10 @@ class Kernel(RequestControl):
 
     def _tick(self, event: Tick) -> None:
         self._notice_gap(event.t_ns)
+        scan = self.state.health.scan
+        if scan is not None and scan.nearest_m <= farthest_m(self.params.scan, self._reach_m()):
+            scan = self._looked_ahead(scan.t_ns, scan.sectors)  # the command has changed
+            self.state = replace(self.state, health=replace(self.state.health, scan=scan))
         state, params = self.state, self.params
         finding = raised(state.mode, state.health, params, event.t_ns)
         if state.mode is Mode.MOVING and finding is None:
@@ -183,10 +243,23 @@ class Kernel(RequestControl):
             self._move(event.t_ns, min(max(gap_s, 0.0), 2.0 / params.rate_hz))
             return
         self.state = replace(state, tick_t_ns=event.t_ns)
-        if finding is None:
-            self._effects.append(PublishTwist(ZERO))
-        else:
+        if finding is not None:
             self._stop_for(finding)
+        elif not self._is_silent(event.t_ns):
+            self._effects.append(PublishTwist(ZERO))
+
+    def _is_silent(self, t_ns: int) -> bool:
+        """Return whether others may command now: in IDLE, after SILENT_AFTER_NS of zeros."""
+        state = self.state
+        if self.params.command.when_idle is WhenIdle.ZEROS:
+            return False
+        if state.mode is not Mode.IDLE or state.health.reported:
+            self.state = replace(state, idle_t_ns=None, silent=False)
+            return False
+        idle_t_ns = t_ns if state.idle_t_ns is None else state.idle_t_ns
+        silent = t_ns - idle_t_ns >= SILENT_AFTER_NS
+        self.state = replace(state, idle_t_ns=idle_t_ns, silent=silent)
+        return silent
 
     def _move(self, t_ns: int, dt_s: float) -> None:
         state, params, health = self.state, self.params, self.state.health

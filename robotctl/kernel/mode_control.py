@@ -80,6 +80,8 @@ class ModeControl:
             command=ZERO,
             stop_reason="",
             waiting=(),
+            idle_t_ns=None,
+            silent=False,
         )
         self._effects.append(ModeChanged(previous, target, reason, cause))
         self._end_drive(reason, cause, completed=completed and target is Mode.IDLE)

@@ -8,45 +8,99 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import Enum
 
+from robotctl.kernel.fence import FenceParams
+from robotctl.kernel.obstacles import ScanParams
 from robotctl.kernel.patterns import Pattern
-from robotctl.kernel.ranges import bounded, topic
+from robotctl.kernel.ranges import Change, bounded, frame, setting, topic
+from robotctl.kernel.safety_inputs import SafetyInputParams
+
+OWNER_SUFFIX = "/owner"
+"""Added to the topic of the velocity command where each role is a process: the owner of the mode
+sends its commands there, and a gate passes them on."""
 
 
 @dataclass(frozen=True, slots=True)
 class VelocityLimits:
     """The largest velocity of a command, and the largest change of it per second."""
 
-    linear_mps: float = bounded(0.6, 0.01, 10.0, "m/s")
-    angular_rps: float = bounded(1.5, 0.01, 20.0, "rad/s")
-    linear_accel_mps2: float = bounded(1.0, 0.01, 20.0, "m/s^2")
-    angular_accel_rps2: float = bounded(4.0, 0.01, 60.0, "rad/s^2")
+    linear_mps: float = bounded(0.6, 0.01, 10.0, "m/s", "largest speed of a command")
+    angular_rps: float = bounded(1.5, 0.01, 20.0, "rad/s", "largest turning rate of a command")
+    linear_accel_mps2: float = bounded(
+        1.0, 0.01, 20.0, "m/s^2", "largest change of the speed, also when ramping down"
+    )
+    angular_accel_rps2: float = bounded(
+        4.0, 0.01, 60.0, "rad/s^2", "largest change of the turning rate"
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class TrackingParams:
     """The gains of the tracking law, and the largest distance from the reference."""
 
-    k_x: float = bounded(3.5, 0.0, 100.0, "1/s")
-    k_y: float = bounded(20.0, 0.0, 1000.0, "1/m^2")
-    k_theta: float = bounded(5.0, 0.0, 100.0, "1/s")
-    max_error_m: float = bounded(0.5, 0.01, 100.0, "m")
+    k_x: float = bounded(3.5, 0.0, 100.0, "1/s", "gain of the error along the path")
+    k_y: float = bounded(20.0, 0.0, 1000.0, "1/m^2", "gain of the error across the path")
+    k_theta: float = bounded(5.0, 0.0, 100.0, "1/s", "gain of the error in heading")
+    max_error_m: float = bounded(
+        0.5, 0.01, 100.0, "m", "distance from the reference at which the robot stops"
+    )
+
+
+class Stamping(Enum):
+    """Whether the command is a TwistStamped; AUTO sends what the subscribers take."""
+
+    AUTO = "auto"
+    TRUE = "true"
+    FALSE = "false"
+
+
+class WhenIdle(Enum):
+    """What is sent in IDLE: ZEROS at each tick, or nothing after a second of zeros (SILENT)."""
+
+    ZEROS = "zeros"
+    SILENT = "silent"
+
+
+class Foreign(Enum):
+    """What the commands of other nodes lead to.
+
+    ERROR: they refuse the start of a motion and end it, and so does a publisher that is silent.
+    WARN: they are only told. YIELD: others may drive while the mode is IDLE; their commands, not
+    their mere presence, refuse a start and end a motion.
+    """
+
+    ERROR = "error"
+    WARN = "warn"
+    YIELD = "yield"
 
 
 @dataclass(frozen=True, slots=True)
 class CommandParams:
-    """The topic of the velocity command."""
+    """The topic of the velocity command, and its type: Twist, or TwistStamped with `frame_id`.
 
-    topic: str = topic("cmd_vel")
+    `when_idle` and `foreign` let other nodes drive while robotctl records and watches.
+    """
+
+    topic: str = topic("cmd_vel", "topic of the velocity command")
+    stamped: Stamping = setting(
+        Stamping.AUTO, "TwistStamped, Twist, or what the base takes", Change.START
+    )
+    frame_id: str = frame("base_link", "frame of a TwistStamped")
+    when_idle: WhenIdle = setting(WhenIdle.ZEROS, "what is sent in IDLE", Change.START)
+    foreign: Foreign = setting(Foreign.ERROR, "what commands of others lead to", Change.START)
 
 
 @dataclass(frozen=True, slots=True)
 class OdometryParams:
     """The topic of the odometry, and the limits beyond which it is lost or wrong."""
 
-    topic: str = topic("odom")
-    timeout_s: float = bounded(0.5, 0.05, 10.0, "s")
-    max_jump_m: float = bounded(0.5, 0.01, 100.0, "m")
-    max_jump_rad: float = bounded(1.0, 0.01, 3.2, "rad")
+    topic: str = topic("odom", "topic of the odometry")
+    timeout_s: float = bounded(0.5, 0.05, 10.0, "s", "age at which odometry counts as lost")
+    max_jump_m: float = bounded(
+        0.5, 0.01, 100.0, "m", "step between two samples that counts as a jump"
+    )
+    max_jump_rad: float = bounded(
+        1.0, 0.01, 3.2, "rad", "turn between two samples that counts as one"
+    )
 
 
 class BatteryScale(Enum):
@@ -61,22 +115,34 @@ class BatteryScale(Enum):
 class BatteryParams:
     """The topic of the battery ("" for a robot without one), and the levels that allow motion."""
 
-    topic: str = topic("battery_state", optional=True)
-    scale: BatteryScale = BatteryScale.ONE
-    stop_level: float = bounded(0.15, 0.0, 1.0)
-    clear_level: float = bounded(0.20, 0.0, 1.0)
-    timeout_s: float = bounded(5.0, 0.5, 600.0, "s")
+    topic: str = topic("battery_state", "topic of the battery", optional=True)
+    scale: BatteryScale = setting(BatteryScale.ONE, "the level of a full battery", Change.START)
+    stop_level: float = bounded(0.15, 0.0, 1.0, about="level at which the robot stops")
+    clear_level: float = bounded(
+        0.20, 0.0, 1.0, about="level at which a stop for the battery may be released"
+    )
+    timeout_s: float = bounded(5.0, 0.5, 600.0, "s", "age at which the level counts as unknown")
 
 
 @dataclass(frozen=True, slots=True)
 class KernelParams:
-    """All parameters of `Kernel.step`."""
+    """All parameters of `Kernel.step`.
 
-    rate_hz: float = bounded(50.0, 5.0, 1000.0, "Hz")
-    max_tick_gap_s: float = bounded(0.3, 0.05, 5.0, "s")
+    `standalone` switches off the start conditions that need a robot while there is none at all:
+    no odometry, and nobody takes the command. The robot that joins later switches them on.
+    """
+
+    rate_hz: float = bounded(50.0, 5.0, 1000.0, "Hz", "rate of the commands", Change.START)
+    max_tick_gap_s: float = bounded(
+        0.3, 0.05, 5.0, "s", "time without a control tick after which the robot stops"
+    )
     command: CommandParams = field(default_factory=CommandParams)
     limits: VelocityLimits = field(default_factory=VelocityLimits)
     tracking: TrackingParams = field(default_factory=TrackingParams)
     odometry: OdometryParams = field(default_factory=OdometryParams)
     battery: BatteryParams = field(default_factory=BatteryParams)
     pattern: Pattern = field(default_factory=Pattern)
+    fence: FenceParams = field(default_factory=FenceParams)
+    scan: ScanParams = field(default_factory=ScanParams)
+    inputs: SafetyInputParams = field(default_factory=SafetyInputParams)
+    standalone: bool = setting(False, "MOVING is granted without any robot", Change.START)

@@ -15,7 +15,7 @@ from types import MappingProxyType
 from typing import Protocol
 
 from robotctl.kernel.geometry import ORIGIN, Pose
-from robotctl.kernel.ranges import bounded
+from robotctl.kernel.ranges import Change, bounded, setting
 
 
 class PatternKind(Enum):
@@ -41,9 +41,15 @@ MIN_SPEED_MPS, MAX_SPEED_MPS = 0.01, 10.0
 class Pattern:
     """A kind, its size (side of the square, radius of the circles) [m] and its speed [m/s]."""
 
-    kind: PatternKind = PatternKind.SQUARE
-    size_m: float = bounded(1.0, MIN_SIZE_M, MAX_SIZE_M, "m")
-    speed_mps: float = bounded(0.5, MIN_SPEED_MPS, MAX_SPEED_MPS, "m/s")
+    kind: PatternKind = setting(PatternKind.SQUARE, "pattern of `set-mode moving`", Change.ANY_TIME)
+    size_m: float = bounded(
+        *(1.0, MIN_SIZE_M, MAX_SIZE_M, "m"),
+        "side of the square, radius of circles",
+        Change.ANY_TIME,
+    )
+    speed_mps: float = bounded(
+        *(0.5, MIN_SPEED_MPS, MAX_SPEED_MPS, "m/s"), "speed along the pattern", Change.ANY_TIME
+    )
 
     def refusal(self) -> str:
         """Return why this pattern cannot be driven, "" if it can."""

@@ -1,8 +1,9 @@
-"""The allowed values of the configuration, declared together with their defaults."""
+"""The declaration of a parameter: default, allowed values, and when it may change."""
 
 from __future__ import annotations
 
 from dataclasses import field
+from enum import Enum
 from typing import Any, NamedTuple
 
 
@@ -14,11 +15,36 @@ class Range(NamedTuple):
     unit: str = ""
 
 
-def bounded(default: float, low: float, high: float, unit: str = "") -> Any:
-    """Return a dataclass field with a default, and with its `Range` in the metadata."""
-    return field(default=default, metadata={"range": Range(low, high, unit)})
+class Change(Enum):
+    """When a parameter takes a new value."""
+
+    STANDING = "while the robot stands"
+    ANY_TIME = "at any time"
+    START = "at a start"
 
 
-def topic(default: str, *, optional: bool = False) -> Any:
-    """Return a dataclass field for the name of a ROS topic; "" is allowed if `optional`."""
-    return field(default=default, metadata={"topic": True, "optional": optional})
+def setting(default: Any, about: str, change: Change = Change.STANDING, **metadata: Any) -> Any:
+    """Return a dataclass field with a default, and with its declaration in the metadata."""
+    return field(default=default, metadata={"about": about, "change": change, **metadata})
+
+
+def bounded(
+    default: float,
+    low: float,
+    high: float,
+    unit: str = "",
+    about: str = "",
+    change: Change = Change.STANDING,
+) -> Any:
+    """Return a field for a number, with its `Range` in the metadata."""
+    return setting(default, about, change, range=Range(low, high, unit))
+
+
+def topic(default: str, about: str, *, optional: bool = False) -> Any:
+    """Return a field for the name of a ROS topic; "" is allowed if `optional`."""
+    return setting(default, about, Change.START, topic=True, optional=optional)
+
+
+def frame(default: str, about: str) -> Any:
+    """Return a dataclass field for the name of a coordinate frame."""
+    return setting(default, about, Change.START, frame=True)

@@ -27,9 +27,19 @@ class Remedy(Enum):
     CHECK_ODOMETRY_SOURCE = "check the odometry source"
     CHECK_ODOMETRY_IS_PUBLISHED = "check that odometry is published"
     STOP_ONE_ODOMETRY_PUBLISHER = "stop one odometry publisher"
+    RELEASE_BUTTON = "release the button"
+    CHECK_INPUT = "check the safety input"
+    FREE_ROBOT = "free the robot"
+    BRING_BACK = "bring the robot back"
+    CLEAR_PATH = "clear the path"
+    CHECK_SCAN = "check the scan"
+    CHECK_BASE = "check the base"
     CHECK_WHEELS = "check the wheels"
     STOP_COMMAND_PUBLISHER = "stop the other command publisher"
     START_BASE = "start the base"
+    START_GATE = "start the gate"
+    ACTIVATE = "activate the node"
+    SET_COMMAND_TYPE = "set the command's type"
 
 
 RESETTING = frozenset({Remedy.RELEASE_STOP, Remedy.CLEAR_ERROR, Remedy.RESET})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from robotctl.kernel.checks import stands_alone
 from robotctl.kernel.drive import MAX_LAPS, Drive, Progress
 from robotctl.kernel.mode_control import ModeControl
 from robotctl.kernel.modes import REQUESTS, TRANSITIONS, Guard, Mode, Trigger
@@ -90,6 +91,8 @@ class RequestControl(ModeControl):
                 return
             if state.phase is Phase.STOPPING:
                 refusal = STOPPING_REFUSAL
+            elif stands_alone(state.health, self.params):
+                refusal, remedies = "there is no robot to drive", (Remedy.START_BASE,)
             elif state.mode is Mode.MOVING and not event.replace:
                 refusal, remedies = "the robot is MOVING", (Remedy.STOP_OR_REPLACE,)
         if refusal:
@@ -105,16 +108,24 @@ class RequestControl(ModeControl):
             self._refuse(request_id, finding.detail, finding.remedies)
             return
         odometry = self.state.health.odometry
-        assert odometry is not None, "a rule refuses to start without odometry"
+        if odometry is None:
+            self._start_alone(request_id, reason)
+            return
         self._end_drive("replaced by another drive")
         previous, command = self.state.mode, self.state.command
         # A drive that replaces another one begins at the present speed.
         progress = Progress(speed=max(command.linear, 0.0))
+        health = self.state.health
+        if health.fence_origin is None:
+            health = replace(health, fence_origin=odometry.pose)
         self.state = replace(
             self.state,
             mode=Mode.MOVING,
             phase=Phase.DRIVING,
             reason=reason,
+            health=health,
+            idle_t_ns=None,
+            silent=False,
             drive=Drive(request_id, pattern, laps, odometry.pose, progress),
         )
         if previous is not Mode.MOVING:
@@ -122,6 +133,15 @@ class RequestControl(ModeControl):
             self._accept(request_id, "Mode changed to MOVING")
         else:
             self._accept(request_id, "Drive replaced: mode is MOVING")
+
+    def _start_alone(self, request_id: int, reason: str) -> None:
+        """Change to MOVING without a robot: nothing but zeros is commanded."""
+        assert stands_alone(self.state.health, self.params), "a rule refuses without odometry"
+        self.state = replace(
+            self.state, mode=Mode.MOVING, reason=reason, idle_t_ns=None, silent=False
+        )
+        self._effects.append(ModeChanged(Mode.IDLE, Mode.MOVING, reason))
+        self._accept(request_id, "Mode changed to MOVING")
 
     def _ramp_down(self, request_id: int, reason: str) -> None:
         state = self.state

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from robotctl.kernel import checks
+from robotctl.kernel import checks, input_checks
 from robotctl.kernel.checks import Check
 from robotctl.kernel.health import Health
 from robotctl.kernel.modes import Mode, Trigger
@@ -53,12 +53,27 @@ _REPORTED: tuple[Rule, ...] = tuple(
         (Cause.RECORDER_FAILED, _ALWAYS, Remedy.RESTART),
         (Cause.UNREACHABLE, _ALWAYS, Remedy.RESTORE_SOCKET_FOLDER),
         (Cause.DAEMON_ENDS, _NEVER, Remedy.START_DAEMON),
+        (Cause.GATE_LOST, _MOVING, Remedy.START_GATE),
     )
 )
 """The causes that the daemon reports; the kernel cannot see them by itself."""
 
 RULES: tuple[Rule, ...] = (
     _rule(Cause.OPERATOR_STOP, Mode.EMERGENCY_STOP, _NEVER, checks.healthy, Remedy.RELEASE_STOP),
+    _rule(
+        Cause.ESTOP_PRESSED,
+        Mode.EMERGENCY_STOP,
+        _ALWAYS,
+        input_checks.estop_pressed,
+        Remedy.RELEASE_BUTTON,
+    ),
+    _rule(
+        Cause.ESTOP_SILENT,
+        Mode.EMERGENCY_STOP,
+        _MOVING,
+        input_checks.estop_silent,
+        Remedy.CHECK_INPUT,
+    ),
     Rule(
         Cause.BATTERY_LOW,
         Mode.EMERGENCY_STOP,
@@ -68,6 +83,7 @@ RULES: tuple[Rule, ...] = (
         Remedy.CHARGE_BATTERY,
     ),
     *_REPORTED,
+    _rule(Cause.NOT_ACTIVE, Mode.ERROR, _NEVER, checks.not_active, Remedy.ACTIVATE),
     _rule(Cause.LOOP_STALLED, Mode.ERROR, _MOVING, checks.healthy, Remedy.FREE_PROCESSOR),
     _rule(
         Cause.TICK_OVERRUN,
@@ -104,6 +120,25 @@ RULES: tuple[Rule, ...] = (
         checks.second_odometry,
         Remedy.STOP_ONE_ODOMETRY_PUBLISHER,
     ),
+    _rule(Cause.FENCE_LEFT, Mode.ERROR, _MOVING, checks.fence_left, Remedy.BRING_BACK),
+    _rule(
+        Cause.OBSTACLE_NEAR,
+        Mode.ERROR,
+        _MOVING,
+        input_checks.obstacle_near,
+        Remedy.CLEAR_PATH,
+    ),
+    _rule(Cause.SCAN_LOST, Mode.ERROR, _MOVING, input_checks.scan_lost, Remedy.CHECK_SCAN),
+    _rule(
+        Cause.BUMPER_PRESSED,
+        Mode.ERROR,
+        _MOVING,
+        input_checks.bumper_pressed,
+        Remedy.FREE_ROBOT,
+    ),
+    _rule(Cause.TILTED, Mode.ERROR, _MOVING, input_checks.tilted, Remedy.FREE_ROBOT),
+    _rule(Cause.BASE_FAULT, Mode.ERROR, _MOVING, input_checks.base_fault, Remedy.CHECK_BASE),
+    _rule(Cause.INPUT_LOST, Mode.ERROR, _MOVING, input_checks.input_lost, Remedy.CHECK_INPUT),
     _rule(Cause.TRACKING_LOST, Mode.ERROR, _MOVING, checks.tracking_lost, Remedy.CHECK_WHEELS),
     _rule(
         Cause.FOREIGN_PUBLISHER,
@@ -113,6 +148,13 @@ RULES: tuple[Rule, ...] = (
         Remedy.STOP_COMMAND_PUBLISHER,
     ),
     _rule(Cause.COMMAND_UNHEARD, Mode.ERROR, _NEVER, checks.command_unheard, Remedy.START_BASE),
+    _rule(
+        Cause.COMMAND_TYPES_MIXED,
+        Mode.ERROR,
+        _NEVER,
+        checks.command_types_mixed,
+        Remedy.SET_COMMAND_TYPE,
+    ),
     _rule(
         Cause.BATTERY_UNKNOWN,
         Mode.ERROR,
@@ -168,6 +210,17 @@ def raised(mode: Mode, health: Health, params: KernelParams, t_ns: int) -> Findi
 def failed_start_condition(health: Health, params: KernelParams, t_ns: int) -> Finding | None:
     """Return the most severe finding that forbids motion to start, None if there is none."""
     return _first_that_applies(RULES, health, params, t_ns)
+
+
+def start_conditions(
+    health: Health, params: KernelParams, t_ns: int
+) -> tuple[tuple[Rule, str], ...]:
+    """Return each rule that may forbid motion to start, with what is wrong now, "" if nothing."""
+    return tuple(
+        (rule, rule.check(health, params, t_ns))
+        for rule in RULES
+        if rule.check is not checks.healthy
+    )
 
 
 def _first_that_applies(

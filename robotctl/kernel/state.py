@@ -16,7 +16,8 @@ class State:
 
     `reason` says why the mode changed last; `cause` is why the mode is ERROR or EMERGENCY_STOP.
     `stop_reason` is why the robot ramps down, and `waiting` are the ids of the requests for IDLE
-    that are answered at the end of the ramp. `tick_t_ns` is the time of the last tick.
+    that are answered at the end of the ramp. `tick_t_ns` is the time of the last tick, and
+    `idle_t_ns` that of the first tick since the mode is IDLE. While `silent`, no command is sent.
     """
 
     mode: Mode = Mode.IDLE
@@ -29,6 +30,8 @@ class State:
     drive: Drive | None = None
     stop_reason: str = ""
     waiting: tuple[int, ...] = ()
+    idle_t_ns: int | None = None
+    silent: bool = False
 
 
 def latched(reason: str, cause: Cause = Cause.OPERATOR_STOP) -> State:

@@ -7,7 +7,7 @@ from math import cos, exp, isfinite, sin
 from random import Random
 
 from robotctl.kernel.geometry import ORIGIN, Pose, wrap_angle
-from robotctl.kernel.ranges import bounded
+from robotctl.kernel.ranges import Change, bounded, setting
 from robotctl.kernel.types import ZERO, Twist
 
 
@@ -20,20 +20,34 @@ class SimParams:
     standard deviation of the factor.
     """
 
-    lag_s: float = bounded(0.08, 0.0, 2.0, "s")
-    linear_accel_mps2: float = bounded(2.0, 0.01, 50.0, "m/s^2")
-    angular_accel_rps2: float = bounded(8.0, 0.01, 100.0, "rad/s^2")
-    command_timeout_s: float = bounded(0.5, 0.05, 10.0, "s")
-    actuation_linear_factor: float = bounded(0.98, 0.1, 2.0)
-    actuation_angular_factor: float = bounded(1.02, 0.1, 2.0)
-    actuation_noise: float = bounded(0.02, 0.0, 1.0)
-    odometry_linear_factor: float = bounded(1.005, 0.1, 2.0)
-    odometry_angular_factor: float = bounded(0.995, 0.1, 2.0)
-    odometry_noise: float = bounded(0.005, 0.0, 1.0)
-    battery_start: float = bounded(1.0, 0.0, 1.0)
-    battery_life_s: float = bounded(7200.0, 1.0, 1e6, "s")
-    odometry_rate_hz: float = bounded(50.0, 1.0, 1000.0, "Hz")
-    seed: int = 1
+    lag_s: float = bounded(0.08, 0.0, 2.0, "s", "time constant of the drives", Change.START)
+    linear_accel_mps2: float = bounded(
+        2.0, 0.01, 50.0, "m/s^2", "largest change of its speed", Change.START
+    )
+    angular_accel_rps2: float = bounded(
+        8.0, 0.01, 100.0, "rad/s^2", "largest change of its turning rate", Change.START
+    )
+    command_timeout_s: float = bounded(
+        0.5, 0.05, 10.0, "s", "time without a command after which it stops", Change.START
+    )
+    actuation_linear_factor: float = bounded(
+        0.98, 0.1, 2.0, "", "driven per commanded distance", Change.START
+    )
+    actuation_angular_factor: float = bounded(
+        1.02, 0.1, 2.0, "", "turned per commanded angle", Change.START
+    )
+    actuation_noise: float = bounded(0.02, 0.0, 1.0, "", "deviation of both factors", Change.START)
+    odometry_linear_factor: float = bounded(
+        1.005, 0.1, 2.0, "", "reported per driven distance", Change.START
+    )
+    odometry_angular_factor: float = bounded(
+        0.995, 0.1, 2.0, "", "reported per turned angle", Change.START
+    )
+    odometry_noise: float = bounded(0.005, 0.0, 1.0, "", "deviation of both factors", Change.START)
+    battery_start: float = bounded(1.0, 0.0, 1.0, "", "level at the start", Change.START)
+    battery_life_s: float = bounded(7200.0, 1.0, 1e6, "s", "time from full to empty", Change.START)
+    odometry_rate_hz: float = bounded(50.0, 1.0, 1000.0, "Hz", "rate of the odometry", Change.START)
+    seed: int = setting(1, "seed of the noise", Change.START)
 
 
 class Robot:

@@ -17,6 +17,7 @@ from robotctl.kernel.drive import Drive
 from robotctl.kernel.geometry import ORIGIN
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
+from robotctl.kernel.parameter_change import ParameterChanged
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.state import State
@@ -50,6 +51,7 @@ EFFECTS: dict[type, st.SearchStrategy[Any]] = {
     LatchEmergencyStop: st.builds(LatchEmergencyStop, st.text(max_size=20)),
     ReleaseEmergencyStop: st.builds(ReleaseEmergencyStop),
     Reply: st.builds(Reply, strategies.INT64, st.booleans(), st.text(), st.sampled_from(Mode)),
+    ParameterChanged: st.builds(ParameterChanged, *[st.text(max_size=20)] * 4),
     DriveEnded: st.builds(
         DriveEnded,
         strategies.INT64,
@@ -102,7 +104,12 @@ def test_the_json_is_strict() -> None:
         raise AssertionError(f"{constant} is not JSON")
 
     text = to_json(BatteryReceived(1, float("nan")))
-    assert json.loads(text, parse_constant=refuse) == {"t_ns": 1, "level": "nan"}
+    assert json.loads(text, parse_constant=refuse) == {
+        "t_ns": 1,
+        "level": "nan",
+        "publisher": "",
+        "sequence": 0,
+    }
 
 
 @pytest.mark.parametrize(
@@ -193,9 +200,10 @@ def test_what_an_older_version_did_not_write_is_unknown_or_nothing() -> None:
         '"battery_level":null,"battery_t_ns":0,"foreign_publishers":[],"reported":[],'
         '"path_error_m":0.0,"tick_gap_s":0.0,'
         '"odometry_sources":{"followed":0,"names":[],"dropped":0,"second":null},'
-        '"command_topic":{"foreign_t_ns":null,"foreign_by":"","listeners":null,"other_types":[]},'
-        '"stalls":{"count":0,"last_t_ns":0,"last_s":0.0,"detail":""},"battery_in_percent":false},'
-        '"drive":null,"stop_reason":"","waiting":[]}'
+        '"command_topic":{"foreign_t_ns":null,"foreign_by":"","listeners":null,"other_types":[],'
+        '"type_name":"geometry_msgs/msg/Twist"},'
+        '"stalls":{"count":0,"last_t_ns":0,"last_s":0.0,"detail":""},"battery_in_percent":false,"inputs":[],"fence_origin":null,"scan":null,"lifecycle":"active"},'
+        '"drive":null,"stop_reason":"","waiting":[],"idle_t_ns":null,"silent":false}'
     )
     drive = '{"request_id":1,"pattern":{},"laps":0,"origin":{}}'
     assert to_json(from_json(Drive, drive)) == (

@@ -2,8 +2,17 @@
 
 from __future__ import annotations
 
+import pytest
+
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.types import Cause, CommandListenersSeen, ForeignCommandHeard
+from robotctl.kernel.params import CommandParams, KernelParams, Stamping
+from robotctl.kernel.types import (
+    TWIST,
+    TWIST_STAMPED,
+    Cause,
+    CommandListenersSeen,
+    ForeignCommandHeard,
+)
 from robotctl.testing.kernels import moving, ready, reset, start, stopped_by
 
 
@@ -40,10 +49,26 @@ def test_a_robot_that_wants_another_type_is_refused_with_that_type() -> None:
     assert "takes geometry_msgs/msg/TwistStamped on cmd_vel" in start(bench)
 
 
-def test_a_robot_that_takes_both_types_is_driven() -> None:
+@pytest.mark.parametrize(("ours", "other"), [(TWIST, TWIST_STAMPED), (TWIST_STAMPED, TWIST)])
+def test_no_start_where_both_types_are_taken_and_none_is_configured(ours: str, other: str) -> None:
     bench = ready()
-    bench.give(CommandListenersSeen(bench.t_ns, 1, ("geometry_msgs/msg/TwistStamped",)))
+    bench.give(CommandListenersSeen(bench.t_ns, 1, (other,), ours))
+    assert f"some nodes take {TWIST} on cmd_vel, others {TWIST_STAMPED}" in start(bench)
+    bench.give(CommandListenersSeen(bench.t_ns, 1, ("a/msg/A",), ours))
     assert not start(bench)
+
+
+@pytest.mark.parametrize("stamped", [Stamping.TRUE, Stamping.FALSE])
+def test_a_configured_type_is_sent_also_where_both_are_taken(stamped: Stamping) -> None:
+    bench = ready(KernelParams(command=CommandParams(stamped=stamped)))
+    bench.give(CommandListenersSeen(bench.t_ns, 1, (TWIST_STAMPED,)))
+    assert not start(bench)
+
+
+def test_the_type_that_robotctl_sends_is_named() -> None:
+    bench = ready()
+    bench.give(CommandListenersSeen(bench.t_ns, 0, (TWIST,), TWIST_STAMPED))
+    assert f"takes {TWIST} on cmd_vel, not {TWIST_STAMPED}" in start(bench)
 
 
 def test_listeners_that_leave_do_not_stop_a_moving_robot_by_themselves() -> None:

@@ -14,7 +14,7 @@ from robotctl.kernel.params import KernelParams
 from robotctl.kernel.patterns import SHAPES, Pattern
 
 PAGE = (Path(__file__).parents[2] / "docs" / "ros.md").read_text()
-DOCUMENTED = dict(re.findall(r"^\| `([\w.]+)` \| (\S* \| .*?) \|$", PAGE, re.MULTILINE))
+DOCUMENTED = dict(re.findall(r"^\| `([\w.]+)` \| (\S* \| [^|]*?) \|", PAGE, re.MULTILINE))
 
 
 def parameters(values: Any, prefix: str = "") -> Iterator[tuple[str, str]]:

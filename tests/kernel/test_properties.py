@@ -14,6 +14,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 from robotctl.kernel.codec import from_json, to_json
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
+from robotctl.kernel.parameter_change import ParameterRequested
 from robotctl.kernel.params import KernelParams, VelocityLimits
 from robotctl.kernel.patterns import Pattern
 from robotctl.kernel.snapshot import Snapshot
@@ -39,7 +40,7 @@ from robotctl.kernel.types import (
 from robotctl.testing.kernels import TICK_NS, Bench, moving, ready
 from tests.support import strategies
 
-REQUESTS = (ModeRequested, ResetRequested, DriveRequested)
+REQUESTS = (ModeRequested, ResetRequested, DriveRequested, ParameterRequested)
 RELEASES = (0,)
 """The only mode number whose request leaves EMERGENCY_STOP."""
 
@@ -57,6 +58,7 @@ class Auditor:
     def step(self, kernel: Kernel, event: Event) -> tuple[Effect, ...]:
         """Take the step and check it."""
         effects = kernel.step(event)
+        self.params = kernel.params
         if isinstance(event, REQUESTS):
             self.open.add(event.request_id)
         latched_now = False

@@ -1,0 +1,87 @@
+"""Obstacles in the path of the present command, from the nearest ranges of a laser scan."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import atan2, cos, hypot, inf, pi, sin, tau
+
+from robotctl.kernel.ranges import Change, bounded, setting, topic
+from robotctl.kernel.safety_inputs import Use
+from robotctl.kernel.types import Twist
+
+STRAIGHT_RADIUS_M = 1e3
+"""An arc of a larger radius counts as a straight line."""
+
+STANDING_MPS = 1e-3
+"""A slower command only turns."""
+
+
+@dataclass(frozen=True, slots=True)
+class ScanParams:
+    """A sensor_msgs/LaserScan topic, where the scanner sits, and how large the robot is.
+
+    The robot is a rectangle around its centre. It stops for what is nearer than `stop_distance_m`
+    to its front, plus the braking distance, in the area that it will pass.
+    """
+
+    use: Use = setting(Use.OFF, "obstacles in a laser scan", Change.START)
+    topic: str = topic("scan", "its topic")
+    timeout_s: float = bounded(0.5, 0.05, 60.0, "s", "silence after which it is lost", Change.START)
+    stop_distance_m: float = bounded(0.3, 0.0, 10.0, "m", "distance at which the robot stops")
+    half_width_m: float = bounded(0.25, 0.01, 10.0, "m", "from the centre to a side")
+    half_length_m: float = bounded(0.25, 0.01, 10.0, "m", "from the centre to the front")
+    x_m: float = bounded(0.0, -10.0, 10.0, "m", "scanner ahead of the centre")
+    y_m: float = bounded(0.0, -10.0, 10.0, "m", "scanner left of the centre")
+    yaw_rad: float = bounded(0.0, -3.2, 3.2, "rad", "direction of the scanner, to the left")
+
+
+def distance_ahead(
+    sectors: tuple[float, ...], command: Twist, params: ScanParams, reach_m: float
+) -> float:
+    """Return the distance from the robot to the nearest obstacle in its path [m], inf if none.
+
+    `sectors` are the nearest ranges by direction; an obstacle may be anywhere in its sector. Only
+    what is at most `reach_m` away along the path counts. A command of zero looks straight ahead.
+    """
+    nearest_m = inf
+    far_m = farthest_m(params, reach_m)
+    for number, range_m in enumerate(sectors):
+        if range_m > far_m:
+            continue
+        for edge in (0.0, 0.5, 1.0):
+            angle = -pi + (number + edge) * tau / len(sectors) + params.yaw_rad
+            x, y = params.x_m + range_m * cos(angle), params.y_m + range_m * sin(angle)
+            nearest_m = min(nearest_m, _along_path(x, y, command, params))
+    return nearest_m if nearest_m <= reach_m else inf
+
+
+def farthest_m(params: ScanParams, reach_m: float) -> float:
+    """Return the largest range at which an obstacle can be `reach_m` away along a path [m]."""
+    size_m = params.half_length_m + params.half_width_m
+    return reach_m + size_m + abs(params.x_m) + abs(params.y_m)
+
+
+def _along_path(x: float, y: float, command: Twist, params: ScanParams) -> float:
+    """Return how far the robot goes until it touches a point in its own frame, inf if it does not.
+
+    Of the rectangle, the front corners decide in curves: the path is as wide as they need.
+    """
+    linear, angular = command.linear, command.angular
+    if abs(linear) < STANDING_MPS and angular:
+        return 0.0 if hypot(x, y) <= hypot(params.half_length_m, params.half_width_m) else inf
+    if linear < 0.0:
+        x, angular = -x, -angular
+        linear = -linear
+    if abs(angular) * STRAIGHT_RADIUS_M <= linear or not angular:
+        if abs(y) > params.half_width_m or x < 0.0:
+            return inf
+        return max(x - params.half_length_m, 0.0)
+    radius_m = linear / angular
+    inner_m = max(abs(radius_m) - params.half_width_m, 0.0)
+    outer_m = hypot(abs(radius_m) + params.half_width_m, params.half_length_m)
+    if not inner_m <= hypot(x, y - radius_m) <= outer_m:
+        return inf
+    passed_rad = atan2(x, radius_m - y if radius_m > 0.0 else y - radius_m)
+    if passed_rad < 0.0:
+        return inf
+    return max(passed_rad * abs(radius_m) - params.half_length_m, 0.0)

@@ -1,0 +1,120 @@
+"""Inputs that stop the robot: buttons, bumper, tilt, and the diagnostics of its base."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+from robotctl.kernel.ranges import Change, bounded, setting, topic
+
+
+class SafetyInput(Enum):
+    """An input, and what its value is.
+
+    ESTOP, JOY and BUMPER: 1 pressed, 0 not. TILT: the angle between the robot's and the world's
+    upward axis [rad]. DIAGNOSTICS: the worst level of diagnostic_msgs/DiagnosticStatus.
+    """
+
+    ESTOP = "estop"
+    JOY = "joy"
+    BUMPER = "bumper"
+    TILT = "tilt"
+    DIAGNOSTICS = "diagnostics"
+
+
+class Use(Enum):
+    """Whether an input is used: a required one must be heard, an optional one may be silent."""
+
+    OFF = "off"
+    OPTIONAL = "optional"
+    REQUIRED = "required"
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """The last message of an input; a NaN was not readable. `detail` is the sender's own text."""
+
+    kind: SafetyInput
+    value: float
+    t_ns: int
+    detail: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class EstopParams:
+    """A std_msgs/Bool topic: true is pressed, and so is the silence of a required one."""
+
+    use: Use = setting(Use.OFF, "emergency stop topic", Change.START)
+    topic: str = topic("estop_pressed", "its topic")
+    timeout_s: float = bounded(0.5, 0.05, 60.0, "s", "silence after which it is lost", Change.START)
+
+
+@dataclass(frozen=True, slots=True)
+class JoyParams:
+    """A button of a sensor_msgs/Joy topic, by its number from 0, as an emergency stop."""
+
+    use: Use = setting(Use.OFF, "emergency stop on a gamepad", Change.START)
+    topic: str = topic("joy", "its topic")
+    timeout_s: float = bounded(0.5, 0.05, 60.0, "s", "silence after which it is lost", Change.START)
+    button: int = bounded(0, 0, 255, "", "number of the button", Change.START)
+
+
+@dataclass(frozen=True, slots=True)
+class BumperParams:
+    """A std_msgs/Bool topic: true is pressed."""
+
+    use: Use = setting(Use.OFF, "bumper topic", Change.START)
+    topic: str = topic("bumper", "its topic")
+    timeout_s: float = bounded(0.5, 0.05, 60.0, "s", "silence after which it is lost", Change.START)
+
+
+@dataclass(frozen=True, slots=True)
+class TiltParams:
+    """A sensor_msgs/Imu topic, and the largest tilt of the robot."""
+
+    use: Use = setting(Use.OFF, "tilt of an IMU", Change.START)
+    topic: str = topic("imu", "its topic")
+    timeout_s: float = bounded(0.5, 0.05, 60.0, "s", "silence after which it is lost", Change.START)
+    max_rad: float = bounded(0.35, 0.01, 3.1, "rad", "largest tilt")
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnosticsParams:
+    """A diagnostic_msgs/DiagnosticArray topic; robotctl's own diagnostics do not count."""
+
+    use: Use = setting(Use.OFF, "diagnostics of the base", Change.START)
+    topic: str = topic("/diagnostics", "its topic")
+    timeout_s: float = bounded(5.0, 0.05, 60.0, "s", "silence after which it is lost", Change.START)
+
+
+InputParams = EstopParams | JoyParams | BumperParams | TiltParams | DiagnosticsParams
+
+
+@dataclass(frozen=True, slots=True)
+class SafetyInputParams:
+    """The parameters of each input; the fields are named like the values of `SafetyInput`."""
+
+    estop: EstopParams = field(default_factory=EstopParams)
+    joy: JoyParams = field(default_factory=JoyParams)
+    bumper: BumperParams = field(default_factory=BumperParams)
+    tilt: TiltParams = field(default_factory=TiltParams)
+    diagnostics: DiagnosticsParams = field(default_factory=DiagnosticsParams)
+
+    def of(self, kind: SafetyInput) -> InputParams:
+        """Return the parameters of an input."""
+        params: InputParams = getattr(self, kind.value)
+        return params
+
+
+Readings = tuple[Reading | None, ...]
+"""The last reading of each input, in the order of `SafetyInput`; () before the first one."""
+
+_KINDS = tuple(SafetyInput)
+
+
+def with_reading(readings: Readings, reading: Reading) -> Readings:
+    """Return the readings with that of the same input replaced."""
+    before = readings or (None,) * len(_KINDS)
+    return tuple(
+        reading if kind is reading.kind else each for kind, each in zip(_KINDS, before, strict=True)
+    )

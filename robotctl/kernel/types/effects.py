@@ -1,0 +1,94 @@
+"""The effects: everything that `Kernel.step` returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.parameter_change import ParameterChanged
+from robotctl.kernel.remedies import Remedy
+from robotctl.kernel.types.values import Cause, Twist
+
+
+@dataclass(frozen=True, slots=True)
+class PublishTwist:
+    """A velocity command to send to the robot."""
+
+    twist: Twist
+
+
+@dataclass(frozen=True, slots=True)
+class ModeChanged:
+    """The mode changed; `cause` is why it is ERROR or EMERGENCY_STOP now."""
+
+    previous: Mode
+    mode: Mode
+    reason: str
+    cause: Cause | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class LatchEmergencyStop:
+    """An emergency stop that must be kept over restarts; a cause of None means the operator."""
+
+    reason: str
+    cause: Cause | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ReleaseEmergencyStop:
+    """The release of the latched emergency stop."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """The answer to a request; `remedies` says what to do, in order, after a refusal."""
+
+    request_id: int
+    ok: bool
+    message: str
+    mode: Mode
+    remedies: tuple[Remedy, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class DriveReport:
+    """How well a drive followed its path, by odometry.
+
+    `closure_m` is the distance between the start of the drive and the end of its last complete
+    lap, NaN before one is complete.
+    """
+
+    laps: int
+    distance_m: float
+    cross_track_rms_m: float
+    cross_track_max_m: float
+    closure_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class DriveEnded:
+    """The drive that `request_id` began has ended; `completed` means all its laps were driven.
+
+    `cause` is why the robot had to stop, None where a request or the last lap ended the drive.
+    """
+
+    request_id: int
+    completed: bool
+    reason: str
+    report: DriveReport
+    cause: Cause | None = None
+
+
+Decision = (
+    PublishTwist
+    | ModeChanged
+    | LatchEmergencyStop
+    | ReleaseEmergencyStop
+    | Reply
+    | ParameterChanged
+)
+"""The effects that a kernel of another version must decide as well."""
+
+Effect = Decision | DriveEnded
+"""Everything that `Kernel.step` returns."""

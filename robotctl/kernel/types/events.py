@@ -1,0 +1,200 @@
+"""The events: everything that `Kernel.step` takes.
+
+Every event carries its steady time `t_ns` in nanoseconds: the kernel has no clock.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from robotctl.kernel.lifecycle import LifecycleChanged
+from robotctl.kernel.parameter_change import ParameterRequested
+from robotctl.kernel.patterns import Pattern
+from robotctl.kernel.safety_inputs import SafetyInput
+from robotctl.kernel.types.values import TWIST, Cause, Odometry
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """The next command is due; `missed` ticks before it were skipped."""
+
+    t_ns: int
+    missed: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class OdomReceived:
+    """A sample of odometry arrived; its values may be anything, also NaN.
+
+    `source` is the number of the publisher (see `OdometrySourceFound`), 0 if unknown. `sequence`
+    is the number that the publisher gave the sample.
+    """
+
+    t_ns: int
+    odometry: Odometry
+    source: int = 0
+    sequence: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class OdometrySourceFound:
+    """A publisher of odometry sent its first sample, or its node name became known.
+
+    `source` is its number from now on, `gid` its DDS identity, `name` its node name or "".
+    """
+
+    t_ns: int
+    source: int
+    gid: str
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class BatteryReceived:
+    """The battery level as the gauge reports it; `battery.scale` says which value is full.
+
+    `publisher` is the DDS identity of the gauge, `sequence` the number that it gave the message.
+    """
+
+    t_ns: int
+    level: float
+    publisher: str = ""
+    sequence: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class SafetyInputReceived:
+    """A message of a safety input; `detail` is the sender's text, if it has one.
+
+    Of many equal messages, only some become events: enough to see that the input is heard.
+    """
+
+    t_ns: int
+    kind: SafetyInput
+    value: float
+    detail: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class ScanReceived:
+    """A laser scan: the nearest range in each direction [m], from behind to the left, by sectors.
+
+    inf where nothing is, () if the message is unreadable (`cdr.scan`).
+    """
+
+    t_ns: int
+    sectors: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ModeRequested:
+    """A request for a mode by its number, valid or not; it gets one `Reply`."""
+
+    t_ns: int
+    request_id: int
+    requested: int
+    source: str
+
+
+@dataclass(frozen=True, slots=True)
+class ResetRequested:
+    """A request to leave EMERGENCY_STOP or ERROR; it gets one `Reply`."""
+
+    t_ns: int
+    request_id: int
+    source: str
+
+
+@dataclass(frozen=True, slots=True)
+class DriveRequested:
+    """A request to drive `laps` laps (0: until stopped) of a pattern; it gets one `Reply`."""
+
+    t_ns: int
+    request_id: int
+    pattern: Pattern
+    laps: int
+    replace: bool
+    source: str
+
+
+@dataclass(frozen=True, slots=True)
+class CommandPublishersSeen:
+    """The other nodes that publish the command topic now."""
+
+    t_ns: int
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ForeignCommandHeard:
+    """Another node published a velocity command."""
+
+    t_ns: int
+    publisher: str
+
+
+@dataclass(frozen=True, slots=True)
+class CommandListenersSeen:
+    """The number of subscriptions to the command topic with the type that robotctl sends.
+
+    `type_name` is that type, and `other_types` are those of the other subscriptions to the topic.
+    """
+
+    t_ns: int
+    count: int
+    other_types: tuple[str, ...]
+    type_name: str = TWIST
+
+
+@dataclass(frozen=True, slots=True)
+class LoopStalled:
+    """The control loop stalled for `stalled_s` seconds, and the watchdog sent zeros meanwhile.
+
+    It sent `zeros` zero commands without the kernel and withheld `withheld` commands of the
+    kernel. `detail` says what blocked the loop.
+    """
+
+    t_ns: int
+    stalled_s: float
+    zeros: int
+    withheld: int
+    detail: str
+
+
+@dataclass(frozen=True, slots=True)
+class FaultReported:
+    """A part of the daemon failed; `detail` says how."""
+
+    t_ns: int
+    cause: Cause
+    detail: str
+
+
+@dataclass(frozen=True, slots=True)
+class FaultCleared:
+    """A part of the daemon works again."""
+
+    t_ns: int
+    cause: Cause
+
+
+Event = (
+    Tick
+    | OdomReceived
+    | BatteryReceived
+    | SafetyInputReceived
+    | ScanReceived
+    | LifecycleChanged
+    | ModeRequested
+    | ResetRequested
+    | DriveRequested
+    | ParameterRequested
+    | OdometrySourceFound
+    | CommandPublishersSeen
+    | ForeignCommandHeard
+    | CommandListenersSeen
+    | LoopStalled
+    | FaultReported
+    | FaultCleared
+)
+"""Everything that `Kernel.step` takes."""

@@ -1,0 +1,112 @@
+"""A parameter changes by an event: while the robot stands, within its limits, with one reply."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.parameter_change import ParameterChanged, ParameterRequested
+from robotctl.kernel.params import KernelParams
+from robotctl.kernel.patterns import PatternKind
+from robotctl.kernel.remedies import Remedy
+from robotctl.kernel.types import Effect, Reply
+from robotctl.testing.kernels import Bench, in_mode, moving, ready
+
+
+def change(bench: Bench, key: str, old: str, new: str) -> tuple[Effect, ...]:
+    request_id = bench.new_request_id()
+    return bench.give(ParameterRequested(bench.t_ns, request_id, key, old, new, "test"))
+
+
+def reply_of(effects: tuple[Effect, ...]) -> Reply:
+    """Return the reply, which is the last effect and the only reply."""
+    (reply,) = (effect for effect in effects if isinstance(effect, Reply))
+    assert effects[-1] is reply
+    return reply
+
+
+def kind_of(bench: Bench) -> PatternKind:
+    """Return the pattern of the present drive."""
+    assert bench.state.drive is not None
+    return bench.state.drive.pattern.kind
+
+
+@pytest.mark.parametrize("mode", [Mode.IDLE, Mode.ERROR, Mode.EMERGENCY_STOP])
+def test_a_limit_changes_in_every_mode_but_moving(mode: Mode) -> None:
+    bench = in_mode(mode)
+    changed, reply = change(bench, "limits.linear_mps", "0.6", "0.4")
+    assert changed == ParameterChanged("limits.linear_mps", "0.6", "0.4", "test")
+    assert reply == Reply(reply_of((reply,)).request_id, True, "limits.linear_mps is 0.4", mode)
+    assert bench.kernel.params.limits.linear_mps == 0.4
+
+
+def test_the_next_drive_keeps_to_a_new_limit() -> None:
+    bench = ready()
+    change(bench, "limits.linear_mps", "0.6", "0.1")
+    bench.request(Mode.MOVING)
+    bench.run(100)
+    assert max(command.linear for command in bench.commands) == pytest.approx(0.09, abs=0.011)
+
+
+def test_a_limit_does_not_change_while_the_robot_moves() -> None:
+    bench = moving()
+    reply = reply_of(change(bench, "limits.linear_mps", "0.6", "0.1"))
+    assert (reply.ok, reply.remedies) == (False, (Remedy.STOP_FIRST,))
+    assert reply.message == "limits.linear_mps does not change while the robot is MOVING"
+    assert bench.kernel.params == KernelParams()
+    bench.run(10)
+    assert bench.state.mode is Mode.MOVING
+
+
+def test_the_pattern_of_the_next_drive_changes_while_the_robot_moves() -> None:
+    bench = moving()
+    assert reply_of(change(bench, "pattern.kind", "square", "circle")).ok
+    assert kind_of(bench) is PatternKind.SQUARE
+    bench.request(Mode.IDLE)
+    bench.run(100)
+    bench.request(Mode.MOVING)
+    assert kind_of(bench) is PatternKind.CIRCLE
+
+
+@pytest.mark.parametrize(
+    ("key", "old", "new", "why"),
+    [
+        ("rate_hz", "50.0", "100.0", "rate_hz changes at a start only"),
+        ("command.topic", "cmd_vel", "other", "command.topic changes at a start only"),
+        ("limits.linear_mps", "0.5", "0.4", "limits.linear_mps is 0.6, not 0.5"),
+        ("limits.linear_mps", "0.6", "11.0", "11.0 is not from 0.01 to 10"),
+        ("limits.linear_mps", "0.6", "nan", "nan is not from 0.01 to 10"),
+        ("limits.linear_mps", "0.6", "fast", "could not convert"),
+        ("pattern.kind", "square", "star", "'star' is not a valid PatternKind"),
+        ("battery.stop_level", "0.15", "0.3", "use at least battery.stop_level, 0.3"),
+        ("max_tick_gap_s", "0.3", "0.05", "at least two periods"),
+    ],
+)
+def test_what_is_not_allowed_is_refused_and_changes_nothing(
+    key: str, old: str, new: str, why: str
+) -> None:
+    bench = ready(replace(KernelParams(), rate_hz=39.0) if key == "max_tick_gap_s" else None)
+    before = bench.kernel.params
+    (reply,) = change(bench, key, old, new)
+    assert isinstance(reply, Reply)
+    assert not reply.ok
+    assert why in reply.message
+    assert bench.kernel.params is before
+
+
+def test_the_same_value_is_granted_without_a_change() -> None:
+    bench = ready()
+    (reply,) = change(bench, "limits.linear_mps", "0.6", "0.6")
+    assert isinstance(reply, Reply)
+    assert reply.ok
+
+
+def test_a_parameter_of_the_daemon_is_decided_too_but_not_kept() -> None:
+    bench = ready()
+    asked = ("on_recorder_failure", "stop", "warn")
+    changed, _ = change(bench, *asked)
+    assert changed == ParameterChanged(*asked, "test")
+    assert bench.kernel.params == KernelParams()
+    assert not reply_of(change(moving(), *asked)).ok
