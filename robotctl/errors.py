@@ -96,6 +96,13 @@ class Refused(RobotctlError):
     kind = "refused"
 
 
+class NotSealed(RobotctlError):
+    """A recording that is whole, but whose origin no signature proves."""
+
+    exit_code = 4
+    kind = "not_sealed"
+
+
 class AlreadyRunning(RobotctlError):
     """A start while another process owns the robot's name; the text has its pid."""
 

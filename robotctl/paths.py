@@ -22,6 +22,7 @@ STATE_VARIABLE = "XDG_STATE_HOME"
 ROBOT_VARIABLE = "ROBOTCTL_ROBOT"
 """The default of `--robot`, as an environment variable."""
 
+_NAMESPACE_PART = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _ROBOT_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
@@ -43,6 +44,20 @@ def check_robot_name(name: str) -> str:
 def namespace_of(robot: str) -> str:
     """Return the robot's ROS namespace: `/NAME`, or "" for the default robot."""
     return "" if robot == DEFAULT_ROBOT else f"/{robot}"
+
+
+def check_namespace(text: str) -> str:
+    """Return a ROS namespace as robotctl uses it: `/NAME`, or "" for none.
+
+    Raises:
+        UsageError: ROS does not allow it.
+    """
+    parts = [part for part in text.strip("/").split("/") if text.strip("/")]
+    if not all(_NAMESPACE_PART.fullmatch(part) and "__" not in part for part in parts):
+        raise UsageError(
+            f"namespace {text!r}", "use /NAME or /A/B, of letters, digits and single underscores"
+        )
+    return "".join(f"/{part}" for part in parts)
 
 
 def runtime_folder() -> Path:
@@ -126,6 +141,11 @@ def latch_path(robot: str) -> Path:
     The file contains the reason.
     """
     return robot_state_folder(robot) / "emergency-stop"
+
+
+def seal_folder(robot: str) -> Path:
+    """Return the folder of the keys that seal the robot's recordings."""
+    return robot_state_folder(robot) / "seal"
 
 
 def recordings_note_path(robot: str) -> Path:

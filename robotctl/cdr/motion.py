@@ -7,7 +7,7 @@ numbers; reading these from the bytes takes 2 us.
 from __future__ import annotations
 
 import struct
-from math import cos, sin
+from math import cos, nan, sin
 
 from robotctl.cdr.reader import BODY, ENCAPSULATION, LITTLE_ENDIAN, CdrReader
 from robotctl.kernel.geometry import Pose, yaw_of
@@ -22,6 +22,18 @@ _VELOCITY = struct.Struct("<6d")
 _COVARIANCES = 36
 _POSE_AND_TWIST = struct.Struct("<7d288x6d")
 """Position, orientation (x y z w), skipped 36 covariances, linear and angular velocity."""
+
+
+UNREADABLE = Odometry(Pose(nan, nan, nan), Twist(nan, nan), 0)
+"""Replaces a message that cannot be read: the kernel drops it because it is not finite."""
+
+
+def read_odometry(data: bytes) -> Odometry:
+    """Return what the kernel gets of these bytes, `UNREADABLE` if they are no odometry."""
+    try:
+        return decode_odometry(data)
+    except Exception:  # noqa: BLE001 - the bytes may be anything
+        return UNREADABLE
 
 
 def decode_odometry(data: bytes) -> Odometry:
@@ -61,16 +73,42 @@ def encode_twist(twist: Twist) -> bytes:
     return _TWIST.pack(ENCAPSULATION, twist.linear, 0.0, 0.0, 0.0, 0.0, twist.angular)
 
 
+class StampedTwistEncoder:
+    """Serializes geometry_msgs/TwistStamped messages of one frame; they differ in seven numbers."""
+
+    def __init__(self, frame_id: str) -> None:
+        head = _header(frame_id)
+        head += bytes(-(len(head) - BODY) % 8)
+        self._twist = len(head)
+        self._buffer = bytearray(head + bytes(_VELOCITY.size))
+
+    def encode(self, twist: Twist, stamp_ns: int) -> bytes:
+        """Return a serialized message of this linear.x and angular.z; `stamp_ns` is in ROS time."""
+        buffer = self._buffer
+        _STAMP.pack_into(buffer, BODY, *divmod(stamp_ns, NS_PER_S))
+        _VELOCITY.pack_into(buffer, self._twist, twist.linear, 0.0, 0.0, 0.0, 0.0, twist.angular)
+        return bytes(buffer)
+
+
+def decode_twist_stamped(data: bytes) -> Twist:
+    """Return forward and turning velocity of a serialized geometry_msgs/TwistStamped.
+
+    Raises:
+        struct.error: The message is cut short, or not in plain CDR.
+    """
+    message = CdrReader(data)
+    message.take("i"), message.take("I")
+    message.text()
+    linear, _, _, _, _, angular = message.take("d", 6)
+    return Twist(linear, angular)
+
+
 class OdometryEncoder:
     """Serializes the odometry of one robot: only the numbers change from message to message."""
 
     def __init__(self, frame_id: str, child_frame_id: str) -> None:
         """Encode odometry of `child_frame_id` in `frame_id`, with covariances 0: unknown."""
-        head = ENCAPSULATION + _STAMP.pack(0, 0)
-        for text in (frame_id, child_frame_id):
-            head += bytes(-len(head) % 4)
-            content = text.encode() + b"\0"
-            head += _LENGTH.pack(len(content)) + content
+        head = _with_text(_header(frame_id), child_frame_id)
         self._pose = _pose_offset(head)
         self._twist = self._pose + _POSE_AND_TWIST.size - _VELOCITY.size
         end = self._twist + _VELOCITY.size + 8 * _COVARIANCES
@@ -85,6 +123,16 @@ class OdometryEncoder:
             buffer, self._twist, velocity.linear, 0.0, 0.0, 0.0, 0.0, velocity.angular
         )
         return bytes(buffer)
+
+
+def _header(frame_id: str) -> bytes:
+    """Return a serialized std_msgs/Header with stamp 0, encapsulation included."""
+    return _with_text(ENCAPSULATION + _STAMP.pack(0, 0), frame_id)
+
+
+def _with_text(data: bytes, text: str) -> bytes:
+    content = text.encode() + b"\0"
+    return data + bytes(-len(data) % 4) + _LENGTH.pack(len(content)) + content
 
 
 def _pose_offset(data: bytes) -> int:

@@ -49,7 +49,15 @@ class CdrReader:
             struct.error: The message is cut short.
         """
         (size,) = self.take("I")
-        begin, self._position = self._position, self._position + size
+        return self.octets(size)[:-1].decode(errors="replace")
+
+    def octets(self, count: int) -> bytes:
+        """Return the next `count` bytes.
+
+        Raises:
+            struct.error: The message is cut short.
+        """
+        begin, self._position = self._position, self._position + count
         if self._position > len(self._data):
-            raise struct.error("a string is longer than its message")
-        return self._data[begin : self._position - 1].decode(errors="replace")
+            raise struct.error("a string or an array is longer than its message")
+        return self._data[begin : self._position]

@@ -3,9 +3,11 @@
 - `schema`: what may be set, with the defaults.
 - `settings`: read and change a `Config` by dotted keys.
 - `values`: whether a value is allowed for a key.
+- `declarations`: each key with its type, its allowed values and when it may change.
 - `file`: read a `Config` from a YAML file.
 """
 
+from robotctl.config.declarations import Declaration, Kind, declarations
 from robotctl.config.file import MAX_FILE_BYTES, load
 from robotctl.config.schema import Config, RecordingParams
 from robotctl.config.settings import check_all, check_together, flat, with_setting, with_text
@@ -15,9 +17,12 @@ __all__ = [
     "MAX_FILE_BYTES",
     "PATTERN_HELP",
     "Config",
+    "Declaration",
+    "Kind",
     "RecordingParams",
     "check_all",
     "check_together",
+    "declarations",
     "flat",
     "is_topic_pattern",
     "load",

@@ -31,7 +31,7 @@ def load(path: Path) -> Config:
     Raises:
         ConfigError: The file cannot be read, or a key or value is not allowed.
     """
-    settings = _flatten(_parameters(_read(path), path), path)
+    settings = flatten(_parameters(read_yaml(path), path), path)
     config = Config()
     seen: set[str] = set()
     try:
@@ -46,7 +46,26 @@ def load(path: Path) -> Config:
     return config
 
 
-def _read(path: Path) -> Any:
+def read_value(name: str, text: str) -> object:
+    """Return the value that a text means in YAML.
+
+    Raises:
+        ConfigError: It is not valid YAML.
+    """
+    import yaml
+
+    try:
+        return yaml.safe_load(text)
+    except (yaml.YAMLError, RecursionError, TypeError, ValueError) as error:
+        raise ConfigError(f"{name}: not valid YAML: {' '.join(str(error).split())}") from None
+
+
+def read_yaml(path: Path) -> Any:
+    """Return the content of a YAML file without aliases and duplicate keys.
+
+    Raises:
+        ConfigError: The file cannot be read, or is not valid.
+    """
     import yaml  # here, because it takes 15 ms and most daemons have no configuration file
 
     class Loader(yaml.SafeLoader):
@@ -91,13 +110,13 @@ def _parameters(content: Any, path: Path) -> Mapping[Any, Any]:
     return content
 
 
-def _flatten(
+def flatten(
     settings: Mapping[Any, Any], path: Path, prefix: str = ""
 ) -> Iterator[tuple[str, object]]:
     """Yield each setting as a dotted key and its value."""
     for name, value in settings.items():
         key = f"{prefix}{name}"
         if isinstance(value, dict):
-            yield from _flatten(value, path, f"{key}.")
+            yield from flatten(value, path, f"{key}.")
         else:
             yield key, value

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from robotctl.kernel.params import KernelParams
-from robotctl.kernel.ranges import bounded
+from robotctl.kernel.ranges import Change, bounded, setting
 from robotctl.recording.format.compression import Compression
 from robotctl.sim.robot import SimParams
 
@@ -19,17 +19,41 @@ class RecordingParams:
     pattern of `include` matches it, or `include` is empty, and no pattern of `exclude` matches it.
     A clip is cut around each emergency stop and error, from `clip_before_s` before it to
     `clip_after_s` after it; with `clip_before_s` 0 no clips are cut. `group_readable` lets the
-    group read the recordings, otherwise only their owner may.
+    group read the recordings, otherwise only their owner may. `seal` signs them with a key of the
+    robot; `publish_heads` publishes the newest head on a topic, and `head_command` is run with it.
     """
 
-    compression: Compression = Compression.ZSTD
-    max_total_gb: float = bounded(20.0, 0.0, 1e6, "GB")
-    max_age_days: float = bounded(30.0, 0.0, 1e5, "days")
-    include: tuple[str, ...] = ()
-    exclude: tuple[str, ...] = ()
-    clip_before_s: float = bounded(30.0, 0.0, 3600.0, "s")
-    clip_after_s: float = bounded(5.0, 0.0, 600.0, "s")
-    group_readable: bool = False
+    compression: Compression = setting(Compression.ZSTD, "compression of the chunks", Change.START)
+    max_total_gb: float = bounded(20.0, 0.0, 1e6, "GB", "size of all recordings that are kept")
+    max_age_days: float = bounded(
+        30.0, 0.0, 1e5, "days", "age of the oldest recording that is kept"
+    )
+    include: tuple[str, ...] = setting((), "topics that are recorded", Change.START)
+    exclude: tuple[str, ...] = setting((), "topics that are not recorded", Change.START)
+    clip_before_s: float = bounded(
+        30.0, 0.0, 3600.0, "s", "what a clip holds before its event; 0: no clips"
+    )
+    clip_after_s: float = bounded(5.0, 0.0, 600.0, "s", "what a clip holds after its event")
+    group_readable: bool = setting(False, "the group may read (0640, 0750)", Change.START)
+    foxglove_events: bool = setting(
+        False, "changes of the mode and marks are recorded as events of Foxglove", Change.START
+    )
+    seal: bool = setting(True, "sign the recordings with the robot's key", Change.START)
+    publish_heads: bool = setting(
+        False, "publish the newest head of the seal on robotctl/head", Change.START
+    )
+    head_command: str = setting(
+        "", "program that gets each new head of the seal as an argument", Change.START, command=True
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class DecisionParams:
+    """How long the journal of decisions is kept; 0 means forever."""
+
+    keep_years: float = bounded(
+        5.0, 0.0, 100.0, "years", "how long the journal of decisions is kept", Change.START
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,5 +68,11 @@ class Config:
     kernel: KernelParams = field(default_factory=KernelParams)
     sim: SimParams = field(default_factory=SimParams)
     recording: RecordingParams = field(default_factory=RecordingParams)
-    fifo_priority: int = bounded(0, 0, 99)
-    on_recorder_failure: str = field(default="stop", metadata={"choices": ("stop", "warn")})
+    decisions: DecisionParams = field(default_factory=DecisionParams)
+    fifo_priority: int = bounded(
+        0, 0, 99, about="SCHED_FIFO priority of the loop's thread", change=Change.START
+    )
+    autostart: bool = setting(True, "mode_service configures and activates itself", Change.START)
+    on_recorder_failure: str = setting(
+        "stop", "what a failed recorder does", choices=("stop", "warn")
+    )

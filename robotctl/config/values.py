@@ -9,9 +9,11 @@ from reprlib import repr as short_repr
 from typing import Any
 
 from robotctl.errors import ConfigError
+from robotctl.kernel.fence import corners_of
 from robotctl.kernel.ranges import Range
 
 _TOPIC = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+_FRAME = re.compile(r"[A-Za-z0-9_/]{1,200}")
 _PATTERN = re.compile(r"(?:type:|(?=[/*?\[]))[A-Za-z0-9_/*?!\[\]-]{1,300}")
 PATTERN_HELP = "a topic (/scan), a glob (/camera/*) or a type (type:sensor_msgs/msg/Image)"
 
@@ -26,8 +28,9 @@ def checked_value(key: str, value: object, kind: Any, metadata: Mapping[str, Any
         return _checked_patterns(key, value)
     if issubclass(kind, Enum):
         choices = {member.value: member for member in kind}
-        if type(value) in (str, int) and str(value) in choices:  # 100 is an int in YAML
-            return choices[str(value)]
+        # 100 and true are no text in YAML.
+        if type(value) in (str, int, bool) and (text := str(value).lower()) in choices:
+            return choices[text]
         raise not_allowed(key, value, f"use {', '.join(choices)}")
     if kind is float:
         low, high, unit = metadata.get("range", Range(-1e12, 1e12))
@@ -41,6 +44,10 @@ def checked_value(key: str, value: object, kind: Any, metadata: Mapping[str, Any
     if metadata.get("topic") and not _is_topic(value, optional=metadata["optional"]):
         none = ', or "" for none' if metadata["optional"] else ""
         raise not_allowed(key, value, f"use the name of a ROS topic, such as /a/b{none}")
+    if metadata.get("frame") and not (isinstance(value, str) and _FRAME.fullmatch(value)):
+        raise not_allowed(key, value, "use the name of a frame, such as base_link")
+    if metadata.get("corners") and not _are_corners(value):
+        raise not_allowed(key, value, "use 3 to 64 corners, such as 0,0 2,0 2,1")
     if type(value) is not kind:
         names = {int: "a whole number", str: "text", bool: "true or false"}
         raise not_allowed(key, value, f"use {names[kind]}")
@@ -49,6 +56,13 @@ def checked_value(key: str, value: object, kind: Any, metadata: Mapping[str, Any
         if not low <= value <= high:
             raise not_allowed(key, value, f"use {low} to {high}")
     return value
+
+
+def _are_corners(value: object) -> bool:
+    try:
+        return isinstance(value, str) and len(corners_of(value)) >= 0
+    except ValueError:
+        return False
 
 
 def _checked_patterns(key: str, value: object) -> tuple[str, ...]:

@@ -1,0 +1,157 @@
+"""The fields of a ROS type, read from its text in ros2msg, as recordings and rosbag2 hold it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final
+
+TEXT: Final = "string"
+WIDE_TEXT: Final = "wstring"
+
+NUMBERS: Final[Mapping[str, str]] = {
+    "bool": "?",
+    "byte": "B",
+    "char": "B",
+    "int8": "b",
+    "uint8": "B",
+    "int16": "h",
+    "uint16": "H",
+    "int32": "i",
+    "uint32": "I",
+    "int64": "q",
+    "uint64": "Q",
+    "float32": "f",
+    "float64": "d",
+}
+"""The format of each numeric type, as `struct` names it."""
+
+_MAX_DEPTH: Final = 64
+"""Deeper than any type of ROS; a recording may hold any text."""
+
+_SEPARATOR = re.compile(r"^=+[ \t]*\n(?=MSG: )", re.MULTILINE)
+_FIELD = re.compile(
+    r"\s*(?P<type>[A-Za-z][\w/]*)(?:<=(?P<text_bound>\d+))?"
+    r"(?P<array>\[(?P<upper><=)?(?P<length>\d*)\])?"
+    r"\s+(?P<name>[A-Za-z]\w*)\s*(?P<constant>=)?"
+)
+
+
+class UnreadableType(ValueError):
+    """The text describes no type that can be read; the error says why."""
+
+
+class Shape(Enum):
+    """How many values a field has."""
+
+    ONE = "one"
+    ARRAY = "array"
+    SEQUENCE = "sequence"
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """A field: its name, its type (a built-in one, or `pkg/T`) and how many values it has.
+
+    `length` is the length of an array, or the limit of a sequence, which is None without one;
+    `text_bound` is the limit on the characters of a text.
+    """
+
+    name: str
+    type_name: str
+    shape: Shape = Shape.ONE
+    length: int | None = None
+    text_bound: int | None = None
+
+    @property
+    def type_text(self) -> str:
+        """The type as a .msg file writes it."""
+        bound = "" if self.text_bound is None else f"<={self.text_bound}"
+        if self.shape is Shape.ONE:
+            return self.type_name + bound
+        limit = "<=" if self.shape is Shape.SEQUENCE and self.length is not None else ""
+        return f"{self.type_name}{bound}[{limit}{'' if self.length is None else self.length}]"
+
+
+@dataclass(frozen=True, slots=True)
+class Definition:
+    """The fields of a type and of all types that it needs, by `pkg/T`; `root` is its own name."""
+
+    root: str
+    types: Mapping[str, tuple[Field, ...]]
+
+    @property
+    def fields(self) -> tuple[Field, ...]:
+        """The fields of the type itself."""
+        return self.types[self.root]
+
+
+def is_built_in(type_name: str) -> bool:
+    """Return whether a type is a number, a truth value or a text."""
+    return type_name in NUMBERS or type_name in (TEXT, WIDE_TEXT)
+
+
+def short_type(type_name: str) -> str:
+    """Return `pkg/T` of `pkg/msg/T`, `pkg/srv/T` or `pkg/action/T`."""
+    package, _, rest = type_name.partition("/")
+    return f"{package}/{rest.rpartition('/')[2]}"
+
+
+def parse_definition(type_name: str, text: str) -> Definition:
+    """Read a type and its dependencies.
+
+    Raises:
+        UnreadableType: A line is no field, a type is missing, or a type contains itself.
+    """
+    own, *others = _SEPARATOR.split(text)
+    root = short_type(type_name)
+    types = {root: _fields(root, own)}
+    for part in others:
+        head, _, body = part.partition("\n")
+        name = short_type(head.removeprefix("MSG: ").strip())
+        types.setdefault(name, _fields(name, body))
+    _check(types, root, (), set())
+    return Definition(root, types)
+
+
+def _fields(owner: str, text: str) -> tuple[Field, ...]:
+    package = owner.partition("/")[0]
+    found = []
+    for line in text.splitlines():
+        line = line.partition("#")[0]
+        if not line.strip():
+            continue
+        match = _FIELD.match(line)
+        if match is None:
+            raise UnreadableType(f"{owner} has a line that is no field: {line.strip()[:80]!r}")
+        if match["constant"]:
+            continue
+        type_name = match["type"]
+        if not is_built_in(type_name):
+            type_name = short_type(type_name if "/" in type_name else f"{package}/{type_name}")
+        shape = Shape.ONE
+        if match["array"]:
+            is_array = match["length"] and not match["upper"]
+            shape = Shape.ARRAY if is_array else Shape.SEQUENCE
+        length = int(match["length"]) if match["length"] else None
+        bound = int(match["text_bound"]) if match["text_bound"] else None
+        found.append(Field(match["name"], type_name, shape, length, bound))
+    return tuple(found)
+
+
+def _check(
+    types: Mapping[str, tuple[Field, ...]], name: str, around: tuple[str, ...], good: set[str]
+) -> None:
+    """Check that all types of `name` are known and that none is `around` itself; add to `good`."""
+    if name in around or len(around) > _MAX_DEPTH:
+        raise UnreadableType(f"{name} contains itself")
+    for field in types[name]:
+        inner = field.type_name
+        if is_built_in(inner) or inner in good:
+            continue
+        if inner not in types:
+            raise UnreadableType(f"{name} needs {inner}, which is not described")
+        _check(types, inner, (*around, name), good)
+    good.add(name)

@@ -1,0 +1,132 @@
+"""Applies `--ros-args` to a configuration: parameters, files of them, and remaps of its topics."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from robotctl.config.file import read_value
+from robotctl.config.nodes import NODES, node_of
+from robotctl.config.ros_file import is_for, read_parameter_file
+from robotctl.config.schema import Config
+from robotctl.config.settings import check_together, flat, keyed_leaves, with_setting
+from robotctl.errors import ConfigError, UsageError
+from robotctl.ros_arguments import NO_ARGUMENTS, Assignment, Remap, RosArguments
+
+USE_SIM_TIME: Final = "use_sim_time"
+"""The parameter that every ROS node has."""
+
+
+@dataclass(frozen=True, slots=True)
+class RosSettings:
+    """The configuration, the remaps of other names than its topics, and `use_sim_time`."""
+
+    config: Config
+    remaps: tuple[Remap, ...]
+    use_sim_time: bool
+
+
+def apply_arguments(config: Config, given: RosArguments, namespace: str) -> RosSettings:
+    """Return the configuration as the arguments change it, for nodes in this namespace.
+
+    Raises:
+        ConfigError: A key, a value, or a file is wrong, or is for other nodes.
+        UsageError: There is no such node.
+    """
+    use_sim_time = False
+    for key, value in given_values(given, namespace).items():
+        if key == USE_SIM_TIME:
+            if not isinstance(value, bool):
+                raise ConfigError(f"{key}: {value!r} is not allowed", "use true or false")
+            use_sim_time = value
+        else:
+            config = with_setting(config, key, value)
+    config, others = _with_topics(config, given.remaps, namespace)
+    if given != NO_ARGUMENTS:
+        check_together(config.kernel)
+    return RosSettings(config, others, use_sim_time)
+
+
+def given_values(
+    given: RosArguments, namespace: str, nodes: Sequence[str] = NODES
+) -> dict[str, object]:
+    """Return the parameters of the arguments and their files; a later value wins.
+
+    `nodes` are those of the process. With more than one, each has its own keys.
+
+    Raises:
+        ConfigError: A key, a value, or a file is wrong, or is for other nodes.
+        UsageError: There is no such node.
+    """
+    for node in given.node_names:
+        _check_node(node, f"{node}:__node" if node else "__node", nodes)
+    names = {node: f"{namespace}/{given.node_names.get(node, node)}" for node in nodes}
+    return dict(pair for setting in given.settings for pair in _settings(setting, names))
+
+
+def _settings(setting: Assignment | Path, names: dict[str, str]) -> Iterator[tuple[str, object]]:
+    """Yield the keys and values that a `-p` or a file sets."""
+    if isinstance(setting, Assignment):
+        if setting.node:
+            _check_node(setting.node, f"-p {setting.node}:{setting.key}", tuple(names))
+            if len(names) > 1:
+                _check_owner(setting.node, setting.key)
+        yield setting.key, read_value(f"-p {setting.key}", setting.text)
+        return
+    strangers: dict[str, None] = {}
+    is_ours = False
+    for node, key, value in read_parameter_file(setting):
+        meant = [own for own, full in names.items() if is_for(node, full)]
+        if not meant:
+            strangers[node] = None
+            continue
+        is_ours = True
+        if len(meant) == 1 < len(names):
+            try:
+                _check_owner(meant[0], key)
+            except ConfigError as error:
+                raise ConfigError(f"{setting}: {error.cause}", error.cure) from None
+        yield key, value
+    if not is_ours:
+        raise ConfigError(
+            f"{setting}: is for {', '.join(strangers)}, not for a node of this daemon",
+            f"use /**, or {', '.join(names.values())}",
+        )
+
+
+def _check_node(node: str, option: str, nodes: Sequence[str] = NODES) -> None:
+    if node not in nodes:
+        what = f"there is no node {node!r}" if node else f"the daemon has {len(nodes)} nodes"
+        raise UsageError(f"--ros-args {option}: {what}", f"name one of {', '.join(nodes)}")
+
+
+def _check_owner(node: str, key: str) -> None:
+    if key != USE_SIM_TIME and key in flat(Config()) and node_of(key) != node:
+        raise ConfigError(f"{key}: is no parameter of {node}", f"it is one of {node_of(key)}")
+
+
+def _with_topics(
+    config: Config, remaps: tuple[Remap, ...], namespace: str
+) -> tuple[Config, tuple[Remap, ...]]:
+    """Return the configuration with its topics remapped, and the rules that are left for rcl."""
+
+    def full(name: str) -> str:
+        return name if name.startswith("/") else f"{namespace}/{name}"
+
+    topics = {
+        full(str(value)): key
+        for (key, leaf), value in zip(keyed_leaves(config), flat(config).values(), strict=True)
+        if leaf.declared.metadata.get("topic") and value
+    }
+    others: list[Remap] = []
+    for rule in remaps:
+        key = topics.get(full(rule.source))
+        if rule.node:
+            _check_node(rule.node, f"-r {rule.argument()}")
+        if key is None or rule.node not in ("", node_of(key)):
+            others.append(rule)
+        else:
+            config = with_setting(config, key, rule.target)
+    return config, tuple(others)
