@@ -1,10 +1,10 @@
-"""ModeService, the node of `python -m robot_controller.mode_service`."""
+"""ModeService, a node for your own program; `python -m` of this module owns the mode."""
 
-from robotctl.ros import executables
+from robotctl.daemon.mode_service import main
 
 if __name__ == "__main__":
-    raise SystemExit(executables.mode_service())
+    raise SystemExit(main())
 
-from robotctl.ros.executables.mode_service import ModeService, main
+from robotctl.ros.executables.mode_service import ModeService
 
 __all__ = ["ModeService", "main"]

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from robot_controller.action import DrivePattern
 from robot_controller.msg import JournalEntry, RobotStatus
 from robot_controller.srv import SetMode
 
@@ -54,6 +55,32 @@ def test_a_mode_has_the_same_number_in_the_kernel_and_on_the_wire() -> None:
             },
         ),
         (SetMode.Request, {"requested_mode": "uint8"}),
+        (
+            DrivePattern.Goal,
+            {
+                "pattern": "string",
+                "size": "double",
+                "laps": "uint32",
+                "speed": "double",
+                "replace": "boolean",
+            },
+        ),
+        (
+            DrivePattern.Result,
+            {
+                "completed": "boolean",
+                "reason": "string",
+                "laps": "uint32",
+                "distance": "double",
+                "cross_track_rms": "double",
+                "cross_track_max": "double",
+                "closure": "double",
+            },
+        ),
+        (
+            DrivePattern.Feedback,
+            {"distance": "double", "lap": "uint32", "cross_track_error": "double"},
+        ),
         (SetMode.Response, {"success": "boolean", "message": "string", "current_mode": "uint8"}),
     ],
 )
@@ -64,7 +91,13 @@ def test_an_interface_keeps_its_fields_since_recordings_hold_them(
 
 
 @pytest.mark.parametrize(
-    "source", ["msg/JournalEntry.msg", "msg/RobotStatus.msg", "srv/SetMode.srv"]
+    "source",
+    [
+        "action/DrivePattern.action",
+        "msg/JournalEntry.msg",
+        "msg/RobotStatus.msg",
+        "srv/SetMode.srv",
+    ],
 )
 def test_the_build_is_not_older_than_the_interface_files(source: str) -> None:
     installed = [
@@ -94,7 +127,7 @@ def test_the_package_names_what_it_imports_and_what_pip_alone_installs() -> None
         name
         for path in (ROOT / "robotctl").rglob("*.py")
         for name in re.findall(
-            r"^ *(?:from|import) (rclpy|ament_index_python|\w+_msgs|std_srvs)\b",
+            r"^ *(?:from|import) (rclpy|ament_index_python|\w+_msgs|\w+_interfaces|std_srvs)\b",
             path.read_text(),
             re.MULTILINE,
         )
@@ -108,3 +141,33 @@ def test_the_package_names_what_it_imports_and_what_pip_alone_installs() -> None
     assert pip_only is not None
     assert set(pip_only[1].split()) == by_pip
     assert {as_rosdep[name] for name in wanted & set(as_rosdep)} <= named
+
+
+ROSDEP_KEYS = {"python3-numpy", "python3-pil", "python3-pytest", "python3-yaml"}
+"""Of rosdep/python.yaml in github.com/ros/rosdistro, looked up there."""
+
+ROS_PACKAGES = {
+    *("action_msgs", "ament_cmake", "ament_cmake_pytest", "ament_cmake_python"),
+    *("ament_index_python", "builtin_interfaces", "diagnostic_msgs", "geometry_msgs", "launch"),
+    *("launch_ros", "lifecycle_msgs", "nav_msgs", "rcl_interfaces", "rclpy", "rmw_fastrtps_cpp"),
+    *("rosgraph_msgs", "rosidl_default_generators", "rosidl_default_runtime", "sensor_msgs"),
+    *("service_msgs", "std_msgs", "std_srvs"),
+}
+"""Packages of ROS 2 Jazzy, whose names are rosdep keys as well."""
+
+
+def test_every_dependency_of_the_package_is_a_key_of_rosdep() -> None:
+    package = ElementTree.parse(ROOT / "package.xml").getroot()
+    keys = {each.text for each in package.iter() if each.tag.endswith("depend")}
+    assert keys <= ROSDEP_KEYS | ROS_PACKAGES
+
+
+def test_what_the_tests_need_is_a_key_or_named_as_from_pip() -> None:
+    text = (ROOT / "package.xml").read_text()
+    by_pip = re.findall(r"From pip only: ([\w\s-]+) -->", text)
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    needed = {re.split(r"[\[=<>;]", each)[0] for each in project["optional-dependencies"]["test"]}
+    assert {each for each in needed if not each.startswith("ros-")} <= {
+        *by_pip[-1].split(),
+        *(key.removeprefix("python3-") for key in ROSDEP_KEYS),
+    }

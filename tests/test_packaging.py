@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[1]
 PROJECT: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
 BUILT_HERE = "robot_controller"
-"""The messages and services of msg/ and srv/."""
+"""The interfaces of msg/, srv/ and action/."""
 
 
 def name_of(requirement: str) -> str:

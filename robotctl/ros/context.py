@@ -19,10 +19,14 @@ END_S: Final = 5.0
 in `DomainParticipant::set_listener` on its own lock, with the GIL held."""
 
 
-def open_context(domain_id: int) -> Context:
-    """Open a context in this domain, without signal handlers and arguments of our command line."""
+def open_context(domain_id: int, remaps: Iterable[str] = ()) -> Context:
+    """Open a context in this domain, without signal handlers and arguments of our command line.
+
+    `remaps` are rules FROM:=TO for the names of topics and services.
+    """
     context = Context()
-    context.init(args=list(_NO_LOG_FILE), domain_id=domain_id)
+    rules = [word for rule in remaps for word in ("-r", rule)]
+    context.init(args=[*_NO_LOG_FILE, *rules], domain_id=domain_id)
     return context
 
 

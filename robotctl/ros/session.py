@@ -2,30 +2,56 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from contextlib import AsyncExitStack, ExitStack, asynccontextmanager
+from dataclasses import dataclass, field
+from typing import TypeVar
 
 from rclpy.context import Context
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 
 from robotctl.ros.context import close_context, open_context
 from robotctl.ros.executor import AsyncioExecutor, ExceptionHandler
 
-RECORDER_NODE = "recorder"
-"""The name of the node whose subscriptions only record."""
+RECORDER_NODE = "_recorder"
+"""The name of the node whose subscriptions only record and watch. ROS tools hide such names."""
+
+
+@dataclass(frozen=True, slots=True)
+class Naming:
+    """Rules FROM:=TO for topics and services, and new names of nodes by their usual ones."""
+
+    remaps: tuple[str, ...] = ()
+    nodes: Mapping[str, str] = field(default_factory=dict)
+
+
+N = TypeVar("N", bound=Node)
 
 
 class Session:
     """Creates nodes whose callbacks run in the loop until the session ends."""
 
     def __init__(
-        self, context: Context, executor: AsyncioExecutor, namespace: str, nodes: list[Node]
+        self,
+        context: Context,
+        executor: AsyncioExecutor,
+        namespace: str,
+        nodes: list[Node],
+        node_names: Mapping[str, str],
+        use_sim_time: bool,
     ) -> None:
-        """Add the created nodes to `nodes`."""
+        """Add the created nodes to `nodes`; `node_names` are new names by the usual ones."""
         self._context = context
         self._executor = executor
         self._namespace = namespace
         self._nodes = nodes
+        self._node_names = node_names
+        self._overrides = [
+            Parameter("start_type_description_service", value=False),
+            Parameter("use_sim_time", value=use_sim_time),
+        ]
+        self._visible: dict[str, Node] = {}
         self.last = AsyncExitStack()
         """Closed when no callback runs any more, before the nodes are destroyed."""
 
@@ -35,21 +61,49 @@ class Session:
         return self._executor.scheduling
 
     def resolve(self, topic: str) -> str:
-        """Return the full name of a topic that may be relative to the robot's namespace."""
-        return topic if topic.startswith("/") else f"{self._namespace}/{topic}"
+        """Return the full name of a topic that may be relative, or have another name here."""
+        return str(self.helper().resolve_topic_name(topic))
+
+    @property
+    def visible_nodes(self) -> Mapping[str, Node]:
+        """The nodes that ROS tools show, by their usual names."""
+        return self._visible
+
+    def helper(self) -> Node:
+        """Return the hidden node that all roles share which users need not know."""
+        for node in self._nodes:
+            if node.get_name() == RECORDER_NODE:
+                return node
+        return self.node(RECORDER_NODE)
 
     def node(self, name: str) -> Node:
-        """Create a node in the robot's namespace, without parameter services."""
-        node = Node(
-            name,
+        """Create a node in the robot's namespace, without services of its own.
+
+        The service that describes types takes 0.1 MB a node, and no tool of ROS calls it.
+        """
+        return self.node_of(Node, name)
+
+    def node_of(self, kind: type[N], name: str) -> N:
+        """Create a node of this class, as `node` does."""
+        node = kind(
+            self._node_names.get(name, name),
             context=self._context,
             namespace=self._namespace,
             start_parameter_services=False,
             enable_rosout=False,
+            parameter_overrides=self._overrides,
         )
+        if not name.startswith("_"):
+            self._visible[name] = node
         self._nodes.append(node)
         self._executor.add_node(node)
         return node
+
+    def remove(self, node: Node) -> None:
+        """Destroy a node before the session ends."""
+        self._executor.remove_node(node)
+        self._nodes.remove(node)
+        node.destroy_node()
 
 
 @asynccontextmanager
@@ -60,6 +114,8 @@ async def ros_session(
     at_end: ExitStack,
     on_exception: ExceptionHandler | None = None,
     fifo_priority: int | None = None,
+    naming: Naming = Naming(),
+    use_sim_time: bool = False,
 ) -> AsyncIterator[Session]:
     """Open a context in ROS domain `domain_id`; no callback runs after the block.
 
@@ -68,9 +124,9 @@ async def ros_session(
     thread.
     """
     nodes: list[Node] = []
-    context = open_context(domain_id)
+    context = open_context(domain_id, naming.remaps)
     at_end.callback(close_context, context, nodes)
     executor = AsyncioExecutor(context, on_exception=on_exception, fifo_priority=fifo_priority)
-    session = Session(context, executor, namespace, nodes)
+    session = Session(context, executor, namespace, nodes, naming.nodes, use_sim_time)
     async with session.last, executor:
         yield session

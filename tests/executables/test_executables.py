@@ -3,10 +3,10 @@
 
 from __future__ import annotations
 
+import os
 import re
 import signal
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -24,11 +24,16 @@ from robotctl.kernel.modes import Mode
 from robotctl.ros.executables.mode_client import mode_of
 from robotctl.ros.executables.sweep import sweep_mps
 from tests.support.waiting import until
+from tests.support.world import installed
 
 LINE = re.compile(r"^\[\w+\] \[[\d.]+\] \[[\w.]+\]: (.*)$", re.MULTILINE)
 """Severity, time, node, and what is said."""
 
-CALL = "from robotctl.ros.executables import {name}; raise SystemExit({name}())"
+
+LATCHED = (
+    "moving is refused in EMERGENCY_STOP (requested by the ROS service /set_mode): release it: "
+    "robotctl reset"
+)
 
 
 class Running:
@@ -38,7 +43,11 @@ class Running:
         self._log = log
         with log.open("w") as out:
             self._process = subprocess.Popen(
-                [sys.executable, "-c", CALL.format(name=name), *arguments], stdout=out, stderr=out
+                [installed(name), *arguments],
+                stdout=out,
+                stderr=out,
+                cwd=log.parent,
+                env={**os.environ, "XDG_STATE_HOME": str(log.parent / "state")},
             )
 
     @property
@@ -50,8 +59,17 @@ class Running:
 
     def says(self, text: str) -> None:
         """Wait until it has logged the line."""
-        until(lambda: text in self.lines or self._process.poll() is not None)
+        self.begins(text)
         assert text in self.lines, self._log.read_text()
+
+    def begins(self, text: str) -> None:
+        """Wait until it has logged a line that begins with the text."""
+
+        def told() -> bool:
+            return any(line.startswith(text) for line in self.lines)
+
+        until(lambda: told() or self._process.poll() is not None)
+        assert told(), self._log.read_text()
 
     def send(self, number: signal.Signals) -> None:
         """Send it a signal."""
@@ -100,7 +118,7 @@ def node(domain_id: int) -> Iterator[Node]:
 
 
 def client(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-c", CALL.format(name="mode_client"), *arguments]
+    command = [installed("mode_client"), *arguments]
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
 
 
@@ -229,7 +247,7 @@ def test_the_tutorials_calls_are_answered_as_it_shows_them(start: Start) -> None
         "success=True, message='Mode changed to MOVING', current_mode=1\n",
         "success=True, message='Mode changed to IDLE', current_mode=0\n",
         "success=True, message='Mode changed to EMERGENCY_STOP', current_mode=3\n",
-        "success=False, message='refused in EMERGENCY_STOP: ask for IDLE first', current_mode=3\n",
+        f"success=False, message={LATCHED!r}, current_mode=3\n",
     ]
     assert [answer.returncode for answer in answers] == [0, 0, 0, 4]
     assert service.end() == 0
@@ -247,7 +265,7 @@ def test_without_a_service_the_client_says_how_to_get_one(domain_id: int) -> Non
 @pytest.mark.parametrize(
     ("arguments", "domain", "text"),
     [
-        (["-p", "sweep:=7"], "", "Trying to set parameter 'sweep' to '7' of type 'INTEGER'"),
+        (["-p", "sweep:=7"], "", "Invalid parameter value (7) for parameter. Reason: sweep is"),
         (["-r"], "", "Couldn't parse trailing -r flag"),
         (["-r", "__ns:=a b"], "", "Couldn't parse remap rule: '-r __ns:=a b'"),
         ([], "9999", "ROS_DOMAIN_ID is '9999': use 0 to 232"),
@@ -258,7 +276,7 @@ def test_a_wrong_argument_is_named_in_a_sentence(
     arguments: list[str], domain: str, text: str, monkeypatch: pytest.MonkeyPatch, domain_id: int
 ) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", domain or str(domain_id))
-    command = [sys.executable, "-c", CALL.format(name="velocity_publisher"), "--ros-args"]
+    command = [installed("velocity_publisher"), "--ros-args"]
     ran = subprocess.run(
         [*command, *arguments], capture_output=True, text=True, check=False, timeout=60
     )
@@ -283,13 +301,23 @@ def test_under_nohup_a_closed_terminal_ends_nothing(start: Start) -> None:
 
 def test_the_mode_service_leaves_moving_when_a_robot_joins(start: Start, node: Node) -> None:
     service = start("mode_service")
-    service.says("Mode Service Node started")
+    service.says("ready")
     assert client("MOVING").returncode == 0
     node.create_subscription(Twist, "cmd_vel", lambda _: None, 10)
-    service.says("MOVING -> IDLE")
+    service.begins("MOVING -> IDLE: a robot joined")
     refused = client("MOVING")
     assert refused.returncode == 4
-    assert "velocity commands are taken, and this service drives no robot" in refused.stdout
+    assert "no gate passes commands on to /cmd_vel" in refused.stdout
+
+
+def test_a_node_of_our_own_answers_like_the_executable(node: Node) -> None:
+    from robot_controller.mode_service import ModeService
+
+    service = ModeService(node.context)
+    assert service.request(1) == (True, "Mode changed to MOVING")
+    assert service.request(3) == (True, "Mode changed to EMERGENCY_STOP")
+    assert service.request(1) == (False, "refused in EMERGENCY_STOP: ask for IDLE first")
+    service.destroy_node()
 
 
 def test_two_robots_in_namespaces_of_their_own_do_not_hear_each_other(

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from typing import Any
 
 import rclpy
 from action_msgs.msg import GoalStatus
+from geometry_msgs.msg import Twist
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.action.client import ActionClient
 from rclpy.action.server import ActionServer, CancelResponse, GoalResponse
@@ -92,6 +94,13 @@ class Peer:
         self.kept[f"subscription {topic}"] = self.node.create_subscription(
             UInt64, topic, lambda message: seen.append(message.data), 100
         )
+
+    def take_commands(self, topic: str) -> int:
+        """Subscribe to velocity commands, reliably; return the number of this process."""
+        self.kept[f"subscription {topic}"] = self.node.create_subscription(
+            Twist, topic, lambda message: None, 10
+        )
+        return os.getpid()
 
     def heard(self, topic: str, count: int) -> list[int]:
         """Wait for this many messages of a topic, and return them."""

@@ -7,12 +7,20 @@ from typing import Any
 
 import pytest
 from geometry_msgs.msg import Twist as TwistMessage
+from geometry_msgs.msg import TwistStamped as TwistStampedMessage
 from hypothesis import given
 from hypothesis import strategies as st
 from nav_msgs.msg import Odometry as OdometryMessage
 from rclpy.serialization import deserialize_message, serialize_message
 
-from robotctl.cdr.motion import OdometryEncoder, decode_odometry, decode_twist, encode_twist
+from robotctl.cdr.motion import (
+    OdometryEncoder,
+    StampedTwistEncoder,
+    decode_odometry,
+    decode_twist,
+    decode_twist_stamped,
+    encode_twist,
+)
 from robotctl.kernel.geometry import Pose, yaw_of
 from robotctl.kernel.types import Odometry, Twist
 
@@ -89,6 +97,24 @@ def test_a_twist_is_written_as_rclpy_writes_it(linear: float, angular: float) ->
     message.linear.x, message.angular.z = linear, angular
 
     assert encode_twist(Twist(linear, angular)) == serialize_message(message)
+
+
+@given(frames, anything, anything, stamps)
+def test_a_stamped_twist_is_written_and_read_as_rclpy_does(
+    frame_id: str, linear: float, angular: float, stamp_ns: int
+) -> None:
+    message = TwistStampedMessage()
+    message.header.frame_id = frame_id
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
+    message.twist.linear.x, message.twist.angular.z = linear, angular
+
+    written = StampedTwistEncoder(frame_id).encode(Twist(linear, angular), stamp_ns)
+    read = decode_twist_stamped(written)
+
+    assert len(written) == len(serialize_message(message))
+    header = deserialize_message(written, TwistStampedMessage).header
+    assert header == message.header
+    assert bits(read.linear, read.angular) == bits(linear, angular)
 
 
 @given(frames, frames)

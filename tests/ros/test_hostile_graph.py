@@ -236,6 +236,9 @@ class FakeSession:
     def node(self, _: str) -> FakeNode:
         return self.made
 
+    def helper(self) -> FakeNode:
+        return self.made
+
 
 def publisher(type_name: str, profile: QoSProfile = qos.COMMAND) -> Endpoint:
     return Endpoint("node", "/", type_name, bytes(16), profile)

@@ -1,8 +1,9 @@
 # mypy: disallow-untyped-calls=False, disallow-subclassing-any=False
-"""Node `mode_service` of the first-package tutorial: modes without a robot.
+"""Node `mode_service` of the first-package tutorial, for a program of your own: modes alone.
 
-The service of `robotctl start` moves and records a robot. This one uses the same table of
-transitions, but sends no commands, so it leaves MOVING as soon as a robot joins the domain.
+The executable of this name is `robotctl.daemon.mode_service`, which owns, drives and records a
+robot. This node uses the same table of transitions, but sends no commands, so it leaves MOVING as
+soon as a robot joins the domain.
 """
 
 from __future__ import annotations
@@ -17,7 +18,6 @@ from robot_controller.srv import SetMode
 from std_srvs.srv import Trigger
 
 from robotctl.kernel.modes import REQUESTS, TRANSITIONS, Guard, Mode
-from robotctl.ros.executables.process import run_node
 from robotctl.ros.messages import qos
 from robotctl.ros.nodes.mode_service import ESTOP, SET_MODE, STATUS
 
@@ -100,8 +100,3 @@ class ModeService(Node):
                 is_connected=bool(self.count_publishers("odom")),
             )
         )
-
-
-def main() -> int:
-    """Run the node until Ctrl-C; return the exit code."""
-    return run_node(ModeService)

@@ -10,21 +10,15 @@ from contextlib import asynccontextmanager
 from typing import TypeVar
 
 from rclpy.context import Context
-from rclpy.exceptions import NameValidationException, ParameterException
-from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 
+from robotctl.config.ros_file import check_parameter_files
 from robotctl.domains import requested_domain
 from robotctl.end_signals import end_signals
 from robotctl.errors import UsageError
+from robotctl.ros.arguments import BAD_ARGUMENTS
 from robotctl.ros.context import close_context
 from robotctl.ros.executor import AsyncioExecutor
-
-_BAD_ARGUMENTS = (
-    *(_rclpy.RCLError, _rclpy.RCLInvalidROSArgsError, _rclpy.UnknownROSArgsError),
-    *(NameValidationException, ParameterException),
-)
-"""What rclpy raises for wrong `--ros-args`."""
 
 Made = TypeVar("Made", bound=Node)
 
@@ -40,6 +34,7 @@ async def opened_node(
 
     Raises:
         UsageError: An argument is wrong, or ROS_DOMAIN_ID is not a domain.
+        ConfigError: A file of parameters is for other nodes only; rclpy would ignore it.
     """
     context = Context()
     nodes: list[Node] = []
@@ -47,9 +42,10 @@ async def opened_node(
         try:
             context.init(args=sys.argv, domain_id=requested_domain(None))
             node = make_node(context)
-        except _BAD_ARGUMENTS as error:
+        except BAD_ARGUMENTS as error:
             raise UsageError(str(error).partition("\n")[0]) from error
         nodes.append(node)
+        check_parameter_files(sys.argv, node.get_fully_qualified_name())
         async with AsyncioExecutor(context) as executor:
             executor.add_node(node)
             yield node, executor

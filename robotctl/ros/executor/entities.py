@@ -64,7 +64,7 @@ class Attachments:
 
     def _attach(self, entity: Any, node: Node) -> None:
         try:
-            source = self._source_of(entity, node.get_fully_qualified_name())
+            source = self._source_of(entity, node)
             source.attach()
         except InvalidHandle:
             return  # It was destroyed after its node listed it.
@@ -75,7 +75,8 @@ class Attachments:
         self.sources[entity] = source
         log.debug("%s is woken by %s", source.where, source.woken_by)
 
-    def _source_of(self, entity: Any, name: str) -> Source:
+    def _source_of(self, entity: Any, node: Node) -> Source:
+        name = node.get_fully_qualified_name()
         runtime, wait_set, executor = self._runtime, self._wait_set, self._executor
         match entity:
             case Subscription(raw=True, callback=RawTap()):
@@ -85,7 +86,7 @@ class Attachments:
                 return SubscriptionSource(runtime, entity, where)
             case Service():
                 where = f"{name}: service {entity.service_name} ({name_of(entity.callback)})"
-                return ServiceSource(runtime, entity, where)
+                return ServiceSource(runtime, entity, where, node)
             case Client():
                 where = f"{name}: client {entity.service_name}"
                 return ClientSource(runtime, entity, where, executor)
@@ -101,7 +102,7 @@ class Attachments:
                 return QosEventSource(runtime, entity, where)
             case ActionServer():
                 where = f"{name}: action server ({name_of(entity._execute_callback)})"
-                return ActionServerSource(runtime, entity, where, executor)
+                return ActionServerSource(runtime, entity, where, executor, node)
             case ActionClient():
                 where = f"{name}: action client {entity._action_name}"
                 return ActionClientSource(runtime, entity, where, executor)

@@ -46,16 +46,24 @@ class Discovery:
         `quiet_s` waits for that.
         """
         while time.monotonic() < until_s and not stopped.is_set():
-            known = frozenset(_discovered(self._node))
-            others = frozenset(each for each in known if each[1] != self._node.get_name())
-            now_s = time.monotonic()
-            if others != self._others:
-                self._others, self._since_s = others, now_s
-            if now_s - self._since_s > quiet_s and is_on_this_machine_only():
-                here = participants_here(self._domain_id)
-                if here is not None and _count_complete(known) >= here:
-                    return
+            if self.is_complete(quiet_s):
+                return
             stopped.wait(_POLL_S)
+
+    def is_complete(self, quiet_s: float) -> bool:
+        """Look at the graph; return whether all processes are discovered and quiet, as in `wait`.
+
+        False where processes may be on other machines.
+        """
+        known = frozenset(_discovered(self._node))
+        others = frozenset(each for each in known if each[1] != self._node.get_name())
+        now_s = time.monotonic()
+        if others != self._others:
+            self._others, self._since_s = others, now_s
+        if now_s - self._since_s <= quiet_s or not is_on_this_machine_only():
+            return False
+        here = participants_here(self._domain_id)
+        return here is not None and _count_complete(known) >= here
 
 
 def _discovered(node: Node) -> Iterator[tuple[str, str, bytes]]:

@@ -51,6 +51,13 @@ def subscriptions(node: Node, topic: str, *, dds_names: bool = False) -> list[En
     return _endpoints(node, Role.SUBSCRIPTION, topic, dds_names)
 
 
+def node_names(node: Node) -> list[str]:
+    """Return the full name of each discovered node; one of two processes stands there twice."""
+    with node.handle:
+        found = rcl_graph.node_names(node.handle.pointer)
+    return [f"{_escaped(space).rstrip('/')}/{_escaped(name)}" for name, space in found]
+
+
 def is_topic_name(name: str) -> bool:
     """Return whether ROS allows this full topic name."""
     try:

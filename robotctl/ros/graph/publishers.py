@@ -14,6 +14,12 @@ from robotctl.printable import printable
 from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.rmw_structs import Gid
 
+LOOK_NODE = "_robotctl_look_"
+"""How the node of a `robotctl topic|node|service` command begins; ROS tools do not list it."""
+
+TOOL_NODES = (LOOK_NODE, "_ros2cli_")
+"""How the nodes of commands begin that look at topics and drive nothing."""
+
 UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
 """The node name that rmw reports for a publisher discovered before its node."""
 

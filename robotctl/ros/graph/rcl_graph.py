@@ -78,6 +78,29 @@ def topic_names_and_types(node: int, *, dds_names: bool) -> list[tuple[bytes, li
         _library("librmw.so").rmw_names_and_types_fini(ctypes.byref(found))
 
 
+def node_names(node: int) -> list[tuple[bytes, bytes]]:
+    """Return name and namespace of each node that the rcl_node_t at `node` has discovered.
+
+    Raises:
+        RclCallFailed: rcl could not list them.
+    """
+    names, namespaces = StringArray(), StringArray()
+    _check(
+        "rcl_get_node_names",
+        _library("librcl.so").rcl_get_node_names(
+            ctypes.c_void_p(node),
+            rcutils.default_allocator(),
+            ctypes.byref(names),
+            ctypes.byref(namespaces),
+        ),
+    )
+    try:
+        return list(zip(_strings(names), _strings(namespaces), strict=True))
+    finally:
+        for array in (names, namespaces):
+            _library("librcutils.so").rcutils_string_array_fini(ctypes.byref(array))
+
+
 def endpoints(node: int, role: Role, topic: bytes, *, dds_names: bool) -> list[RawEndpoint]:
     """Return the publishers or the subscriptions of a topic, whose name may be any bytes.
 

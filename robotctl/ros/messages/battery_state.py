@@ -1,21 +1,12 @@
-"""The level of a battery, to and from sensor_msgs/BatteryState."""
+"""The level of a battery as sensor_msgs/BatteryState."""
 
 from __future__ import annotations
 
 from math import nan
-from typing import Any
 
 from sensor_msgs.msg import BatteryState
 
 from robotctl.kernel.units import NS_PER_S
-
-
-def to_battery_level(message: Any) -> float:
-    """Return the level of a BatteryState as its publisher reports it.
-
-    REP-147 and the message ask for 0..1; `battery.scale` tells the kernel of other scales.
-    """
-    return float(message.percentage)
 
 
 def battery_message(level: float, stamp_ns: int) -> BatteryState:

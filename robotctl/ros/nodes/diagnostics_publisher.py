@@ -36,11 +36,11 @@ class Diagnosis:
 
 
 class DiagnosticsPublisher:
-    """Node `diagnostics`; publishes on `TOPIC`."""
+    """Publishes on `TOPIC`, as a part of the hidden node."""
 
     def __init__(self, session: Session, robot: str) -> None:
         self._robot = robot
-        self._node = session.node("diagnostics")
+        self._node = session.helper()
         self._publisher = TOPIC.create_publisher(self._node)
 
     def publish(self, diagnosis: Diagnosis) -> None:

@@ -17,10 +17,10 @@ _log = logging.getLogger(__name__)
 
 
 class JournalPublisher:
-    """Node `journal`; publishes entries that are serialized already."""
+    """Publishes entries that are serialized already, as a part of the hidden node."""
 
     def __init__(self, session: Session) -> None:
-        node = session.node("journal")
+        node = session.helper()
         self._publisher = TOPIC.create_publisher(node)
         self._failing = False
 

@@ -18,10 +18,10 @@ _log = logging.getLogger(__name__)
 
 
 class MarkPublisher:
-    """Node `marks`; publishes on `TOPIC`."""
+    """Publishes on `TOPIC`, as a part of the hidden node."""
 
     def __init__(self, session: Session) -> None:
-        node = session.node("marks")
+        node = session.helper()
         self._publisher = TOPIC.create_publisher(node)
 
     def publish(self, text: str) -> bytes:

@@ -20,6 +20,7 @@ from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import Reply
 from robotctl.ros.messages import qos
 from robotctl.ros.messages.own_topic import OwnTopic
+from robotctl.ros.nodes.managed_node import ManagedNode
 from robotctl.ros.session import Session
 
 _TEMPERATURE = Path("/sys/class/thermal/thermal_zone0/temp")
@@ -73,8 +74,10 @@ class ModeService:
         self._request = request
         self._say = say
         self._in_work = 0
-        self._node = session.node("mode_service")
-        self._publisher = STATUS.create_publisher(self._node)
+        self.node = session.node_of(ManagedNode, "mode_service")
+        """The node. Its lifecycle says whether motion may start; its services work in each state.
+        Other roles of its process may add their interfaces."""
+        self._publisher = STATUS.create_publisher(self.node)
         self._serve(Trigger, ESTOP, self._stop)
         self._serve(SetMode, SET_MODE, self._set_mode)
         self._message = RobotStatus(robot_name=robot)
@@ -96,7 +99,7 @@ class ModeService:
         self.published += 1
 
     def _serve(self, kind: Any, name: str, handler: Callable[[Any, Any], Any]) -> None:
-        service = self._node.create_service(
+        service = self.node.create_service(
             kind,
             name,
             handler,
@@ -104,7 +107,7 @@ class ModeService:
             callback_group=ReentrantCallbackGroup(),
         )
         service.configure_introspection(
-            self._node.get_clock(), qos.SERVICE_EVENTS, ServiceIntrospectionState.CONTENTS
+            self.node.get_clock(), qos.SERVICE_EVENTS, ServiceIntrospectionState.CONTENTS
         )
 
     def _stop(self, _: Any, response: Any) -> Any:
@@ -132,7 +135,7 @@ class ModeService:
 
     def _ask(self, mode: int, service: str) -> Future[Reply]:
         """Submit a request now: the task that waits for the reply runs a turn of the loop later."""
-        namespace = self._node.get_namespace().rstrip("/")
+        namespace = self.node.get_namespace().rstrip("/")
         reply = self._request(mode, f"the ROS service {namespace}/{service}")
         self._in_work += 1
         reply.add_done_callback(self._done)

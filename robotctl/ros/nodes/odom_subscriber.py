@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import nan
 from typing import Any
 
 from nav_msgs.msg import Odometry as OdometryMessage
 
-from robotctl.cdr.motion import decode_odometry
-from robotctl.kernel.geometry import Pose
-from robotctl.kernel.types import Odometry, Twist
+from robotctl.cdr.motion import read_odometry
+from robotctl.kernel.types import Odometry
 from robotctl.ros.executor import RawTap
 from robotctl.ros.graph.publishers import publisher_names
 from robotctl.ros.messages import qos
@@ -22,9 +20,6 @@ MAX_SOURCES = 256
 
 LOOKS_FOR_NAME = 20
 """How many times `find_names` looks for the node of a publisher, which may have ended."""
-
-UNREADABLE = Odometry(Pose(nan, nan, nan), Twist(nan, nan), 0)
-"""Replaces a message that cannot be read: the kernel drops it because it is not finite."""
 
 
 class OdomSubscriber:
@@ -83,11 +78,7 @@ class OdomSubscriber:
             self._last_gid = gid
             self._sources[gid] = self._sources.pop(gid, 0) or self._number(gid)
         source = self._sources[gid]
-        try:
-            odometry = decode_odometry(data)
-        except Exception:  # noqa: BLE001 - no received bytes may stop the daemon
-            odometry = UNREADABLE
-        self._on_odometry(odometry, source, sequence)
+        self._on_odometry(read_odometry(data), source, sequence)
 
     def _number(self, gid: bytes) -> int:
         """Return the number of a new publisher, and report it to `on_source`."""

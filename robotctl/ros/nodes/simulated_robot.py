@@ -5,16 +5,16 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from geometry_msgs.msg import Twist as TwistMessage
 from nav_msgs.msg import Odometry as OdometryMessage
 from sensor_msgs.msg import BatteryState
 
-from robotctl.cdr.motion import OdometryEncoder, decode_twist
+from robotctl.cdr.motion import OdometryEncoder
 from robotctl.kernel.types import ZERO
 from robotctl.kernel.units import NS_PER_S
 from robotctl.ros.executor import RawTap, Ticker
 from robotctl.ros.messages import qos
 from robotctl.ros.messages.battery_state import battery_message
+from robotctl.ros.messages.command_type import PLAIN, CommandType
 from robotctl.ros.messages.no_events import NO_SUBSCRIPTION_EVENTS
 from robotctl.ros.messages.own_topic import OwnTopic
 from robotctl.ros.session import Session
@@ -44,6 +44,7 @@ class SimulatedRobot:
         params: SimParams,
         *,
         command: str,
+        command_type: CommandType = PLAIN,
         odometry: str,
         battery: str,
         full_level: float,
@@ -55,11 +56,12 @@ class SimulatedRobot:
         """
         self._params = params
         self._robot = Robot(params)
+        self._decode = command_type.decode
         self._full_level = full_level
         node = session.node("simulated_robot")
         tap: Any = RawTap(self._command, latency_s=0.0)
         self._subscription = node.create_subscription(
-            TwistMessage,
+            command_type.message_class,
             command,
             tap,
             qos.COMMAND,
@@ -90,7 +92,7 @@ class SimulatedRobot:
         self, data: bytes, received_ns: int, source_ns: int, sequence: int, gid: bytes
     ) -> None:
         try:
-            twist = decode_twist(data)
+            twist = self._decode(data)
         except Exception:  # noqa: BLE001 - no received bytes may stop the robot
             twist = ZERO
         self._robot.command(twist)

@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from threading import Lock
 from typing import Any
 
-from geometry_msgs.msg import Twist as TwistMessage
+from rclpy.duration import Duration
 
-from robotctl.cdr.motion import encode_twist
 from robotctl.kernel.types import ZERO, Twist
 from robotctl.printable import short_name
 from robotctl.ros.executor import RawTap
 from robotctl.ros.graph import endpoints
-from robotctl.ros.graph.publishers import full_name, gid_of, publisher_names
+from robotctl.ros.graph.publishers import TOOL_NODES, full_name, gid_of, publisher_names
 from robotctl.ros.messages import qos
+from robotctl.ros.messages.command_type import PLAIN, CommandType
 from robotctl.ros.messages.no_events import NO_SUBSCRIPTION_EVENTS
 from robotctl.ros.messages.own_topic import OwnTopic
 from robotctl.ros.session import RECORDER_NODE, Session
 
 NODE_NAME = "velocity_publisher"
+
+OWNER_NODE = "mode_owner"
+"""The node that commands a gate, where each role is a process."""
+
+MONITORS = (RECORDER_NODE, NODE_NAME, OWNER_NODE)
+"""Nodes of daemons whose subscriptions to the command drive nothing."""
 
 MAX_NAMED = 8
 """Limit on the other publishers, and on the other types, that are named."""
@@ -28,9 +34,14 @@ LOCK_TIMEOUT_S = 0.02
 """Longer than any publication takes; a thread that holds the lock longer is stuck in it."""
 
 
-def command_topic(name: str) -> OwnTopic:
+def is_monitor(node_name: str) -> bool:
+    """Return whether subscriptions of this node to the command drive nothing."""
+    return node_name in MONITORS or node_name.startswith(TOOL_NODES)
+
+
+def command_topic(name: str, command: CommandType = PLAIN) -> OwnTopic:
     """Return the declaration of the command topic of this name."""
-    return OwnTopic(name, TwistMessage, qos.COMMAND)
+    return OwnTopic(name, command.message_class, qos.COMMAND)
 
 
 class VelocityPublisher:
@@ -40,19 +51,30 @@ class VelocityPublisher:
     first zero, only zeros are sent until the gate is opened.
     """
 
-    def __init__(self, session: Session, topic: str) -> None:
-        self._node = session.node(NODE_NAME)
-        own_topic = command_topic(topic)
+    def __init__(
+        self,
+        session: Session,
+        topic: str,
+        command: CommandType = PLAIN,
+        is_silent: Callable[[], bool] = lambda: False,
+        node_name: str = NODE_NAME,
+    ) -> None:
+        """While `is_silent()`, other nodes may command, and `publish_zero` sends nothing."""
+        self._is_silent = is_silent
+        self._node = session.node(node_name)
+        self._command = command
+        own_topic = command_topic(topic, command)
         self._publisher = own_topic.create_publisher(self._node)
         self._type_name = own_topic.type_name
         self.gid = gid_of(self._publisher)
         """The gid that our commands carry."""
-        self._zero = encode_twist(ZERO)
         self._lock = Lock()
         self._gated = False
         self._zeros = 0
         self._withheld = 0
         self.published = 0
+        self.accounted = 0
+        """How many of them the journal accounts for: the zeros of a stall once it is over."""
 
     @property
     def topic(self) -> str:
@@ -66,12 +88,17 @@ class VelocityPublisher:
         ones at once. The subscription is best effort, so that it receives from publishers of any
         QoS.
         """
+        return self._monitor(self.topic, heard, latency_s)
+
+    def _monitor(
+        self, topic: str, heard: Callable[[bytes], None], latency_s: float
+    ) -> Callable[[], None]:
         tap = RawTap(lambda data, received, source, sequence, gid: heard(gid), latency_s=latency_s)
         # rclpy's types allow a callback of one argument only.
         callback: Any = tap
         self._node.create_subscription(
-            TwistMessage,
-            self.topic,
+            self._command.message_class,
+            topic,
             callback,
             qos.MONITOR,
             event_callbacks=NO_SUBSCRIPTION_EVENTS,
@@ -88,10 +115,10 @@ class VelocityPublisher:
         with self._lock:
             if self._gated:
                 self._withheld += twist != ZERO
-                self._publisher.publish(self._zero)
-            else:
-                self._publisher.publish(encode_twist(twist))
+                twist = ZERO
+            self._publisher.publish(self._command.encode(twist))
             self.published += 1
+            self.accounted += 1
 
     def publish_zero(self) -> None:
         """Send a zero if the gate is closed; for threads other than the loop's.
@@ -102,12 +129,16 @@ class VelocityPublisher:
         if not self._lock.acquire(timeout=LOCK_TIMEOUT_S):
             raise TimeoutError("a publication of the loop hangs in the middleware")
         try:
-            if self._gated:
-                self._publisher.publish(self._zero)
+            if self._gated and not self._is_silent():
+                self._publisher.publish(self._command.encode(ZERO))
                 self._zeros += 1
                 self.published += 1
         finally:
             self._lock.release()
+
+    def is_acknowledged(self) -> bool:
+        """Return whether each reliable subscription has received every command."""
+        return bool(self._publisher.wait_for_all_acked(Duration()))
 
     def close_gate(self) -> None:
         """Send only zeros from now on."""
@@ -121,30 +152,29 @@ class VelocityPublisher:
         with self._lock:
             self._gated = False
             counts = self._zeros, self._withheld
+            self.accounted += self._zeros
             self._zeros = self._withheld = 0
         return counts
 
     def other_publishers(self) -> tuple[str, ...]:
         """Return the full names of the other nodes that publish on the command topic now."""
+        if self.count_publishers() <= 1:
+            return ()  # only ours: the usual case, and cheap
         publishers = endpoints.publishers(self._node, self.topic)
-        others = sorted(short_name(full_name(each)) for each in publishers if each.gid != self.gid)
-        named = [name or "a node whose name is not known yet" for name in others[:MAX_NAMED]]
-        if len(others) > MAX_NAMED:
-            named.append(f"{len(others) - MAX_NAMED} more")
-        return tuple(named)
+        return named_nodes(each for each in publishers if each.gid != self.gid)
 
-    def listeners(self) -> tuple[int, tuple[str, ...]]:
-        """Return how many subscriptions take our commands, and the other types subscribed to.
+    def listeners(self) -> tuple[int, tuple[str, ...], str]:
+        """Return how many subscriptions take our commands, the other types subscribed to, and ours.
 
         Recorders and monitors of daemons are not counted: they drive nothing.
         """
         types = [
             short_name(each.topic_type)
             for each in endpoints.subscriptions(self._node, self.topic)
-            if each.node_name not in (RECORDER_NODE, NODE_NAME)
+            if not is_monitor(each.node_name) and each.node_name != self._node.get_name()
         ]
         others = sorted(set(types) - {self._type_name})
-        return types.count(self._type_name), tuple(others[:MAX_NAMED])
+        return types.count(self._type_name), tuple(others[:MAX_NAMED]), self._type_name
 
     def count_listeners(self) -> int:
         """Return how many subscriptions the command topic has, recorders included."""
@@ -153,3 +183,12 @@ class VelocityPublisher:
     def count_publishers(self) -> int:
         """Return how many publishers the command topic has, ours included."""
         return int(self._node.count_publishers(self.topic))
+
+
+def named_nodes(found: Iterable[endpoints.Endpoint]) -> tuple[str, ...]:
+    """Return the full names of the nodes of endpoints in order, at most MAX_NAMED and a count."""
+    names = sorted(short_name(full_name(each)) for each in found)
+    named = [name or "a node whose name is not known yet" for name in names[:MAX_NAMED]]
+    if len(names) > MAX_NAMED:
+        named.append(f"{len(names) - MAX_NAMED} more")
+    return tuple(named)

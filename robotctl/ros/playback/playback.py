@@ -12,16 +12,16 @@ from rclpy.duration import Duration
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.publisher import Publisher
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from robotctl.printable import short_name
 from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.discovery import Discovery
 from robotctl.ros.messages.classes import UnusableType, message_class
-from robotctl.ros.messages.type_definition import type_hash_of
+from robotctl.ros.messages.type_definition import holds_bytes, type_hash_of
 from robotctl.ros.playback.membership import NODE_NAME, Membership
-from robotctl.ros.playback.recorded_qos import replay_qos
-from robotctl.ros.playback.senders import RequestSender, clock_sender, patient_sender, sender
+from robotctl.ros.playback.recorded_qos import MAX_DEPTH, replay_qos
+from robotctl.ros.playback.senders import PatientSender, RequestSender, clock_sender, sender
 
 DAEMON_TYPE: Final = "robot_controller/msg/JournalEntry"
 """The type of the journal, which only daemons and replays publish."""
@@ -46,6 +46,13 @@ ACKNOWLEDGE_S: Final = 7.0
 """How long acknowledgements may take: a lost message is requested at the next heartbeat, which may
 be due only after 3 s."""
 
+IN_FLIGHT: Final = 250
+"""How many messages a replay at full speed sends before it waits for acknowledgements. That takes
+about 5 ms; few messages get lost while they fit into the shared memory of Fast DDS (512 kB)."""
+
+IN_FLIGHT_BULKY: Final = 5
+"""The same for images, point clouds and the like."""
+
 _POLL_S: Final = 0.02
 
 
@@ -67,6 +74,7 @@ class ReplaySession:
         self._node = membership.node
         self._discovery = Discovery(membership.node, membership.domain_id)
         self._publishers: list[Publisher] = []
+        self._patient: list[PatientSender] = []
         self._clients: list[Client] = []
 
     def settle(self, quiet_s: float = QUIET_S) -> None:
@@ -117,27 +125,30 @@ class ReplaySession:
         return not (installed and type_hash) or installed == type_hash
 
     def open(
-        self, topic: str, type_name: str, offered_qos: str, *, keep_all: bool
+        self, topic: str, type_name: str, offered_qos: str, *, patient: bool
     ) -> Callable[[bytes], bool]:
         """Create a publisher, and return a function that sends a serialized message.
 
-        With `keep_all`, it waits for slow subscribers, at most `BLOCKED_S` seconds.
+        With `patient`, it waits for slow subscribers, at most `BLOCKED_S` seconds.
 
         Raises:
             Unpublishable: ROS does not allow the name, or the type cannot be published here.
         """
+        message_type = _installed_class(type_name)
+        most = (IN_FLIGHT_BULKY if holds_bytes(type_name) else IN_FLIGHT) if patient else MAX_DEPTH
         try:
             publisher = self._node.create_publisher(
-                _installed_class(type_name), topic, replay_qos(offered_qos, keep_all=keep_all)
+                message_type, topic, replay_qos(offered_qos, most=most)
             )
         except InvalidTopicNameException:
             raise Unpublishable("has a name that ROS does not allow") from None
         except _rclpy.RCLError as error:
             raise Unpublishable(f"cannot be published here: {str(error).splitlines()[0]}") from None
         self._publishers.append(publisher)
-        if publisher.qos_profile.history is not HistoryPolicy.KEEP_ALL:
+        if not patient or publisher.qos_profile.reliability is not ReliabilityPolicy.RELIABLE:
             return sender(publisher)
-        return patient_sender(publisher, self.stopped)
+        self._patient.append(PatientSender(publisher, most, self.stopped))
+        return self._patient[-1]
 
     def open_requests(self, service: str, event_type: str) -> Callable[[bytes], bool | None]:
         """Create a client, and return a function that sends the request of a serialized event.
@@ -198,6 +209,10 @@ class ReplaySession:
                 while not self.stopped.is_set() and time.monotonic() < until:
                     if publisher.wait_for_all_acked(Duration(seconds=0.1)):
                         break
+
+    def given_up(self) -> list[str]:
+        """Return the topics on which a subscriber did not acknowledge within `BLOCKED_S`."""
+        return sorted(each.topic for each in self._patient if each.given_up)
 
     def _all_matched(self) -> bool:
         return all(

@@ -27,12 +27,12 @@ _DURABILITY |= {policy.short_key: policy for policy in _DURABILITY.values()}
 metadata."""
 
 
-def replay_qos(offered: str, *, keep_all: bool = False) -> QoSProfile:
+def replay_qos(offered: str, *, most: int = MAX_DEPTH) -> QoSProfile:
     """Return a profile that matches every subscriber of the recorded publishers.
 
     `offered` is the `offered_qos_profiles` of a recording. The strongest of several profiles
-    counts; text that cannot be read means reliable and volatile. With `keep_all`, a reliable
-    publisher waits rather than loses a message.
+    counts; text that cannot be read means reliable and volatile. The publisher of a
+    volatile topic keeps at most `most` messages.
     """
     profiles = _profiles(offered)
     reliable = ReliabilityPolicy.RELIABLE in [_reliability(each) for each in profiles]
@@ -41,9 +41,9 @@ def replay_qos(offered: str, *, keep_all: bool = False) -> QoSProfile:
     # DDS does not announce the depth: of a latched topic 1 is assumed, the most common one.
     depth = sum(max(_depth(each), 1) for each in profiles)
     if not latched:
-        depth = max(depth, VOLATILE_DEPTH)
+        depth = min(max(depth, VOLATILE_DEPTH), most)
     return QoSProfile(
-        history=HistoryPolicy.KEEP_ALL if keep_all and reliable else HistoryPolicy.KEEP_LAST,
+        history=HistoryPolicy.KEEP_LAST,
         depth=min(depth, MAX_DEPTH),
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from rclpy.client import Client
+from rclpy.duration import Duration
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.publisher import Publisher
 from rclpy.serialization import deserialize_message
@@ -20,6 +21,9 @@ from robotctl.kernel.units import NS_PER_S
 
 BLOCKED_S: Final = 5.0
 """How long a subscriber that takes nothing may hold up a replay at full speed."""
+
+ACKNOWLEDGED_POLL_S: Final = 0.001
+"""The time between two looks for acknowledgements, which come after about 5 ms."""
 
 MAX_OPEN_REQUESTS: Final = 10_000
 """Limit on the requests that are remembered until their second event comes."""
@@ -42,20 +46,46 @@ def sender(publisher: Publisher) -> Callable[[bytes], bool]:
     return send
 
 
-def patient_sender(publisher: Publisher, stopped: threading.Event) -> Callable[[bytes], bool]:
-    """Return a `sender` that tries again while the queue is full: rcl gives up after 0.1 s."""
-    send_once = sender(publisher)
+class PatientSender:
+    """Publishes messages no faster than reliable subscribers acknowledge them.
 
-    def send(data: bytes) -> bool:
-        if send_once(data):
-            return True
-        until = time.monotonic() + BLOCKED_S
-        while time.monotonic() < until and not stopped.is_set():
-            if send_once(data):
-                return True
-        return False
+    After some messages it waits until all are acknowledged, at most BLOCKED_S. A queue of the kind
+    KEEP_ALL would not do: where a message got lost, and the publisher keeps more messages than the
+    subscriber's depth, Fast DDS 2.14 delivers nothing any more. The subscriber holds newer messages
+    back until it has the lost one, has no room for that one because of them, and refuses it each
+    time (`DataReaderHistory::received_change_keep_last`).
+    """
 
-    return send
+    def __init__(self, publisher: Publisher, in_flight: int, stopped: threading.Event) -> None:
+        """Publish by `publisher`, `in_flight` messages between two waits, or as many as it keeps.
+
+        No wait outlasts `stopped`.
+        """
+        self.topic = str(publisher.topic_name)
+        self.given_up = 0
+        """How often a subscriber did not acknowledge within BLOCKED_S."""
+
+        self._send = sender(publisher)
+        self._publisher = publisher
+        self._stopped = stopped
+        self._in_flight = min(in_flight, int(publisher.qos_profile.depth))
+        self._unacknowledged = 0
+
+    def __call__(self, data: bytes) -> bool:
+        """Publish a message; return whether the middleware took it."""
+        if self._unacknowledged >= self._in_flight:
+            self.given_up += not self._is_acknowledged()
+            self._unacknowledged = 0
+        self._unacknowledged += 1
+        return self._send(data)
+
+    def _is_acknowledged(self) -> bool:
+        until_s = time.monotonic() + BLOCKED_S
+        # It would hold the GIL while it waits.
+        while not self._publisher.wait_for_all_acked(Duration()):
+            if self._stopped.wait(ACKNOWLEDGED_POLL_S) or time.monotonic() > until_s:
+                return False
+        return True
 
 
 def clock_sender(publisher: Publisher) -> Callable[[int], bool]:

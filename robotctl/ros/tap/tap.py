@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from itertools import count
 
+from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 from robotctl.printable import printable, short_name
@@ -15,7 +16,7 @@ from robotctl.ros.executor import ViewSink, self_test
 from robotctl.ros.graph import endpoints
 from robotctl.ros.messages.own_topic import OwnTopic
 from robotctl.ros.messages.topic_description import TopicDescription, describe
-from robotctl.ros.session import RECORDER_NODE, Session
+from robotctl.ros.session import Session
 from robotctl.ros.tap.subscription import TappedSubscription
 from robotctl.ros.tap.type_loader import SLOW_LOAD_S, TypeLoader
 from robotctl.ros.tap.unrecorded import Unrecorded
@@ -61,7 +62,7 @@ class Tap:
 
         Topics for which `wanted(topic, type)` is false are not subscribed to.
         """
-        self._node = session.node(RECORDER_NODE)
+        self._node = session.helper()
         self._open_sink = open_sink
         self._wanted = wanted
         self._reserved: set[str] = set()
@@ -79,6 +80,11 @@ class Tap:
         self._types = TypeLoader()
         self._looks = count()
         self.unrecorded = Unrecorded()
+
+    @property
+    def node(self) -> Node:
+        """The node `recorder`, from which the whole graph is seen."""
+        return self._node
 
     async def run(self) -> None:
         """Watch the graph until cancelled."""

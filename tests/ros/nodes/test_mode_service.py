@@ -125,7 +125,7 @@ async def test_requests_beyond_the_limit_are_refused_as_busy_and_stops_are_not(
 async def test_what_the_mode_service_publishes_is_what_it_declares(session: Session) -> None:
     service = ModeService(session, "r2", lambda mode, source: asyncio.Future())
     for topic in (mode_service.STATUS, *mode_service.CALLS):
-        (found,) = endpoints.publishers(service._node, session.resolve(topic.name))
+        (found,) = endpoints.publishers(service.node, session.resolve(topic.name))
         offered = found.qos_profile
         assert found.topic_type == topic.type_name
         assert offered.durability is topic.qos.durability

@@ -98,7 +98,7 @@ async def test_bytes_that_are_no_message_fail_nothing(
     poses: list[float] = []
     levels: list[float] = []
     OdomSubscriber(session, "odom", lambda odometry, *_: poses.append(odometry.pose.x), print)
-    BatterySubscriber(session, "battery_state", levels.append)
+    BatterySubscriber(session, "battery_state", lambda level, *_: levels.append(level))
     odometry = node.create_publisher(OdometryMessage, "/r2/odom", 10)
     battery = node.create_publisher(BatteryState, "/r2/battery_state", 10)
 
@@ -135,7 +135,9 @@ async def test_a_battery_level_is_handed_on_as_it_is_reported(
     level = percentage
 
     levels: list[float] = []
-    subscription = BatterySubscriber(session, "battery_state", levels.append)._subscription
+    subscription = BatterySubscriber(
+        session, "battery_state", lambda level, *_: levels.append(level)
+    )._subscription
     publisher = node.create_publisher(BatteryState, "/r2/battery_state", qos.SENSOR)
     await until(lambda: publisher.get_subscription_count() and subscription.get_publisher_count())
     publisher.publish(BatteryState(percentage=percentage))

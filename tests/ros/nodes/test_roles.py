@@ -49,7 +49,7 @@ async def test_no_role_has_rclpy_report_qos_events_from_the_loop(
     monkeypatch.setattr(session, "node", kept)
     VelocityPublisher(session, "cmd_vel").monitor(lambda gid: None, 0.01)
     OdomSubscriber(session, "odom", lambda *_: None, lambda *_: None)
-    BatterySubscriber(session, "battery_state", lambda _: None)
+    BatterySubscriber(session, "battery_state", lambda *_: None)
     ModeService(session, "r2", lambda requested, source: asyncio.Future())
     SimulatedRobot(
         session,

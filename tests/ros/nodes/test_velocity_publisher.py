@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import os
+import signal
 import threading
 from collections.abc import Awaitable, Callable
 from typing import Any
 
 import pytest
 
-from robotctl.kernel.types import Twist
+from robotctl.kernel.types import TWIST, TWIST_STAMPED, Twist
 from robotctl.ros.graph import endpoints
 from robotctl.ros.messages import qos
 from robotctl.ros.nodes import velocity_publisher
@@ -42,6 +44,23 @@ async def test_a_command_is_sent_as_it_is(
     velocity.publish(Twist(0.25, -1.5))
     await until(lambda: heard)
     assert (heard, velocity.published, velocity.topic) == ([(0.25, -1.5)], 1, "/r2/cmd_vel")
+
+
+async def test_a_command_is_acknowledged_once_each_reliable_subscriber_has_it(
+    session: Session, peer: Callable[..., Awaitable[Any]], until: Until
+) -> None:
+    velocity = VelocityPublisher(session, "cmd_vel_of_the_peer")
+    assert velocity.is_acknowledged()
+    pid = await peer("take_commands", topic="/r2/cmd_vel_of_the_peer")
+    await until(velocity._publisher.get_subscription_count)
+    await until(velocity.is_acknowledged)
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        velocity.publish(Twist(0.0, 0.0))
+        assert not velocity.is_acknowledged()
+    finally:
+        os.kill(pid, signal.SIGCONT)
+    await until(velocity.is_acknowledged)
 
 
 async def test_a_closed_gate_lets_zeros_through_only(
@@ -101,6 +120,7 @@ async def test_of_many_other_publishers_some_are_named_and_the_rest_counted(
         for number in range(600)
     ]
     monkeypatch.setattr(endpoints, "publishers", lambda node, topic: others)
+    monkeypatch.setattr(velocity, "count_publishers", lambda: len(others))
     names = velocity.other_publishers()
     assert names[-1] == "592 more"
     assert len("".join(names)) < 2_000
@@ -114,18 +134,18 @@ async def test_who_takes_the_command_is_counted_by_type_and_without_recorders(
     from rclpy.node import Node
 
     velocity = VelocityPublisher(session, "cmd_vel")
-    recorder = session.node("recorder")
+    recorder = session.helper()
     recorder.create_subscription(TwistMessage, "cmd_vel", print, 10)
-    another = Node("recorder", namespace="/r3", context=session._context)
+    another = Node("_recorder", namespace="/r3", context=session._context)
     another.create_subscription(TwistMessage, "/r2/cmd_vel", print, 10)
     velocity.monitor(lambda gid: None, 0.0)
     await until(lambda: velocity.count_listeners() == 3)
-    assert velocity.listeners() == (0, ())
+    assert velocity.listeners() == (0, (), TWIST)
     node.create_subscription(TwistMessage, "/r2/cmd_vel", print, 10)
-    await until(lambda: velocity.listeners() == (1, ()))
+    await until(lambda: velocity.listeners() == (1, (), TWIST))
     stamped = Node("stamped", context=new_context())  # Fast DDS: one type a topic and context
     stamped.create_subscription(TwistStamped, "/r2/cmd_vel", print, 10)
-    await until(lambda: velocity.listeners() == (1, ("geometry_msgs/msg/TwistStamped",)))
+    await until(lambda: velocity.listeners() == (1, (TWIST_STAMPED,), TWIST))
     stamped.destroy_node()
     another.destroy_node()
 
@@ -139,7 +159,7 @@ async def test_a_robot_that_takes_another_type_is_no_listener_and_its_type_is_na
     velocity = VelocityPublisher(session, "cmd_vel")
     stamped = Node("stamped", context=new_context())
     stamped.create_subscription(TwistStamped, "/r2/cmd_vel", print, 10)
-    await until(lambda: velocity.listeners() == (0, ("geometry_msgs/msg/TwistStamped",)))
+    await until(lambda: velocity.listeners() == (0, (TWIST_STAMPED,), TWIST))
     stamped.destroy_node()
 
 

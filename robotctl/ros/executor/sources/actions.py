@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import ctypes
 from asyncio import TimerHandle
+from collections import deque
 from collections.abc import Coroutine
 from contextlib import suppress
+from functools import partial
 from typing import Any
 
 from rclpy.action.client import ActionClient
 from rclpy.action.server import ActionServer
 from rclpy.executors import ShutdownException
+from rclpy.node import Node
 
 from robotctl.ros.executor.announcements import Announcement
 from robotctl.ros.executor.futures import ImmediateCallbacks, fail_pending
+from robotctl.ros.executor.replies import Replies, readers_of
 from robotctl.ros.executor.runtime import Runtime
 from robotctl.ros.executor.sources.source import EventFdSource
 
@@ -48,9 +53,22 @@ class ActionServerSource(_ActionSource):
         Announcement.RESULT_REQUEST,
     )
 
-    def __init__(self, runtime: Runtime, server: ActionServer, where: str, executor: Any) -> None:
+    def __init__(
+        self, runtime: Runtime, server: ActionServer, where: str, executor: Any, node: Node
+    ) -> None:
         super().__init__(runtime, server, server._handle, where, executor)
         self._expiry: TimerHandle | None = None
+        name = _name_of(server)
+        services = {
+            "goal": node.resolve_service_name(f"{name}/_action/send_goal"),
+            "result": node.resolve_service_name(f"{name}/_action/get_result"),
+        }
+        self._replies = {
+            kind: Replies(runtime, where, readers_of(node, service))
+            for kind, service in services.items()
+        }
+        self._answerable: deque[dict[str, Any]] = deque()
+        """Requests whose clients can be answered."""
 
     def attach(self) -> None:
         super().attach()
@@ -59,10 +77,29 @@ class ActionServerSource(_ActionSource):
     def detach(self) -> None:
         if self._expiry is not None:
             self._expiry.cancel()
+        for replies in self._replies.values():
+            replies.close()
         super().detach()
 
     def take(self) -> Any:
-        return self._take(expired=False)
+        # rclpy drops a response that cannot be sent, and never executes the goal that it accepts.
+        # So goals and requests for results wait until they can be answered; a cancel does not.
+        while not self._answerable:
+            data = self._take(expired=False)
+            if data is None:
+                return None
+            for kind, request in data.items():
+                admit = partial(self._admit, {kind: request})
+                if kind in self._replies:
+                    self._replies[kind].send(request[0], admit)
+                else:
+                    admit()
+        return self._answerable.popleft()
+
+    def _admit(self, data: dict[str, Any]) -> bool:
+        self._answerable.append(data)
+        self.resume()
+        return True
 
     def deliver(self, item: Any) -> Coroutine[Any, Any, Any] | None:
         self._schedule_expiry_check()
@@ -89,6 +126,15 @@ class ActionServerSource(_ActionSource):
             data = self._take(expired=True)
             if data is not None and data.get("expired"):
                 self.run_async(self._execute(data))
+
+
+def _name_of(server: ActionServer) -> str:
+    """Return the name of the action as it was given: it may be relative."""
+    function = ctypes.CDLL("librcl_action.so").rcl_action_server_get_action_name
+    function.argtypes, function.restype = [ctypes.c_void_p], ctypes.c_char_p
+    with server._handle:
+        name: bytes = function(server._handle.pointer)
+    return name.decode()
 
 
 class ActionClientSource(_ActionSource):

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Coroutine
+from functools import partial
 from types import CoroutineType
 from typing import Any
 
 from rclpy.client import Client
 from rclpy.executors import ShutdownException
+from rclpy.node import Node
 from rclpy.service import Service
 
 from robotctl.ros.executor.announcements import Announcement
 from robotctl.ros.executor.futures import ImmediateCallbacks, callbacks_at_once, fail_pending
+from robotctl.ros.executor.replies import Replies, is_taken, readers_of
 from robotctl.ros.executor.runtime import Runtime
 from robotctl.ros.executor.sources.source import EventFdSource, TakeFailed
 
@@ -21,8 +24,13 @@ class ServiceSource(EventFdSource):
 
     announcements = (Announcement.REQUEST,)
 
-    def __init__(self, runtime: Runtime, service: Service, where: str) -> None:
+    def __init__(self, runtime: Runtime, service: Service, where: str, node: Node) -> None:
         super().__init__(runtime, service, service.handle, where)
+        self._replies = Replies(runtime, where, readers_of(node, service.service_name))
+
+    def detach(self) -> None:
+        self._replies.close()
+        super().detach()
 
     def take(self) -> Any:
         while True:
@@ -43,11 +51,15 @@ class ServiceSource(EventFdSource):
         response = service.callback(request, service.srv_type.Response())
         if isinstance(response, CoroutineType):
             return self._answer(response, header)
-        service.send_response(response, header)
+        self._send(response, header)
         return None
 
     async def _answer(self, response: Coroutine[Any, Any, Any], header: Any) -> None:
-        self.entity.send_response(await response, header)
+        self._send(await response, header)
+
+    def _send(self, response: Any, header: Any) -> None:
+        send = partial(self.entity.send_response, response, header)
+        self._replies.send(header, partial(is_taken, send))
 
 
 class ClientSource(EventFdSource):

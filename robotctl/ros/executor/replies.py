@@ -1,0 +1,200 @@
+# mypy: disallow-untyped-calls=False
+"""Responses to clients whose reader of responses may not be discovered yet.
+
+A client discovers its server by two pairs of endpoints, and the server the client by the same two,
+in any order. If a request arrives before the reader of its response is discovered, rmw_fastrtps
+blocks for 0.1 s and then drops the response; rclpy only warns. Here the response waits instead, and
+the loop does not.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import warnings
+from asyncio import TimerHandle
+from collections import deque
+from collections.abc import Callable, Container
+from dataclasses import dataclass
+from typing import Any, Final
+
+from rclpy.exceptions import InvalidHandle
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from rclpy.node import Node
+from rclpy.utilities import get_rmw_implementation_identifier
+
+from robotctl.ros.executor.runtime import Runtime, log
+
+WAIT_S: Final = 5.0
+"""How long a response waits for its reader; then it is dropped."""
+
+MAX_WAITING: Final = 100
+"""Limit on the waiting responses of one service; the oldest is dropped."""
+
+POLL_S: Final = 0.02
+"""The time between two looks for readers, while a response waits: the graph has no callback."""
+
+PAUSE_S: Final = 1.0
+"""The least time between two attempts to send to a reader that is discovered and not matched:
+each blocks the loop for 0.1 s."""
+
+MAX_KNOWN: Final = 1_000
+"""How many readers are remembered as reached."""
+
+_GID_BYTES: Final = 16
+_READER_BIT: Final = 0x04
+"""Set in the last byte of the gids of readers, not of writers (DDSI-RTPS 2.5, 9.3.1.2)."""
+
+
+@dataclass(slots=True)
+class _Waiting:
+    """A response, or a request, that waits for the reader `gid`; times are of the loop, in s."""
+
+    gid: bytes
+    attempt: Callable[[], bool]
+    until_s: float
+
+
+class Replies:
+    """Sends the responses of one service once their readers are discovered; in the loop only."""
+
+    def __init__(
+        self, runtime: Runtime, where: str, readers: Callable[[], Container[bytes]]
+    ) -> None:
+        """`readers()` returns the gids of the discovered readers of the service's responses."""
+        self._runtime = runtime
+        self._where = where
+        self._readers = readers
+        self._known: set[bytes] = set()
+        """Readers that took a response."""
+        self._paused: dict[bytes, float] = {}
+        """Readers to which sending failed -> the time of the loop of the next attempt, in s."""
+        self._waiting: deque[_Waiting] = deque()
+        self._timer: TimerHandle | None = None
+        self._closed = False
+
+    def send(self, header: Any, attempt: Callable[[], bool]) -> None:
+        """Call `attempt()` once the client of the request with this header can be answered.
+
+        It returns whether the middleware took the response, and is otherwise called again. After
+        WAIT_S the response is dropped, with a line in the log.
+        """
+        gid = reader_of(header)
+        if gid is None or self._closed:
+            attempt()
+            return
+        now_s = self._runtime.loop.time()
+        ready = gid in self._known or (not self._is_paused(gid, now_s) and gid in self._readers())
+        if not ready or not self._succeeds(gid, attempt, now_s):
+            self._keep(_Waiting(gid, attempt, now_s + WAIT_S))
+
+    def close(self) -> None:
+        """Drop what waits, and keep nothing from now on."""
+        self._closed = True
+        self._waiting.clear()
+        if self._timer is not None:
+            self._timer.cancel()
+
+    def _is_paused(self, gid: bytes, now_s: float) -> bool:
+        return self._paused.get(gid, now_s) > now_s
+
+    def _succeeds(self, gid: bytes, attempt: Callable[[], bool], now_s: float) -> bool:
+        if attempt():
+            if len(self._known) >= MAX_KNOWN:
+                self._known.clear()
+            self._known.add(gid)
+            return True
+        self._known.discard(gid)
+        self._paused[gid] = now_s + PAUSE_S
+        return False
+
+    def _keep(self, each: _Waiting) -> None:
+        if len(self._waiting) >= MAX_WAITING:
+            self._waiting.popleft()
+            log.warning("%s: a response was dropped: more than %d wait", self._where, MAX_WAITING)
+        self._waiting.append(each)
+        self._look_later()
+
+    def _look_later(self) -> None:
+        if self._timer is None and self._waiting:
+            self._timer = self._runtime.loop.call_later(POLL_S, self._look)
+
+    def _look(self) -> None:
+        self._timer = None
+        now_s = self._runtime.loop.time()
+        waiting, self._waiting = self._waiting, deque()
+        readers = self._readers()
+        blocked = False
+        for each in waiting:
+            if now_s >= each.until_s:
+                log.warning(
+                    "%s: a response was dropped: its client could not be reached for %g s",
+                    self._where,
+                    WAIT_S,
+                )
+            elif blocked or self._is_paused(each.gid, now_s) or each.gid not in readers:
+                self._waiting.append(each)
+            else:
+                try:
+                    blocked = not self._succeeds(each.gid, each.attempt, now_s)
+                except Exception as error:  # noqa: BLE001 - goes to the exception handler
+                    self._runtime.report(error, self._where)
+                if blocked:  # for 0.1 s, which is enough for one turn of the loop
+                    self._waiting.append(each)
+        if not self._waiting:
+            self._paused.clear()
+        self._look_later()
+
+
+class _Everything:
+    """Contains each gid."""
+
+    def __contains__(self, gid: object) -> bool:
+        return True
+
+
+def readers_of(node: Node, service: str) -> Callable[[], Container[bytes]]:
+    """Return a function that lists the discovered readers of the responses of a service.
+
+    `service` is its full name. Where they cannot be listed, because one of them has a name that is
+    not UTF-8 or the node is destroyed, each reader counts as discovered.
+    """
+    topic = f"rr{service}Reply"
+
+    def readers() -> Container[bytes]:
+        try:
+            with node.handle:
+                found = _rclpy.rclpy_get_subscriptions_info_by_topic(node.handle, topic, True)
+        except (UnicodeDecodeError, InvalidHandle):
+            return _Everything()
+        return {bytes(each["endpoint_gid"]) for each in found}
+
+    return readers
+
+
+def reader_of(header: Any) -> bytes | None:
+    """Return the gid of the reader that waits for the response to a request.
+
+    None where the request does not tell: the middleware, or that of the client, is another one.
+    """
+    if isinstance(header, _rclpy.rmw_service_info_t):
+        header = header.request_id
+    if not isinstance(header, _rclpy.rmw_request_id_t):
+        return None
+    if "fastrtps" not in get_rmw_implementation_identifier():
+        return None
+    # rclpy shows the sequence number only, which stands behind the gid in rmw_request_id_t. A
+    # Python object of pybind11 begins with the address of its C structure.
+    address = ctypes.c_void_p.from_address(id(header) + object.__basicsize__).value
+    raw = ctypes.string_at(address, _GID_BYTES + 8) if address else b""
+    gid, sequence = raw[:_GID_BYTES], raw[_GID_BYTES:]
+    if int.from_bytes(sequence, "little", signed=True) != header.sequence_number:
+        return None
+    return gid if gid[-1] & _READER_BIT else None
+
+
+def is_taken(send: Callable[[], None]) -> bool:
+    """Send a response; return whether the middleware took it."""
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        send()
+    return not any(issubclass(each.category, RuntimeWarning) for each in warned)

@@ -1,0 +1,51 @@
+"""The message types of a velocity command: how each is encoded and decoded."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from geometry_msgs.msg import Twist as TwistMessage
+from geometry_msgs.msg import TwistStamped as TwistStampedMessage
+
+from robotctl.cdr.motion import (
+    StampedTwistEncoder,
+    decode_twist,
+    decode_twist_stamped,
+    encode_twist,
+)
+from robotctl.kernel.types import Twist
+from robotctl.ros.messages.classes import type_name_of
+
+
+@dataclass(frozen=True, slots=True)
+class CommandType:
+    """A message class, and its conversion to and from serialized messages.
+
+    `decode` raises `struct.error` if a message is cut short.
+    """
+
+    message_class: Any
+    encode: Callable[[Twist], bytes]
+    decode: Callable[[bytes], Twist]
+
+    @property
+    def type_name(self) -> str:
+        """The type as `package/msg/Name`."""
+        return type_name_of(self.message_class)
+
+
+PLAIN = CommandType(TwistMessage, encode_twist, decode_twist)
+"""geometry_msgs/Twist."""
+
+
+def stamped(frame_id: str) -> CommandType:
+    """Return geometry_msgs/TwistStamped in this frame, stamped with the time of its encoding."""
+    encoder = StampedTwistEncoder(frame_id)
+    return CommandType(
+        TwistStampedMessage,
+        lambda twist: encoder.encode(twist, time.time_ns()),
+        decode_twist_stamped,
+    )

@@ -1,0 +1,191 @@
+"""The action that drives a pattern: goals in, feedback and results out."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from math import nan
+from operator import attrgetter
+from typing import Any, Protocol
+
+from action_msgs.msg import GoalStatus
+from rclpy.action.server import ActionServer, CancelResponse, GoalResponse
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.node import Node
+from robot_controller.action import DrivePattern
+
+from robotctl.kernel.types import DriveEnded, Reply
+from robotctl.ros.messages import qos
+
+ACTION = "drive_pattern"
+
+FEEDBACK_PERIOD_S = 0.2
+
+RESULT_KEPT_S = 10
+"""How long a client may ask for a result after the end of its goal."""
+
+MAX_GOALS = 64
+"""Limit on goals whose result is kept; the next one is rejected without a reason. Each change of a
+goal publishes the status of all of them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Goal:
+    """A goal: the name of a pattern ("": the configured one), size [m] and speed [m/s] (0: the
+    default), laps, and whether to replace the present drive."""
+
+    pattern: str
+    size_m: float
+    laps: int
+    speed_mps: float
+    replace: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How far a drive has come: distance [m], laps, distance from the path now [m]."""
+
+    distance_m: float
+    laps: int
+    cross_track_m: float
+
+
+class GoalDrive(Protocol):
+    """The drive that a goal asks for."""
+
+    @property
+    def reply(self) -> asyncio.Future[Reply]:
+        """The answer to the request for the drive."""
+
+    @property
+    def ended(self) -> asyncio.Future[DriveEnded]:
+        """The end of the drive; pending if the drive is refused."""
+
+    def progress(self) -> Progress | None:
+        """Return how far the drive has come, None if it is not going on."""
+
+    def ramp_down(self) -> bool:
+        """End the drive with a ramp; return whether it was still going on."""
+
+
+class DriveAction:
+    """The action `drive_pattern` (DrivePattern) of a node.
+
+    Each goal reaches the kernel when it is accepted, as a request for a drive does. A goal rejected
+    in ROS has no text, so a goal that the kernel refuses is accepted and then aborted: its result
+    says why. Feedback is published each `FEEDBACK_PERIOD_S`.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        begin: Callable[[Goal, str], GoalDrive],
+        say: Callable[[Reply], str] = attrgetter("message"),
+    ) -> None:
+        """Call `begin(goal, source)` for each goal.
+
+        It returns at once, or raises ValueError with why the goal cannot be requested. `say`
+        returns the text of a refusal for the client.
+        """
+        self._begin = begin
+        self._say = say
+        self._source = f"the ROS action {node.resolve_topic_name(ACTION)}"
+        self._drives: dict[bytes, GoalDrive] = {}
+        self._server = ActionServer(
+            node,
+            DrivePattern,
+            ACTION,
+            self._refuse,
+            callback_group=MutuallyExclusiveCallbackGroup(),
+            goal_callback=self._has_room,
+            handle_accepted_callback=self._accept,
+            cancel_callback=self._cancel,
+            goal_service_qos_profile=qos.REQUESTS,
+            cancel_service_qos_profile=qos.REQUESTS,
+            result_service_qos_profile=qos.REQUESTS,
+            result_timeout=RESULT_KEPT_S,
+        )
+
+    def close(self) -> None:
+        """Destroy the action, which the node that has it does not: it would keep the context."""
+        self._server.destroy()
+
+    def _has_room(self, _: Any) -> GoalResponse:
+        self._end_unanswered()
+        full = len(self._server._goal_handles) >= MAX_GOALS
+        return GoalResponse.REJECT if full else GoalResponse.ACCEPT
+
+    def _end_unanswered(self) -> None:
+        """End the goals that rclpy accepted and forgot: their client never got the answer."""
+        for handle in list(self._server._goal_handles.values()):
+            if handle.status == GoalStatus.STATUS_ACCEPTED:
+                handle.execute(self._refuse)
+
+    def _accept(self, handle: Any) -> None:
+        """Request the drive now: its task runs a turn of the loop later."""
+        asked = handle.request
+        goal = Goal(asked.pattern, asked.size, asked.laps, asked.speed, asked.replace)
+        try:
+            drive = self._begin(goal, self._source)
+        except ValueError as error:
+            handle.execute(partial(self._refuse, reason=str(error)))
+            return
+        self._drives[bytes(handle.goal_id.uuid)] = drive
+        handle.execute(partial(self._follow, drive))
+
+    def _cancel(self, handle: Any) -> CancelResponse:
+        drive = self._drives.get(bytes(handle.goal_id.uuid))
+        ends = drive is not None and drive.ramp_down()
+        return CancelResponse.ACCEPT if ends else CancelResponse.REJECT
+
+    def _refuse(self, handle: Any, reason: str = "") -> Any:
+        handle.abort()
+        return DrivePattern.Result(
+            reason=reason, cross_track_rms=nan, cross_track_max=nan, closure=nan
+        )
+
+    async def _follow(self, drive: GoalDrive, handle: Any) -> Any:
+        try:
+            reply = await drive.reply
+            if not reply.ok:
+                drive.ramp_down()  # it goes on if only the command that began it was not sent
+                return self._refuse(handle, self._say(reply))
+            while not drive.ended.done():
+                self._publish_feedback(drive, handle)
+                await asyncio.wait({drive.ended}, timeout=FEEDBACK_PERIOD_S)
+            return _finish(handle, drive.ended.result())
+        finally:
+            drive.ended.cancel()
+            del self._drives[bytes(handle.goal_id.uuid)]
+
+    def _publish_feedback(self, drive: GoalDrive, handle: Any) -> None:
+        progress = drive.progress()
+        if progress is None:
+            return
+        feedback = DrivePattern.Feedback()
+        feedback.distance = progress.distance_m
+        feedback.lap = progress.laps + 1
+        feedback.cross_track_error = progress.cross_track_m
+        handle.publish_feedback(feedback)
+
+
+def _finish(handle: Any, ended: DriveEnded) -> Any:
+    """Set the end of a goal; return its result."""
+    if ended.completed:
+        handle.succeed()
+    elif handle.is_cancel_requested and ended.cause is None:
+        handle.canceled()
+    else:
+        handle.abort()
+    report = ended.report
+    return DrivePattern.Result(
+        completed=ended.completed,
+        reason=ended.reason,
+        laps=report.laps,
+        distance=report.distance_m,
+        cross_track_rms=report.cross_track_rms_m,
+        cross_track_max=report.cross_track_max_m,
+        closure=report.closure_m,
+    )

@@ -1,0 +1,146 @@
+# mypy: disallow-untyped-calls=False, disallow-subclassing-any=False
+"""The parameters of a node on ROS: its declarations, its services, and its changes."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rcl_interfaces.srv import (
+    DescribeParameters,
+    GetParameters,
+    GetParameterTypes,
+    ListParameters,
+    SetParameters,
+    SetParametersAtomically,
+)
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.parameter_service import ParameterService
+
+from robotctl.kernel.ranges import Range
+from robotctl.printable import printable
+from robotctl.ros.messages import qos
+
+
+@dataclass(frozen=True, slots=True)
+class Declared:
+    """One parameter with its present value; `range` is None where there is no limit."""
+
+    key: str
+    value: Any
+    about: str
+    allowed: str
+    range: Range | None
+    read_only: bool
+
+
+Ask = Callable[[Sequence[tuple[str, Any]], str], str]
+"""Asks for new values of keys, all or none, for the named service; returns the refusal, or ""."""
+
+
+class ParameterServices(ParameterService):
+    """The six parameter services of a node.
+
+    rclpy checks types, ranges and read-only parameters as it does for every node; then `ask` is
+    called. A change by another way is told with `show`. The queues are short, because rclpy's take
+    0.3 MB a node.
+    """
+
+    def __init__(self, node: Node, declared: Sequence[Declared], ask: Ask) -> None:
+        self._node_weak_ref = weakref.ref(node)
+        self._ask = ask
+        self._asking = self._showing = False
+        self._keys = {each.key for each in declared}
+        for each in declared:
+            _declare(node, each)
+        node.add_on_set_parameters_callback(self._decide)
+        self._name = node.get_fully_qualified_name()
+        kinds: tuple[tuple[Any, str, Callable[..., Any]], ...] = (
+            (DescribeParameters, "describe_parameters", self._describe_parameters_callback),
+            (GetParameters, "get_parameters", self._get_parameters_callback),
+            (GetParameterTypes, "get_parameter_types", self._get_parameter_types_callback),
+            (ListParameters, "list_parameters", self._list_parameters_callback),
+            (SetParameters, "set_parameters", self._set_one_by_one),
+            (SetParametersAtomically, "set_parameters_atomically", self._set_all_or_none),
+        )
+        for kind, service, handler in kinds:
+            node.create_service(
+                kind, f"{node.get_name()}/{service}", handler, qos_profile=qos.PARAMETERS
+            )
+
+    def show(self, key: str, value: Any) -> None:
+        """Take over a value that was changed; other keys than the node's are ignored."""
+        if key not in self._keys or self._asking:  # rclpy takes over what it asked for
+            return
+        self._showing = True
+        try:
+            self._get_node().set_parameters([Parameter(key, value=value)])
+        finally:
+            self._showing = False
+
+    def _set_one_by_one(self, request: Any, response: Any) -> Any:
+        response.results = [self._set([each]) for each in request.parameters]
+        return response
+
+    def _set_all_or_none(self, request: Any, response: Any) -> Any:
+        response.result = self._set(request.parameters)
+        return response
+
+    def _set(self, messages: Sequence[Any]) -> SetParametersResult:
+        node = self._get_node()
+        for each in messages:
+            if not node.has_parameter(each.name):  # rclpy's own reason names none
+                reason = f"{self._name} has no parameter {printable(each.name[:80])}"
+                return SetParametersResult(successful=False, reason=reason)
+        try:
+            parameters = [Parameter.from_parameter_msg(each) for each in messages]
+        except (RuntimeError, TypeError, ValueError) as error:  # a type that does not exist
+            return SetParametersResult(successful=False, reason=printable(str(error)))
+        return node.set_parameters_atomically(parameters)
+
+    def _decide(self, parameters: list[Parameter]) -> SetParametersResult:
+        wanted = [(each.name, each.value) for each in parameters if each.name in self._keys]
+        if self._showing or not wanted:
+            return SetParametersResult(successful=True)
+        self._asking = True
+        try:
+            refusal = self._ask(wanted, f"the ROS service {self._name}/set_parameters")
+        finally:
+            self._asking = False
+        return SetParametersResult(successful=not refusal, reason=refusal)
+
+
+def _declare(node: Node, declared: Declared) -> None:
+    if not isinstance(declared.value, list):
+        node.declare_parameter(declared.key, declared.value, _descriptor(declared))
+        return
+    texts = Parameter.Type.STRING_ARRAY
+    node.declare_parameter(declared.key, texts, _descriptor(declared))
+    # Not by a public method: each would take an empty list for an array of bytes.
+    node._parameters[declared.key] = Parameter(declared.key, texts, declared.value)
+
+
+def _descriptor(declared: Declared) -> ParameterDescriptor:
+    descriptor = ParameterDescriptor(
+        description=declared.about,
+        additional_constraints=declared.allowed,
+        read_only=declared.read_only,
+    )
+    if declared.range is not None:
+        low, high, _ = declared.range
+        if isinstance(declared.value, int):
+            limits = IntegerRange(from_value=int(low), to_value=int(high))
+            descriptor.integer_range = [limits]
+        else:
+            limits = FloatingPointRange(from_value=float(low), to_value=float(high))
+            descriptor.floating_point_range = [limits]
+    return descriptor

@@ -1,0 +1,155 @@
+"""`--ros-args` of a command line: parameters, files of them, remaps, namespace and node names.
+
+The syntax is that of rcl (https://design.ros2.org/articles/ros_command_line_arguments.html). Each
+argument is checked here, so that a wrong one is named before a node exists.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from robotctl.errors import UsageError
+
+BEGIN, END = "--ros-args", "--"
+
+_NODE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+_NAMESPACE = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)*/?")
+_NAME = re.compile(r"~?/?[A-Za-z_~][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+
+_TAKEN = (
+    "use -p KEY:=VALUE, -r FROM:=TO, -r __ns:=/NAMESPACE, -r NODE:__node:=NAME, --params-file FILE"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Assignment:
+    """A parameter of `-p [NODE:]KEY:=VALUE`; `node` is "" for all, `text` is YAML."""
+
+    node: str
+    key: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Remap:
+    """A rule of `-r [NODE:]FROM:=TO`; `node` is "" for all."""
+
+    node: str
+    source: str
+    target: str
+
+    def argument(self) -> str:
+        """Return the rule as it stands on a command line."""
+        return (
+            f"{self.node}:{self.source}:={self.target}"
+            if self.node
+            else (f"{self.source}:={self.target}")
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class RosArguments:
+    """What the arguments say, in their order; `namespace` is None where they name none.
+
+    `settings` holds parameters and files of parameters; a later one wins. `node_names` maps the
+    usual name of a node to the new one, with "" for every node.
+    """
+
+    settings: tuple[Assignment | Path, ...] = ()
+    remaps: tuple[Remap, ...] = ()
+    namespace: str | None = None
+    node_names: dict[str, str] = field(default_factory=dict)
+
+
+NO_ARGUMENTS = RosArguments()
+
+
+def split(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return a command line without its `--ros-args` sections, and the words of those sections."""
+    others: list[str] = []
+    ros: list[str] = []
+    inside = False
+    for word in arguments:
+        if not inside and word == BEGIN:
+            inside = True
+        elif inside and word == END:
+            inside = False
+        elif word != BEGIN:
+            (ros if inside else others).append(word)
+    return others, ros
+
+
+def parse(words: Sequence[str]) -> RosArguments:
+    """Return the meaning of the words of the `--ros-args` sections.
+
+    Raises:
+        UsageError: An argument is unknown or wrong.
+    """
+    settings: list[Assignment | Path] = []
+    remaps: list[Remap] = []
+    namespace: str | None = None
+    names: dict[str, str] = {}
+    for option, value in _options(words):
+        if option == "--params-file":
+            settings.append(Path(value))
+            continue
+        node, left, right = _rule(option, value)
+        if option == "-p":
+            settings.append(Assignment(node, left, right))
+        elif left == "__ns":
+            if node:
+                raise UsageError(f"-r {value}", "all nodes share one namespace: -r __ns:=/NAME")
+            namespace = _namespace(right)
+        elif left == "__node":
+            if not _NODE.fullmatch(right):
+                raise _wrong(option, value, "a node's name has letters, digits and underscores")
+            names[node] = right
+        else:
+            remaps.append(Remap(node, *(_checked_name(value, each) for each in (left, right))))
+    return RosArguments(tuple(settings), tuple(remaps), namespace, names)
+
+
+def _options(words: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Yield each option in its short form, with its value."""
+    rest = iter(words)
+    for word in rest:
+        option = {"--param": "-p", "--remap": "-r"}.get(word, word)
+        if option not in ("-p", "-r", "--params-file"):
+            raise UsageError(f"--ros-args {word!r} is not supported", _TAKEN)
+        value = next(rest, None)
+        if value is None:
+            raise UsageError(f"--ros-args {word}: the value is missing", _TAKEN)
+        yield option, value
+
+
+def _rule(option: str, value: str) -> tuple[str, str, str]:
+    """Return node, left and right side of `[NODE:]LEFT:=RIGHT`."""
+    left, sign, right = value.partition(":=")
+    node, colon, name = left.rpartition(":")
+    if not sign or not name or (colon and not _NODE.fullmatch(node)):
+        raise _wrong(option, value, _TAKEN)
+    return node, name, right
+
+
+def _namespace(text: str) -> str:
+    """Return a namespace as robotctl keeps it: /NAME, or "" for the root."""
+    full = text if text.startswith("/") else f"/{text}"
+    if not _NAMESPACE.fullmatch(full) or "__" in full:
+        raise _wrong(
+            "-r", f"__ns:={text}", "a namespace is /NAME, of letters, digits and underscores"
+        )
+    return full.rstrip("/")
+
+
+def _checked_name(rule: str, name: str) -> str:
+    bare = re.sub(r"^(rostopic|rosservice)://", "", name)
+    if not _NAME.fullmatch(bare) and not re.fullmatch(rf"/{_NAME.pattern}", bare):
+        raise _wrong("-r", rule, "a name is /a/b or a/b, of letters, digits and underscores")
+    return bare
+
+
+def _wrong(option: str, value: str, allowed: str) -> UsageError:
+    return UsageError(f"{option} {value!r} is not allowed", allowed)

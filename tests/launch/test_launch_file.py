@@ -1,0 +1,169 @@
+"""The launch file starts the daemon, or one process a role, with the names that launch really has.
+
+`launch` of ROS is on no package index (the `launch` there is another project), so the file runs
+against a stand-in made from a table of its real names. Where launch itself can be imported, the
+table is compared with it.
+"""
+
+from __future__ import annotations
+
+import inspect
+import runpy
+import signal
+import subprocess
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robotctl.errors import UsageError
+from robotctl.paths import check_namespace
+from robotctl.rerun.check import check_recording
+from robotctl.rerun.check_report import Verdict
+from tests.launch.stand_in import Made, classes, stand_in
+from tests.support.waiting import DEADLINE_S, until
+from tests.support.world import installed, new_world
+
+ROOT = Path(__file__).parents[2]
+FILE = ROOT / "launch" / "robot_controller.launch.py"
+
+
+def launched(**arguments: str) -> list[Made]:
+    """The processes that the launch file starts for these arguments."""
+    with stand_in():
+        declared, opaque = description()
+        given = {each.given["name"]: each.given["default_value"] for each in declared}
+        assert set(arguments) <= set(given)
+        found: list[Made] = opaque.given["function"]({**given, **arguments})
+    return found
+
+
+def description() -> tuple[list[Made], Made]:
+    """The declared arguments, and the function that makes the processes."""
+    entities = runpy.run_path(str(FILE))["generate_launch_description"]().given["initial_entities"]
+    return entities[:-1], entities[-1]
+
+
+def told(process: Made) -> tuple[Any, ...]:
+    """What is started, and with which words or parameters."""
+    given = process.given
+    if "cmd" in given:
+        executable, *words = given["cmd"]
+        return (executable.given["executable"], *words)
+    (parameters,) = given["parameters"]
+    return (given["executable"], given["namespace"], parameters)
+
+
+def test_the_arguments_and_their_defaults_are_the_documented_ones() -> None:
+    with stand_in():
+        declared, _ = description()
+    assert {each.given["name"]: each.given["default_value"] for each in declared} == {
+        "use_sim_time": "false",
+        "robot_name": "robot",
+        "namespace": "",
+        "params_file": "",
+        "sim": "auto",
+        "single_process": "true",
+        "respawn": "false",
+    }
+    for each in declared:
+        choices = each.given.get("choices")
+        assert choices is None or each.given["default_value"] in choices
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({}, ()),
+        ({"sim": "true"}, ("--sim",)),
+        ({"sim": "false"}, ("--no-sim",)),
+        ({"params_file": "/a.yaml"}, ("--config", "/a.yaml")),
+        ({"namespace": "/fleet/r1"}, ("--namespace", "/fleet/r1")),
+    ],
+)
+def test_a_single_process_is_the_daemon(arguments: dict[str, str], words: tuple[str, ...]) -> None:
+    (daemon,) = launched(**arguments)
+    assert told(daemon) == ("robotctl", "start", "--foreground", "--robot", "robot", *words)
+
+
+def test_else_each_role_is_a_process_and_the_gate_never_sweeps() -> None:
+    simulated, *roles = launched(
+        single_process="false", robot_name="r1", params_file="/a.yaml", use_sim_time="true"
+    )
+    assert told(simulated) == ("robotctl", "sim", "--robot", "r1", "--config", "/a.yaml", "--auto")
+    owned = {"robot_name": "r1", "standalone": False, "config": "/a.yaml"}
+    assert [told(each) for each in roles] == [
+        ("velocity_publisher", "/r1", {"use_sim_time": True, "sweep": False}),
+        ("odom_subscriber", "/r1", {"use_sim_time": True}),
+        ("mode_service", "/r1", {"use_sim_time": True, **owned}),
+    ]
+    assert {each.given["package"] for each in roles} == {"robot_controller"}
+    # The owner has a node odom_subscriber of its own.
+    assert [each.given["name"] for each in roles] == [None, "odom_logger", None]
+    names = [told(each)[0] for each in launched(single_process="false", sim="false")]
+    assert names == ["velocity_publisher", "odom_subscriber", "mode_service"]
+    assert {each.given["respawn"] for each in launched(respawn="true")} == {True}
+
+
+def test_every_process_has_time_for_its_last_zero_before_it_is_killed() -> None:
+    for process in [*launched(), *launched(single_process="false")]:
+        assert float(process.given["sigterm_timeout"]) >= 10.0
+        assert float(process.given["sigkill_timeout"]) >= 10.0
+
+
+def test_the_table_is_what_launch_itself_offers() -> None:
+    """Not run where launch is missing, as with the wheels."""
+    pytest.importorskip("launch.actions")
+    pytest.importorskip("launch_ros.actions")
+    for full, table in classes().items():
+        place, _, name = full.rpartition(".")
+        taken: set[str] = set()
+        for each in inspect.getmro(getattr(import_module(place), name)):
+            if "__init__" in vars(each):
+                taken |= set(inspect.signature(vars(each)["__init__"]).parameters)
+        assert {*table.get("positional", []), *table.get("keywords", [])} <= taken, full
+
+
+def test_ctrl_c_of_the_launched_daemon_ends_with_a_closed_recording() -> None:
+    (daemon,) = launched(sim="true")
+    executable, *words = told(daemon)
+    with new_world() as world:
+        with (world.folder / "launched.log").open("w") as log:
+            process = subprocess.Popen(
+                [installed(executable), *words],
+                cwd=world.folder,
+                env=world.environment,
+                stdout=log,
+                stderr=log,
+            )
+        until(lambda: '"ready": true' in (world.folder / "launched.log").read_text())
+        assert world.robotctl("set-mode", "moving").exit_code in (0, 4)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=2 * DEADLINE_S) == 0
+        (recording,) = world.recordings.iterdir()
+        assert check_recording(recording).verdict is Verdict.SAME
+
+
+def test_sim_auto_ends_where_odometry_is_published_in_its_namespace() -> None:
+    robot = ("--robot", "r1", "--namespace", "/fleet/r1")
+    with new_world() as world:
+        simulated = world.spawn("sim", *robot)
+        assert simulated.stdout is not None
+        assert simulated.stdout.readline().startswith("simulated robot r1 runs")
+        assert world.robotctl("sim", *robot, "--auto").exit_code == 0
+        simulated.send_signal(signal.SIGINT)
+        assert simulated.wait(timeout=2 * DEADLINE_S) == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "namespace"), [("", ""), ("/", ""), ("r1", "/r1"), ("/fleet/r1/", "/fleet/r1")]
+)
+def test_a_namespace_is_taken_in_every_spelling(text: str, namespace: str) -> None:
+    assert check_namespace(text) == namespace
+
+
+@pytest.mark.parametrize("text", ["a b", "/1", "/a//b", "/a__b", "/\n", "/é"])
+def test_no_other_text_is_a_namespace(text: str) -> None:
+    with pytest.raises(UsageError, match="use /NAME or /A/B"):
+        check_namespace(text)
