@@ -195,7 +195,7 @@ def break_once(monkeypatch: pytest.MonkeyPatch, breaks: Callable[[bytes], bool])
             raise OSError(errno.EIO, os.strerror(errno.EIO))
         return data
 
-    monkeypatch.setattr("robotctl.recording.read.mcap_input.os.pread", failing)
+    monkeypatch.setattr("robotctl.recording.read.source.os.pread", failing)
 
 
 @pytest.mark.parametrize("torn", [False, True])

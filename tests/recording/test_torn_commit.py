@@ -24,13 +24,16 @@ from robotctl.recording import Compression, RecorderOptions, read_messages
 from robotctl.recording.disk.storage import Buffer, DiskFile
 from robotctl.recording.format.records import MAGIC
 from robotctl.recording.keep.repair import repair
-from robotctl.recording.read.mcap_input import RECORD_HEAD, parse, walk_records
+from robotctl.recording.read.mcap_input import RECORD_HEAD, InputFile, parse, walk_records
+from robotctl.recording.read.seal_check import SealState, check_seal
+from robotctl.recording.read.whole_file import read_whole_file
 from robotctl.recording.write.buffer import pack
 from robotctl.recording.write.channel_state import ChannelState
 from robotctl.recording.write.recording_file import RecordingFile
 from robotctl.testing.drives import ODOMETRY, TWIST
 from robotctl.testing.faults import PAGE, FailingFile
 from tests.support.recordings import numbered, read_strictly
+from tests.support.sealed import keyring
 
 COMMITS = 12
 LARGE = 40_000
@@ -65,9 +68,12 @@ def begin(
     folder: Path, compression: Compression, open_file: Callable[[Path], DiskFile]
 ) -> tuple[RecordingFile, list[ChannelState]]:
     folder.mkdir()
-    options = RecorderOptions(open_file=open_file, compression=compression)
+    keys = keyring(folder.with_name(f"{folder.name}-keys"))
+    options = RecorderOptions(open_file=open_file, compression=compression, sealer=keys)
     channels = [ChannelState(TWIST)]
-    return RecordingFile(folder / f"{folder.name}_0.mcap", options, {}, channels), channels
+    file = RecordingFile(folder / f"{folder.name}_0.mcap", options, {}, channels)
+    file.begin_seal()
+    return file, channels
 
 
 def write_commit(file: RecordingFile, channels: list[ChannelState], number: int, size: int) -> None:
@@ -268,6 +274,21 @@ def test_between_any_two_writes_of_a_commit_every_reader_opens_the_file(
 
 
 @pytest.mark.parametrize("size", [10, LARGE])
+def test_what_a_kill_between_two_writes_leaves_is_no_flaw(tmp_path: Path, size: int) -> None:
+    path = tmp_path / "state.mcap"
+    for state in states(record(tmp_path / "run", size, Compression.ZSTD)):
+        if state.chunks < 1 or state.torn:
+            continue
+        path.write_bytes(state.content)
+        found = read_whole_file(path)
+        assert found.whole, (state[1:], found.flaws.kept)
+        assert found.data.message_count in (2 * state.chunks, 2 * state.chunks + 2)
+        assert bool(found.loose) == (Step.TRAILER < state.step < Step.TOPICS), state.step
+        with InputFile(path) as opened:
+            assert check_seal(opened, found).state is SealState.SEALED, state.step
+
+
+@pytest.mark.parametrize("size", [10, LARGE])
 def test_a_file_torn_within_any_write_is_read_and_repaired(tmp_path: Path, size: int) -> None:
     recorded = record(tmp_path / "run", size, Compression.NONE)
     path = tmp_path / "run" / "run_0.mcap"
@@ -298,7 +319,7 @@ def test_a_read_that_fails_once_during_a_repair_loses_no_message(
             raise OSError(errno.EIO, os.strerror(errno.EIO))
         return pread(fd, length, offset)
 
-    monkeypatch.setattr("robotctl.recording.read.mcap_input.os.pread", failing)
+    monkeypatch.setattr("robotctl.recording.read.source.os.pread", failing)
     for state in states(recorded):
         if state.chunks != 2 or state.torn:
             continue
@@ -320,7 +341,7 @@ def test_a_read_that_fails_once_during_a_repair_loses_no_message(
 def test_a_disk_that_fails_at_any_write_of_a_commit_leaves_the_file_as_it_was(
     tmp_path: Path, code: int
 ) -> None:
-    at = 1
+    at = 2  # the first two begin file and seal
     chunks = -1
     while chunks < COMMITS:
         at += 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from enum import IntEnum
 from typing import NamedTuple
+from zlib import crc32
 
 from robotctl.cdr.reader import ENCAPSULATION, LITTLE_ENDIAN
 from robotctl.errors import UnreadableFile
@@ -49,6 +50,14 @@ def encode(entry: JournalEntry) -> bytes:
     padding = b"\0" * (-len(name) % 4)
     head = _HEAD.pack(ENCAPSULATION, entry.seq, entry.t_ns, entry.kind, len(name))
     return b"".join((head, name, padding, _LENGTH.pack(len(data)), data))
+
+
+def chained(serialized: bytes, crc: int) -> int:
+    """Return the CRC-32 of a journal up to this entry; `crc` is that of all entries before it.
+
+    The zeros at the end do not count: DDS pads a message with more of them.
+    """
+    return crc32(serialized.rstrip(b"\0"), crc)
 
 
 def decode(serialized: bytes) -> JournalEntry:

@@ -14,6 +14,12 @@ LIBRARY = OWN_LIBRARY + robotctl.__version__
 INFO_RECORD = "robotctl"
 """The robot, and what made the recording; written when a file begins."""
 
+SOFTWARE_RECORD = "robotctl.software"
+"""The content hashes of the modules that decide and command; written when a file begins."""
+
+FOXGLOVE_RECORD = "foxglove"
+"""The name of the device, where Foxglove looks for it; written when a file begins."""
+
 EVENT_RECORD = "robotctl.event"
 """One event of the recording, written as it happens: see `events`."""
 
@@ -26,6 +32,14 @@ CLIP_RECORD = "robotctl.clip"
 
 RECOVERY_RECORD = "robotctl.recovery"
 """In a recovered file: the file it was made from, and what is lost."""
+
+OWN_RECORDS = frozenset(
+    (
+        *(INFO_RECORD, SOFTWARE_RECORD, FOXGLOVE_RECORD, EVENT_RECORD, LEDGER_RECORD),
+        *(CLIP_RECORD, RECOVERY_RECORD),
+    )
+)
+"""The names of all metadata records that robotctl writes, beside that of rosbag2."""
 
 MADE_BY = f"Python {platform.python_version()}, {' '.join(platform.libc_ver())}".rstrip()
 """Python and libc: the last bit of sin and cos depends on them."""

@@ -33,6 +33,11 @@ _NO_START_NS = 2**63 - 1
 _FILE_LIST = re.compile(r"^ *+relative_file_paths:\n((?: *+- .*+(?:\n|\Z))++)", re.MULTILINE)
 _COUNT = r"message_count: *+(\d{1,18}) *+$"
 _FILE_COUNT = re.compile(rf"^ *+- path: *+(.++)\n(?:(?! *+- ).*+\n)*? *+{_COUNT}", re.MULTILINE)
+_TOPIC_COUNT = re.compile(
+    r"^ *+- topic_metadata:\n *+name: *+(.++)\n *+type: *+(.++)\n"
+    rf"(?:(?!.*topic_metadata:).*+\n)*? *+{_COUNT}",
+    re.MULTILINE,
+)
 _TOTAL_COUNT = re.compile(rf"^  {_COUNT}", re.MULTILINE)
 _QOS_LINE = re.compile(r"(- | {2,})[a-z_]+:( [\w.+-]+)?")
 
@@ -105,6 +110,15 @@ def message_counts_in(text: str) -> dict[str, int]:
     return {Path(name.strip("\"' ")).name: int(count) for name, count in _FILE_COUNT.findall(text)}
 
 
+def topic_counts_in(text: str) -> dict[tuple[str, str], int]:
+    """Return the messages of each topic and type from the text of a `metadata.yaml`."""
+    counts: dict[tuple[str, str], int] = {}
+    for name, kind, count in _TOPIC_COUNT.findall(text):
+        key = _unquoted(name), _unquoted(kind)
+        counts[key] = counts.get(key, 0) + int(count)
+    return counts
+
+
 def total_count_in(text: str) -> int:
     """Return the message count of all files from the text of a `metadata.yaml`; 0 without one."""
     found = _TOTAL_COUNT.search(text)
@@ -167,6 +181,14 @@ def _list(key: str, lines: Sequence[str]) -> list[str]:
 
 def _indented(lines: Iterable[str], columns: int) -> list[str]:
     return [" " * columns + line for line in lines]
+
+
+def _unquoted(text: str) -> str:
+    try:
+        value = json.loads(text)
+    except ValueError:
+        value = text.strip("'")
+    return value if isinstance(value, str) else text
 
 
 def _quoted(text: str) -> str:

@@ -7,6 +7,9 @@ from dataclasses import dataclass
 
 from robotctl.recording.format.message_counts import MessageCounts, total
 
+LATCHED_QOS = "durability: transient_local"
+"""In the offered QoS of a topic with a latched publisher."""
+
 
 @dataclass(frozen=True, slots=True)
 class Topic:
@@ -26,7 +29,7 @@ class Topic:
     @property
     def latched(self) -> bool:
         """Whether a publisher offers its last message to late subscribers."""
-        return "durability: transient_local" in self.offered_qos
+        return LATCHED_QOS in self.offered_qos
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -46,6 +46,8 @@ class WrittenFile:
     data_crc: int
     groups: Mapping[Opcode, bytes]
     statistics: Statistics
+    seal: bytes = b""
+    """The record of the seal in the summary; empty if there is none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +59,9 @@ class TrailerState:
     statistics: bytes
     group_sizes: Mapping[Opcode, int]
     """Bytes of the groups that only grow: all but the statistics."""
+
+    seal: bytes = b""
+    """The record of the seal, which stands behind the statistics; empty if there is none."""
 
     @property
     def kept_bytes(self) -> int:
@@ -171,8 +176,11 @@ class Summary:
         self.start_ns = counted.message_start_time if counted else 0
         self.end_ns = counted.message_end_time if counted else 0
 
-    def state(self, data_end: int, data_crc: int) -> TrailerState:
-        """Return the current state; `data_end` is where the data ends, `data_crc` its checksum."""
+    def state(self, data_end: int, data_crc: int, seal: bytes = b"") -> TrailerState:
+        """Return the current state; `data_end` is where the data ends, `data_crc` its checksum.
+
+        `seal` is the record of the seal for it.
+        """
         statistics = Statistics(
             attachment_count=self._numbers[Opcode.ATTACHMENT_INDEX],
             channel_count=self._numbers[Opcode.CHANNEL],
@@ -189,6 +197,7 @@ class Summary:
             data_crc=data_crc,
             statistics=record_bytes(statistics),
             group_sizes={opcode: len(group) for opcode, group in self._groups.items()},
+            seal=seal,
         )
 
     def trailer(self, state: TrailerState) -> Trailer:
@@ -207,6 +216,10 @@ class Summary:
             groups.append(content)
             offsets += record_bytes(SummaryOffset(opcode, position, len(content)))
             position += len(content)
+        if state.seal:
+            groups.append(state.seal)
+            offsets += record_bytes(SummaryOffset(state.seal[0], position, len(state.seal)))
+            position += len(state.seal)
         footer = record_bytes(Footer(summary_start, position, 0))[: -_CRC.size]
         crc = 0
         for part in (*groups, offsets, footer):

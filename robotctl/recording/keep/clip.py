@@ -19,10 +19,12 @@ from robotctl.recording.format.events import RecordedEvent, events_in
 from robotctl.recording.format.metadata_names import (
     CLIP_RECORD,
     EVENT_RECORD,
+    FOXGLOVE_RECORD,
     INFO_RECORD,
     LEDGER_RECORD,
     LIBRARY,
     RECOVERY_RECORD,
+    SOFTWARE_RECORD,
 )
 from robotctl.recording.format.records import PlainMessage
 from robotctl.recording.format.rosbag2 import METADATA_RECORD, BagFile, serialized_metadata
@@ -40,6 +42,9 @@ CHUNK_BYTES = 1 << 20
 
 _OF_THE_WHOLE = (METADATA_RECORD, LEDGER_RECORD, RECOVERY_RECORD, EVENT_RECORD, CLIP_RECORD)
 """Metadata that is not true for a part of the recording."""
+
+_OF_EACH_FILE = (INFO_RECORD, SOFTWARE_RECORD, FOXGLOVE_RECORD)
+"""Metadata that each file of the recording repeats."""
 
 Progress = Callable[[int, int], None]
 """Gets nanoseconds of the recording done, and in total."""
@@ -121,9 +126,9 @@ class _ClipWriter:
             Refused: The clip would be empty.
         """
         for record in self._recording.metadata():
-            if record.name not in (*_OF_THE_WHOLE, INFO_RECORD):
+            if record.name not in (*_OF_THE_WHOLE, *_OF_EACH_FILE):
                 mcap.add_metadata(record.name, record.metadata)
-        self._add_info(mcap)
+        self._add_provenance(mcap)
         for event in events_in(self._recording.metadata()):
             if self._window[0] <= event.log_ns <= self._window[1]:
                 mcap.add_metadata(EVENT_RECORD, event.values())
@@ -141,12 +146,13 @@ class _ClipWriter:
         mcap.commit()
         mcap.sync()
 
-    def _add_info(self, mcap: McapFile) -> None:
-        """Copy what made the recording, without the mode, which is that of its start."""
-        found = self._recording.info().metadata.get(INFO_RECORD)
-        if found is not None:
-            values = {key: value for key, value in found.items() if key != "mode"}
-            mcap.add_metadata(INFO_RECORD, values)
+    def _add_provenance(self, mcap: McapFile) -> None:
+        """Copy once what made the recording, without the mode, which is that of its start."""
+        found = self._recording.info().metadata
+        for name in _OF_EACH_FILE:
+            if name in found:
+                values = {key: value for key, value in found[name].items() if key != "mode"}
+                mcap.add_metadata(name, values)
 
     def _add_channels(self, mcap: McapFile) -> None:
         for key, (channel, schema) in self._recording.channels().items():

@@ -23,6 +23,7 @@ from robotctl.recording.format.trailer import WrittenFile
 from robotctl.recording.keep.bag_metadata import rewrite_metadata
 from robotctl.recording.keep.catalog import CatalogFolder, own_recordings
 from robotctl.recording.keep.recover import recover
+from robotctl.recording.keep.repaired_seal import seal_of_repair
 from robotctl.recording.keep.tidy_note import TidyNote
 from robotctl.recording.keep.unfinished_commit import find_unfinished_commit, messages_of_chunk
 from robotctl.recording.read.damage import Damaged
@@ -131,6 +132,8 @@ def _close(
     storage = DiskFile(path, new=False)
     try:
         mcap = McapFile.resume(storage, written)
+        for record in seal_of_repair(written):
+            mcap.add_sealed(record)
         mcap.add_metadata(RECOVERY_RECORD, {"lost": ""})
         mcap.commit(ChunkEncoder(Compression.ZSTD, 1).encode(pack(messages)) if messages else None)
         storage.truncate(mcap.size)

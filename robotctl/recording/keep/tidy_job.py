@@ -46,7 +46,8 @@ def tidy(job: TidyJob) -> Iterator[TidyNote]:
     try:
         with _alone_in(recordings):
             for removed in enforce_retention(recordings, job.policy, time.time()):
-                yield TidyNote(f"removed for its age or to free space: {removed.path}")
+                text = f"removed for its age or to free space: {removed.path}"
+                yield TidyNote(text, removed=str(removed.path))
             if job.repairs:
                 yield from repair(recordings)
     except Exception as error:  # noqa: BLE001 - files of any origin

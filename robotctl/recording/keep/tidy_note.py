@@ -11,3 +11,6 @@ class TidyNote(NamedTuple):
     text: str
     problem: bool = False
     """Whether data is lost, or a user must do something."""
+
+    removed: str = ""
+    """The path of a file that retention removed."""

@@ -2,8 +2,9 @@
 
 Removes old recordings of a folder and repairs unfinished ones, at the lowest CPU priority.
 
-JOB is the JSON object of a TidyJob. On N, a line of JSON for each action: {"text", "problem"};
-"problem" is true where something could not be done.
+JOB is the JSON object of a TidyJob. On N, a line of JSON for each action: {"text", "problem",
+"removed"}; "problem" is true where something could not be done, "removed" is the path of a file
+that was removed, or "".
 """
 
 from __future__ import annotations

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from mcap.opcode import Opcode
 
 from robotctl.recording.format.records import PlainMessage
+from robotctl.recording.format.seal_records import LINK_OPCODE, OPENING_OPCODE
 from robotctl.recording.read.damage import Damaged
 from robotctl.recording.read.file_index import (
     FileIndex,
@@ -28,6 +29,8 @@ _DATA = (
     Opcode.CHUNK,
     Opcode.MESSAGE_INDEX,
     Opcode.METADATA,
+    OPENING_OPCODE,
+    LINK_OPCODE,
 )
 """The records of robotctl's files before DataEnd."""
 

@@ -69,12 +69,17 @@ def journal_topic(info: RecordingInfo) -> str | None:
 
     Journals of other robots in the same ROS domain may have been recorded as well.
     """
-    robot = info.metadata.get(INFO_RECORD, {}).get("robot", DEFAULT_ROBOT)
-    own = f"{namespace_of(robot)}/{TOPIC}"
+    own = own_journal_topic(info)
     found = {topic.name for topic in info.topics if topic.type_name == TYPE_NAME}
     if own in found:
         return own
     return found.pop() if len(found) == 1 else None
+
+
+def own_journal_topic(info: RecordingInfo) -> str:
+    """Return the topic that the journal of the robot that recorded has, recorded or not."""
+    robot = info.metadata.get(INFO_RECORD, {}).get("robot", DEFAULT_ROBOT)
+    return f"{namespace_of(robot)}/{TOPIC}"
 
 
 def read_journal(

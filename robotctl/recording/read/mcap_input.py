@@ -5,9 +5,6 @@ Any damage raises `Damaged`; every length is checked before memory is allocated.
 
 from __future__ import annotations
 
-import errno
-import os
-import stat
 import struct
 import sys
 from collections.abc import Callable, Iterator
@@ -20,10 +17,9 @@ from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
 from mcap.records import McapRecord
 
-from robotctl.recording.disk.storage import is_locked
 from robotctl.recording.read.damage import BeyondLimit, Damaged, Unreadable
 from robotctl.recording.read.read_limits import BYTES_PER_RECORD, RECORDS, ReadLimits
-from robotctl.recording.read.zstd_file import is_zstd_file, unpack_zstd_file
+from robotctl.recording.read.source import LocalSource, Source
 
 RECORD_HEAD: Final = struct.Struct("<BQ")
 """Opcode, length of what follows [bytes]."""
@@ -70,13 +66,17 @@ def parse(kind: _RecordClass[_Record], data: bytes) -> _Record:
 
 
 class InputFile:
-    """A file that is read at offsets and may be growing. A `.mcap.zstd` is decompressed first."""
+    """A file that is read at offsets and may be growing."""
 
     def __init__(
-        self, path: Path, on_progress: Callable[[int, int], None] = lambda done, total: None
+        self,
+        path: Path,
+        on_progress: Callable[[int, int], None] = lambda done, total: None,
+        source: Source | None = None,
     ) -> None:
-        """Open `path`, a regular file. `on_progress` gets bytes done and in total while
-        decompressing.
+        """Open `path`, a regular file, or read `source`, of which `path` is then only the name.
+
+        `on_progress` gets bytes done and in total while a `.mcap.zstd` is decompressed.
 
         Raises:
             OSError: The file cannot be opened.
@@ -87,35 +87,26 @@ class InputFile:
         """The first read that failed because of the disk or the memory, not the content of the
         file."""
 
-        self._fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
-        try:
-            status = os.fstat(self._fd)
-            if not stat.S_ISREG(status.st_mode):
-                raise OSError(errno.EINVAL, "it is not a regular file", str(path))
-            self.stored_bytes = status.st_size
-            """Bytes on the disk; the limits depend on them."""
+        self._source = source or LocalSource(path, on_progress)
+        self.size = 0
+        self.stored_bytes = 0
+        """Bytes on the disk; the limits depend on them."""
 
-            self._unpacked = is_zstd_file(path)
-            if self._unpacked:
-                packed = self._fd
-                self._fd = unpack_zstd_file(packed, on_progress)
-                os.close(packed)
-            self.size = os.fstat(self._fd).st_size
-            self.limits = ReadLimits.of(self.stored_bytes)
+        try:
+            self.refresh()
         except BaseException:
             self.close()
             raise
 
     def refresh(self) -> None:
         """Update the size of the file."""
-        self.size = os.fstat(self._fd).st_size
-        if not self._unpacked:
-            self.stored_bytes = self.size
-            self.limits = ReadLimits.of(self.size)
+        self.size = self._source.size()
+        self.stored_bytes = self._source.stored_bytes()
+        self.limits = ReadLimits.of(self.stored_bytes)
 
     def is_changing(self) -> bool:
         """Return whether the file's size has changed, or a process has it open for recording."""
-        return os.fstat(self._fd).st_size != self.size or is_locked(self._fd)
+        return self._source.size() != self.size or self._source.is_written()
 
     def read(self, offset: int, length: int) -> bytes:
         """Return exactly `length` bytes at `offset`.
@@ -126,16 +117,16 @@ class InputFile:
         if offset < 0 or length < 0 or offset + length > self.size:
             raise Damaged(f"it ends at byte {self.size}, in the middle of a record")
         try:
-            data = os.pread(self._fd, length, offset)
+            data = self._source.read(offset, length)
             while len(data) < length:
-                more = os.pread(self._fd, length - len(data), offset + len(data))
+                more = self._source.read(offset + len(data), length - len(data))
                 if not more:
                     raise Damaged(
                         f"it was truncated at byte {offset + len(data)} while it was read"
                     )
                 data += more
         except OSError as error:
-            reason = f"the disk cannot read it at byte {offset}: {error.strerror}"
+            reason = f"the disk cannot read it at byte {offset}: {error.strerror or error}"
             raise self.failed(reason) from error
         return data
 
@@ -147,9 +138,7 @@ class InputFile:
 
     def close(self) -> None:
         """Close the file; closing twice is harmless."""
-        if self._fd >= 0:
-            os.close(self._fd)
-            self._fd = -1
+        self._source.close()
 
     def __enter__(self) -> Self:
         """Return the file."""

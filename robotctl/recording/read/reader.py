@@ -27,6 +27,7 @@ from robotctl.recording.read.mcap_input import InputFile
 from robotctl.recording.read.merge import in_order_written, merge
 from robotctl.recording.read.messages import ALWAYS, Message, OpenFile, Window
 from robotctl.recording.read.read_limits import ReadLimits
+from robotctl.recording.read.source import Source
 
 
 def read_info(path: Path) -> RecordingInfo:
@@ -66,18 +67,24 @@ class Recording:
     """An open recording. Close it, or use it in a `with` block."""
 
     def __init__(
-        self, path: Path, on_progress: Callable[[int, int], None] = lambda done, total: None
+        self,
+        path: Path,
+        on_progress: Callable[[int, int], None] = lambda done, total: None,
+        source: Source | None = None,
     ) -> None:
         """Open `path`; `on_progress` gets bytes done and in total while files are scanned.
+
+        With `source`, one MCAP file is read from there, and `path` is only its name.
 
         Raises:
             UnreadableFile: Nothing can be read.
         """
         self.path = path
+        self._source = source
         self._files: list[OpenFile] = []
         self.missing: list[str] = []
-        text = metadata_text(path)
-        paths = recording_files(path)
+        text = "" if source else metadata_text(path)
+        paths = [path] if source else recording_files(path)
         all_files = False
         if paths != [path]:
             absent = absent_files(text, paths)
@@ -135,6 +142,10 @@ class Recording:
         """Return all metadata records, in the order of the files."""
         return metadata_in(self._files)
 
+    def metadata_of_last_file(self) -> dict[str, dict[str, str]]:
+        """Return the last metadata record of each name in the last file."""
+        return {record.name: record.metadata for record in metadata_in(self._files[-1:])}
+
     def channels(self) -> dict[tuple[str, str], tuple[Channel, Schema | None]]:
         """Return, for each topic and type name, channel and schema from the first file that has
         them.
@@ -183,7 +194,7 @@ class Recording:
 
     def _open(self, path: Path, *, only: bool, on_progress: Callable[[int, int], None]) -> None:
         try:
-            file = InputFile(path, on_progress)
+            file = InputFile(path, on_progress, self._source)
         except OSError as error:
             self._give_up(path, error.strerror or repr(error), only=only)
             return

@@ -16,6 +16,7 @@ from mcap.records import (
 )
 
 from robotctl.recording.format.records import MAGIC
+from robotctl.recording.format.seal_records import LINK_OPCODE
 from robotctl.recording.format.trailer import WrittenFile
 from robotctl.recording.read.chunk_index import ChunkEntry, read_chunk_index
 from robotctl.recording.read.damage import BeyondLimit, Damaged
@@ -106,11 +107,14 @@ def read_written_file(file: InputFile) -> WrittenFile:
     data, start = _read_summary(file)
     groups: dict[Opcode, bytes] = {}
     statistics = None
+    seal = b""
     for code, begin, end in walk_records(data):
+        record = data[begin - RECORD_HEAD.size : end]
+        if code == LINK_OPCODE:
+            seal = record
         if code not in _OPCODES:  # a private record
             continue
         opcode = Opcode(code)
-        record = data[begin - RECORD_HEAD.size : end]
         groups[opcode] = groups.get(opcode, b"") + record
         if opcode is Opcode.STATISTICS:
             statistics = parse(Statistics, data[begin:end])
@@ -119,7 +123,7 @@ def read_written_file(file: InputFile) -> WrittenFile:
     if statistics is None or statistics.attachment_count or opcode_before != Opcode.DATA_END:
         raise Damaged("its end is not as robotctl writes it")
     crc = parse(DataEnd, read_content(file, data_end, _DATA_END_BYTES - RECORD_HEAD.size))
-    return WrittenFile(data_end, crc.data_section_crc, groups, statistics)
+    return WrittenFile(data_end, crc.data_section_crc, groups, statistics, seal)
 
 
 def _read_summary(file: InputFile) -> tuple[bytes, int]:

@@ -66,9 +66,7 @@ class BagWriter:
         """Highest log time in the last chunk. The file may hold a higher one if the clock was set
         back."""
 
-        self.warning = ""
-        """A sentence about a problem that may become an error, or ""."""
-
+        self._space_warning = ""
         self.check_space()
         self._listed_topics = 0
         self._metadata_due = 0.0
@@ -76,6 +74,12 @@ class BagWriter:
         self._begun = time.monotonic()
         self._file = self._new_file()
         self._write_metadata()
+
+    @property
+    def warning(self) -> str:
+        """A sentence about a problem that may become an error, or about a missing seal; or ""."""
+        seal = self._file.seal
+        return "; ".join(filter(None, [self._space_warning, "" if seal is None else seal.failure]))
 
     @property
     def path(self) -> Path:
@@ -99,6 +103,10 @@ class BagWriter:
         for channel, index in packed.indexes.items():
             self._channels[channel].written += len(index) // 2
 
+    def begin_seal(self) -> None:
+        """Begin to seal the first file; later ones are sealed as they begin."""
+        self._file.begin_seal()
+
     def write_topics(self) -> None:
         """Write the topics that were added, even if they have no messages yet."""
         self._file.write_topics()
@@ -113,21 +121,18 @@ class BagWriter:
         self._file.sync()
 
     def split(self) -> None:
-        """Finish the current file and continue in a new one, which repeats the latched messages."""
+        """Finish the current file and continue in a new one, which repeats the latched messages.
+
+        The old one is finished first: the seal of the new one continues it.
+        """
+        self._file.finish()
         successor = self._new_file()
-        try:
-            self._file.finish()
-        except BaseException:
-            with suppress(OSError):
-                successor.abandon()
-            with suppress(OSError):
-                successor.path.unlink()
-            raise
         self._finished.append(self._file.describe())
         self._finished_bytes += self._file.size
         self._file = successor
         self._begun = time.monotonic()
         self._told_full = False
+        self._file.begin_seal()
         messages = repeats(self._channels, self._newest_ns, self._options.split_bytes)
         try:
             if messages:
@@ -140,7 +145,7 @@ class BagWriter:
             self._on_split(successor.path)
 
     def check_space(self) -> None:
-        """Set `warning` when disk space is low.
+        """Set the warning when disk space is low.
 
         Raises:
             OSError: Less than `stop_free_bytes` are left.
@@ -149,9 +154,9 @@ class BagWriter:
         stop, warn = self._options.stop_free_bytes, self._options.warn_free_bytes
         if free < stop:
             raise OSError(errno.ENOSPC, f"only {_mb(free)} left on the disk, {_mb(stop)} stay free")
-        self.warning = ""
+        self._space_warning = ""
         if free < warn:
-            self.warning = f"{_mb(free)} left on the disk; recording stops at {_mb(stop)}"
+            self._space_warning = f"{_mb(free)} left on the disk; recording stops at {_mb(stop)}"
 
     def list_new_topics(self) -> None:
         """Write `metadata.yaml` if there are new topics: a player reads only the topics listed

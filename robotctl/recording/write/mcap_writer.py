@@ -50,6 +50,7 @@ from robotctl.recording.format.records import (
     record_bytes,
 )
 from robotctl.recording.format.trailer import FOOTER_BYTES, Summary, TrailerState, WrittenFile
+from robotctl.recording.write.file_seal import FileSeal
 
 
 class McapFile:
@@ -58,8 +59,10 @@ class McapFile:
     The `add_` methods collect records; the next `commit` writes them.
     """
 
-    def __init__(self, storage: Storage, *, profile: str, library: str) -> None:
-        """Begin the file; nothing is written before the first `commit`."""
+    def __init__(
+        self, storage: Storage, *, profile: str, library: str, seal: FileSeal | None = None
+    ) -> None:
+        """Begin the file; nothing is written before the first `commit`. `seal` chains its bytes."""
         self.summary = Summary()
         self.size = 0
         """Bytes of the file, trailer included."""
@@ -71,6 +74,10 @@ class McapFile:
         self._pending = bytearray(MAGIC + record_bytes(Header(profile, library)))
         self._data_end = 0
         self._data_crc = 0
+        self._seal = seal
+        self._sealed_pending = 0
+        """Bytes of `_pending` that the seal covers already."""
+
         self._good: TrailerState | None = None
         """The state after the last successful write."""
 
@@ -122,6 +129,10 @@ class McapFile:
         self._pending += data
         self.summary.add(Opcode.ATTACHMENT_INDEX, record_bytes(index))
 
+    def add_sealed(self, record: bytes) -> None:
+        """Add a record of the seal."""
+        self._pending += record
+
     def commit(self, chunk: Chunk | None = None, *, finished: bool = True) -> None:
         """Write the added records, then `chunk`, then the trailer.
 
@@ -131,6 +142,8 @@ class McapFile:
         Raises:
             OSError: The file may be torn until `cut_back` has repaired it.
         """
+        if self._seal is not None and self._seal.link_is_due:
+            self._add_link(self._seal)
         if chunk is not None and finished and self._is_larger_than_trailer(chunk):
             if self._pending:
                 self._commit_at_once(None, finished=True)
@@ -150,10 +163,14 @@ class McapFile:
             parts += [placed.head, *placed.parts, placed.message_indexes]
             end = placed.end
             self._sum_up(chunk, placed)
-        state = self.summary.state(end, self._crc_with(parts))
+        parts[0] = parts[0][self._sealed_pending :]
+        seal = self._seal_over(parts, end)
+        parts[0] = bytes(self._pending)
+        state = self.summary.state(end, self._crc_with(parts), seal)
         trailer = self.summary.trailer(state) if finished else None
         self._storage.write_at([*parts, *(trailer.parts if trailer else ())], self._data_end)
         self._pending.clear()
+        self._sealed_pending = 0
         self._data_end = end
         self._data_crc = state.data_crc
         self.size = end
@@ -181,8 +198,9 @@ class McapFile:
         write_at([opcode], start)
 
         self._sum_up(chunk, placed)
-        crc = self._crc_with([placed.head, *placed.parts, placed.message_indexes])
-        state = self.summary.state(placed.end, crc)
+        parts = [placed.head, *placed.parts, placed.message_indexes]
+        crc = self._crc_with(parts)
+        state = self.summary.state(placed.end, crc, self._seal_over(parts, placed.end))
         trailer = self.summary.trailer(state)
         changed = trailer.behind(good.kept_bytes)
         write_at(changed, placed.end + good.kept_bytes)
@@ -192,6 +210,21 @@ class McapFile:
         self._data_crc = crc
         self.size = placed.end + trailer.size
         self._good = state
+
+    def _add_link(self, seal: FileSeal) -> None:
+        """Add a stored link behind what is pending."""
+        seal.cover(memoryview(bytes(self._pending))[self._sealed_pending :])
+        record = seal.link(self._data_end + len(self._pending))
+        self._sealed_pending = len(self._pending)
+        self._pending += record
+
+    def _seal_over(self, parts: Sequence[Buffer], end: int) -> bytes:
+        """Return the head of the seal after `parts`, which end at the offset `end`."""
+        if self._seal is None:
+            return b""
+        for part in parts:
+            self._seal.cover(part)
+        return self._seal.head(end)
 
     def _sum_up(self, chunk: Chunk, placed: PlacedChunk) -> None:
         self.summary.count(chunk)

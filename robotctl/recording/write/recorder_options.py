@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from robotctl.recording.disk.storage import DiskFile, Storage
 from robotctl.recording.format.compression import Compression
+from robotctl.recording.write.file_seal import Sealer
 
 
 def free_space(folder: Path) -> int:
@@ -31,7 +32,9 @@ class RecorderOptions:
     Messages that do not fit are counted. A new file begins at `split_bytes` or after `split_s`. The
     recorder warns when the disk has less than `warn_free_bytes` left, and stops at
     `stop_free_bytes`. With `group_readable` the group may read the recording, otherwise only its
-    owner may.
+    owner may. `records` are further metadata records for the beginning of each file, by their name.
+    `sealer` seals the files, if it is given.
+    The messages of the topics in `evidence` stand in chunks of their own where others are heavy.
     """
 
     compression: Compression = Compression.ZSTD
@@ -45,5 +48,8 @@ class RecorderOptions:
     warn_free_bytes: int = 2_000_000_000
     stop_free_bytes: int = 500_000_000
     group_readable: bool = False
+    records: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    sealer: Sealer | None = None
+    evidence: frozenset[str] = frozenset()
     open_file: Callable[[Path], Storage] = DiskFile
     free_space: Callable[[Path], int] = free_space

@@ -22,6 +22,7 @@ from robotctl.recording.format.rosbag2 import METADATA_RECORD, BagFile, serializ
 from robotctl.recording.write.buffer import PackedMessages
 from robotctl.recording.write.channel_state import ChannelState
 from robotctl.recording.write.chunk_encoder import ChunkEncoder
+from robotctl.recording.write.file_seal import FileSeal
 from robotctl.recording.write.mcap_writer import McapFile
 from robotctl.recording.write.recorder_options import RecorderOptions
 
@@ -51,11 +52,17 @@ class RecordingFile:
         self._synced = False
         self._finished = False
         self.event_count = 0
-        self._mcap = McapFile(options.open_file(path), profile=PROFILE, library=LIBRARY)
+        self.seal = None if options.sealer is None else FileSeal(options.sealer)
+        """The seal of the file, if it is to have one."""
+
+        storage = options.open_file(path)
+        self._mcap = McapFile(storage, profile=PROFILE, library=LIBRARY, seal=self.seal)
         try:
             if options.group_readable:
                 share_with_group(path)
             self._mcap.add_metadata(INFO_RECORD, metadata)
+            for name, values in options.records.items():
+                self._mcap.add_metadata(name, values)
             self._add_bag_metadata()
             self._mcap.commit()
             self._mcap.sync()
@@ -86,6 +93,13 @@ class RecordingFile:
         """Bytes of trailers written so far."""
         return self._mcap.trailer_bytes
 
+    def begin_seal(self) -> None:
+        """Begin to sign. Call it in the writer thread: it may import a library, and sync a file."""
+        if self.seal is not None:
+            self._mcap.add_sealed(self.seal.open(self.path.name))
+            self._mcap.commit()
+            self._synced = False
+
     def write(self, packed: PackedMessages) -> None:
         """Write `packed` as a chunk.
 
@@ -115,6 +129,8 @@ class RecordingFile:
         if not self._synced:
             self._mcap.sync()
             self._synced = True
+            if self.seal is not None:
+                self.seal.keep()
 
     def finish(self) -> None:
         """Write the final metadata, and close the file."""
@@ -126,6 +142,8 @@ class RecordingFile:
         self._mcap.sync()
         self._finished = True
         self._mcap.close()
+        if self.seal is not None:
+            self.seal.keep(closed=True)
 
     def abandon(self) -> None:
         """Restore the file to its state after the last good write. Call it after an OSError."""

@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from enum import Enum
+from functools import partial
 from queue import Empty, SimpleQueue
 
 from robotctl.recording.disk.disk_errors import cure_of, reason_of
@@ -17,6 +18,7 @@ from robotctl.recording.write.bag_writer import BagWriter
 from robotctl.recording.write.buffer import LargeMessage, PackBuffer, PackedMessages
 from robotctl.recording.write.channel_state import ChannelState
 from robotctl.recording.write.chunk_encoder import OutOfMemory
+from robotctl.recording.write.evidence_chunks import EvidenceChunks
 from robotctl.recording.write.recorder_options import RecorderOptions
 
 SPARE_BUFFERS = 2
@@ -73,6 +75,7 @@ class WriterThread:
         self._channels = channels
         self._active = active
         self._on_failure = on_failure
+        self._evidence = EvidenceChunks(options.evidence, channels)
         self._stopping = False
         self._next_flush = time.monotonic() + options.flush_s
         self._next_sync = time.monotonic() + options.sync_s
@@ -86,6 +89,7 @@ class WriterThread:
 
     def _run(self) -> None:
         rank_below(NICE)
+        self._survive(lambda: self._attempt(self._writer.begin_seal))
         while not self._stopping:
             self._survive(self._turn)
         deadline = time.monotonic() + _SETTLE_S
@@ -172,8 +176,13 @@ class WriterThread:
             self.spare.append(item)
 
     def _write(self, packed: PackedMessages) -> None:
-        if not self._attempt(lambda: self._writer.write(packed)):
-            self._drop({channel: len(index) // 2 for channel, index in packed.indexes.items()})
+        try:
+            parts = self._evidence.separate(packed)
+        except MemoryError:
+            parts = (packed,)
+        for part in parts:
+            if not self._attempt(partial(self._writer.write, part)):
+                self._drop({channel: len(index) // 2 for channel, index in part.indexes.items()})
 
     def _drop(self, counts: Mapping[int, int]) -> None:
         """Count messages as dropped, by channel: for lack of memory, unless the file has failed."""

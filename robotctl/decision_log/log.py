@@ -1,0 +1,229 @@
+"""The writer of the decision log: entries are queued by the loop, and written by a thread."""
+
+from __future__ import annotations
+
+import errno
+import logging
+import os
+import threading
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Any, Final
+
+from robotctl.decision_log.budget import DAY_S, Budget
+from robotctl.decision_log.entries import Entry, Kind, hash_of, parse
+from robotctl.decision_log.folder import (
+    FILE_BYTES,
+    content_of,
+    files_of,
+    open_last,
+    remove_oldest,
+)
+from robotctl.kernel.units import NS_PER_S
+
+_log = logging.getLogger(__name__)
+
+MAX_WAITING: Final = 1000
+"""Entries that wait for a disk that hangs or is full; more are counted."""
+
+RETRY_S: Final = 5.0
+"""Pause before a failed write is tried again."""
+
+UNQUEUED: Final = "unqueued"
+"""The name in the counts for entries that did not even fit into the queue."""
+
+COUNTS_PERIOD_S: Final = 3600.0
+"""The counts of what was not written take one entry an hour."""
+
+END_S: Final = 2.0
+"""How long the end of the daemon waits for the disk."""
+
+
+class DecisionLog:
+    """The log of one robot. `add` may be called from any thread, and never waits."""
+
+    def __init__(
+        self,
+        folder: Path,
+        keep_s: float,
+        *,
+        now_ns: Callable[[], int] = time.time_ns,
+        steady_s: Callable[[], float] = time.monotonic,
+        retry_s: float = RETRY_S,
+    ) -> None:
+        """Entries go into `folder`; its files are kept for `keep_s` seconds, 0: forever.
+
+        `now_ns` is the wall clock of the entries, `steady_s` the clock of the budget.
+        """
+        self._folder = folder
+        self._keep_s = keep_s
+        self._now_ns = now_ns
+        self._steady_s = steady_s
+        self._retry_s = retry_s
+        self._queue: SimpleQueue[Entry | None] = SimpleQueue()
+        self._problem = ""
+        # A daemon thread: a disk that hangs must not delay the end of the process.
+        self._thread = threading.Thread(target=self._run, name="decisions", daemon=True)
+        self._unqueued = 0
+        """Changed by the threads that add."""
+        self._unqueued_told = 0
+        self._waiting: list[Entry] = []
+        self._ending = False
+        self._descriptor = -1
+        self._size = 0
+        self._prev = ""
+        self._torn = False
+        self._budget = Budget(steady_s)
+        self._counts_due_s = 0.0
+
+    def add(self, kind: Kind, **values: Any) -> None:
+        """Queue an entry of now."""
+        self.add_values(kind, values)
+
+    def add_values(self, kind: Kind, values: Mapping[str, Any]) -> None:
+        """Queue an entry of now, whose keys may be any text.
+
+        Of SOFTWARE and CONFIGURATION only what differs from the last entry of the kind is written.
+        """
+        if self._queue.qsize() >= MAX_WAITING:
+            self._unqueued += 1
+            return
+        self._queue.put(Entry(self._now_ns(), kind, values))
+        if self._thread.ident is None:
+            try:
+                self._thread.start()
+            except (RuntimeError, MemoryError) as error:  # the limit of threads is reached
+                self._problem = str(error)
+
+    def warning(self) -> str:
+        """Return a sentence if decisions are not written, else ""."""
+        if not self._problem:
+            return ""
+        return (
+            f"the journal of decisions ({self._folder}) is not written: {self._problem} "
+            "(tried again; the recording holds them)"
+        )
+
+    def close(self) -> None:
+        """Write what is queued, for END_S at most."""
+        if self._thread.ident is not None:
+            self._queue.put(None)
+            self._thread.join(END_S)
+
+    # In the thread
+
+    def _run(self) -> None:
+        while True:
+            try:
+                self._turn()
+            except Exception as error:  # noqa: BLE001 - the log must go on, whatever fails
+                self._fail(error)
+            if self._ending:
+                return
+
+    def _turn(self) -> None:
+        """Take what is queued and write it."""
+        self._take()
+        if self._descriptor < 0:
+            self._open()
+        unqueued = self._unqueued
+        if unqueued > self._unqueued_told:
+            self._budget.fold(Entry(self._now_ns(), UNQUEUED, {}), unqueued - self._unqueued_told)
+            self._unqueued_told = unqueued
+        while self._waiting:
+            self._write(self._waiting[0])
+            del self._waiting[0]
+        if self._budget.has_folded and (self._ending or self._steady_s() >= self._counts_due_s):
+            self._append(self._budget.counts())
+            self._counts_due_s = self._steady_s() + COUNTS_PERIOD_S
+        os.fsync(self._descriptor)
+        self._tell("")
+
+    def _take(self) -> None:
+        """Move queued entries into `_waiting`; those beyond MAX_WAITING are counted."""
+        timeout_s = None
+        if self._waiting:
+            timeout_s = self._retry_s
+        elif self._budget.has_folded:
+            timeout_s = max(self._counts_due_s - self._steady_s(), self._retry_s)
+        with suppress(Empty):
+            entry = self._queue.get(timeout=timeout_s)
+            while entry is not None:
+                if len(self._waiting) < MAX_WAITING:
+                    self._waiting.append(entry)
+                else:
+                    self._budget.fold(entry)
+                entry = self._queue.get_nowait()
+            self._ending = True
+
+    def _open(self) -> None:
+        """Open the last file; learn its last line, and how much of the last day's bytes is used."""
+        now_s = self._now_ns() / NS_PER_S
+        remove_oldest(self._folder, self._keep_s, now_s)
+        self._descriptor = open_last(self._folder)
+        used = 0
+        for path in files_of(self._folder)[-2:]:
+            content = content_of(path)
+            for line in content.splitlines():
+                with suppress(ValueError):
+                    entry, _ = parse(line)
+                    self._prev = hash_of(line)
+                    used += len(line) if abs(now_s - entry.time_ns / NS_PER_S) < DAY_S else 0
+            self._torn = bool(content) and not content.endswith(b"\n")
+        self._size = os.fstat(self._descriptor).st_size
+        self._budget.begin(used)
+
+    def _write(self, entry: Entry) -> None:
+        """Write one entry, unless it says nothing new or its day is used up."""
+        if entry.kind in (Kind.SOFTWARE, Kind.CONFIGURATION) and self._is_known(entry):
+            return
+        if self._budget.grants(entry, len(entry.line(self._prev)) + 1):
+            self._append(entry)
+        else:
+            self._budget.fold(entry)
+
+    def _append(self, entry: Entry) -> None:
+        if self._size >= FILE_BYTES:
+            self._close()
+            self._open()
+        line = entry.line(self._prev)
+        data = b"\n" * self._torn + line + b"\n"
+        if os.write(self._descriptor, data) < len(data):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        self._torn = False
+        self._prev = hash_of(line)
+        self._size += len(data)
+
+    def _is_known(self, entry: Entry) -> bool:
+        """Return whether the last entry of this kind holds the same."""
+        marker = f'"kind":"{entry.kind}"'.encode()
+        same = parse(entry.line(""))[0].values
+        for path in reversed(files_of(self._folder)):
+            for line in reversed(content_of(path).splitlines()):
+                if marker in line:
+                    with suppress(ValueError):
+                        last, _ = parse(line)
+                        if last.kind == entry.kind:
+                            return last.values == same
+        return False
+
+    def _fail(self, error: Exception) -> None:
+        reason = error.strerror if isinstance(error, OSError) else None
+        self._tell(reason or str(error) or type(error).__name__)
+        with suppress(OSError):
+            self._close()
+
+    def _close(self) -> None:
+        descriptor, self._descriptor = self._descriptor, -1
+        if descriptor >= 0:
+            os.close(descriptor)
+
+    def _tell(self, problem: str) -> None:
+        changed, self._problem = problem != self._problem, problem
+        if changed:
+            _log.error("%s", self.warning()) if problem else _log.info(
+                "decisions are written again"
+            )

@@ -1,0 +1,57 @@
+"""Read a decision log, and say where it was not only appended to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from robotctl.decision_log.entries import Entry, hash_of, parse
+from robotctl.decision_log.folder import content_of, files_of
+
+
+@dataclass(slots=True)
+class LogContent:
+    """What a log holds. `broken` says where entries were changed or removed, `notes` the rest."""
+
+    files: list[Path] = field(default_factory=list)
+    entries: list[Entry] = field(default_factory=list)
+    broken: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+
+def read_log(folder: Path) -> LogContent:
+    """Return all entries of the log in `folder`, in the order in which they were written.
+
+    A line that a kill or a full disk tore is told in a note. Entries that were removed from the end
+    leave no trace here.
+    """
+    log = LogContent(files_of(folder))
+    prev: str | None = None
+    for path in log.files:
+        number = 0
+        for number, line in enumerate(_lines(path, log), 1):
+            try:
+                entry, told = parse(line)
+            except ValueError:
+                log.notes.append(f"{path.name}: line {number} is torn, or no entry")
+                continue
+            if prev is None and told:
+                log.notes.append(f"{path.name}: the entries before it are removed")
+            elif prev is not None and told != prev:
+                log.broken.append(
+                    f"{path.name}: line {number} does not follow the entry before it: "
+                    "something was changed, removed or added"
+                )
+            prev = hash_of(line)
+            log.entries.append(entry)
+    return log
+
+
+def _lines(path: Path, log: LogContent) -> Iterator[bytes]:
+    try:
+        content = content_of(path)
+    except OSError as error:
+        log.broken.append(f"{path.name} cannot be read: {error.strerror or error}")
+        return
+    yield from filter(None, content.splitlines())

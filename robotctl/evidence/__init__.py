@@ -1,0 +1,1 @@
+"""What the journal of decisions tells about a robot, as one report."""

@@ -1,0 +1,146 @@
+"""The report of `robotctl evidence`: identity, changes, interventions, stops, and their proof."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from robotctl.decision_log.entries import Entry, Kind
+
+STANDING: Final = ("ERROR", "EMERGENCY_STOP")
+"""The modes that are stops."""
+
+ENDED: Final = "in order"
+KILLED: Final = "killed, or the power was cut"
+RUNS: Final = "it runs"
+"""How a daemon ended; or it is the text of the failure that ended it."""
+
+
+@dataclass(slots=True)
+class Evidence:
+    """What happened to one robot; each item is an object of `evidence --json`.
+
+    `software` and `configuration` are those of the last start. The items of the lists have
+    `time_ns` since the epoch and, where a daemon recorded, its `recording`.
+    """
+
+    software: Mapping[str, Any] = field(default_factory=dict)
+    configuration: Mapping[str, Any] = field(default_factory=dict)
+    software_changes: list[dict[str, Any]] = field(default_factory=list)
+    configuration_changes: list[dict[str, Any]] = field(default_factory=list)
+    daemons: list[dict[str, Any]] = field(default_factory=list)
+    interventions: list[dict[str, Any]] = field(default_factory=list)
+    stops: list[dict[str, Any]] = field(default_factory=list)
+    releases: list[dict[str, Any]] = field(default_factory=list)
+    refusals: list[dict[str, Any]] = field(default_factory=list)
+    removed: list[dict[str, Any]] = field(default_factory=list)
+    unwritten: list[dict[str, Any]] = field(default_factory=list)
+
+    def recordings(self) -> list[str]:
+        """Return the recordings of the daemons, in their order, each once."""
+        return list(dict.fromkeys(each["recording"] for each in self.daemons if each["recording"]))
+
+
+def collect(entries: Sequence[Entry], since_ns: int = 0) -> Evidence:
+    """Return what the entries tell; of what happened before `since_ns`, only what still holds.
+
+    A daemon that was started before and ended after that moment is included. Of the last daemon,
+    the entries alone cannot tell whether it runs or was killed: it counts as running.
+    """
+    collector = _Collector(since_ns)
+    for entry in entries:
+        collector.take(entry)
+    return collector.finish()
+
+
+class _Collector:
+    def __init__(self, since_ns: int) -> None:
+        self._since_ns = since_ns
+        self._found = Evidence()
+        self._daemon: dict[str, Any] | None = None
+
+    def take(self, entry: Entry) -> None:
+        """Add an entry to the report."""
+        if self._daemon is not None and entry.kind != Kind.START:
+            self._daemon["last_ns"] = entry.time_ns
+        if entry.kind == Kind.START:
+            self._begin(entry)
+        elif entry.kind == Kind.END and self._daemon is not None:
+            self._daemon["end_ns"] = entry.time_ns
+            self._daemon["ended"] = entry.values.get("failure", ENDED)
+        elif entry.kind == Kind.SOFTWARE:
+            self._identity(entry, self._found.software, self._found.software_changes)
+            self._found.software = entry.values
+        elif entry.kind == Kind.CONFIGURATION:
+            self._identity(entry, self._found.configuration, self._found.configuration_changes)
+            self._found.configuration = entry.values
+        elif entry.time_ns >= self._since_ns:
+            for place in self._places_of(entry):
+                place.append(self._item(entry, entry.values))
+
+    def finish(self) -> Evidence:
+        """Return the report without the daemons that ended before its time."""
+        self._found.daemons = [
+            each
+            for each in self._found.daemons
+            if each["end_ns"] is None or each["end_ns"] >= self._since_ns
+        ]
+        return self._found
+
+    def _begin(self, entry: Entry) -> None:
+        if self._daemon is not None and self._daemon["end_ns"] is None:
+            self._daemon["ended"] = KILLED
+            self._daemon["end_ns"] = self._daemon["last_ns"]
+        self._daemon = {
+            "recording": "",
+            **entry.values,
+            "time_ns": entry.time_ns,
+            "last_ns": entry.time_ns,
+            "end_ns": None,
+            "ended": RUNS,
+        }
+        self._found.daemons.append(self._daemon)
+
+    def _identity(
+        self, entry: Entry, before: Mapping[str, Any], changes: list[dict[str, Any]]
+    ) -> None:
+        if entry.time_ns >= self._since_ns:
+            by = "" if self._daemon is None else self._daemon.get("by", "")
+            changed = difference(before, entry.values) if before else {}
+            changes.append(self._item(entry, {"by": by, "first": not before, "changed": changed}))
+
+    def _places_of(self, entry: Entry) -> Iterator[list[dict[str, Any]]]:
+        found, values = self._found, entry.values
+        match entry.kind:
+            case Kind.MODE:
+                if values.get("to") in STANDING:
+                    yield found.stops
+                elif values.get("from") in STANDING:
+                    yield found.releases
+            case Kind.REQUEST:
+                yield found.interventions
+            case Kind.REFUSED:
+                yield found.refusals
+            case Kind.PARAMETER:
+                yield found.configuration_changes
+            case Kind.REMOVED:
+                yield found.removed
+            case Kind.MORE:
+                yield found.unwritten
+
+    def _item(self, entry: Entry, values: Mapping[str, Any]) -> dict[str, Any]:
+        recording = "" if self._daemon is None else self._daemon["recording"]
+        changed = {}
+        if entry.kind == Kind.PARAMETER:
+            key = str(values.get("key"))
+            changed = {"changed": {key: [values.get("from"), values.get("to")]}, "first": False}
+        return {"time_ns": entry.time_ns, **values, **changed, "recording": recording}
+
+
+def difference(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, list[Any]]:
+    """Return old and new value of each key that differs, None where it is missing."""
+    keys = [*before, *(key for key in after if key not in before)]
+    return {
+        key: [before.get(key), after.get(key)] for key in keys if before.get(key) != after.get(key)
+    }

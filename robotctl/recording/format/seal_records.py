@@ -1,0 +1,163 @@
+"""The records of a seal: what chains the bytes of a recording, and who signed for them.
+
+They have opcodes that MCAP leaves to applications, so every reader skips them. An opening names the
+keys of a file and the file before it. A link holds the chain up to one offset, and a signature:
+
+    digest = SHA-256(digest of the link before + SHA-256(the bytes since that link's offset))
+
+The first link of a file continues the last digest of the file before, or 32 zeros.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from enum import IntEnum
+from hashlib import sha256
+from typing import Final, Self
+
+from robotctl.recording.format.records import RECORD_HEAD_BYTES
+
+OPENING_OPCODE: Final = 0x87
+LINK_OPCODE: Final = 0x88
+
+NO_DIGEST: Final = bytes(32)
+"""What the first file of a chain continues."""
+
+MAX_OPENING_BYTES: Final = 1 << 16
+_HEAD = struct.Struct("<BQ")
+_FIELDS = struct.Struct("<BIQQ32s")
+_SIGNATURE_BYTES: Final = 64
+LINK_BYTES: Final = RECORD_HEAD_BYTES + _FIELDS.size + _SIGNATURE_BYTES
+"""Size of the record of a link."""
+
+_LINK_DOMAIN = b"robotctl seal: link\0"
+_OPENING_DOMAIN = b"robotctl seal: opening\0"
+
+
+class LinkKind(IntEnum):
+    """What a link is for."""
+
+    LINK = 1
+    """It stands at the offset that it covers; the next link continues it."""
+
+    HEAD = 2
+    """The newest one, in the summary: each commit overwrites it."""
+
+    REPAIRED = 3
+    """Not signed: from here on a repair has written."""
+
+
+def chained(before: bytes, hashed: bytes) -> bytes:
+    """Return the digest that follows `before`; `hashed` is that of the bytes between."""
+    return sha256(before + hashed).digest()
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """The chain over the first `covered` bytes of a file.
+
+    `number` counts the links of kind LINK in the file from 1; a head has the number of the next.
+    `time_ns` is the wall time of its signature, in nanoseconds since the epoch.
+    """
+
+    kind: LinkKind
+    number: int
+    covered: int
+    time_ns: int
+    digest: bytes
+    signature: bytes = bytes(_SIGNATURE_BYTES)
+
+    def signed(self) -> bytes:
+        """Return the bytes that the signature is for."""
+        return _LINK_DOMAIN + self._fields()
+
+    def record(self) -> bytes:
+        """Return the link as a record of a file."""
+        content = self._fields() + self.signature
+        return _HEAD.pack(LINK_OPCODE, len(content)) + content
+
+    @classmethod
+    def read(cls, content: bytes) -> Self:
+        """Return the link in the content of a record.
+
+        Raises:
+            ValueError: There is none.
+        """
+        if len(content) != _FIELDS.size + _SIGNATURE_BYTES:
+            raise ValueError("a link of the seal has another length")
+        kind, number, covered, time_ns, digest = _FIELDS.unpack_from(content)
+        return cls(LinkKind(kind), number, covered, time_ns, digest, content[_FIELDS.size :])
+
+    def _fields(self) -> bytes:
+        return _FIELDS.pack(self.kind, self.number, self.covered, self.time_ns, self.digest)
+
+
+@dataclass(frozen=True, slots=True)
+class Opening:
+    """The beginning of a sealed file.
+
+    `number` counts the files of the robot's chain from 1. `root` is the robot's first public key,
+    `previous_key` the one of the file before (or `root`), `key` that of this file; all in hex.
+    `previous` is the newest digest known of the file before, which is named `previous_file`.
+    `certificate` is the signature of `previous_key` for all of that.
+    """
+
+    robot: str
+    root: str
+    number: int
+    file: str
+    time_ns: int
+    previous_file: str
+    previous: str
+    previous_key: str
+    key: str
+    certificate: str = ""
+
+    def signed(self) -> bytes:
+        """Return the bytes that the certificate is for."""
+        values = asdict(self)
+        del values["certificate"]
+        return _OPENING_DOMAIN + _json(values)
+
+    def record(self) -> bytes:
+        """Return the opening as a record of a file."""
+        content = _json(asdict(self))
+        return _HEAD.pack(OPENING_OPCODE, len(content)) + content
+
+    @classmethod
+    def read(cls, content: bytes) -> Self:
+        """Return the opening in the content of a record.
+
+        Raises:
+            ValueError: There is none.
+        """
+        try:
+            found = cls(**json.loads(content))
+            numbers = found.number, found.time_ns
+            if any(type(number) is not int or number < 0 for number in numbers):
+                raise ValueError("a number of the seal is none")
+            if any(type(text) is not str for text in (found.robot, found.file)):
+                raise ValueError("a text of the seal is none")
+            keys = found.root, found.previous, found.previous_key, found.key
+            if [len(bytes.fromhex(key)) for key in keys] != [32] * 4:
+                raise ValueError("a key of the seal has another length")
+            if len(bytes.fromhex(found.certificate)) != _SIGNATURE_BYTES:
+                raise ValueError("a certificate of the seal has another length")
+        except (TypeError, RecursionError) as error:
+            raise ValueError("the opening of the seal is malformed") from error
+        return found
+
+
+@dataclass(frozen=True, slots=True)
+class SealOfFile:
+    """What seals one file: its opening, and the function that signs with its key."""
+
+    opening: Opening
+    sign: Callable[[bytes], bytes]
+
+
+def _json(values: dict[str, object]) -> bytes:
+    return json.dumps(values, sort_keys=True, separators=(",", ":")).encode()

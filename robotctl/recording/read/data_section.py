@@ -1,0 +1,197 @@
+"""Reads every byte of a file's data section, and checks each record against the others.
+
+The records of robotctl are compared with what its writer makes of the same content, byte for byte.
+In files of other writers only what contradicts itself is a flaw.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from isal.isal_zlib import crc32
+from mcap.opcode import Opcode
+from mcap.records import AttachmentIndex, DataEnd, McapRecord, Metadata, MetadataIndex
+
+from robotctl.recording.format.records import MAGIC, UNWRITTEN_CHUNK, record_bytes
+from robotctl.recording.format.seal_records import LINK_OPCODE, OPENING_OPCODE
+from robotctl.recording.read.damage import BeyondLimit, Damaged
+from robotctl.recording.read.file_index import (
+    read_attachment,
+    read_content,
+    read_header,
+    read_record_head,
+)
+from robotctl.recording.read.flaws import Flaws
+from robotctl.recording.read.mcap_input import (
+    MESSAGE_FIELDS,
+    RECORD_HEAD,
+    TOO_MANY_RECORDS,
+    InputFile,
+    parse,
+)
+from robotctl.recording.read.whole_chunk import WholeChunks
+from robotctl.recording.read.whole_data import WholeData
+
+_PIECE_BYTES = 1 << 20
+_FIRST_PRIVATE_OPCODE = 0x80
+
+
+def read_data_section(
+    file: InputFile,
+    flaws: Flaws,
+    stop: int | None = None,
+    on_progress: Callable[[int], None] = lambda offset: None,
+) -> WholeData:
+    """Read the data section up to its DataEnd record, or up to `stop` if that is given.
+
+    `on_progress` gets the offset that is reached.
+
+    Raises:
+        Damaged: The file does not begin as an MCAP file, or the disk fails.
+    """
+    header, offset = read_header(file)
+    data = WholeData(header)
+    if data.own and record_bytes(header) != file.read(len(MAGIC), offset - len(MAGIC)):
+        flaws.add(len(MAGIC), offset, "the header is not as robotctl writes it")
+    reading = _Reading(file, data, flaws)
+    while stop is None or offset < stop:
+        try:
+            end = reading.record(offset)
+        except BeyondLimit as limit:
+            data.unread = f"the data after byte {offset} is not read: {limit}"
+            break
+        except Damaged as damage:
+            if file.failure:
+                raise file.failure from None
+            flaws.add(offset, min(offset + RECORD_HEAD.size, file.size), str(damage))
+            data.unread = f"the data after byte {offset} is not read"
+            break
+        if end is None:
+            break
+        on_progress(offset)
+        offset = end
+    data.end = offset
+    data.crc = checksum(file, offset)
+    return data
+
+
+def checksum(file: InputFile, end: int) -> int:
+    """Return the CRC of the file's bytes up to `end`.
+
+    Raises:
+        Damaged: They cannot be read.
+    """
+    crc = 0
+    for offset in range(0, end, _PIECE_BYTES):
+        crc = crc32(file.read(offset, min(_PIECE_BYTES, end - offset)), crc)
+    return crc
+
+
+class _Reading:
+    """One pass over the records of a data section."""
+
+    def __init__(self, file: InputFile, data: WholeData, flaws: Flaws) -> None:
+        self._file = file
+        self._data = data
+        self._flaws = flaws
+        self._chunks = WholeChunks(file, data, flaws)
+        self._records = 0
+
+    def record(self, offset: int) -> int | None:
+        """Check the record at `offset`; return the offset after it, None for DataEnd.
+
+        Raises:
+            Damaged: There is no valid record, so what follows cannot be read.
+        """
+        file, data = self._file, self._data
+        opcode, length = read_record_head(file, offset)
+        end = offset + RECORD_HEAD.size + length
+        if end > file.size:
+            raise Damaged(f"a record claims to have {length} bytes, more than are left")
+        self._records += 1
+        if self._records > file.limits.records:
+            raise BeyondLimit(TOO_MANY_RECORDS)
+        if opcode == Opcode.MESSAGE_INDEX:
+            if data.unfinished is None:
+                self._chunks.message_index(offset, read_content(file, offset, length))
+            return end
+        self._chunks.end(offset)
+        if data.unfinished is not None and opcode != Opcode.DATA_END:
+            raise Damaged("records follow a commit that was not finished")
+        if opcode == Opcode.CHUNK:
+            left = file.limits.records - self._records
+            self._records += self._chunks.chunk(offset, end, left)
+            return end
+        if opcode == Opcode.ATTACHMENT:
+            self._attachment(offset, end)
+            return end
+        if opcode == UNWRITTEN_CHUNK[0] and data.own:
+            data.unfinished = offset
+            return end
+        if opcode in (OPENING_OPCODE, LINK_OPCODE) or (
+            opcode >= _FIRST_PRIVATE_OPCODE and not data.own
+        ):
+            data.private.append((opcode, offset, length))
+            return end
+        if opcode == Opcode.DATA_END:
+            data.told_crc = parse(DataEnd, read_content(file, offset, length)).data_section_crc
+            return None
+        if not self._is_expected(opcode, length):
+            raise Damaged(
+                f"no record of kind {opcode} belongs here" if opcode else "they are zeros"
+            )
+        try:
+            self._single(opcode, offset, read_content(file, offset, length))
+        except Damaged as damage:
+            if file.failure:
+                raise
+            self._flaws.add(offset, end, str(damage))
+        return end
+
+    def _is_expected(self, opcode: int, length: int) -> bool:
+        if opcode == Opcode.MESSAGE:
+            return not self._data.own and length >= MESSAGE_FIELDS.size
+        return opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA)
+
+    def _single(self, opcode: int, offset: int, content: bytes) -> None:
+        """Check a record that belongs to no chunk.
+
+        Raises:
+            Damaged: It is malformed.
+        """
+        data = self._data
+        end = offset + RECORD_HEAD.size + len(content)
+        if opcode == Opcode.MESSAGE:
+            channel, _, log_ns, _ = MESSAGE_FIELDS.unpack_from(content)
+            data.add_message(channel, log_ns)
+        elif opcode == Opcode.METADATA:
+            record: Metadata = parse(Metadata, content)
+            data.metadata[offset] = record
+            data.metadata_indexes[offset] = MetadataIndex(offset, end - offset, record.name)
+            self._compare(offset, record, content)
+        else:
+            self._compare(offset, data.define(opcode, content, (offset, end), self._flaws), content)
+
+    def _compare(self, offset: int, record: McapRecord, content: bytes) -> None:
+        """Compare a record of robotctl with what its writer makes of the same content."""
+        if self._data.own and record_bytes(record)[RECORD_HEAD.size :] != content:
+            end = offset + RECORD_HEAD.size + len(content)
+            self._flaws.add(offset, end, "a record is not as robotctl writes it")
+
+    def _attachment(self, offset: int, end: int) -> None:
+        try:
+            found = read_attachment(self._file, offset)
+        except BeyondLimit:
+            raise
+        except Damaged as damage:
+            self._flaws.add(offset, end, f"an attachment: {damage}")
+            return
+        self._data.attachment_indexes[offset] = AttachmentIndex(
+            offset=offset,
+            length=end - offset,
+            log_time=found.log_time,
+            create_time=found.create_time,
+            data_size=len(found.data),
+            name=found.name,
+            media_type=found.media_type,
+        )

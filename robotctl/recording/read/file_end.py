@@ -1,0 +1,107 @@
+"""The end of a file, found by walking there from the end of its data."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+from mcap.opcode import Opcode
+from mcap.records import ChunkIndex, Footer
+
+from robotctl.recording.format.records import MAGIC
+from robotctl.recording.read.damage import Damaged
+from robotctl.recording.read.mcap_input import RECORD_HEAD, InputFile, parse, walk_records
+from robotctl.recording.read.whole_data import WholeData
+
+DATA_END_BYTES: Final = RECORD_HEAD.size + 4
+FOOTER_CONTENT_BYTES: Final = 20
+
+
+class FileEnd(NamedTuple):
+    """Where the parts of a file's end begin [bytes]."""
+
+    summary: int
+    footer: int
+    magic: int
+
+    @property
+    def after(self) -> int:
+        """The offset after the end."""
+        return self.magic + len(MAGIC)
+
+
+class BadEnd(Damaged):
+    """There is no valid end; the record at `offset` is the first that is wrong."""
+
+    def __init__(self, offset: int, text: str) -> None:
+        super().__init__(text)
+        self.offset = offset
+
+
+def find_end(file: InputFile, data_end: int) -> FileEnd:
+    """Return where the end is that follows the DataEnd record at `data_end`.
+
+    Raises:
+        BadEnd: There is no footer of the right length, or the file ends before it.
+        Damaged: The disk fails.
+    """
+    offset, summary = data_end, data_end + DATA_END_BYTES
+    while True:
+        if offset + RECORD_HEAD.size > file.size:
+            raise BadEnd(offset, "it ends without a footer")
+        opcode, length = RECORD_HEAD.unpack(file.read(offset, RECORD_HEAD.size))
+        after = offset + RECORD_HEAD.size + length
+        if after > file.size:
+            raise BadEnd(offset, f"a record claims to have {length} bytes")
+        if offset == data_end and after != summary:
+            raise BadEnd(offset, "the record that ends the data has another length")
+        if opcode == Opcode.FOOTER:
+            break
+        offset = after
+    if length != FOOTER_CONTENT_BYTES:
+        raise BadEnd(offset, "the footer has another length")
+    if after + len(MAGIC) > file.size:
+        raise BadEnd(after, "it ends within the mark of MCAP")
+    return FileEnd(summary, offset, after)
+
+
+def ends_in_commit(file: InputFile, end: FileEnd) -> bool:
+    """Return whether the bytes behind `end` are the beginning of a commit that a kill interrupted.
+
+    Such a file ends with a footer that points back to this end, or to a copy of it: the writer puts
+    it there first (see `McapFile`).
+    """
+    size = RECORD_HEAD.size + FOOTER_CONTENT_BYTES
+    try:
+        last = file.read(file.size - size - len(MAGIC), size + len(MAGIC))
+        if RECORD_HEAD.unpack_from(last) != (Opcode.FOOTER, FOOTER_CONTENT_BYTES):
+            return False
+        footer: Footer = parse(Footer, last[RECORD_HEAD.size : size])
+    except Damaged:
+        return False
+    points_back = footer.summary_start == end.summary and not footer.summary_crc
+    return last.endswith(MAGIC) and (points_back or footer.summary_start > end.after)
+
+
+def forget_unlisted_chunk(data: WholeData, summary: bytes) -> int:
+    """Take the last chunk out of `data` if the summary does not list it; return its bytes.
+
+    A kill between chunk and summary leaves that.
+    """
+    if not data.chunk_indexes:
+        return 0
+    last = max(data.chunk_indexes)
+    try:
+        listed = {
+            parse(ChunkIndex, summary[start:end]).chunk_start_offset
+            for opcode, start, end in walk_records(summary)
+            if opcode == Opcode.CHUNK_INDEX
+        }
+    except Damaged:
+        return 0
+    entry = data.chunk_indexes[last]
+    end = last + entry.chunk_length + entry.message_index_length
+    if last in listed or end != data.end:
+        return 0
+    del data.chunk_indexes[last]
+    data.counts, data.start_ns, data.end_ns = data.before_last_chunk
+    return end - last

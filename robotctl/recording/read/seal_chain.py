@@ -1,0 +1,82 @@
+"""The chain of a robot's sealed files, over splits, restarts and days."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Final
+
+from robotctl.recording.format.seal_records import Opening
+from robotctl.recording.read.seal_check import SealOfRead
+from robotctl.recording.read.whole_file import FileState
+
+MAX_MISSING: Final = 20
+"""Maximum number of missing files that are named."""
+
+
+@dataclass(frozen=True, slots=True)
+class SealedFile:
+    """A file whose seal was checked."""
+
+    path: Path
+    state: FileState
+    seal: SealOfRead
+
+
+@dataclass(slots=True)
+class Chain:
+    """What the seals of several files say about each other.
+
+    `wrong` has a sentence for each file that does not continue the one before; `absent` for each
+    gap in their numbers.
+    """
+
+    wrong: list[str] = field(default_factory=list)
+    absent: list[str] = field(default_factory=list)
+    missing: list[tuple[str, int]] = field(default_factory=list)
+    """First key and number of each file within a gap, at most MAX_MISSING."""
+
+
+def check_chain(files: Iterable[SealedFile]) -> Chain:
+    """Compare each file with the one before it in the chain of the same robot."""
+    chain = Chain()
+    by_root: dict[str, list[tuple[Opening, SealedFile]]] = {}
+    for file in files:
+        opening = file.seal.opening
+        if opening is not None and file.state is not FileState.CLIP:
+            by_root.setdefault(opening.root, []).append((opening, file))
+    for pairs in by_root.values():
+        pairs.sort(key=lambda pair: pair[0].number)
+        _compare(pairs, chain)
+    return chain
+
+
+def _compare(pairs: Sequence[tuple[Opening, SealedFile]], chain: Chain) -> None:
+    for (opening, file), (following, next_file) in pairwise(pairs):
+        name, next_name = file.path.name, next_file.path.name
+        if following.number == opening.number:
+            chain.wrong.append(f"{name} and {next_name} have the same place in the chain")
+        elif following.number > opening.number + 1:
+            first, last = opening.number + 1, following.number - 1
+            which = f"file {first} is" if first == last else f"files {first} to {last} are"
+            chain.absent.append(f"{which} not here, between {name} and {next_name}")
+            room = MAX_MISSING - len(chain.missing)
+            chain.missing += [
+                (opening.root, n) for n in range(first, min(last, first + room - 1) + 1)
+            ]
+        elif following.previous_key != opening.key:
+            chain.wrong.append(f"the key of {next_name} is not signed by that of {name}")
+        elif following.previous_file != opening.file:
+            chain.absent.append(f"{next_name} knows no end of {name}")
+        elif not file.seal.knows(following.previous):
+            chain.wrong.append(
+                f"{next_name} continues another end of {name}: "
+                "that file was changed, or its tail was cut"
+            )
+
+
+def find_head(files: Iterable[SealedFile], digest: str) -> SealedFile | None:
+    """Return the file that has a link with this digest (in hex)."""
+    return next((file for file in files if file.seal.knows(digest.lower())), None)

@@ -1,0 +1,82 @@
+"""Where the bytes of a file come from: the disk, or anything that returns ranges of bytes."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol
+
+from robotctl.recording.disk.storage import is_locked
+from robotctl.recording.read.zstd_file import is_zstd_file, unpack_zstd_file
+
+
+class Source(Protocol):
+    """A file that is read by ranges; it may grow. Every method but `close` may raise OSError."""
+
+    def size(self) -> int:
+        """Return the present size [bytes]."""
+
+    def stored_bytes(self) -> int:
+        """Return the size as it is stored: smaller than `size` if it is compressed as a whole."""
+
+    def read(self, offset: int, length: int) -> bytes:
+        """Return `length` bytes at `offset`, or fewer; none only at the end."""
+
+    def is_written(self) -> bool:
+        """Return whether a process has it open for recording."""
+
+    def close(self) -> None:
+        """Close it; closing twice is harmless."""
+
+
+class LocalSource:
+    """A regular file of this machine. A `.mcap.zstd` is decompressed first."""
+
+    def __init__(
+        self, path: Path, on_progress: Callable[[int, int], None] = lambda done, total: None
+    ) -> None:
+        """Open `path`; `on_progress` gets bytes done and in total while decompressing.
+
+        Raises:
+            OSError: It cannot be opened, or is not a regular file.
+            Damaged: It cannot be decompressed.
+        """
+        self._fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
+        self._packed_bytes: int | None = None
+        try:
+            status = os.fstat(self._fd)
+            if not stat.S_ISREG(status.st_mode):
+                raise OSError(errno.EINVAL, "it is not a regular file", str(path))
+            if is_zstd_file(path):
+                self._packed_bytes = status.st_size
+                packed = self._fd
+                self._fd = unpack_zstd_file(packed, on_progress)
+                os.close(packed)
+        except BaseException:
+            self.close()
+            raise
+
+    def size(self) -> int:
+        """Return the present size [bytes], decompressed."""
+        return os.fstat(self._fd).st_size
+
+    def stored_bytes(self) -> int:
+        """Return the bytes on the disk."""
+        return self.size() if self._packed_bytes is None else self._packed_bytes
+
+    def read(self, offset: int, length: int) -> bytes:
+        """Return `length` bytes at `offset`, or fewer; none only at the end."""
+        return os.pread(self._fd, length, offset)
+
+    def is_written(self) -> bool:
+        """Return whether a process has it open for recording."""
+        return is_locked(self._fd)
+
+    def close(self) -> None:
+        """Close it; closing twice is harmless."""
+        if self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1

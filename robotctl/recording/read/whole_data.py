@@ -1,0 +1,125 @@
+"""What the data section of a file holds, found by reading every byte of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from mcap.opcode import Opcode
+from mcap.records import (
+    AttachmentIndex,
+    Channel,
+    ChunkIndex,
+    Header,
+    Metadata,
+    MetadataIndex,
+    Schema,
+)
+
+from robotctl.recording.format.metadata_names import OWN_LIBRARY
+from robotctl.recording.read.flaws import Flaws
+from robotctl.recording.read.mcap_input import parse
+
+
+@dataclass(slots=True)
+class WholeData:
+    """What a data section holds; offsets in bytes, times in nanoseconds.
+
+    `end` is the offset of the DataEnd record, or where the reading had to stop. `crc` is the
+    checksum of all bytes before it, `told_crc` the one in the DataEnd record: 0 if not given, None
+    without such a record.
+    """
+
+    header: Header
+    end: int = 0
+    crc: int = 0
+    told_crc: int | None = None
+    schemas: dict[int, bytes] = field(default_factory=dict)
+    channels: dict[int, bytes] = field(default_factory=dict)
+    """The content of the records of schemas and channels, by id."""
+
+    type_names: dict[int, str] = field(default_factory=dict)
+    """The names of the schemas, by id."""
+
+    topics: dict[int, Channel] = field(default_factory=dict)
+    metadata: dict[int, Metadata] = field(default_factory=dict)
+    metadata_indexes: dict[int, MetadataIndex] = field(default_factory=dict)
+    attachment_indexes: dict[int, AttachmentIndex] = field(default_factory=dict)
+    chunk_indexes: dict[int, ChunkIndex] = field(default_factory=dict)
+    """Each by the offset of the record that it describes."""
+
+    bad_chunks: set[int] = field(default_factory=set)
+    """Offsets of the chunks that cannot be read."""
+
+    counts: dict[int, int] = field(default_factory=dict)
+    """Messages by channel."""
+
+    start_ns: int = 0
+    end_ns: int = 0
+    private: list[tuple[int, int, int]] = field(default_factory=list)
+    """Opcode, offset and length of the content of each private record."""
+
+    private_in_summary: list[tuple[int, bytes]] = field(default_factory=list)
+    """Opcode and content of each private record of the summary."""
+
+    unread: str = ""
+    """What was not read, as a sentence; "" if all was."""
+
+    before_last_chunk: tuple[dict[int, int], int, int] = field(default_factory=lambda: ({}, 0, 0))
+    """`counts`, `start_ns` and `end_ns` without the last chunk."""
+
+    unfinished: int | None = None
+    """Where a commit begins that was not finished; it reaches to the end of the data."""
+
+    @property
+    def own(self) -> bool:
+        """Whether robotctl wrote the file."""
+        return self.header.library.startswith(OWN_LIBRARY)
+
+    @property
+    def message_count(self) -> int:
+        """Messages of all channels."""
+        return sum(self.counts.values())
+
+    def has_metadata(self, *names: str) -> bool:
+        """Return whether there is a metadata record with one of these names."""
+        return any(record.name in names for record in self.metadata.values())
+
+    def add_message(self, channel: int, log_ns: int) -> None:
+        """Count a message."""
+        if self.counts:
+            self.start_ns = min(self.start_ns, log_ns)
+            self.end_ns = max(self.end_ns, log_ns)
+        else:
+            self.start_ns = self.end_ns = log_ns
+        self.counts[channel] = self.counts.get(channel, 0) + 1
+
+    def begin_chunk(self) -> None:
+        """Remember the counts before a chunk."""
+        self.before_last_chunk = dict(self.counts), self.start_ns, self.end_ns
+
+    def define(
+        self, opcode: int, content: bytes, place: tuple[int, int], flaws: Flaws
+    ) -> Schema | Channel:
+        """Take in a schema or a channel that stands at `place`, and return it.
+
+        Raises:
+            Damaged: The record is malformed.
+        """
+        record: Schema | Channel
+        if opcode == Opcode.SCHEMA:
+            record, known = self._schema(parse(Schema, content)), self.schemas
+        else:
+            record, known = self._channel(parse(Channel, content), place, flaws), self.channels
+        if known.setdefault(record.id, content) != content:
+            flaws.add(*place, f"it describes {record.id} in another way than an earlier record")
+        return record
+
+    def _schema(self, schema: Schema) -> Schema:
+        self.type_names.setdefault(schema.id, schema.name)
+        return schema
+
+    def _channel(self, channel: Channel, place: tuple[int, int], flaws: Flaws) -> Channel:
+        if channel.schema_id and channel.schema_id not in self.schemas:
+            flaws.add(*place, f"channel {channel.id} has a schema that is not there")
+        self.topics.setdefault(channel.id, channel)
+        return channel

@@ -1,0 +1,222 @@
+"""Reads a whole file: does every byte belong, and is it as it was written?
+
+A file of robotctl has one form for its content. So each bit of it is either covered by a checksum,
+or determined by the rest. What a killed recorder leaves behind the last commit is no flaw.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import StrEnum
+from pathlib import Path
+
+from isal.isal_zlib import crc32
+from mcap.records import Footer
+
+from robotctl.errors import UnreadableFile
+from robotctl.recording.format.metadata_names import CLIP_RECORD, LEDGER_RECORD, RECOVERY_RECORD
+from robotctl.recording.format.records import MAGIC
+from robotctl.recording.read.damage import Damaged
+from robotctl.recording.read.data_section import read_data_section
+from robotctl.recording.read.file_end import (
+    DATA_END_BYTES,
+    FOOTER_CONTENT_BYTES,
+    BadEnd,
+    FileEnd,
+    ends_in_commit,
+    find_end,
+    forget_unlisted_chunk,
+)
+from robotctl.recording.read.flaws import Flaws
+from robotctl.recording.read.mcap_input import RECORD_HEAD, InputFile, parse
+from robotctl.recording.read.single_flip import find_flip
+from robotctl.recording.read.summary_section import read_written_file
+from robotctl.recording.read.whole_data import WholeData
+from robotctl.recording.read.whole_summary import compare_summary
+
+_CRC_BYTES = 4
+_GROWING_S = 2.0
+"""How long reading the end of a growing file is retried."""
+
+_LOOK_AGAIN_S = 0.002
+
+
+class FileState(StrEnum):
+    """How the writing of a file ended."""
+
+    FINISHED = "finished"
+    LIVE = "live"
+    """A process is still recording into it."""
+
+    NOT_CLOSED = "not closed"
+    """The recorder was killed, or could not write."""
+
+    REPAIRED = "repaired"
+    """robotctl read it after a kill, and wrote its end again or all of it."""
+
+    CLIP = "clip"
+    FOREIGN = "of another program"
+
+
+@dataclass(slots=True)
+class WholeFile:
+    """What reading every byte of a file found.
+
+    `flaws` is empty if the file is whole. `loose` counts the bytes of a commit that a kill
+    interrupted: they are no part of the recording.
+    """
+
+    path: Path
+    size: int
+    state: FileState
+    data: WholeData
+    flaws: Flaws = field(default_factory=Flaws)
+    loose: int = 0
+
+    @property
+    def whole(self) -> bool:
+        """Whether every byte was read, and none is wrong."""
+        return not self.flaws.count and not self.data.unread
+
+    def flaw_sentences(self) -> list[str]:
+        """Return a sentence for each flaw that is kept, and for the number of further ones."""
+        more = self.flaws.count - len(self.flaws.kept)
+        found = [flaw.sentence() for flaw in self.flaws.kept]
+        return [*found, f"and {more} more"] if more else found
+
+
+def read_whole_file(
+    path: Path, on_progress: Callable[[int, int], None] = lambda done, total: None
+) -> WholeFile:
+    """Read every byte of an MCAP file.
+
+    `on_progress` gets bytes done and in total.
+
+    Raises:
+        UnreadableFile: It is not an MCAP file, or the disk cannot read it.
+    """
+    try:
+        with InputFile(path, on_progress) as file:
+            return check_bytes(file, on_progress)
+    except OSError as error:
+        raise UnreadableFile(f"{path} cannot be read: {error.strerror or error!r}") from error
+    except Damaged as damage:
+        raise UnreadableFile(f"{path} cannot be read: {damage}") from damage
+
+
+def check_bytes(
+    file: InputFile, on_progress: Callable[[int, int], None] = lambda done, total: None
+) -> WholeFile:
+    """Read every byte of an open file.
+
+    Raises:
+        Damaged: It does not begin as an MCAP file, or the disk fails.
+    """
+    flaws = Flaws()
+    if file.is_changing():
+        return _live(file, flaws, lambda offset: on_progress(offset, file.size))
+    data = read_data_section(file, flaws, None, lambda offset: on_progress(offset, file.size))
+    found = WholeFile(file.path, file.size, _state(data), data, flaws)
+    if data.told_crc is None:
+        if not flaws.count and not data.unread:
+            flaws.add(data.end, file.size, "the file was never finished")
+        return found
+    _check_crc(file, found)
+    _check_trailer(file, found)
+    return found
+
+
+def _live(file: InputFile, flaws: Flaws, on_progress: Callable[[int], None]) -> WholeFile:
+    """Read a growing file up to the end that it had at one moment."""
+    deadline = time.monotonic() + _GROWING_S
+    while True:
+        try:
+            written = read_written_file(file)
+            if read_written_file(file) == written:
+                break
+        except Damaged:
+            if time.monotonic() > deadline:
+                raise
+        time.sleep(_LOOK_AGAIN_S)
+    data = read_data_section(file, flaws, written.data_end, on_progress)
+    found = WholeFile(file.path, written.data_end, FileState.LIVE, data, flaws)
+    data.told_crc = written.data_crc
+    if written.data_crc:  # otherwise a commit was just being written
+        _check_crc(file, found)
+    summary = b"".join([*written.groups.values(), written.seal])
+    compare_summary(summary, written.data_end + DATA_END_BYTES, data, flaws)
+    return found
+
+
+def _state(data: WholeData) -> FileState:
+    if not data.own:
+        return FileState.FOREIGN
+    if data.has_metadata(CLIP_RECORD):
+        return FileState.CLIP
+    if data.has_metadata(RECOVERY_RECORD):
+        return FileState.REPAIRED
+    return FileState.FINISHED if data.has_metadata(LEDGER_RECORD) else FileState.NOT_CLOSED
+
+
+def _check_crc(file: InputFile, found: WholeFile) -> None:
+    """Compare the checksum of the data; name the byte if one bit was flipped."""
+    data, flaws = found.data, found.flaws
+    if data.told_crc == data.crc:
+        return
+    if not data.told_crc:
+        if data.own and found.state is not FileState.NOT_CLOSED:
+            flaws.add(data.end, data.end + DATA_END_BYTES, "the data has no checksum")
+        return
+    at = find_flip(data.told_crc or 0, data.crc, data.end)
+    if at is not None:
+        flaws.add(at, at + 1, "the checksum of the data tells that one bit of this byte is wrong")
+    elif not flaws.count:
+        flaws.add(0, data.end + DATA_END_BYTES, "the checksum of the data is wrong")
+
+
+def _check_trailer(file: InputFile, found: WholeFile) -> None:
+    """Check everything from DataEnd to the end of the file."""
+    data, flaws = found.data, found.flaws
+    try:
+        end = find_end(file, data.end)
+    except BadEnd as damage:
+        flaws.add(damage.offset, file.size, f"the end of the file: {damage}")
+        return
+    before = flaws.count
+    summary = file.read(end.summary, end.footer - end.summary)
+    if data.unfinished is not None:
+        found.loose += data.end - data.unfinished
+    elif found.state is FileState.NOT_CLOSED and not data.told_crc:
+        found.loose += forget_unlisted_chunk(data, summary)
+    if summary or data.own:
+        compare_summary(summary, end.summary, data, flaws)
+    footer: Footer = parse(Footer, file.read(end.footer + RECORD_HEAD.size, FOOTER_CONTENT_BYTES))
+    if (data.own or footer.summary_start) and footer.summary_start != end.summary:
+        flaws.add(end.footer, end.magic, "the footer says that the summary begins elsewhere")
+    if file.read(end.magic, len(MAGIC)) != MAGIC:
+        flaws.add(end.magic, end.after, "the file does not end with the mark of MCAP")
+    if end.after != file.size:
+        if found.state is FileState.NOT_CLOSED and ends_in_commit(file, end):
+            found.loose += file.size - end.after
+        else:
+            flaws.add(end.after, file.size, "these bytes lie behind the end of the file")
+    _check_summary_crc(file, found, end, footer, place_known=flaws.count > before)
+
+
+def _check_summary_crc(
+    file: InputFile, found: WholeFile, end: FileEnd, footer: Footer, *, place_known: bool
+) -> None:
+    if not footer.summary_crc and not found.data.own:
+        return
+    size = end.magic - _CRC_BYTES - end.summary
+    crc = crc32(file.read(end.summary, size))
+    if crc == footer.summary_crc:
+        return
+    at = find_flip(footer.summary_crc, crc, size)
+    if at is not None:
+        start = end.summary + at
+        found.flaws.add(start, start + 1, "the checksum of the summary tells that a bit is wrong")
+    elif not place_known:
+        found.flaws.add(end.summary, end.magic, "the checksum of the summary is wrong")

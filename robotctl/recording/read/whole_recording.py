@@ -1,0 +1,189 @@
+"""Reads a whole recording: each byte of its files, and all the counts that it tells of itself."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from mcap.records import Channel
+
+from robotctl.errors import UnreadableFile
+from robotctl.recording.format.ledger_record import read_ledger
+from robotctl.recording.format.metadata_names import INFO_RECORD, LEDGER_RECORD, OWN_RECORDS
+from robotctl.recording.format.rosbag2 import (
+    METADATA_RECORD,
+    message_counts_in,
+    metadata_text,
+    topic_counts_in,
+    total_count_in,
+)
+from robotctl.recording.format.topics import LATCHED_QOS
+from robotctl.recording.read.files import absent_files, recording_files
+from robotctl.recording.read.whole_data import WholeData
+from robotctl.recording.read.whole_file import FileState, WholeFile, read_whole_file
+
+_TopicKey = tuple[str, str]
+"""Name and type of a topic."""
+
+
+@dataclass(frozen=True, slots=True)
+class WholeRecording:
+    """What reading every byte of a recording found.
+
+    `unreadable` has a sentence for each file that is not there or is no MCAP file, and for what was
+    not read. `wrong` has one for each byte that is not as it was written, and for each count that
+    contradicts another.
+    """
+
+    path: Path
+    files: tuple[WholeFile, ...]
+    unreadable: tuple[str, ...]
+    wrong: tuple[str, ...]
+
+    @property
+    def whole(self) -> bool:
+        """Whether everything was read, and nothing is wrong."""
+        return not self.unreadable and not self.wrong
+
+
+def read_whole_recording(
+    path: Path, on_progress: Callable[[int, int], None] = lambda done, total: None
+) -> WholeRecording:
+    """Read every byte of a recording, a file or a folder.
+
+    `on_progress` gets bytes done and in total.
+
+    Raises:
+        UnreadableFile: `path` holds no MCAP file.
+    """
+    text = metadata_text(path)
+    paths = recording_files(path)
+    whole_folder = paths != [path]
+    unreadable = absent_files(text, paths) if whole_folder else []
+    sizes = [_size(each) for each in paths]
+    files: list[WholeFile] = []
+    for number, each in enumerate(paths):
+        before, total = sum(sizes[:number]), sum(sizes)
+        try:
+            files.append(
+                read_whole_file(each, lambda done, _, b=before, t=total: on_progress(b + done, t))  # type: ignore[misc]
+            )
+        except UnreadableFile as error:
+            unreadable.append(str(error))
+    wrong: list[str] = []
+    for file in files:
+        prefix = f"{file.path.name}: " if whole_folder else ""
+        wrong += [prefix + sentence for sentence in file.flaw_sentences()]
+        if file.data.unread:
+            unreadable.append(prefix + file.data.unread)
+        if not file.flaws.count and not file.data.unread and file.data.own:
+            wrong += [prefix + sentence for sentence in _unusual_records(file)]
+    if not wrong and not unreadable:
+        wrong += _contradictions(text, files, whole_folder=whole_folder)
+    return WholeRecording(path, tuple(files), tuple(unreadable), tuple(wrong))
+
+
+def _size(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except OSError:
+        return 0
+
+
+def _unusual_records(file: WholeFile) -> Iterator[str]:
+    """Yield a sentence for each record that robotctl would not have written into this file."""
+    data = file.data
+    names = [data.metadata[offset].name for offset in sorted(data.metadata)]
+    for name in dict.fromkeys(names):
+        if name not in OWN_RECORDS | {METADATA_RECORD}:
+            yield f"robotctl writes no metadata of the name {name[:80]!r}"
+    recorded = file.state in (FileState.FINISHED, FileState.NOT_CLOSED, FileState.LIVE)
+    if not recorded:
+        return
+    if data.attachment_indexes:
+        yield "robotctl writes no attachments"
+    if names.count(INFO_RECORD) != 1:
+        yield "it does not hold one record that describes the recording"
+    if names.count(LEDGER_RECORD) > 1 or LEDGER_RECORD in names[:-1]:
+        yield "its ledger is not its last record"
+    texts = [r.metadata for r in data.metadata.values() if r.name == METADATA_RECORD]
+    if file.state is FileState.FINISHED and texts:
+        told = topic_counts_in(texts[-1].get("serialized_metadata", ""))
+        yield from _differences("its rosbag2 record", told, _counts([data]))
+
+
+def _contradictions(text: str, files: Sequence[WholeFile], *, whole_folder: bool) -> Iterator[str]:
+    """Yield a sentence for each count of `metadata.yaml` or a ledger that is not what was found."""
+    own = [file for file in files if file.data.own and file.state is not FileState.CLIP]
+    if len(own) != len(files) or not files:
+        return
+    told = message_counts_in(text)
+    grows = {FileState.LIVE, FileState.NOT_CLOSED}
+    for file in files:
+        count = told.get(file.path.name)
+        found = file.data.message_count
+        if count is None or count == found or (file.state in grows and count < found):
+            continue
+        yield f"metadata.yaml counts {count} messages in {file.path.name}, and {found} are there"
+    complete = whole_folder and set(told) == {file.path.name for file in files}
+    if complete and not any(file.state in grows for file in files):
+        found_by_topic = _counts([file.data for file in files])
+        yield from _differences("metadata.yaml", topic_counts_in(text), found_by_topic)
+        total, there = total_count_in(text), sum(found_by_topic.values())
+        if total != there:
+            yield f"metadata.yaml counts {total} messages, and {there} are there"
+    yield from _ledger_differences(files)
+
+
+def _ledger_differences(files: Sequence[WholeFile]) -> Iterator[str]:
+    """Compare each ledger with the messages of all files up to its own."""
+    first = files[0].path.stem
+    names = [f"{first.removesuffix('0')}{number}" for number in range(len(files))]
+    if not first.endswith("_0") or [file.path.stem for file in files] != names:
+        return  # earlier files were removed
+    for number, file in enumerate(files, start=1):
+        if file.state is not FileState.FINISHED:
+            return
+        record = next(r for r in file.data.metadata.values() if r.name == LEDGER_RECORD)
+        ledger = read_ledger({LEDGER_RECORD: record.metadata})
+        found = _counts([each.data for each in files[:number]])
+        latched = _latched([each.data for each in files[:number]]) if number > 1 else set()
+        for (name, kind), count in found.items():
+            counts = ledger.get(f"{name} ({kind})") or ledger.get(name)
+            told = None if counts is None else counts.get("written", 0)
+            # A later file repeats the latched messages.
+            if told is None or told > count or (told < count and (name, kind) not in latched):
+                ledger_of = f"the ledger of {file.path.name}"
+                yield f"{ledger_of} counts {told or 0} messages of {name}, and {count} are there"
+
+
+def _differences(
+    who: str, told: Mapping[_TopicKey, int], found: Mapping[_TopicKey, int]
+) -> Iterator[str]:
+    for key in sorted({*told, *found}):
+        if told.get(key, 0) != found.get(key, 0):
+            count, there = told.get(key, 0), found.get(key, 0)
+            yield f"{who} counts {count} messages of {key[0]}, and {there} are there"
+
+
+def _counts(parts: Sequence[WholeData]) -> dict[_TopicKey, int]:
+    counts: Counter[_TopicKey] = Counter()
+    for data in parts:
+        for key, channel in data.topics.items():
+            counts[_key(data, channel)] += data.counts.get(key, 0)
+    return dict(counts)
+
+
+def _latched(parts: Sequence[WholeData]) -> set[_TopicKey]:
+    return {
+        _key(data, channel)
+        for data in parts
+        for channel in data.topics.values()
+        if LATCHED_QOS in channel.metadata.get("offered_qos_profiles", "")
+    }
+
+
+def _key(data: WholeData, channel: Channel) -> _TopicKey:
+    return channel.topic, data.type_names.get(channel.schema_id, "")

@@ -1,0 +1,1 @@
+"""The keys of a robot, and what it signed: see `keyring`."""

@@ -1,0 +1,57 @@
+"""The list of a robot's sealed files in its state folder, which outlives the recordings."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+from robotctl.recording.format.seal_records import Opening
+from robotctl.recording.seal.keyring import HEADS_FILE, Head
+from robotctl.regular_file import open_regular
+
+_MAX_BYTES: Final = 256 << 20
+
+
+@dataclass(slots=True)
+class HeadsList:
+    """What is known of the files of a robot: how they were opened, and their last heads, by key."""
+
+    opened: dict[str, Opening] = field(default_factory=dict)
+    closed: dict[str, Head] = field(default_factory=dict)
+
+    def named(self, root: str, number: int) -> str:
+        """Return the name of a file of a chain, "" if it is not known."""
+        found = (
+            opening.file
+            for opening in self.opened.values()
+            if (opening.root, opening.number) == (root, number)
+        )
+        return next(found, "")
+
+
+def read_heads(folder: Path) -> HeadsList:
+    """Return the list in a robot's folder of keys; lines that are malformed are left out."""
+    heads = HeadsList()
+    try:
+        with open_regular(folder / HEADS_FILE) as stream:
+            lines = stream.read(_MAX_BYTES).decode(errors="replace").splitlines()
+    except OSError:
+        return heads
+    for line in lines:
+        try:
+            _take(json.loads(line), heads)
+        except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+            continue
+    return heads
+
+
+def _take(entry: dict[str, dict[str, object]], heads: HeadsList) -> None:
+    if "opened" in entry:
+        opening = Opening.read(json.dumps(entry["opened"]).encode())
+        heads.opened[opening.key] = opening
+    elif "closed" in entry:
+        values = dict(entry["closed"])
+        key = str(values.pop("key"))
+        heads.closed[key] = Head(**values)  # type: ignore[arg-type]

@@ -1,0 +1,215 @@
+"""The keys of a robot in its state folder, and the newest head of its chain.
+
+Each file of a recording has a key of its own, and the key of the file before signs for it. Then the
+old private key is overwritten: who steals the present one cannot sign for yesterday. Its files:
+
+- `key.json` (0600): the present private key, the number of files, the newest head;
+- `heads.jsonl`: a line for each file that was opened or closed, without secrets.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from fcntl import LOCK_EX, flock
+from pathlib import Path
+from typing import Any, Final, Self
+
+from robotctl.recording.disk.access import open_private
+from robotctl.recording.format.seal_records import NO_DIGEST, Link, Opening, SealOfFile
+from robotctl.recording.seal.signatures import SEED_BYTES, SigningKey
+from robotctl.regular_file import open_regular
+
+KEY_FILE: Final = "key.json"
+HEADS_FILE: Final = "heads.jsonl"
+_MAX_KEY_BYTES = 1 << 16
+
+
+@dataclass(frozen=True, slots=True)
+class Head:
+    """The newest link that is known of a chain; `file` is "" before the first file."""
+
+    file: str = ""
+    number: int = 0
+    covered: int = 0
+    time_ns: int = 0
+    digest: str = NO_DIGEST.hex()
+    closed: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class StoredKey:
+    """What `key.json` holds: `seed` and `key` are private and public key in hex, `root` the robot's
+    first public key, `files` how many files were opened.
+    """
+
+    root: str
+    key: str
+    seed: str
+    files: int
+    head: Head
+
+    @classmethod
+    def new(cls) -> Self:
+        """Return the first key of a robot."""
+        seed = secrets.token_bytes(SEED_BYTES)
+        public = SigningKey(seed).public
+        return cls(public, public, seed.hex(), 0, Head())
+
+
+class Keyring:
+    """The keys of one robot. Its folder must be private to the user, and exist."""
+
+    def __init__(self, folder: Path, robot: str, on_head: Callable[[Head], None] = lambda _: None):
+        """Use `folder`; `on_head` gets each head that is kept, in the thread that keeps it."""
+        self._folder = folder
+        self._robot = robot
+        self._on_head = on_head
+
+    def load(self) -> StoredKey | None:
+        """Return the present key; None if there is none yet.
+
+        Raises:
+            OSError: It cannot be read.
+            ValueError: The file is damaged.
+        """
+        try:
+            with open_regular(self._folder / KEY_FILE) as stream:
+                values: dict[str, Any] = json.loads(stream.read(_MAX_KEY_BYTES))
+            stored = StoredKey(**values | {"head": Head(**values["head"])})
+            bytes.fromhex(stored.head.digest)
+            if SigningKey(bytes.fromhex(stored.seed)).public != stored.key:
+                raise ValueError("private and public key do not fit")
+        except FileNotFoundError:
+            return None
+        except (ValueError, TypeError, KeyError, AttributeError) as error:
+            raise ValueError(f"{self._folder / KEY_FILE} is damaged: {error}") from error
+        return stored
+
+    def create(self) -> StoredKey:
+        """Return the present key; make the first one if there is none.
+
+        Raises:
+            OSError, ValueError: As `load`; or it cannot be written.
+        """
+        with self._locked():
+            return self._load_or_make()
+
+    def open_file(self, file: str) -> SealOfFile:
+        """Make the key of a new file, and forget the one before.
+
+        Raises:
+            OSError, ValueError: There is no seal.
+        """
+        with self._locked():
+            stored = self._load_or_make()
+            seed = secrets.token_bytes(SEED_BYTES)
+            key = SigningKey(seed)
+            opening = Opening(
+                robot=self._robot,
+                root=stored.root,
+                number=stored.files + 1,
+                file=file,
+                time_ns=time.time_ns(),
+                previous_file=stored.head.file,
+                previous=stored.head.digest,
+                previous_key=stored.key,
+                key=key.public,
+            )
+            before = SigningKey(bytes.fromhex(stored.seed))
+            opening = replace(opening, certificate=before.sign(opening.signed()).hex())
+            self._note({"opened": asdict(opening)})
+            self._save(replace(stored, key=key.public, seed=seed.hex(), files=opening.number))
+        return SealOfFile(opening, key.sign)
+
+    def keep(self, opening: Opening, link: Link, *, closed: bool) -> None:
+        """Keep a link as the head that the next file continues.
+
+        Raises:
+            OSError, ValueError: It cannot be kept.
+        """
+        head = Head(
+            opening.file, opening.number, link.covered, link.time_ns, link.digest.hex(), closed
+        )
+        with self._locked():
+            stored = self.load()
+            if stored is None:
+                raise ValueError(f"{self._folder / KEY_FILE} was removed")
+            if stored.files != opening.number:
+                raise ValueError("another recorder has taken over the chain of this robot")
+            self._save(replace(stored, head=head))
+            if closed:
+                self._note({"closed": asdict(head) | {"key": opening.key}})
+        self._on_head(head)
+
+    def rotate(self) -> StoredKey:
+        """Begin a new chain with a new first key; the old one signs for it.
+
+        Raises:
+            OSError, ValueError: There is no key, or it cannot be written.
+        """
+        with self._locked():
+            stored = self._load_or_make()
+            new = StoredKey.new()
+            text = f"robotctl seal: rotated\0{stored.root} {new.root}".encode()
+            signature = SigningKey(bytes.fromhex(stored.seed)).sign(text)
+            rotated = {"from": stored.root, "by": stored.key, "to": new.root}
+            self._note({"rotated": rotated | {"certificate": signature.hex()}})
+            self._save(replace(new, files=stored.files))
+        return new
+
+    def _load_or_make(self) -> StoredKey:
+        stored = self.load()
+        if stored is None:
+            stored = StoredKey.new()
+            self._save(stored)
+        return stored
+
+    def _save(self, stored: StoredKey) -> None:
+        """Replace the file, and overwrite the bytes of the one before."""
+        path, unfinished = self._folder / KEY_FILE, self._folder / f"{KEY_FILE}.new"
+        flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW
+        with open(open_private(unfinished, flags), "w", encoding="ascii") as stream:
+            json.dump(asdict(stored), stream)
+            stream.flush()
+            os.fsync(stream.fileno())
+        try:
+            old = os.open(path, os.O_WRONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
+        except FileNotFoundError:
+            unfinished.replace(path)
+            return
+        try:
+            unfinished.replace(path)
+            os.pwrite(old, bytes(os.fstat(old).st_size), 0)
+            os.fsync(old)
+        finally:
+            os.close(old)
+
+    def _note(self, line: dict[str, Any]) -> None:
+        flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW
+        with open(open_private(self._folder / HEADS_FILE, flags), "a", encoding="ascii") as stream:
+            stream.write(json.dumps(line) + "\n")
+
+    def _locked(self) -> _Lock:
+        return _Lock(self._folder)
+
+
+class _Lock:
+    """Keeps other processes from changing the key at the same time."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._fd = -1
+
+    def __enter__(self) -> None:
+        self._fd = os.open(self._folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        with suppress(OSError):  # some network file systems have no locks
+            flock(self._fd, LOCK_EX)
+
+    def __exit__(self, *_: object) -> None:
+        os.close(self._fd)

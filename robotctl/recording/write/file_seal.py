@@ -1,0 +1,126 @@
+"""The seal of the file that is being written: a running hash, and signed links.
+
+A seal that fails never stops the recording: the file continues without, and `failure` says why.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from hashlib import sha256
+from typing import Final, Protocol
+
+from robotctl.recording.disk.storage import Buffer
+from robotctl.recording.format.seal_records import (
+    Link,
+    LinkKind,
+    Opening,
+    SealOfFile,
+    chained,
+)
+
+LINK_PERIOD_S: Final = 10.0
+"""How often a link is stored; the head is as new as the last commit."""
+
+
+class Sealer(Protocol):
+    """Gives each file its key, and keeps the newest link. Used in the writer thread only.
+
+    Any error that a method raises leaves the recording without a seal.
+    """
+
+    def open_file(self, file: str) -> SealOfFile:
+        """Return the seal of a new file."""
+
+    def keep(self, opening: Opening, link: Link, *, closed: bool) -> None:
+        """Keep a link of the file outside the recording; its bytes are on the disk."""
+
+
+class FileSeal:
+    """The chain over one file. It covers every byte from the first; it signs once it is open."""
+
+    def __init__(self, sealer: Sealer, clock: Callable[[], float] = time.monotonic) -> None:
+        """Begin the chain at the beginning of the file; `clock` gives seconds."""
+        self._sealer = sealer
+        self._clock = clock
+        self._hash = sha256()
+        self._base = b""
+        self._number = 1
+        self._seal: SealOfFile | None = None
+        self._due = 0.0
+        self._stored: Link | None = None
+        """The last link that was made and is not kept yet."""
+
+        self._head: Link | None = None
+        self.failure = ""
+        """Why the file is not sealed any more, or "" ."""
+
+    def open(self, file: str) -> bytes:
+        """Begin to sign; return the record to add to the file, empty after a failure."""
+        try:
+            self._seal = self._sealer.open_file(file)
+        except Exception as error:  # noqa: BLE001 - the seal never stops a recording
+            self._fail(error)
+            return b""
+        opening = self._seal.opening
+        self._base = bytes.fromhex(opening.previous)
+        self._due = self._clock()  # soon, so that the next file can continue this one
+        return opening.record()
+
+    def cover(self, part: Buffer) -> None:
+        """Add the next bytes of the file."""
+        self._hash.update(part)
+
+    @property
+    def link_is_due(self) -> bool:
+        """Whether a link is to be stored."""
+        return self._seal is not None and self._clock() >= self._due
+
+    def link(self, covered: int) -> bytes:
+        """Return the record of a link at offset `covered`, where all covered bytes end."""
+        link = self._signed(LinkKind.LINK, covered)
+        if link is None:
+            return b""
+        self._stored = link
+        self._base = link.digest
+        self._hash = sha256()
+        self._number += 1
+        self._due = self._clock() + LINK_PERIOD_S
+        return link.record()
+
+    def head(self, covered: int) -> bytes:
+        """Return the record of the head at offset `covered`; empty while it does not sign."""
+        if self._seal is None:
+            return b""
+        self._head = self._signed(LinkKind.HEAD, covered)
+        return b"" if self._head is None else self._head.record()
+
+    def keep(self, *, closed: bool = False) -> None:
+        """Keep the last link outside the recording, the head if it is closed.
+
+        Call it when the bytes that they cover are on the disk.
+        """
+        link = self._head if closed else self._stored
+        if self._seal is None or link is None:
+            return
+        self._stored = None
+        try:
+            self._sealer.keep(self._seal.opening, link, closed=closed)
+        except Exception as error:  # noqa: BLE001 - as above
+            self._fail(error)
+
+    def _signed(self, kind: LinkKind, covered: int) -> Link | None:
+        if self._seal is None:
+            return None
+        digest = chained(self._base, self._hash.digest())
+        plain = Link(kind, self._number, covered, time.time_ns(), digest)
+        try:
+            return replace(plain, signature=self._seal.sign(plain.signed()))
+        except Exception as error:  # noqa: BLE001 - as above
+            self._fail(error)
+            return None
+
+    def _fail(self, error: Exception) -> None:
+        self._seal = None
+        self.failure = f"the recording is not sealed from here on: {error}"

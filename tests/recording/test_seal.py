@@ -1,0 +1,255 @@
+"""A sealed recording cannot be changed unseen; a seal that fails stops nothing."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import stat
+import struct
+from pathlib import Path
+
+import pytest
+from isal.isal_zlib import crc32
+from mcap.records import Metadata
+from mcap.stream_reader import StreamReader
+
+from robotctl.recording import Compression, Recorder, RecorderOptions, read_messages
+from robotctl.recording.format.seal_records import Link, Opening, SealOfFile
+from robotctl.recording.read.seal_chain import SealedFile, check_chain, find_head
+from robotctl.recording.read.seal_check import SealState
+from robotctl.recording.read.verified import Proof, verify_recording
+from robotctl.recording.read.whole_file import read_whole_file
+from robotctl.recording.seal.heads import read_heads
+from robotctl.recording.seal.keyring import KEY_FILE, Keyring
+from robotctl.recording.seal.signatures import SigningKey, is_signed
+from robotctl.recording.write import file_seal
+from robotctl.testing.drives import TWIST
+from tests.support.recordings import read_strictly, write_numbered
+from tests.support.sealed import keyring, record_sealed
+
+
+@pytest.fixture(autouse=True)
+def _a_link_at_each_commit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(file_seal, "LINK_PERIOD_S", 0.0)
+
+
+@pytest.fixture
+def keys(tmp_path: Path) -> Keyring:
+    return keyring(tmp_path / "keys")
+
+
+def sealed(path: Path) -> tuple[SealedFile, ...]:
+    return verify_recording(path).files
+
+
+def test_a_finished_recording_is_sealed_and_every_reader_opens_it(
+    tmp_path: Path, keys: Keyring
+) -> None:
+    (file,) = record_sealed(tmp_path / "run", keys)
+    found = verify_recording(tmp_path / "run")
+    assert (found.proof, found.wrong) == (Proof.SEALED, ())
+    assert len(found.files[0].seal.links) > 2
+    assert len(read_strictly(file)) == len(list(read_messages(tmp_path / "run"))) == 199
+    with file.open("rb") as stream:  # as a stream, skipping what is not known
+        names = [r.name for r in StreamReader(stream).records if isinstance(r, Metadata)]
+    assert "robotctl.ledger" in names
+
+
+def test_the_chain_runs_over_splits_and_restarts(tmp_path: Path, keys: Keyring) -> None:
+    files = record_sealed(tmp_path / "one", keys, splits=2)
+    files += record_sealed(tmp_path / "two", Keyring(tmp_path / "keys", "robot"))
+    found = [file for path in files for file in sealed(path)]
+    assert [file.seal.state for file in found] == [SealState.SEALED] * 4
+    openings = [file.seal.opening for file in found]
+    assert [opening.number for opening in openings if opening] == [1, 2, 3, 4]
+    chain = check_chain(found)
+    assert (chain.wrong, chain.absent) == ([], [])
+
+
+def test_a_missing_file_is_a_gap_and_a_forged_one_breaks_the_chain(
+    tmp_path: Path, keys: Keyring
+) -> None:
+    files = record_sealed(tmp_path / "run", keys, splits=2)
+    found = [file for path in files for file in sealed(path)]
+    assert "file 2 is not here" in check_chain([found[0], found[2]]).absent[0]
+    shutil.copytree(tmp_path / "keys", tmp_path / "stolen")
+    forged = Keyring(tmp_path / "stolen", "robot")
+    (other,) = record_sealed(tmp_path / "forged", forged)
+    opening = sealed(other)[0].seal.opening
+    assert opening is not None
+    assert opening.number == 4  # the stolen key signs what comes, not what was
+    assert check_chain([*found, *sealed(other)]).wrong == []
+
+
+def test_who_steals_the_present_key_cannot_sign_for_yesterday(
+    tmp_path: Path, keys: Keyring
+) -> None:
+    record_sealed(tmp_path / "run", keys, splits=1)
+    stored = keys.load()
+    assert stored is not None
+    first = sealed(tmp_path / "run")[0].seal
+    assert first.opening is not None
+    assert SigningKey(bytes.fromhex(stored.seed)).public not in (
+        first.opening.key,
+        first.opening.previous_key,
+    )
+
+
+def test_the_old_private_key_is_overwritten_on_the_disk(tmp_path: Path, keys: Keyring) -> None:
+    keys.create()
+    path = tmp_path / "keys" / KEY_FILE
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    with path.open("rb") as old:
+        seed = json.loads(old.read())["seed"].encode()
+        keys.open_file("run_0.mcap")
+        old.seek(0)
+        assert seed not in old.read()
+    assert seed not in path.read_bytes()
+
+
+def edit_consistently(path: Path) -> None:
+    """Change a message of an uncompressed file, and make every checksum right again."""
+    data = bytearray(path.read_bytes())
+    chunk = min(read_whole_file(path).data.chunk_indexes)
+    (length,) = struct.unpack_from("<Q", data, chunk + 1)
+    head = 9 + 8 + 8 + 8 + 4 + 4 + 8
+    end = chunk + 9 + length
+    data[end - 1] ^= 1
+    struct.pack_into("<I", data, chunk + 9 + 24, crc32(data[chunk + head : end]))
+    path.write_bytes(data)
+    data_end = read_whole_file(path).data.end
+    struct.pack_into("<I", data, data_end + 9, crc32(data[:data_end]))
+    path.write_bytes(data)
+
+
+def test_a_consistent_edit_is_found_by_the_seal_alone(tmp_path: Path, keys: Keyring) -> None:
+    (file,) = record_sealed(tmp_path / "run", keys, compression=Compression.NONE)
+    assert sealed(file)[0].seal.state is SealState.SEALED
+    edit_consistently(file)
+    found = verify_recording(file)
+    assert found.whole.whole
+    assert found.files[0].seal.state is SealState.BROKEN
+    assert "the chain is broken" in found.wrong[0]
+
+
+def test_another_opening_is_not_signed_by_the_key_before(tmp_path: Path, keys: Keyring) -> None:
+    (file,) = record_sealed(tmp_path / "run", keys)
+    data = bytearray(file.read_bytes())
+    data[data.index(b'"robot":"robot"') + 10] ^= 1
+    file.write_bytes(data)
+    (sentence,) = (text for text in sealed(file)[0].seal.wrong if "file before" in text)
+    assert "not signed" in sentence
+
+
+def test_the_place_of_a_change_is_told_between_two_links(tmp_path: Path, keys: Keyring) -> None:
+    (file,) = record_sealed(tmp_path / "run", keys, compression=Compression.NONE)
+    links = sealed(file)[0].seal.links
+    at = links[1].covered + 300
+    data = bytearray(file.read_bytes())
+    data[at] ^= 1
+    file.write_bytes(data)
+    found = sealed(file)[0].seal
+    assert found.links == links[:2]
+    text = found.wrong[0]
+    start, end = (int(word.rstrip(":")) for word in text.split() if word.rstrip(":").isdigit())
+    assert start <= at < end
+
+
+def test_a_tail_that_was_cut_is_found_by_a_later_head(tmp_path: Path, keys: Keyring) -> None:
+    first, second = record_sealed(tmp_path / "run", keys, splits=1)
+    whole = sealed(first)[0]
+    assert whole.seal.head is not None
+    head = whole.seal.head.digest.hex()
+    stored = keys.load()
+    assert stored is not None
+    assert find_head([whole, *sealed(second)], stored.head.digest) is not None
+    cut = SealedFile(whole.path, whole.state, whole.seal)
+    cut.seal.links.pop()
+    assert find_head([cut], head) is None
+    assert "tail was cut" in check_chain([cut, *sealed(second)]).wrong[0]
+
+
+def test_the_list_of_heads_outlives_the_recordings(tmp_path: Path, keys: Keyring) -> None:
+    files = record_sealed(tmp_path / "run", keys, splits=1)
+    heads = read_heads(tmp_path / "keys")
+    for file in files:
+        seal = sealed(file)[0].seal
+        assert seal.opening is not None
+        assert heads.opened[seal.opening.key] == seal.opening
+        assert seal.knows(heads.closed[seal.opening.key].digest)
+    assert "seed" not in (tmp_path / "keys" / "heads.jsonl").read_text()
+
+
+def test_a_rotation_begins_a_new_chain_at_the_next_file(tmp_path: Path, keys: Keyring) -> None:
+    (one,) = record_sealed(tmp_path / "one", keys)
+    before = keys.load()
+    after = keys.rotate()
+    (two,) = record_sealed(tmp_path / "two", keys)
+    assert before is not None
+    assert before.root != after.root
+    roots = [
+        file.seal.opening.root for path in (one, two) for file in sealed(path) if file.seal.opening
+    ]
+    assert roots == [before.root, after.root]
+    assert verify_recording(two).proof is Proof.SEALED
+
+
+class FailingSealer:
+    """A sealer that fails at one of its steps."""
+
+    def __init__(self, keys: Keyring, step: str) -> None:
+        self._keys = keys
+        self._step = step
+
+    def open_file(self, file: str) -> SealOfFile:
+        if self._step == "open":
+            raise OSError("the state folder is read-only")
+        opened = self._keys.open_file(file)
+        return SealOfFile(opened.opening, self._sign) if self._step == "sign" else opened
+
+    def keep(self, opening: Opening, link: Link, *, closed: bool) -> None:
+        raise OSError("no space")
+
+    def _sign(self, data: bytes) -> bytes:
+        raise ValueError("no signature")
+
+
+@pytest.mark.parametrize("step", ["open", "sign", "keep"])
+def test_a_seal_that_fails_never_stops_the_recording_and_is_told(
+    tmp_path: Path, keys: Keyring, step: str
+) -> None:
+    failures: list[str] = []
+    options = RecorderOptions(sealer=FailingSealer(keys, step))
+    recorder = Recorder(tmp_path / "run", options, on_failure=failures.append)
+    write_numbered(recorder, recorder.add_topic(TWIST), range(100))
+    stats = recorder.close()
+    assert not failures
+    assert (stats.written, stats.dropped) == (100, 0)
+    assert "not sealed" in stats.warning
+    assert len(list(read_messages(tmp_path / "run"))) == 100
+
+
+def test_a_recording_without_a_sealer_has_no_seal(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "run", metadata=lambda: {"robot": "r"}, on_failure=print)
+    write_numbered(recorder, recorder.add_topic(TWIST), range(10))
+    recorder.close()
+    found = verify_recording(tmp_path / "run")
+    assert (found.proof, found.files[0].seal.opening) == (Proof.WHOLE, None)
+
+
+def test_a_signature_is_of_one_key_and_one_text() -> None:
+    key, other = SigningKey(bytes(32)), SigningKey(bytes([1] * 32))
+    signature = key.sign(b"text")
+    assert is_signed(b"text", signature, key.public)
+    assert not is_signed(b"text", signature, other.public)
+    assert not is_signed(b"Text", signature, key.public)
+    assert not is_signed(b"text", b"", key.public)
+
+
+def test_a_damaged_key_is_told_and_not_replaced(tmp_path: Path, keys: Keyring) -> None:
+    keys.create()
+    path = tmp_path / "keys" / KEY_FILE
+    path.write_text("{}")
+    with pytest.raises(ValueError, match="damaged"):
+        keys.open_file("run_0.mcap")
+    assert path.read_text() == "{}"
