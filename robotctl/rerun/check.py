@@ -3,41 +3,64 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 
 from robotctl.errors import UnreadableFile
+from robotctl.kernel.snapshot import Proof
+from robotctl.kernel.types import OdomReceived
 from robotctl.kernel.units import NS_PER_S
-from robotctl.recording import Recording, RecordingInfo, read_info
-from robotctl.recording.format.journal import JournalEntry
+from robotctl.recording import Recording, RecordingInfo
+from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.recording.format.ledger_record import read_ledger
 from robotctl.recording.format.metadata_names import CLIP_RECORD, INFO_RECORD, OWN_LIBRARY
-from robotctl.recording.read.journal_reader import EntryDecoder, journal_topic
+from robotctl.recording.read.journal_reader import EntryDecoder, journal_topic, own_journal_topic
+from robotctl.recording.read.source import Source
+from robotctl.rerun.bytes_check import check_bytes
 from robotctl.rerun.check_report import Report
+from robotctl.rerun.command_bytes import command_topic
+from robotctl.rerun.command_check import CommandCheck
 from robotctl.rerun.comparison import Comparison
+from robotctl.rerun.ending import Ending
+from robotctl.rerun.input_check import input_checks, is_filtered
 from robotctl.rerun.invariants import Invariants, unbalanced
+from robotctl.rerun.journal_chain import JournalChain
 from robotctl.rerun.journal_steps import Gap, Step, steps
-from robotctl.rerun.journal_values import read_effect, read_snapshot
+from robotctl.rerun.journal_values import read_effect, read_event, read_snapshot
+from robotctl.rerun.recorded_parameters import differing_parameters
 from robotctl.rerun.rerun import Divergence, Rerun
-from robotctl.rerun.traffic import CommandTraffic, command_topic
+from robotctl.rerun.status_check import StatusCheck
 from robotctl.rerun.vocabulary import Vocabulary
 
 Progress = Callable[[int, int], None]
 """Called with the bytes that are done and the bytes in total."""
 
 
-def check_recording(path: Path, on_progress: Progress = lambda done, total: None) -> Report:
+def check_recording(
+    path: Path,
+    on_progress: Progress = lambda done, total: None,
+    *,
+    all_bytes: bool = False,
+    source: Source | None = None,
+) -> Report:
     """Check one recording, a file or a folder, and return the report.
 
-    A file that cannot be read is named in the report.
+    A file that cannot be read is named in the report. Every byte is read if `all_bytes` is set, or
+    if the recording is small. With `source`, one MCAP file is read from there, no more of it than
+    the check needs, and `path` is only its name.
     """
     report = Report(path)
     began = time.perf_counter()
     try:
-        with Recording(path) as recording:
+        with Recording(path, source=source) as recording:
             _Check(recording, report, on_progress).run()
     except UnreadableFile as error:
         report.miss(str(error))
+    if source is None:
+        check_bytes(path, report, all_bytes=all_bytes)
+    else:
+        report.notes.append("not every byte was read, only what the check needs")
     report.took_s = time.perf_counter() - began
     return report
 
@@ -51,11 +74,19 @@ class _Check:
         self._on_progress = on_progress
         self._info = recording.info()
         self._invariants = Invariants()
-        self._traffic = CommandTraffic()
+        self._commands = CommandCheck(report)
+        self._chain = JournalChain()
+        self._is_own = False
+        """Whether the recorder wrote the journal itself, and not what it received of it."""
+
+        self._first_seq = self._last_seq = -1
+        self._last_snapshot = -1
         self._vocabulary: Vocabulary | None = Vocabulary()
         self._rerun: Rerun | None = None
         self._before_snapshot = 0
         self._end_ns = 0
+        self._log_ns = (0, 0)
+        """When the last two events were recorded, in nanoseconds since the epoch."""
 
     def run(self) -> None:
         """Fill the report.
@@ -68,9 +99,12 @@ class _Check:
             report.miss(sentence)
         report.robot = info.metadata.get(INFO_RECORD, {}).get("robot", "")
         report.version = _version(info)
-        topic = journal_topic(info)
+        topic = self._topic = journal_topic(info)
         if topic is None:
             raise UnreadableFile("it holds no journal of robotctl: there are no decisions to check")
+        self._is_own = topic == own_journal_topic(info)
+        self._inputs = input_checks(report, info, topic)
+        self._status = StatusCheck(report, info, topic)
         for item in steps(self._entries(topic)):
             if isinstance(item, Gap):
                 report.miss(item.text)
@@ -82,11 +116,16 @@ class _Check:
         self._end()
 
     def _entries(self, topic: str) -> Iterator[JournalEntry]:
-        """Yield the journal entries; hand the recorded commands to the traffic check."""
+        """Yield the journal entries; hand the other messages to their checks."""
         report = self._report
         commands = command_topic(self._info, topic)
+        readers = self._inputs.readers()
+        if commands is not None:
+            readers[commands] = self._commands.message
+        if self._status.topic is not None:
+            readers[self._status.topic] = self._status.message
         messages = self._recording.in_order_written(
-            {topic} if commands is None else {topic, commands}, report.miss, self._on_progress
+            {topic, *readers}, report.miss, self._on_progress
         )
         decoder = EntryDecoder(self._recording)
         for message in messages:
@@ -94,10 +133,14 @@ class _Check:
                 entry = decoder.decode(message.data)
                 if not report.begin_log_ns:
                     report.begin_ns, report.begin_log_ns = entry.t_ns, message.log_ns
-                self._end_ns = entry.t_ns
+                    self._first_seq = entry.seq
+                self._end_ns, self._last_seq = entry.t_ns, max(entry.seq, self._last_seq)
+                self._chain.add(entry.seq, message.data)
+                if entry.kind is not EntryKind.EFFECT:
+                    self._log_ns = self._log_ns[1], message.log_ns
                 yield entry
-            elif self._traffic.seen or message.publish_ns >= report.begin_log_ns > 0:
-                self._traffic.message(message.data)  # else decided in an earlier file
+            else:
+                readers[message.topic](message)
 
     def _snapshot(self, entry: JournalEntry) -> None:
         report = self._report
@@ -109,12 +152,32 @@ class _Check:
                 report.bitwise = comparison.is_exact
                 report.notes += comparison.notes()
                 self._rerun = Rerun(comparison)
+                self._compare_parameters(entry)
             snapshot, divergence = self._rerun.snapshot(entry)
         except UnreadableFile as error:
             self._interrupt_at(error)
             return
         self._note(divergence)
+        self._check_chain(entry, snapshot.proof)
         self._invariants.snapshot(snapshot)
+        self._commands.snapshot(snapshot)
+        self._inputs.snapshot(snapshot.proof is not None)
+        self._status.snapshot(snapshot)
+
+    def _compare_parameters(self, entry: JournalEntry) -> None:
+        """Compare the parameters of the first snapshot with those in the metadata."""
+        if entry.seq == 0 and self._report.same_version and self._is_own:
+            for sentence in differing_parameters(self._info, read_snapshot(entry).params):
+                self._report.miss(sentence)
+
+    def _check_chain(self, entry: JournalEntry, proof: Proof | None) -> None:
+        is_whole = self._chain.is_whole(entry, proof)
+        if not is_whole:
+            before = max(self._last_snapshot, 0)
+            self._invariants.violate(
+                f"the journal was changed between its entries {before} and {entry.seq}"
+            )
+        self._last_snapshot = entry.seq if proof is not None else -1
 
     def _step(self, step: Step) -> None:
         report = self._report
@@ -123,7 +186,10 @@ class _Check:
         try:
             if self._rerun is None:
                 self._before_snapshot += 1
-                self._traffic.step(tuple(map(read_effect, step.effects)))
+                if step.effects:
+                    self._commands.step(
+                        read_event(step.event), tuple(map(read_effect, step.effects)), (0, 0, 0)
+                    )
                 return
             self._compare_vocabulary(step.event, *step.effects)
             decided = self._rerun.step(step)
@@ -134,8 +200,12 @@ class _Check:
         except UnreadableFile as error:
             self._interrupt_at(error)
             return
-        if effects:
-            self._traffic.step(effects)
+        self._inputs.step(decided.event, step.event.seq)
+        kernel = self._rerun.kernel
+        level = None if kernel is None else kernel.state.health.battery_level
+        self._status.step(decided.event, effects, level)
+        if effects or not isinstance(decided.event, OdomReceived):
+            self._commands.step(decided.event, effects, (decided.event.t_ns, *self._log_ns))
         self._invariants.step(step.event.seq, decided.event, effects)
 
     def _note(self, divergence: Divergence | None) -> None:
@@ -165,6 +235,8 @@ class _Check:
     def _stop(self) -> None:
         """Pause re-run and invariants until the next snapshot."""
         self._invariants.stop()
+        self._commands.stop()
+        self._inputs.stop()
         if self._rerun is not None:
             self._rerun.stop()
 
@@ -176,39 +248,51 @@ class _Check:
             return
         if self._before_snapshot:
             report.notes.append(f"{self._before_snapshot} events before the first snapshot")
+        self._check_ends()
         kernel = self._rerun.kernel
         if kernel is not None:
             invariants.end(kernel.state.waiting)
-        self._check_traffic()
-        self._check_ledger()
+        ledger = self._check_ledger()
+        commands = command_topic(self._info, self._topic or "")
+        self._commands.end(invariants, self._ending(ledger, commands))
+        self._inputs.end(invariants, partial(self._ending, ledger), self._end_ns)
+        self._status.end(self._ending(ledger, self._status.topic))
         report.violations, report.violation_count = invariants.violations, invariants.count
 
-    def _check_traffic(self) -> None:
-        report, commands = self._report, self._traffic
-        commands.end()
-        report.commands = commands.seen
-        if not commands.undecided:
+    def _check_ends(self) -> None:
+        """Check that the journal of a whole recording begins and ends with a snapshot."""
+        path, report = self._recording.path, self._report
+        if not (self._is_own and path.is_dir()) or self._last_snapshot < 0:
             return
-        text = f"{commands.undecided} commands without a decision, such as {commands.example}"
-        if self._invariants.foreign:
-            names = ", ".join(sorted(self._invariants.foreign))
-            report.notes.append(f"{text}: {names} published as well")
-        elif report.missing or report.divergence is not None:
-            report.notes.append(text)
-        else:
-            self._invariants.violate(text)
+        if self._first_seq and self._info.files[0].name == f"{path.name}_0.mcap":
+            report.miss(f"its journal begins with entry {self._first_seq}: the first are missing")
+        elif self._before_snapshot and not self._first_seq:
+            report.miss("its journal does not begin with a snapshot")
+        was_closed = not (self._recording.is_cut_off or self._recording.is_live)
+        if was_closed and self._last_snapshot != self._last_seq:
+            report.miss("it was closed, but its journal does not end with a snapshot")
 
-    def _check_ledger(self) -> None:
-        """Check the loss ledger in the last file of a recording that was closed."""
+    def _check_ledger(self) -> Mapping[str, Mapping[str, int]] | None:
+        """Check the loss ledger in the last file; return it, None if the file was not closed."""
         path = self._recording.path
-        ledger = read_ledger(read_info(self._info.files[-1]).metadata)
+        ledger = read_ledger(self._recording.metadata_of_last_file())
         if not ledger and CLIP_RECORD in self._info.metadata:
-            return  # a clip has no ledger: its source has it
+            return None  # a clip has no ledger: its source has it
         if not ledger:
             self._report.notes.append("it was not closed: it has no loss ledger to check")
-            return
+            return None
         for sentence in unbalanced(ledger, finished=path.is_dir()):
             self._invariants.violate(sentence)
+        return ledger
+
+    def _ending(self, ledger: Mapping[str, Mapping[str, int]] | None, topic: str | None) -> Ending:
+        return Ending(
+            None if ledger is None else ledger.get(topic or "", {}),
+            is_clip=CLIP_RECORD in self._info.metadata,
+            is_own=self._is_own,
+            is_whole=self._recording.path.is_dir(),
+            is_filtered=is_filtered(self._info),
+        )
 
 
 def _version(info: RecordingInfo) -> str:

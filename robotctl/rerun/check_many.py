@@ -24,11 +24,14 @@ _WHOLE = 1000
 
 
 def check_recordings(
-    paths: Sequence[Path], on_progress: Progress = lambda done, total: None
+    paths: Sequence[Path],
+    on_progress: Progress = lambda done, total: None,
+    *,
+    all_bytes: bool = False,
 ) -> list[dict[str, Any]]:
     """Return the reports as `Report.as_object` makes them, in the order of `paths`."""
     if len(paths) == 1:
-        return [check_recording(paths[0], on_progress).as_object()]
+        return [check_recording(paths[0], on_progress, all_bytes=all_bytes).as_object()]
     count = min(len(os.sched_getaffinity(0)), len(paths))
     waiting = deque(range(len(paths)))
     shares = [0.0] * len(paths)
@@ -40,7 +43,7 @@ def check_recordings(
                 position = waiting.popleft()
             except IndexError:
                 return
-            for said in worker.check(paths[position]):
+            for said in worker.check(paths[position], all_bytes=all_bytes):
                 shares[position] = said.get("progress", 1.0)
                 reports[position] = said.get("report", {})
 
@@ -71,13 +74,14 @@ class _Worker:
         self._ended = False
         self._lock = Lock()
 
-    def check(self, path: Path) -> Iterator[dict[str, Any]]:
+    def check(self, path: Path, *, all_bytes: bool) -> Iterator[dict[str, Any]]:
         """Yield the progress of the check of one recording, then its report."""
         child = self._living()
         if child is None:
             return
         try:
-            child.send(f"{json.dumps(str(path))}\n".encode())
+            job = {"path": str(path), "all_bytes": all_bytes}
+            child.send(f"{json.dumps(job)}\n".encode())
             while True:
                 for said in child.receive():
                     yield said

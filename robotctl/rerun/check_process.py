@@ -1,7 +1,7 @@
 """`python -m robotctl.rerun.check_process --report-fd N`: checks the recordings named on stdin.
 
-Each line is JSON: a path on stdin; then {"progress"} lines and one {"report"} line on descriptor N.
-The process ends when stdin is closed, so it does not outlive its parent.
+Each line is JSON: {"path", "all_bytes"} on stdin; then {"progress"} lines and one {"report"} line
+on descriptor N. The process ends when stdin is closed, so it does not outlive its parent.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ def main() -> None:
     """Check recordings until stdin is closed."""
     descriptor = report_fd(sys.argv)
     for line in sys.stdin:
+        job = json.loads(line)
         told = time.monotonic()
 
         def tell_progress(done: int, total: int) -> None:
@@ -32,7 +33,11 @@ def main() -> None:
 
         send_report(
             descriptor,
-            {"report": check_recording(Path(json.loads(line)), tell_progress).as_object()},
+            {
+                "report": check_recording(
+                    Path(job["path"]), tell_progress, all_bytes=job["all_bytes"]
+                ).as_object()
+            },
         )
 
 

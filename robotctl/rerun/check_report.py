@@ -49,9 +49,9 @@ class Report:
     """The check of one recording.
 
     `version` and `made_by` describe the recording, "" if unknown. `missing` lists what could not be
-    checked, and `notes` how the rest was compared. `begin_ns` (steady) and `begin_log_ns` (since
-    the epoch) are the same moment. `divergence` is the first difference, also for a recording of
-    another version.
+    checked, and `notes` how the rest was compared. `seal` says who signed it, "" if nobody did.
+    `begin_ns` (steady) and `begin_log_ns` (since the epoch) are the same moment. `divergence` is
+    the first difference, also for a recording of another version.
     """
 
     path: Path
@@ -71,6 +71,7 @@ class Report:
     violation_count: int = 0
     missing: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    seal: str = ""
     _other_rules: bool = field(default=False, init=False)
 
     @property
@@ -147,4 +148,5 @@ class Report:
             "violation_count": self.violation_count,
             "missing": self.missing,
             "notes": self.notes,
+            "seal": self.seal,
         }

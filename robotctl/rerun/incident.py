@@ -17,9 +17,9 @@ from robotctl.recording import Recording
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.journal_reader import EntryDecoder, journal_topic
+from robotctl.rerun.command_bytes import command_topic, is_zero, numbers_of
 from robotctl.rerun.journal_steps import Gap, Step, steps
 from robotctl.rerun.journal_values import decide, read_effect, read_event, read_snapshot
-from robotctl.rerun.traffic import command_topic, is_still
 
 MAX_MESSAGES_AFTER = 2000
 """The number of messages after a stop in which the first zero command is searched."""
@@ -250,7 +250,7 @@ class _Context:
                     incident.log_ns = message.log_ns
                 if entry.seq >= first:
                     yield entry
-            elif 0 < incident.log_ns <= message.publish_ns and is_still(message.data):
+            elif 0 < incident.log_ns <= message.publish_ns and is_zero(numbers_of(message.data)):
                 incident.zero_ns = message.publish_ns
                 return
             if self._messages_after > MAX_MESSAGES_AFTER:

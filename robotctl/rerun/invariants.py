@@ -11,7 +11,10 @@ from dataclasses import dataclass
 from typing import assert_never
 
 from robotctl.kernel.modes import Mode
+from robotctl.kernel.parameter_change import ParameterChanged, ParameterRequested
+from robotctl.kernel.parameters import kernel_leaves, with_text
 from robotctl.kernel.params import KernelParams, VelocityLimits
+from robotctl.kernel.ranges import Change
 from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.types import (
     ZERO,
@@ -41,7 +44,7 @@ MAX_VIOLATIONS = 20
 ROUNDING = 1e-9
 """The tolerance for the change between two commands."""
 
-_REQUESTS = (ModeRequested, ResetRequested, DriveRequested)
+_REQUESTS = (ModeRequested, ResetRequested, DriveRequested, ParameterRequested)
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,6 +113,8 @@ class Invariants:
                     self._latched = False
                 case Reply():
                     self._check_reply(effect)
+                case ParameterChanged():
+                    self._change_parameter(effect)
                 case DriveEnded():
                     pass  # a report: no invariant depends on it
                 case _:
@@ -157,6 +162,18 @@ class Invariants:
                 f"the command went from {shown(previous)} to {shown(twist)} within {dt_s:.3f} s, "
                 f"beyond {limits.linear_accel_mps2:g} m/s^2, {limits.angular_accel_rps2:g} rad/s^2"
             )
+
+    def _change_parameter(self, change: ParameterChanged) -> None:
+        leaf = kernel_leaves().get(change.key)
+        if self.mode is Mode.MOVING and not (
+            leaf and leaf.declared.metadata["change"] is Change.ANY_TIME
+        ):
+            self.violate(f"{change.key} changed while MOVING")
+        if leaf is not None:
+            try:
+                self._params = with_text(self._params, change.key, change.new)
+            except ValueError as error:
+                self.violate(f"a change to a value that is not allowed: {error}")
 
     def _change_mode(self, event: Event, change: ModeChanged) -> None:
         if change.previous is not self.mode:

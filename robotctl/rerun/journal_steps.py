@@ -63,7 +63,7 @@ def steps(entries: Iterable[JournalEntry]) -> Iterator[Step | JournalEntry | Gap
 
 
 def in_sequence(entries: Iterable[JournalEntry]) -> Iterator[JournalEntry | Gap]:
-    """Yield the entries ordered by `seq` without repetitions, and the gaps between them."""
+    """Yield the entries ordered by `seq`, and the gaps and repetitions among them."""
     held: list[tuple[int, int, JournalEntry]] = []
     first: int | None = None
     following = 0
@@ -73,6 +73,7 @@ def in_sequence(entries: Iterable[JournalEntry]) -> Iterator[JournalEntry | Gap]
         while held and (held[0][0] <= following or len(held) > at_most):
             seq, _, entry = heappop(held)
             if seq < following:
+                yield Gap(f"the journal repeats entry {seq}")
                 continue
             if seq > following:
                 yield _missing(following, seq - 1)
@@ -89,6 +90,7 @@ def in_sequence(entries: Iterable[JournalEntry]) -> Iterator[JournalEntry | Gap]
         elif entry.seq < first:
             yield Gap(f"the journal is not in order: entry {entry.seq} follows {first}")
             first = entry.seq
+            continue
         heappush(held, (entry.seq, position, entry))
         yield from take_held(MAX_DISORDER)
     yield from take_held(0)

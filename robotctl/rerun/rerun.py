@@ -79,9 +79,11 @@ class Rerun:
         """
         snapshot = read_snapshot(entry)
         kernel, self.kernel = self.kernel, snapshot.kernel()
-        mine = Snapshot(snapshot.made_by, kernel.params, kernel.state) if kernel else snapshot
-        if not self._same_version or self.comparison.same(entry.data, mine):
+        mine = replace(snapshot, params=kernel.params, state=kernel.state) if kernel else snapshot
+        if self.comparison.same(entry.data, mine):
             return snapshot, None  # compared as texts, because nan is not equal to nan
+        if not self._same_version and mine.params == snapshot.params:
+            return snapshot, None  # parameters change by events alone, in every version
         before = kernel.state if kernel else None
         return snapshot, self._divergence(entry, mine, before)
 

@@ -15,6 +15,7 @@ from robotctl.config import Config, flat
 from robotctl.errors import UnreadableFile
 from robotctl.kernel.health import CommandTopic
 from robotctl.kernel.kernel import Kernel
+from robotctl.kernel.parameter_change import ParameterRequested
 from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.state import State
 from robotctl.kernel.types import (
@@ -43,7 +44,8 @@ MAX_SPAN_NS = 7 * 86_400 * NS_PER_S
 LONGEST = 10
 """A drive that continues at the end is simulated for at most this many times the recording."""
 
-_REQUESTS = frozenset(kind.__name__ for kind in (ModeRequested, ResetRequested, DriveRequested))
+_REPEATED = (ModeRequested, ResetRequested, DriveRequested, ParameterRequested)
+_REQUESTS = frozenset(kind.__name__ for kind in _REPEATED)
 
 
 @dataclass(slots=True)
@@ -132,7 +134,7 @@ def resimulate(
 def _take(run: Run, entry: JournalEntry) -> None:
     if entry.kind is EntryKind.EVENT and entry.name in _REQUESTS:
         request = read_event(entry)
-        assert isinstance(request, ModeRequested | ResetRequested | DriveRequested)
+        assert isinstance(request, _REPEATED)
         if len(run.requests) <= MAX_REQUESTS:
             run.requests[request.request_id] = request
     elif entry.kind is EntryKind.EFFECT and entry.name == DriveEnded.__name__:

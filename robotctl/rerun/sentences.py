@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from math import nan
+
 from robotctl.kernel.battery import FULLEST_LEVEL
+from robotctl.kernel.lifecycle import LifecycleChanged
 from robotctl.kernel.modes import Mode
+from robotctl.kernel.parameter_change import ParameterRequested
 from robotctl.kernel.types import (
     BatteryReceived,
     CommandListenersSeen,
@@ -18,6 +22,8 @@ from robotctl.kernel.types import (
     OdometrySourceFound,
     OdomReceived,
     ResetRequested,
+    SafetyInputReceived,
+    ScanReceived,
     Tick,
 )
 from robotctl.kernel.units import NS_PER_S
@@ -42,6 +48,10 @@ def sentence_of(event: Event) -> str:
             return f"a reset by {event.source}"
         case DriveRequested():
             return f"a request to drive a {event.pattern.kind.value} by {event.source}"
+        case ParameterRequested():
+            return (
+                f"a request to change {event.key} from {event.old} to {event.new} by {event.source}"
+            )
         case CommandPublishersSeen():
             names = ", ".join(event.names) or "no other node"
             return f"{names} publishes velocity commands, too"
@@ -49,6 +59,14 @@ def sentence_of(event: Event) -> str:
             return f"a velocity command of {event.publisher}"
         case CommandListenersSeen():
             return f"{event.count} nodes take the velocity command"
+        case LifecycleChanged():
+            return f"mode_service became {event.state.value} by {event.source}"
+        case SafetyInputReceived():
+            text = f" ({event.detail})" if event.detail else ""
+            return f"a message of the safety input {event.kind.value}, {event.value:g}{text}"
+        case ScanReceived():
+            nearest_m = min(event.sectors, default=nan)
+            return f"a laser scan, nearest {nearest_m:.2f} m"
         case OdometrySourceFound():
             return f"odometry of one more publisher, {event.name}"
         case LoopStalled():

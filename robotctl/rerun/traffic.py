@@ -1,46 +1,20 @@
-"""Compares the recorded velocity commands with the journal: every motion must be decided."""
+"""Compares velocity commands with a journal of version 0.1.0: every motion must be decided.
+
+Its journal does not tell how many commands were sent, so they are compared by value, in any order.
+"""
 
 from __future__ import annotations
 
-import struct
 from collections import deque
 
-from robotctl.errors import UnreadableFile
-from robotctl.kernel.types import Effect, PublishTwist, Twist
-from robotctl.recording import RecordingInfo
-from robotctl.recording.format.journal import TOPIC
-from robotctl.recording.format.metadata_names import INFO_RECORD
-
-TYPES = frozenset({"geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"})
-"""The message types of a command; both end with the same six numbers."""
+from robotctl.kernel.types import Effect, PublishTwist
+from robotctl.rerun.command_bytes import is_zero, numbers_of, serialized, shown_command
 
 MAX_WAITING = 512
 """The number of commands that may wait for their counterpart."""
 
 STILL_STEPS = 500
 """After this many steps with effects but without motion, no command can still be under way."""
-
-_NUMBERS = struct.Struct("<6d")
-_BIG_ENDIAN_NUMBERS = struct.Struct(">6d")
-"""The six velocities at the end of a serialized message (CDR, OMG DDSI-RTPS 10.2)."""
-
-_STILL = bytes(_NUMBERS.size)
-
-_COMMAND_TOPIC = "parameter.command.topic"
-
-
-def command_topic(info: RecordingInfo, journal_topic: str) -> str | None:
-    """Return the topic of the velocity commands of the journal, None if it is not recorded."""
-    name = info.metadata.get(INFO_RECORD, {}).get(_COMMAND_TOPIC, "cmd_vel")
-    if not name.startswith("/"):
-        name = f"{journal_topic.removesuffix(f'/{TOPIC}')}/{name}"
-    recorded = {topic.name for topic in info.topics if topic.type_name in TYPES}
-    return name if name in recorded else None
-
-
-def is_still(data: bytes) -> bool:
-    """Return whether a message of the command topic commands no motion."""
-    return not any(_NUMBERS.unpack(_numbers(data)))
 
 
 class CommandTraffic:
@@ -64,14 +38,12 @@ class CommandTraffic:
     def message(self, data: bytes) -> None:
         """Take a message of the command topic."""
         self.seen += 1
-        numbers = _numbers(data)
-        if numbers == _STILL:
+        numbers = numbers_of(data)
+        if is_zero(numbers):
             return
         try:
             self._decided.remove(numbers)
         except ValueError:
-            if not any(_NUMBERS.unpack(numbers)):  # a negative zero
-                return
             self._published.append(numbers)
             if len(self._published) > MAX_WAITING:
                 self._give_up()
@@ -82,7 +54,7 @@ class CommandTraffic:
         for effect in effects:
             if isinstance(effect, PublishTwist) and (effect.twist.linear or effect.twist.angular):
                 self._still_steps = 0
-                numbers = _serialized(effect.twist)
+                numbers = serialized(effect.twist)
                 try:
                     self._published.remove(numbers)
                 except ValueError:
@@ -99,24 +71,4 @@ class CommandTraffic:
     def _give_up(self) -> None:
         numbers = self._published.popleft()
         self.undecided += 1
-        if not self.example:
-            linear, _, _, _, _, angular = _NUMBERS.unpack(numbers)
-            self.example = f"{linear:.6g} m/s, {angular:.6g} rad/s"
-
-
-def _numbers(data: bytes) -> bytes:
-    """Return the six numbers of a Twist as little-endian bytes.
-
-    Raises:
-        UnreadableFile: The message is too short.
-    """
-    numbers = data[-_NUMBERS.size :]
-    if len(numbers) < _NUMBERS.size:
-        raise UnreadableFile("a velocity command is cut short")
-    if data[1:2] == b"\x00":
-        return _NUMBERS.pack(*_BIG_ENDIAN_NUMBERS.unpack(numbers))
-    return numbers
-
-
-def _serialized(twist: Twist) -> bytes:
-    return _NUMBERS.pack(twist.linear, 0.0, 0.0, 0.0, 0.0, twist.angular)
+        self.example = self.example or shown_command(numbers)

@@ -9,6 +9,7 @@ from typing import assert_never
 
 from robotctl.config import Config, flat
 from robotctl.kernel.modes import REQUESTS, TRANSITIONS, Guard, Mode, Trigger
+from robotctl.kernel.parameter_change import ParameterChanged
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.remedies import Remedy
 from robotctl.kernel.safety import RULE_OF, Rule, failed_start_condition, remedies_for, uncleared
@@ -221,6 +222,8 @@ def _went_out(incident: Incident) -> Iterator[str]:
         match effect:
             case PublishTwist():
                 yield _zero(incident)
+            case ParameterChanged():
+                yield f"{effect.key} changed from {effect.old} to {effect.new}"
             case LatchEmergencyStop():
                 yield "the emergency stop is latched, also over a restart"
             case ReleaseEmergencyStop():

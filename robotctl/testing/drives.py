@@ -13,7 +13,15 @@ from robotctl.config import Config, flat
 from robotctl.daemon.control.journal_writer import Journal
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.patterns import Pattern
-from robotctl.kernel.types import DriveRequested, Effect, Event, PublishTwist, Twist
+from robotctl.kernel.types import (
+    ZERO,
+    DriveRequested,
+    Effect,
+    Event,
+    LoopStalled,
+    PublishTwist,
+    Twist,
+)
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recorder, RecorderOptions, Topic
 from robotctl.recording.format.journal import TYPE_NAME, JournalEntry, decode, encode
@@ -75,37 +83,51 @@ def drive(
     requests: Sequence[Event] | None = None,
     snapshots_s: Iterable[float] = (0.0,),
     then: Iterable[Event] = (),
+    closed: bool = True,
 ) -> list[Written]:
     """Return what a daemon writes and publishes while a simulated robot drives.
 
     `requests` may be any events. The events in `then` follow after the robot has stopped sending.
+    A daemon that is not `closed` was killed: it wrote no last snapshot.
     """
     config = config or Config()
     asked = [drive_requested()] if requests is None else requests
     kernel = Kernel(config.kernel)
     snapshots_ns = [BEGIN_NS + round(after_s * NS_PER_S) for after_s in snapshots_s]
-    return list(journaled(kernel, _steps(kernel, config, asked, seconds, then), snapshots_ns))
+    written = list(journaled(kernel, _steps(kernel, config, asked, seconds, then), snapshots_ns))
+    return written if closed else written[:-1]
 
 
 def journaled(
     kernel: Kernel, steps: Iterable[Step], snapshots_ns: Iterable[int] = (BEGIN_NS,)
 ) -> Iterator[Written]:
-    """Yield what a daemon writes for the steps of a kernel, with a snapshot at each given time."""
+    """Yield what a daemon writes for the steps of a kernel.
+
+    There is a snapshot at each given time, and one at the end.
+    """
     written: list[Written] = []
-    journal = Journal(lambda serialized, seq: written.append(decode(serialized)))
-    due_ns = deque(snapshots_ns)
+    commands = 0
+    journal = Journal(lambda serialized, seq: written.append(decode(serialized)), lambda: commands)
+    due_ns, t_ns = deque(snapshots_ns), BEGIN_NS
     if due_ns and due_ns[0] == BEGIN_NS:
         journal.snapshot(due_ns.popleft(), kernel)
     for event, effects in steps:
+        t_ns = event.t_ns
         journal.event(event)
+        if isinstance(event, LoopStalled):
+            written.extend([ZERO] * event.zeros)
+            commands += event.zeros
         for effect in effects:
             if isinstance(effect, PublishTwist):
                 written.append(effect.twist)
+                commands += 1
             journal.effect(event.t_ns, effect)
         if due_ns and event.t_ns >= due_ns[0]:
             journal.snapshot(due_ns.popleft(), kernel)
         yield from written
         written.clear()
+    journal.snapshot(t_ns, kernel)
+    yield from written
 
 
 def _steps(
@@ -129,11 +151,12 @@ def record(
     version: str = __version__,
     options: RecorderOptions | None = None,
     clock: Callable[[int], int] = lambda time_ns: time_ns,
+    beside: Callable[[Recorder, int], None] = lambda recorder, time_ns: None,
 ) -> Path:
     """Make a recording in `folder`, and return the folder.
 
     Log times follow the times of the journal. `clock` maps them to wall-clock times, so that a
-    test can set the clock.
+    test can set the clock. `beside(recorder, time_ns)` may record more, before each item.
     """
     parameters = {f"parameter.{key}": str(v) for key, v in flat(config or Config()).items()}
     recorder = Recorder(
@@ -146,6 +169,7 @@ def record(
     odometry = recorder.add_topic(ODOMETRY)
     time_ns, published = START_NS, 0
     for number, each in enumerate(written, 1):
+        beside(recorder, clock(time_ns))
         if isinstance(each, JournalEntry):
             time_ns = max(time_ns, START_NS + each.t_ns)
             now_ns = clock(time_ns)

@@ -114,15 +114,17 @@ def test_every_file_of_a_recording_can_be_checked_alone(tmp_path: Path) -> None:
     folder = tmp_path / "run"
     recorder = Recorder(folder, metadata=lambda: {"robotctl": __version__}, on_failure=pytest.fail)
     journal, commands = recorder.add_topic(JOURNAL), recorder.add_topic(TWIST)
+    sent = 0
     for number, each in enumerate(written):
         log_ns = START_NS + number * 1_000_000
         if isinstance(each, JournalEntry):
-            if each.kind is EntryKind.SNAPSHOT and each.seq:
+            if each.kind is EntryKind.SNAPSHOT and 0 < number < len(written) - 1:
                 recorder.split()
                 until(lambda: len(list(folder.glob("*.mcap"))) == 2)
             recorder.write(journal, encode(each), log_ns, log_ns, each.seq + 1, GID)
         elif isinstance(each, Twist):
-            recorder.write(commands, encode_twist(each), log_ns + 9, log_ns + 1, number, GID)
+            sent += 1
+            recorder.write(commands, encode_twist(each), log_ns + 9, log_ns + 1, sent, GID)
     recorder.close()
     reports = [check_recording(path) for path in (folder, *sorted(folder.glob("*.mcap")))]
     assert [report.verdict for report in reports] == [Verdict.SAME] * 3
@@ -137,12 +139,15 @@ def test_a_recording_that_goes_on_is_checked_as_far_as_it_is(
     recorder = Recorder(
         tmp_path / "run", options, metadata=lambda: metadata, on_failure=pytest.fail
     )
-    journal = recorder.add_topic(JOURNAL)
+    journal, commands = recorder.add_topic(JOURNAL), recorder.add_topic(TWIST)
     entries = [each for each in drive_of_3_s if isinstance(each, JournalEntry)]
     while entries.pop().kind is not EntryKind.EFFECT:
         pass  # the effect of the last tick is still to come
     for each in entries:
         recorder.write(journal, encode(each), START_NS, START_NS, each.seq + 1, GID)
+    sent = [each for each in drive_of_3_s if isinstance(each, Twist)]
+    for number, twist in enumerate(sent, 1):
+        recorder.write(commands, encode_twist(twist), START_NS, START_NS, number, GID)
     until(lambda: recorder.stats().queued == 0)
     report = check_recording(tmp_path / "run")
     recorder.close()

@@ -55,8 +55,8 @@ def test_a_process_that_dies_costs_its_recording_alone(
 import os, sys
 from robotctl.rerun import check_process
 check = check_process.check_recording
-check_process.check_recording = lambda path, tell: (
-    os._exit(9) if "deadly" in str(path) else check(path, tell)
+check_process.check_recording = lambda path, tell, **options: (
+    os._exit(9) if "deadly" in str(path) else check(path, tell, **options)
 )
 check_process.main()
 """

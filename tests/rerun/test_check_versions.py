@@ -13,7 +13,7 @@ from robotctl.rerun.check_report import Verdict
 from robotctl.testing.drives import (
     Written,
 )
-from tests.support.checked_drives import altered, checked
+from tests.support.checked_drives import altered, checked, rechained
 
 
 def test_a_recording_of_another_version_says_so_and_compares_decisions(
@@ -81,7 +81,7 @@ def test_a_name_of_another_version_that_is_not_known_is_named(
         else each
         for each in changed
     ]
-    report = checked(tmp_path, changed, version="0.0.9")
+    report = checked(tmp_path, rechained(changed), version="0.0.9")
     assert report.verdict is Verdict.INCOMPLETE
     assert report.missing[0].startswith(f"{OTHER_RULES}journal entry {seq} cannot be read: ")
     assert "'Unheard'" in report.missing[0]

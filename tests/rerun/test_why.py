@@ -195,7 +195,8 @@ def unclosed(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("unclosed")
 def test_a_recording_that_ends_by_a_kill_in_moving_says_so(tmp_path: Path) -> None:
     refused = ModeRequested(at(1.0), 2, 7, "operator")
-    found = incident(record(tmp_path / "run", drive(2.0, requests=[drive_requested(), refused])))
+    killed = drive(2.0, requests=[drive_requested(), refused], closed=False)
+    found = incident(record(tmp_path / "run", killed))
     assert found.kind is IncidentKind.KILL
     told = explain(found)
     assert told.what.startswith("killed while MOVING")

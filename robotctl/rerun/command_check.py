@@ -1,0 +1,148 @@
+"""Checks the velocity commands of a recording against its decisions, and says what differs."""
+
+from __future__ import annotations
+
+from robotctl.kernel.snapshot import Snapshot
+from robotctl.kernel.types import Effect, Event
+from robotctl.kernel.units import NS_PER_S
+from robotctl.recording.read.messages import Message
+from robotctl.rerun.check_report import Report
+from robotctl.rerun.command_pairs import CommandPairs, Moments
+from robotctl.rerun.ending import Ending
+from robotctl.rerun.invariants import Invariants
+from robotctl.rerun.traffic import CommandTraffic
+
+CLOCK_NS = NS_PER_S // 4
+"""A larger change between wall clock and steady clock: the clock was set, or the loop stalled."""
+
+CLOCK_EXCUSES_NS = 2 * NS_PER_S
+"""How near to such a change the time of a command is not compared."""
+
+CUT = 3
+"""How many commands at the end of a clip may be decided after it."""
+
+
+class CommandCheck:
+    """The comparison of commands and decisions: by number, or by value for version 0.1.0."""
+
+    def __init__(self, report: Report) -> None:
+        self._report = report
+        self._pairs = CommandPairs()
+        self._traffic = CommandTraffic()
+        self._by_number: bool | None = None
+        self._seen = 0
+        self._decided = 0
+        self._clock_ns: int | None = None
+        self._clock_set_ns: list[int] = []
+
+    def message(self, message: Message) -> None:
+        """Take a message of the command topic."""
+        self._seen += 1
+        if self._by_number:
+            self._pairs.message(message.sequence, message.data, message.publish_ns)
+        elif self._traffic.seen or message.publish_ns >= self._report.begin_log_ns > 0:
+            self._traffic.message(message.data)  # else decided in an earlier file
+
+    def snapshot(self, snapshot: Snapshot) -> None:
+        """Continue from a snapshot."""
+        if self._by_number is None:
+            self._by_number = snapshot.proof is not None
+        if snapshot.proof is not None:
+            self._pairs.resume(snapshot.proof)
+
+    def stop(self) -> None:
+        """Pause until the next snapshot: events are missing."""
+        self._pairs.stop()
+
+    def step(self, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
+        """Take an event with its effects, and when it was handled."""
+        if self._by_number:
+            self._look_at_clock(event.t_ns, moments[1])
+            self._pairs.step(event, effects, moments)
+        elif effects:
+            self._traffic.step(effects)
+
+    def _look_at_clock(self, steady_ns: int, wall_ns: int) -> None:
+        offset_ns = wall_ns - steady_ns
+        before_ns, self._clock_ns = self._clock_ns, offset_ns
+        if before_ns is not None and abs(offset_ns - before_ns) > CLOCK_NS:
+            self._clock_set_ns.append(steady_ns)
+
+    def end(self, invariants: Invariants, ending: Ending) -> None:
+        """Report what differs."""
+        self._report.commands = self._seen
+        if not self._by_number:
+            self._traffic.end()
+            extra, example = self._traffic.undecided, self._traffic.example
+            if invariants.foreign:
+                self._tell_foreign(invariants, extra, example)
+            else:
+                self._tell_extra(invariants, ending, extra, example)
+            return
+        pairs = self._pairs
+        old, recent = pairs.end(CUT if ending.is_clip else 0)
+        others = pairs.others
+        self._tell_foreign(invariants, others.foreign, others.foreign_example)
+        self._tell_extra(invariants, ending, others.extra, others.extra_example)
+        self._tell_missing(invariants, ending)
+        self._tell_end(invariants, ending, old, recent)
+        if ending.is_own:
+            self._tell_late(invariants, ending)
+        if pairs.unsent:
+            self._report.notes.append("the journal tells of commands that could not be sent")
+        elif pairs.resumed:
+            self._report.miss("a snapshot counts other commands than were decided before it")
+        if pairs.out_of_order:
+            self._report.miss(f"{pairs.out_of_order} commands are not in the order of their number")
+
+    def _tell_foreign(self, invariants: Invariants, count: int, example: str) -> None:
+        if count:
+            names = ", ".join(sorted(invariants.foreign))
+            text = f"{_without_decision(count, example)}: {names} published as well"
+            self._report.notes.append(text)
+
+    def _tell_extra(self, invariants: Invariants, ending: Ending, count: int, example: str) -> None:
+        if count:
+            ending.accuse(self._report, invariants, _without_decision(count, example))
+
+    def _tell_missing(self, invariants: Invariants, ending: Ending) -> None:
+        pairs = self._pairs
+        count = pairs.missing + (0 if ending.is_clip else pairs.before_first)
+        if not count:
+            return
+        text = f"{count} decided commands are missing"
+        if pairs.missing_example:
+            text += f", the first is {pairs.missing_example}"
+        if count <= ending.lost:
+            self._report.notes.append(f"{text}: {ending.lost} were counted as lost")
+        elif ending.ledger is None:
+            self._report.miss(f"{text}; it was not closed, so its losses are not known")
+        else:
+            ending.accuse(self._report, invariants, text)
+
+    def _tell_end(self, invariants: Invariants, ending: Ending, old: int, recent: int) -> None:
+        is_closed = ending.is_whole and ending.ledger is not None and not invariants.foreign
+        count = old + (recent if is_closed else 0)
+        if count <= ending.lost:
+            return
+        if not self._pairs.paired and is_closed and old:
+            ending.accuse(self._report, invariants, f"none of {count} decided commands is recorded")
+        else:
+            self._report.miss(f"the last {count} decided commands are missing")
+
+    def _tell_late(self, invariants: Invariants, ending: Ending) -> None:
+        late = [
+            text
+            for steady_ns, text in self._pairs.late
+            if not any(abs(steady_ns - at_ns) <= CLOCK_EXCUSES_NS for at_ns in self._clock_set_ns)
+        ]
+        if late:
+            ending.accuse(
+                self._report,
+                invariants,
+                f"{len(late)} commands were not sent when decided: {late[0]}",
+            )
+
+
+def _without_decision(count: int, example: str) -> str:
+    return f"{count} commands without a decision, such as {example}"

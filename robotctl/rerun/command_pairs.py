@@ -1,0 +1,262 @@
+"""Pairs each velocity command on the wire with its decision in the journal, by number and value.
+
+Each decided command got the next sequence number of our publisher; the journal counts the zeros
+that the watchdog sent between them. So the journal says which numbers carry which velocities. A
+message with another number or velocity is of another publisher, or was not decided.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+
+from robotctl.kernel.snapshot import Proof
+from robotctl.kernel.types import (
+    CommandPublishersSeen,
+    Effect,
+    Event,
+    FaultReported,
+    ForeignCommandHeard,
+    LoopStalled,
+    PublishTwist,
+    Tick,
+)
+from robotctl.kernel.units import NS_PER_S
+from robotctl.recording.format.records import MAX_SEQUENCE
+from robotctl.rerun.command_bytes import STILL, is_zero, numbers_of, serialized, shown_command
+from robotctl.rerun.other_commands import OtherCommands
+
+MAX_WAITING = 20_000
+"""The number of commands, decided or sent, that may wait for their counterpart."""
+
+TAIL_NS = 2 * NS_PER_S
+"""How long before the end of a journal a decision may lack its message: it was under way."""
+
+LATE_NS = NS_PER_S // 2
+"""How far the time of a command may lie outside of its step."""
+
+SEND_FAILED = f"{PublishTwist.__name__} failed"
+"""How the fault of a command that could not be sent begins."""
+
+Moments = tuple[int, int, int]
+"""The begin of a step by steady clock and wall clock, and its end by the wall clock [ns]."""
+
+Decided = tuple[bytes, Moments]
+"""The six numbers of a decided command, and the step that decided it."""
+
+
+class CommandPairs:
+    """The comparison of decided and sent commands, from the first snapshot with a proof on."""
+
+    def __init__(self) -> None:
+        self.others = OtherCommands()
+        self.paired = 0
+        self.missing = 0
+        """The number of decided commands without a message, before the last one with a message."""
+
+        self.missing_example = ""
+        self.before_first = 0
+        """The number of decided commands before the first one with a message."""
+
+        self.late: deque[tuple[int, str]] = deque(maxlen=MAX_WAITING)
+        """Commands that were sent outside of their step: steady time [ns], and the sentence."""
+
+        self.out_of_order = 0
+        """The number of commands after one with a higher number."""
+
+        self.resumed = 0
+        """How often the count of a snapshot was not that of the decisions before it."""
+
+        self.unsent = False
+        """Whether the journal tells that commands could not be sent."""
+
+        self.is_counting = False
+        self._number = 0
+        """The number of the last command that the journal accounts for."""
+
+        self._base = 0
+        """The number of commands before the first decision that is counted."""
+
+        self._first: int | None = None
+        self._newest = 0
+        self._t_ns = 0
+        self._wanted: dict[int, Decided] = {}
+        self._early: dict[int, list[tuple[bytes, int, int]]] = {}
+        """Messages before their decision: numbers, publish time, journal time. Two publishers may
+        use one number."""
+
+        self._instead: dict[int, tuple[bytes, int]] = {}
+        """Zeros where another command was decided: the next event may tell of a stall."""
+
+        self._recent: deque[tuple[int, bytes]] = deque(maxlen=64)
+
+    # The wire
+
+    def message(self, sequence: int, data: bytes, publish_ns: int) -> None:
+        """Take a message of the command topic."""
+        if not self.is_counting:
+            return
+        numbers = numbers_of(data)
+        wanted = self._wanted.get(sequence)
+        if wanted is None:
+            self._keep(sequence, numbers, publish_ns)
+        elif wanted[0] == numbers or (numbers == STILL and is_zero(wanted[0])):
+            del self._wanted[sequence]
+            self._pair(sequence, wanted[1], publish_ns)
+        elif numbers == STILL:
+            self._instead[sequence] = numbers, publish_ns
+        else:
+            self.others.doubt(self._t_ns, numbers)
+
+    def _keep(self, sequence: int, numbers: bytes, publish_ns: int) -> None:
+        """Keep a message that is not decided yet, or doubt it."""
+        if _follows(sequence, self._number):
+            self._early.setdefault(sequence, []).append((numbers, publish_ns, self._t_ns))
+            if len(self._early) > MAX_WAITING:
+                self._doubt_all(self._early.pop(next(iter(self._early))))
+        elif self._first is not None or not self._base:
+            self.others.doubt(self._t_ns, numbers)  # else decided before the recording begins
+
+    def _pair(self, sequence: int, moments: Moments, publish_ns: int) -> None:
+        self.paired += 1
+        if self._first is None:
+            self._first = self._newest = sequence
+        elif _follows(sequence, self._newest):
+            self._newest = sequence
+        else:
+            self.out_of_order += 1
+        steady_ns, begin_ns, end_ns = moments
+        if end_ns and not begin_ns - LATE_NS <= publish_ns <= end_ns + LATE_NS:
+            off_s = max(begin_ns - publish_ns, publish_ns - end_ns) / NS_PER_S
+            when = "before" if publish_ns < begin_ns else "after"
+            self.late.append((steady_ns, f"command {sequence}, {off_s:.3f} s {when} its decision"))
+
+    def _doubt_all(self, messages: Iterable[tuple[bytes, int, int]]) -> None:
+        for numbers, _, t_ns in messages:
+            self.others.doubt(t_ns, numbers)
+
+    # The journal
+
+    def resume(self, proof: Proof) -> None:
+        """Continue from a snapshot, with the number of commands that it tells."""
+        differs = proof.commands & MAX_SEQUENCE != self._number
+        self.resumed += self.is_counting and differs
+        if not self.is_counting or differs:
+            self._forget()
+            self._number = self._base = proof.commands & MAX_SEQUENCE
+            self.is_counting = True
+
+    def stop(self) -> None:
+        """Pause until the next snapshot: events are missing."""
+        self.is_counting = False
+        self._forget()
+
+    def _forget(self) -> None:
+        self._wanted.clear()
+        self._early.clear()
+        self._instead.clear()
+        self._recent.clear()
+        self._first = None
+
+    def step(self, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
+        """Take an event with its effects."""
+        if not self.is_counting:
+            return
+        self._t_ns = event.t_ns
+        if isinstance(event, LoopStalled):
+            self._stall(event, moments)
+        elif isinstance(event, Tick):
+            self._settle()
+        elif isinstance(event, ForeignCommandHeard):
+            self.others.hear(event.t_ns)
+        elif isinstance(event, CommandPublishersSeen):
+            self.others.publish(event.t_ns, bool(event.names))
+        elif isinstance(event, FaultReported) and SEND_FAILED in event.detail:
+            self.unsent = True  # it is not known which: the next snapshot counts again
+            self.stop()
+            return
+        for effect in effects:
+            if isinstance(effect, PublishTwist):
+                self._decide(serialized(effect.twist), moments)
+
+    def _decide(self, numbers: bytes, moments: Moments) -> None:
+        self._number = number = (self._number + 1) & MAX_SEQUENCE
+        self._recent.append((number, numbers))
+        early = self._early.pop(number, ()) if self._early else ()
+        own = next((each for each in early if each[0] == numbers), None)
+        if own is not None:
+            self._pair(number, moments, own[1])
+        else:
+            self._wanted[number] = numbers, moments
+            own = next((each for each in early if each[0] == STILL), None)
+            if own is not None:
+                self._instead[number] = own[:2]
+        self._doubt_all(each for each in early if each is not own)
+        if len(self._wanted) > MAX_WAITING:
+            self._lack(next(iter(self._wanted)))
+
+    def _stall(self, event: LoopStalled, moments: Moments) -> None:
+        """Count the zeros of the watchdog; withheld commands were sent as zeros."""
+        steady_ns, _, end_ns = moments
+        during = steady_ns, 0, end_ns
+        left = event.withheld
+        held = []
+        for number, numbers in reversed(self._recent):
+            if left <= 0:
+                break
+            held.append(number)
+            left -= not is_zero(numbers)
+        for number in reversed(held):
+            if number in self._wanted:
+                self._wanted[number] = STILL, during
+            if number in self._instead:
+                _, publish_ns = self._instead.pop(number)
+                del self._wanted[number]
+                self._pair(number, during, publish_ns)
+        self._recent.clear()
+        for _ in range(min(event.zeros, MAX_WAITING)):
+            self._decide(STILL, during)
+
+    def _settle(self) -> None:
+        """Doubt the zeros that no stall explains, and messages that no publisher explains."""
+        if self._instead:
+            for numbers, _ in self._instead.values():
+                self.others.doubt(self._t_ns, numbers)
+            self._instead.clear()
+        self.others.settle(self._t_ns)
+
+    def end(self, cut: int = 0) -> tuple[int, int]:
+        """Count what still waits; return how many of the last decided commands are missing.
+
+        The first number is of those that were decided more than TAIL_NS before the end, the second
+        of the others. Up to `cut` messages may belong to decisions after the end.
+        """
+        for number, early in self._early.items():
+            if (number - self._number) & MAX_SEQUENCE > cut:
+                self._doubt_all(each for each in early if each[0] != STILL)
+        for number, (_, publish_ns) in self._instead.items():  # the end fell into a stall
+            self._pair(number, self._wanted.pop(number)[1], publish_ns)
+        old = recent = 0
+        for number, (_, moments) in list(self._wanted.items()):
+            if self._first is not None and not _follows(number, self._newest):
+                self._lack(number)
+            elif self._t_ns - moments[0] > TAIL_NS:
+                old += 1
+            else:
+                recent += 1
+        self.others.end()
+        return old, recent
+
+    def _lack(self, number: int) -> None:
+        numbers, _ = self._wanted.pop(number)
+        if self._first is not None and _follows(self._first, number):
+            self.before_first += 1
+            return
+        self.missing += 1
+        if not self.missing_example:
+            self.missing_example = f"command {number} ({shown_command(numbers)})"
+
+
+def _follows(number: int, other: int) -> bool:
+    """Return whether a number is later than another one; they begin again after MAX_SEQUENCE."""
+    return 0 < (number - other) & MAX_SEQUENCE <= MAX_SEQUENCE // 2

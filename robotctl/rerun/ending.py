@@ -1,0 +1,41 @@
+"""How a recording ends, which decides what may be missing in it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from robotctl.rerun.check_report import Report
+from robotctl.rerun.invariants import Invariants
+
+
+@dataclass(frozen=True, slots=True)
+class Ending:
+    """The end of a recording, for one of its topics.
+
+    `ledger` holds the counts of the topic, None if the recording was not closed.
+    """
+
+    ledger: Mapping[str, int] | None
+    is_clip: bool
+    is_own: bool
+    """Whether the recorder wrote the journal itself: one that it received may come late."""
+
+    is_whole: bool
+    """Whether all files are there: the messages after the last decision may be in the next file."""
+
+    is_filtered: bool
+    """Whether the configuration leaves topics out."""
+
+    @property
+    def lost(self) -> int:
+        """The number of messages that were counted as not recorded."""
+        ledger = self.ledger or {}
+        return sum(ledger.get(count, 0) for count in ("lost", "unseen", "dropped"))
+
+    def accuse(self, report: Report, invariants: Invariants, text: str) -> None:
+        """Report a broken promise; only a note where not all decisions are known."""
+        if report.missing or report.divergence is not None:
+            report.notes.append(text)
+        else:
+            invariants.violate(text)

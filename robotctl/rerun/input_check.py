@@ -1,0 +1,177 @@
+"""Checks the inputs in a journal against the recorded messages, and says what differs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from robotctl.cdr.battery import read_battery_level
+from robotctl.cdr.motion import read_odometry
+from robotctl.kernel.types import BatteryReceived, Event, OdomReceived
+from robotctl.recording import RecordingInfo
+from robotctl.recording.format.metadata_names import INFO_RECORD
+from robotctl.recording.format.records import MAX_SEQUENCE
+from robotctl.recording.read.messages import Message
+from robotctl.rerun.check_report import Report
+from robotctl.rerun.ending import Ending
+from robotctl.rerun.input_pairs import Input, InputPairs
+from robotctl.rerun.invariants import Invariants
+from robotctl.rerun.own_topics import full_name
+
+_NOTHING = "[]"
+"""An empty list of topics in the metadata."""
+
+
+class InputCheck:
+    """The comparison of the inputs of one topic, from the first snapshot with a proof on."""
+
+    def __init__(
+        self, report: Report, name: str, topic: str | None, read: Callable[[bytes], Any]
+    ) -> None:
+        """`name` is that of the input, `topic` its topic, None if it is not recorded.
+
+        `read(data)` returns the value of a message.
+        """
+        self.topic = topic
+        self.is_on = False
+        self._report = report
+        self._name = name
+        self._read = read
+        self._pairs = InputPairs()
+
+    def message(self, message: Message) -> None:
+        """Take a message of the topic."""
+        if self.is_on:
+            self._pairs.message(message.sequence, self._read(message.data))
+
+    def received(self, event: OdomReceived | BatteryReceived, seq: int) -> None:
+        """Take an input; `seq` is the number of its entry."""
+        if not self.is_on:
+            return
+        sequence = event.sequence & MAX_SEQUENCE
+        if isinstance(event, OdomReceived):
+            found = Input(event.t_ns, event.source, event.odometry, seq)
+        else:
+            found = Input(event.t_ns, event.publisher, event.level, seq)
+        self._pairs.received(sequence, found)
+
+    def snapshot(self, has_proof: bool) -> None:
+        """Compare from this snapshot on, if it is one of this version."""
+        self.is_on = self.is_on or has_proof
+        self._pairs.settle()
+
+    def stop(self) -> None:
+        """Pause until the next snapshot: events are missing."""
+        self.is_on = False
+        self._pairs.forget()
+
+    def end(self, invariants: Invariants, ending: Ending, end_ns: int) -> None:
+        """Report what differs."""
+        pairs, report = self._pairs, self._report
+        pairs.end(end_ns)
+        if pairs.differing:
+            text = f"{pairs.differing} messages are not what the control loop received as"
+            text = f"{text} {self._name}: {pairs.differing_example}"
+            if pairs.has_one_publisher or pairs.differing > ending.lost:
+                ending.accuse(report, invariants, text)
+            else:
+                report.notes.append(text)
+        self._tell_lacking(invariants, ending)
+        if pairs.repeated and pairs.has_one_publisher:
+            report.miss(f"{pairs.repeated} messages of {self._name} are repeated or out of order")
+        if pairs.unheard and pairs.has_one_publisher:
+            report.notes.append(
+                f"{pairs.unheard} messages of {self._name} did not reach the control loop"
+            )
+
+    def _tell_lacking(self, invariants: Invariants, ending: Ending) -> None:
+        pairs, report = self._pairs, self._report
+        count = pairs.lacking + (0 if ending.is_clip else pairs.before_first)
+        if not count:
+            return
+        text = f"{count} messages of {self._name} that the control loop received are not recorded"
+        if pairs.lacking_example:
+            text += f", the first is of {pairs.lacking_example}"
+        if count <= ending.lost:
+            report.notes.append(f"{text}: {ending.lost} were counted as lost")
+        elif ending.is_filtered and self.topic is None:
+            report.notes.append(f"the topic of {self._name} was not recorded, as configured")
+        elif ending.ledger is None:
+            report.miss(f"{text}; it was not closed, so its losses are not known")
+        else:
+            ending.accuse(report, invariants, text)
+
+
+def input_checks(report: Report, info: RecordingInfo, journal_topic: str) -> Inputs:
+    """Return the checks of the inputs of a recording."""
+    return Inputs(
+        InputCheck(
+            report, "odometry", _topic(info, journal_topic, "odometry", "odom"), read_odometry
+        ),
+        InputCheck(
+            report,
+            "the battery",
+            _topic(info, journal_topic, "battery", "battery_state"),
+            read_battery_level,
+        ),
+    )
+
+
+class Inputs:
+    """The checks of all inputs that are compared."""
+
+    def __init__(self, odometry: InputCheck, battery: InputCheck) -> None:
+        self._odometry = odometry
+        self._battery = battery
+        self._all = odometry, battery
+
+    def readers(self) -> dict[str, Callable[[Message], None]]:
+        """Return for each recorded topic what takes its messages."""
+        return {each.topic: each.message for each in self._all if each.topic is not None}
+
+    def step(self, event: Event, seq: int) -> None:
+        """Take an event of the journal, with the number of its entry."""
+        if isinstance(event, OdomReceived):
+            self._odometry.received(event, seq)
+        elif isinstance(event, BatteryReceived):
+            self._battery.received(event, seq)
+
+    def snapshot(self, has_proof: bool) -> None:
+        """Take a snapshot."""
+        for each in self._all:
+            each.snapshot(has_proof)
+
+    def stop(self) -> None:
+        """Pause until the next snapshot."""
+        for each in self._all:
+            each.stop()
+
+    def end(
+        self, invariants: Invariants, ending: Callable[[str | None], Ending], end_ns: int
+    ) -> None:
+        """Report what differs; `ending(topic)` tells how the recording ends for a topic."""
+        for each in self._all:
+            each.end(invariants, ending(each.topic), end_ns)
+
+
+_TYPES: Mapping[str, str] = {
+    "odometry": "nav_msgs/msg/Odometry",
+    "battery": "sensor_msgs/msg/BatteryState",
+}
+
+
+def _topic(info: RecordingInfo, journal_topic: str, kind: str, default: str) -> str | None:
+    name = full_name(info, journal_topic, f"{kind}.topic", default)
+    is_recorded = any(
+        topic.name == name and topic.type_name == _TYPES[kind] for topic in info.topics
+    )
+    return name if is_recorded else None
+
+
+def is_filtered(info: RecordingInfo) -> bool:
+    """Return whether the configuration leaves topics out of the recording."""
+    values = info.metadata.get(INFO_RECORD, {})
+    return any(
+        values.get(f"parameter.recording.{key}", _NOTHING) != _NOTHING
+        for key in ("include", "exclude")
+    )

@@ -1,0 +1,176 @@
+"""Pairs each input that the kernel received with the recorded message, by number and value."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from typing import Any, NamedTuple
+
+from robotctl.kernel.units import NS_PER_S
+
+PATIENCE_NS = 30 * NS_PER_S
+"""How long an input waits for its message, on the steady clock of the journal."""
+
+EDGE_NS = 2 * NS_PER_S
+"""How near to the end of a journal an input may lack its message: it was under way. Also how long a
+publisher may live without being found by the recorder."""
+
+MAX_WAITING = 5_000
+"""The number of messages that may wait for their input."""
+
+
+class Input(NamedTuple):
+    """An input in the journal: its time, publisher and value; `seq` is that of its entry."""
+
+    t_ns: int
+    source: Hashable
+    value: Any
+    seq: int
+
+
+class InputPairs:
+    """The comparison of the inputs of one topic with its messages."""
+
+    def __init__(self) -> None:
+        self.paired = 0
+        self.lacking = 0
+        """The number of inputs without a message, not counting those at the edges."""
+
+        self.lacking_example = ""
+        self.before_first = 0
+        """The number of inputs without a message before the first one that has one."""
+
+        self.differing = 0
+        """The number of inputs whose message holds another value."""
+
+        self.differing_example = ""
+        self.unheard = 0
+        """The number of messages between others that were never an input."""
+
+        self.repeated = 0
+        """The number of messages whose number is not above that of the one before them."""
+
+        self._inputs: dict[int, list[Input]] = {}
+        self._messages: dict[int, list[Any]] = {}
+        self._found: dict[Hashable, int] = {}
+        """The highest number of each publisher that was paired."""
+
+        self._lives: dict[Hashable, tuple[int, int]] = {}
+        self._unfound: list[tuple[Input, int]] = []
+        self._unheard: list[int] = []
+        self._first_ns: int | None = None
+        self._numbers = (0, 0)
+        """The lowest and the highest number that was paired."""
+
+        self._newest = 0
+        self._t_ns = 0
+
+    @property
+    def has_one_publisher(self) -> bool:
+        """Whether all inputs came from one publisher, so that their numbers are unique."""
+        return len(self._lives) <= 1
+
+    def message(self, sequence: int, value: Any) -> None:
+        """Take a message of the topic; 0 is no number."""
+        self.repeated += sequence <= self._newest
+        self._newest = sequence
+        inputs = self._inputs.get(sequence)
+        if inputs is not None:
+            for each in inputs:
+                if _same(each.value, value):
+                    self._pair(sequence, each)
+                    inputs.remove(each)
+                    if not inputs:
+                        del self._inputs[sequence]
+                    return
+        self._messages.setdefault(sequence, []).append(value)
+        if len(self._messages) > MAX_WAITING:
+            oldest = next(iter(self._messages))
+            self._unheard += [oldest] * len(self._messages.pop(oldest))
+
+    def received(self, sequence: int, found: Input) -> None:
+        """Take an input of the journal."""
+        self._t_ns = found.t_ns
+        if not sequence:
+            return
+        begin_ns, _ = self._lives.get(found.source, (found.t_ns, 0))
+        self._lives[found.source] = begin_ns, found.t_ns
+        values = self._messages.get(sequence)
+        if values is not None:
+            for position, value in enumerate(values):
+                if _same(found.value, value):
+                    self._pair(sequence, found)
+                    del values[position]
+                    if not values:
+                        del self._messages[sequence]
+                    return
+        self._inputs.setdefault(sequence, []).append(found)
+
+    def _pair(self, sequence: int, found: Input) -> None:
+        self.paired += 1
+        self._found[found.source] = sequence
+        if self._first_ns is None:
+            self._first_ns = found.t_ns
+            self._numbers = sequence, sequence
+        elif sequence > self._numbers[1]:
+            self._numbers = self._numbers[0], sequence
+
+    def settle(self) -> None:
+        """Give up the inputs that have waited for too long; called at each snapshot."""
+        for sequence, inputs in list(self._inputs.items()):
+            if self._t_ns - inputs[-1].t_ns <= PATIENCE_NS:
+                return  # in the order of time
+            del self._inputs[sequence]
+            for each in inputs:
+                self._lack(sequence, each)
+
+    def forget(self) -> None:
+        """Drop what waits: journal entries are missing."""
+        self._inputs.clear()
+        self._messages.clear()
+
+    def end(self, t_ns: int) -> int:
+        """Count what still waits at the journal's end `t_ns`; return the inputs near the end."""
+        near = 0
+        for sequence, inputs in self._inputs.items():
+            for each in inputs:
+                is_last = sequence > self._found.get(each.source, 0)
+                if is_last and sequence not in self._messages and t_ns - each.t_ns <= EDGE_NS:
+                    near += 1
+                else:
+                    self._lack(sequence, each)
+        for each, sequence in self._unfound:
+            begin_ns, end_ns = self._lives.get(each.source, (0, 0))
+            if each.source in self._found or end_ns - begin_ns > EDGE_NS:
+                self._count(sequence, each)
+        for sequence, values in self._messages.items():
+            self._unheard += [sequence] * len(values)
+        first, last = self._numbers
+        self.unheard += sum(first < sequence < last for sequence in self._unheard)
+        return near
+
+    def _lack(self, sequence: int, found: Input) -> None:
+        values = self._messages.get(sequence)
+        if values:
+            self.differing += 1
+            value = values.pop()  # it was heard, and said something else
+            if not values:
+                del self._messages[sequence]
+            self.differing_example = self.differing_example or (
+                f"entry {found.seq} has {found.value}, message {sequence} has {value}"
+            )
+        elif found.source not in self._found:
+            self._unfound.append((found, sequence))
+        else:
+            self._count(sequence, found)
+
+    def _count(self, sequence: int, found: Input) -> None:
+        if self._first_ns is not None and found.t_ns < self._first_ns:
+            self.before_first += 1
+            return
+        self.lacking += 1
+        if not self.lacking_example:
+            self.lacking_example = f"entry {found.seq}, message {sequence}"
+
+
+def _same(one: Any, other: Any) -> bool:
+    return one == other or repr(one) == repr(other)  # nan differs from itself

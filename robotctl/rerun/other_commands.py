@@ -1,0 +1,74 @@
+"""Velocity commands that robotctl did not decide: another publisher explains some of them."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from robotctl.kernel.units import NS_PER_S
+from robotctl.rerun.command_bytes import shown_command
+
+NEAR_NS = 5 * NS_PER_S
+"""How long before or after it was noticed another publisher may have sent a command."""
+
+
+class OtherCommands:
+    """The commands without a decision, by whether another publisher was there at that time.
+
+    Times are those of the journal (steady, in nanoseconds).
+    """
+
+    def __init__(self) -> None:
+        self.extra = 0
+        """The number of messages that nobody is known to have sent."""
+
+        self.extra_example = ""
+        self.foreign = 0
+        """The number of messages of other publishers."""
+
+        self.foreign_example = ""
+        self._heard_ns: int | None = None
+        self._publish = False
+        self._waiting: deque[tuple[int, bytes]] = deque()
+        """Messages that a publisher may still explain: time, numbers."""
+
+    def hear(self, t_ns: int) -> None:
+        """Note that another publisher was noticed."""
+        self._heard_ns = t_ns
+        while self._waiting:
+            at_ns, numbers = self._waiting.popleft()
+            if t_ns - at_ns <= NEAR_NS:
+                self._note_foreign(numbers)
+            else:
+                self._note_extra(numbers)
+
+    def publish(self, t_ns: int, others: bool) -> None:
+        """Note whether the graph shows other publishers from now on."""
+        if others or self._publish:
+            self.hear(t_ns)
+        self._publish = others
+
+    def doubt(self, t_ns: int, numbers: bytes) -> None:
+        """Take a command that was not decided."""
+        heard = self._publish or (self._heard_ns is not None and t_ns - self._heard_ns <= NEAR_NS)
+        if heard:
+            self._note_foreign(numbers)
+        else:
+            self._waiting.append((t_ns, numbers))
+
+    def settle(self, t_ns: int) -> None:
+        """Give up what no publisher has explained for too long."""
+        while self._waiting and t_ns - self._waiting[0][0] > NEAR_NS:
+            self._note_extra(self._waiting.popleft()[1])
+
+    def end(self) -> None:
+        """Give up everything that is left."""
+        while self._waiting:
+            self._note_extra(self._waiting.popleft()[1])
+
+    def _note_extra(self, numbers: bytes) -> None:
+        self.extra += 1
+        self.extra_example = self.extra_example or shown_command(numbers)
+
+    def _note_foreign(self, numbers: bytes) -> None:
+        self.foreign += 1
+        self.foreign_example = self.foreign_example or shown_command(numbers)

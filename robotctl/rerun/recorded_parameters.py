@@ -1,0 +1,27 @@
+"""Compares the parameters of a kernel with those that the metadata of its recording names."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from robotctl.config import Config, flat
+from robotctl.config.settings import keyed_leaves
+from robotctl.kernel.params import KernelParams
+from robotctl.recording import RecordingInfo
+from robotctl.recording.format.metadata_names import INFO_RECORD
+
+
+def differing_parameters(info: RecordingInfo, params: KernelParams) -> Iterator[str]:
+    """Yield a sentence for each parameter that the kernel began with and the metadata contradicts.
+
+    `info` describes a whole recording: a daemon begins with the parameters that it notes there.
+    """
+    noted = info.metadata.get(INFO_RECORD, {})
+    config = Config(kernel=params)
+    values = flat(config)
+    for key, leaf in keyed_leaves(config):
+        theirs = noted.get(f"parameter.{key}")
+        if leaf.path[0] == "kernel" and theirs is not None and theirs != str(values[key]):
+            yield (
+                f"the journal begins with {key} {values[key]}, and the metadata says {theirs[:80]}"
+            )

@@ -1,0 +1,98 @@
+"""Each odometry sample and battery level in the journal is a message that was recorded."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from robotctl.rerun.check import check_recording
+from robotctl.rerun.check_report import Report, Verdict
+from robotctl.rerun.command_bytes import is_zero, numbers_of
+from tests.support.edited_recordings import Contents, Stored, edit, write_contents
+from tests.support.heard_drives import BATTERY, COMMANDS, ODOMETRY, heard_drive
+
+Change = Callable[[int, Stored], Stored | None]
+
+
+@pytest.fixture(scope="module")
+def heard(tmp_path_factory: pytest.TempPathFactory) -> Contents:
+    return heard_drive(tmp_path_factory.mktemp("heard") / "run", 6.0, snapshots_s=(0.0, 3.0))
+
+
+def check(tmp_path: Path, contents: Contents) -> Report:
+    return check_recording(write_contents(tmp_path / "run", contents))
+
+
+def changed(tmp_path: Path, contents: Contents, topic: str, change: Change) -> Report:
+    return check(tmp_path, edit(contents, topic, change))
+
+
+def test_what_was_heard_and_recorded_is_the_same(tmp_path: Path, heard: Contents) -> None:
+    report = check(tmp_path, heard)
+    assert (report.verdict, report.missing, report.notes) == (Verdict.SAME, [], [])
+    assert heard.counts[ODOMETRY] > 100
+    assert heard.counts[BATTERY] > 3
+    assert any(not is_zero(numbers_of(e.data)) for e in heard.messages if e.topic == COMMANDS)
+
+
+@pytest.mark.parametrize("topic", [ODOMETRY, BATTERY])
+def test_messages_that_were_removed_are_missed(tmp_path: Path, heard: Contents, topic: str) -> None:
+    report = changed(tmp_path, heard, topic, lambda at, each: each if at not in (2, 3) else None)
+    assert report.verdict is Verdict.BROKEN
+    assert report.violations[0].text.startswith("2 messages of ")
+    assert ", message 3" in report.violations[0].text
+
+
+@pytest.mark.parametrize("topic", [ODOMETRY, BATTERY])
+def test_a_topic_that_was_removed_is_missed(tmp_path: Path, heard: Contents, topic: str) -> None:
+    edited = edit(heard, topic, lambda at, each: None)
+    edited.types = [(channel, schema) for channel, schema in heard.types if channel.topic != topic]
+    assert check(tmp_path, edited).verdict is Verdict.BROKEN
+
+
+def test_odometry_that_was_moved_is_found(tmp_path: Path, heard: Contents) -> None:
+    def moved(at: int, each: Stored) -> Stored:
+        data = bytearray(each.data)
+        at_x = len(data) - 36 * 8 - 6 * 8 - 36 * 8 - 7 * 8
+        (x,) = struct.unpack_from("<d", data, at_x)
+        struct.pack_into("<d", data, at_x, x + (100.0 if at == 50 else 0.0))
+        return replace(each, data=bytes(data))
+
+    report = changed(tmp_path, heard, ODOMETRY, moved)
+    assert report.verdict is Verdict.BROKEN
+    assert "1 messages are not what the control loop received as odometry" in str(report.violations)
+
+
+def one_bit_flipped(data: bytes) -> bytes:
+    """Change the last bit of the level."""
+    return data[:-4] + bytes([data[-4] ^ 1]) + data[-3:]
+
+
+def test_a_battery_level_that_differs_by_one_bit_is_found(tmp_path: Path, heard: Contents) -> None:
+    report = changed(
+        tmp_path,
+        heard,
+        BATTERY,
+        lambda at, each: replace(each, data=one_bit_flipped(each.data)),
+    )
+    assert report.verdict is Verdict.BROKEN
+
+
+def test_a_message_that_is_repeated_is_missed(tmp_path: Path, heard: Contents) -> None:
+    edited = heard.copy()
+    at = next(i for i, each in enumerate(edited.messages) if each.topic == ODOMETRY) + 200
+    repeated = next(each for each in edited.messages[at:] if each.topic == ODOMETRY)
+    edited.messages.insert(at + 60, repeated)
+    assert check(tmp_path, edited).verdict is Verdict.INCOMPLETE
+
+
+def test_losses_that_were_counted_are_a_note(tmp_path: Path, heard: Contents) -> None:
+    edited = edit(heard, ODOMETRY, lambda at, each: None if at in range(50, 60) else each)
+    edited.lose(ODOMETRY, 10)
+    report = check(tmp_path, edited)
+    assert report.verdict is Verdict.SAME
+    assert "10 were counted as lost" in report.notes[0]

@@ -1,0 +1,286 @@
+"""Tools of a forger: each returns edited contents whose CRCs, indexes and counts agree."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from random import Random
+
+from robotctl.cdr.motion import decode_twist, encode_twist
+from robotctl.recording.format.journal import EntryKind, JournalEntry, chained, decode, encode
+from tests.support.edited_recordings import Contents, Stored, edit
+from tests.support.heard_drives import JOURNAL
+
+Kind = Callable[[Contents, Random], Contents]
+"""An edit; the generator chooses its place."""
+
+
+def positions(contents: Contents, topic: str, wanted: Callable[[Stored], bool]) -> list[int]:
+    """Return the places among the messages of a topic that are `wanted`."""
+    of_topic = [each for each in contents.messages if each.topic == topic]
+    return [at for at, each in enumerate(of_topic) if wanted(each)]
+
+
+def anywhere(message: Stored) -> bool:
+    """Accept any message."""
+    return True
+
+
+def moves(message: Stored) -> bool:
+    """Accept a command that is not zero."""
+    twist = decode_twist(message.data)
+    return bool(twist.linear or twist.angular)
+
+
+def dropped(topic: str, count: int = 1, wanted: Callable[[Stored], bool] = anywhere) -> Kind:
+    """Drop messages in a row."""
+
+    def make(contents: Contents, random: Random) -> Contents:
+        first = random.choice(positions(contents, topic, wanted)[: -count or None])
+        gone = range(first, first + count)
+        return edit(contents, topic, lambda at, each: None if at in gone else each)
+
+    return make
+
+
+def dropped_and_renumbered(topic: str, wanted: Callable[[Stored], bool] = anywhere) -> Kind:
+    """Drop a message, and close the gap in the numbers."""
+
+    def make(contents: Contents, random: Random) -> Contents:
+        first = random.choice(positions(contents, topic, wanted))
+
+        def change(at: int, each: Stored) -> Stored | None:
+            if at == first:
+                return None
+            return replace(each, sequence=each.sequence - 1) if at > first else each
+
+        return edit(contents, topic, change)
+
+    return make
+
+
+def changed(
+    topic: str, change: Callable[[Stored, Random], Stored], wanted: Callable[[Stored], bool]
+) -> Kind:
+    """Change one message."""
+
+    def make(contents: Contents, random: Random) -> Contents:
+        chosen = random.choice(positions(contents, topic, wanted))
+        return edit(
+            contents, topic, lambda at, each: change(each, random) if at == chosen else each
+        )
+
+    return make
+
+
+def all_changed(topic: str, change: Callable[[Stored], Stored | None]) -> Kind:
+    """Change every message of a topic."""
+    return lambda contents, random: edit(contents, topic, lambda at, each: change(each))
+
+
+def repeated(topic: str, wanted: Callable[[Stored], bool] = anywhere) -> Kind:
+    """Record a message twice."""
+
+    def make(contents: Contents, random: Random) -> Contents:
+        edited = contents.copy()
+        places = [
+            i for i, each in enumerate(edited.messages) if each.topic == topic and wanted(each)
+        ]
+        chosen = random.choice(places)
+        edited.messages.insert(chosen + random.randrange(1, 30), edited.messages[chosen])
+        return edited
+
+    return make
+
+
+def swapped(topic: str, wanted: Callable[[Stored], bool]) -> Kind:
+    """Exchange the contents of two messages that differ."""
+
+    def make(contents: Contents, random: Random) -> Contents:
+        of_topic = [each for each in contents.messages if each.topic == topic]
+        first = random.choice(positions(contents, topic, wanted))
+        other = random.choice(
+            [at for at, each in enumerate(of_topic) if each.data != of_topic[first].data]
+        )
+        data = {first: of_topic[other].data, other: of_topic[first].data}
+        return edit(contents, topic, lambda at, each: replace(each, data=data.get(at, each.data)))
+
+    return make
+
+
+def added(topic: str, data: bytes) -> Kind:
+    """Add a message with the next number, and shift the numbers after it."""
+
+    def make(contents: Contents, random: Random) -> Contents:
+        places = [i for i, each in enumerate(contents.messages) if each.topic == topic]
+        chosen = random.choice(places[:-1])
+        edited = edit(contents, topic, lambda at, each: each)
+        before = contents.messages[chosen]
+        edited.messages = [
+            replace(each, sequence=each.sequence + 1)
+            if each.topic == topic and each.sequence > before.sequence
+            else each
+            for each in contents.messages
+        ]
+        extra = replace(before, data=data, sequence=before.sequence + 1)
+        edited.messages.insert(chosen + 1, extra)
+        return edited
+
+    return make
+
+
+def removed(topic: str) -> Kind:
+    """Remove a topic with its channel."""
+
+    def make(contents: Contents, random: Random) -> Contents:
+        edited = edit(contents, topic, lambda at, each: None)
+        edited.types = [each for each in contents.types if each[0].topic != topic]
+        return edited
+
+    return make
+
+
+def still(message: Stored) -> Stored:
+    """Replace a command with zero."""
+    return replace(message, data=message.data[:4] + bytes(48))
+
+
+def by_one_ulp(message: Stored, random: Random) -> Stored:
+    """Change the last bit of the forward velocity."""
+    data = bytearray(message.data)
+    data[4] ^= 1
+    return replace(message, data=bytes(data))
+
+
+MOTION = encode_twist(replace(decode_twist(bytes((0, 1, 0, 0)) + bytes(48)), linear=0.2))
+"""A command to go forward."""
+
+
+# The journal
+
+
+def journal(
+    change: Callable[[list[JournalEntry], Random], Sequence[JournalEntry | None]],
+    *,
+    careful: bool = False,
+) -> Kind:
+    """Change journal entries; a careful forger numbers them anew and computes the CRCs again.
+
+    `change` returns the entries in their places; None is dropped.
+    """
+
+    def make(contents: Contents, random: Random) -> Contents:
+        entries = [decode(each.data) for each in contents.messages if each.topic == JOURNAL]
+        left = list(change(list(entries), random))
+        assert len(left) == len(entries)
+        if careful:
+            left = _renumbered(left)
+
+        def keep(at: int, each: Stored) -> Stored | None:
+            entry = left[at]
+            if entry is None:
+                return None
+            return replace(each, data=encode(entry), sequence=entry.seq + 1)
+
+        return edit(contents, JOURNAL, keep)
+
+    return make
+
+
+def _renumbered(entries: Sequence[JournalEntry | None]) -> list[JournalEntry | None]:
+    again: list[JournalEntry | None] = []
+    seq = crc = 0
+    for entry in entries:
+        if entry is not None:
+            text = entry.data
+            if entry.kind is EntryKind.SNAPSHOT:
+                text = re.sub(r'"journal_crc":[0-9]+', f'"journal_crc":{crc}', text)
+            entry = entry._replace(seq=seq, data=text)
+            crc = chained(encode(entry), crc)
+            seq += 1
+        again.append(entry)
+    return again
+
+
+def without(
+    name: str,
+) -> Callable[[list[JournalEntry], Random], Sequence[JournalEntry | None]]:
+    """Drop an event of this name with its effects, at a place that the generator chooses."""
+
+    def change(entries: list[JournalEntry], random: Random) -> Sequence[JournalEntry | None]:
+        left: list[JournalEntry | None] = list(entries)
+        places = [at for at, entry in enumerate(entries) if entry.name == name]
+        at = random.choice(places)
+        left[at] = None
+        for after in range(at + 1, len(entries)):
+            if entries[after].kind is not EntryKind.EFFECT:
+                break
+            left[after] = None
+        return left
+
+    return change
+
+
+def rewritten(
+    name: str, pattern: str, text: str, *, everywhere: bool = False
+) -> Callable[[list[JournalEntry], Random], Sequence[JournalEntry | None]]:
+    """Replace text in an entry of this name, or in all of them."""
+
+    def change(entries: list[JournalEntry], random: Random) -> Sequence[JournalEntry | None]:
+        places = [
+            at
+            for at, entry in enumerate(entries)
+            if entry.name == name and re.search(pattern, entry.data)
+        ]
+        for at in places if everywhere else [random.choice(places)]:
+            data = re.sub(pattern, text, entries[at].data, count=1)
+            entries[at] = entries[at]._replace(data=data)
+        return entries
+
+    return change
+
+
+# Metadata and counts
+
+
+def metadata(record: str, key: str, value: str | None) -> Kind:
+    """Change a value of the metadata; None removes it."""
+
+    def make(contents: Contents, random: Random) -> Contents:
+        edited = contents.copy()
+        for name, values in edited.metadata:
+            if name == record:
+                values.pop(key, None)
+                if value is not None:
+                    values[key] = value
+        return edited
+
+    return make
+
+
+def counted(topic: str, count: str, more: int) -> Kind:
+    """Change a count of the ledger."""
+
+    def make(contents: Contents, random: Random) -> Contents:
+        edited = contents.copy()
+        for name, values in edited.metadata:
+            if name == "robotctl.ledger":
+                counts = json.loads(values[topic])
+                values[topic] = json.dumps({**counts, count: counts[count] + more})
+        return edited
+
+    return make
+
+
+def cut(share: float) -> Kind:
+    """Cut off the end of all topics, at a place in the last part of the file."""
+
+    def make(contents: Contents, random: Random) -> Contents:
+        edited = contents.copy()
+        keep = round(len(contents.messages) * (1 - random.uniform(0.02, share)))
+        del edited.messages[keep:]
+        return edited
+
+    return make

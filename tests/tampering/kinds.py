@@ -1,0 +1,280 @@
+"""All kinds of edits, by what a check makes of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from random import Random
+
+from robotctl.kernel.modes import Mode
+from robotctl.recording.format.journal import EntryKind, JournalEntry, decode
+from tests.support.edited_recordings import Contents, Stored
+from tests.support.heard_drives import BATTERY, COMMANDS, JOURNAL, ODOMETRY, STATUS
+from tests.tampering.edits import (
+    MOTION,
+    Kind,
+    added,
+    all_changed,
+    anywhere,
+    by_one_ulp,
+    changed,
+    counted,
+    cut,
+    dropped,
+    dropped_and_renumbered,
+    journal,
+    metadata,
+    moves,
+    removed,
+    repeated,
+    rewritten,
+    still,
+    swapped,
+    without,
+)
+
+
+def late(message: Stored) -> Stored:
+    """Send a message 2 s later."""
+    return replace(message, publish_ns=message.publish_ns + 2 * 10**9)
+
+
+def moved(message: Stored, random: Random) -> Stored:
+    """Change the position, by one bit of any weight."""
+    data = bytearray(message.data)
+    at = len(data) - 8 * (36 + 6 + 36 + 7) + random.randrange(6)
+    data[at] ^= 1 << random.randrange(8)
+    return replace(message, data=bytes(data))
+
+
+def level(message: Stored, random: Random) -> Stored:
+    """Change the battery level."""
+    data = bytearray(message.data)
+    data[-4] ^= 1 << random.randrange(8)
+    return replace(message, data=bytes(data))
+
+
+def last_number(contents: Contents, topic: str) -> int:
+    """Return the number of the last message of a topic."""
+    return max(each.sequence for each in contents.messages if each.topic == topic)
+
+
+def mode(message: Stored, random: Random) -> Stored:
+    """Show a mode that the robot never had."""
+    data = bytearray(message.data)
+    data[AT_MODE] = Mode.ERROR
+    return replace(message, data=bytes(data))
+
+
+def shown_level(message: Stored, random: Random) -> Stored:
+    """Show another battery level."""
+    data = bytearray(message.data)
+    data[-9] ^= 1 << random.randrange(8)
+    return replace(message, data=bytes(data))
+
+
+def robot(message: Stored, random: Random) -> Stored:
+    """Show the status of another robot."""
+    return replace(message, data=message.data.replace(b"robot", b"rabot"))
+
+
+def numbered(message: Stored, random: Random) -> Stored:
+    """Give a message another number."""
+    return replace(message, sequence=message.sequence + 5_000)
+
+
+def first_snapshot_dropped(
+    entries: list[JournalEntry], random: Random
+) -> list[JournalEntry | None]:
+    return [None, *entries[1:]]
+
+
+def last_dropped(entries: list[JournalEntry], random: Random) -> list[JournalEntry | None]:
+    count = random.choice((1, 2, 5, 40))
+    return [*entries[:-count], *[None] * count]
+
+
+def two_swapped(entries: list[JournalEntry], random: Random) -> list[JournalEntry | None]:
+    at = random.randrange(1, len(entries) - 2)
+    one, other = entries[at], entries[at + 1]
+    entries[at] = other._replace(seq=one.seq)
+    entries[at + 1] = one._replace(seq=other.seq)
+    return list(entries)
+
+
+def later(entries: list[JournalEntry], random: Random) -> list[JournalEntry | None]:
+    events = [at for at, each in enumerate(entries) if each.kind is EntryKind.EVENT]
+    at = random.choice(events)
+    entries[at] = entries[at]._replace(t_ns=entries[at].t_ns + 1)
+    return list(entries)
+
+
+def decided_without_event(contents: Contents, random: Random) -> Contents:
+    """Drop the entry of one effect, and number the others anew."""
+    effects = [
+        decode(each.data).seq
+        for each in contents.messages
+        if each.topic == JOURNAL and decode(each.data).kind is EntryKind.EFFECT
+    ]
+    gone = random.choice(effects)
+    return journal(
+        lambda entries, _: [None if each.seq == gone else each for each in entries], careful=True
+    )(contents, random)
+
+
+AT_MODE = 4 + 4 + len(b"robot\0")
+"""The place of the mode in a status."""
+
+_LIMITS = r'"linear_mps":[0-9.]+'
+
+FOUND: Mapping[str, Kind] = {
+    "commands: one that moves dropped": dropped(COMMANDS, 1, moves),
+    "commands: any dropped": dropped(COMMANDS),
+    "commands: many dropped": dropped(COMMANDS, 30, moves),
+    "commands: one dropped, the others renumbered": dropped_and_renumbered(COMMANDS, moves),
+    "commands: one changed by an ulp": changed(COMMANDS, by_one_ulp, moves),
+    "commands: one that moves set to zero": changed(COMMANDS, lambda m, _: still(m), moves),
+    "commands: one zero changed by an ulp": changed(
+        COMMANDS, by_one_ulp, lambda each: not moves(each)
+    ),
+    "commands: one repeated": repeated(COMMANDS),
+    "commands: two swapped": swapped(COMMANDS, moves),
+    "commands: one with another number": changed(COMMANDS, numbered, moves),
+    "commands: one sent late": changed(COMMANDS, lambda m, _: late(m), anywhere),
+    "commands: all sent late": all_changed(COMMANDS, late),
+    "commands: all set to zero": all_changed(COMMANDS, still),
+    "commands: all that move removed": all_changed(COMMANDS, lambda m: None if moves(m) else m),
+    "commands: all removed": all_changed(COMMANDS, lambda m: None),
+    "commands: topic removed": removed(COMMANDS),
+    "commands: motion added": added(COMMANDS, MOTION),
+    "odometry: one dropped": dropped(ODOMETRY),
+    "odometry: many dropped": dropped(ODOMETRY, 100),
+    "odometry: one dropped, the others renumbered": dropped_and_renumbered(ODOMETRY),
+    "odometry: one moved": changed(ODOMETRY, moved, anywhere),
+    "odometry: two swapped": swapped(ODOMETRY, anywhere),
+    "odometry: one repeated": repeated(ODOMETRY),
+    "odometry: one with another number": changed(ODOMETRY, numbered, anywhere),
+    "odometry: all removed": all_changed(ODOMETRY, lambda m: None),
+    "odometry: topic removed": removed(ODOMETRY),
+    "battery: one dropped": dropped(BATTERY),
+    "battery: one changed": changed(BATTERY, level, anywhere),
+    "battery: one repeated": repeated(BATTERY),
+    "battery: topic removed": removed(BATTERY),
+    "status: another mode": changed(STATUS, mode, lambda m: m.sequence == 2),
+    "status: another battery level": changed(STATUS, shown_level, lambda m: m.sequence > 3),
+    "status: another robot": changed(STATUS, robot, anywhere),
+    "status: two swapped": swapped(STATUS, anywhere),
+    "journal: an entry dropped": dropped(JOURNAL),
+    "journal: an entry repeated": repeated(JOURNAL),
+    "journal: two entries swapped": journal(two_swapped),
+    "journal: two entries swapped, chained anew": journal(two_swapped, careful=True),
+    "journal: an event one ns later": journal(later),
+    "journal: the first snapshot dropped": journal(first_snapshot_dropped),
+    "journal: the first snapshot dropped, chained anew": journal(
+        first_snapshot_dropped, careful=True
+    ),
+    "journal: a tick dropped": journal(without("Tick")),
+    "journal: odometry dropped": journal(without("OdomReceived")),
+    "journal: a battery level dropped": journal(without("BatteryReceived")),
+    "journal: a request dropped, chained anew": journal(without("ModeRequested"), careful=True),
+    "journal: the drive dropped, chained anew": journal(without("DriveRequested"), careful=True),
+    "journal: an effect dropped, chained anew": decided_without_event,
+    "journal: odometry changed, chained anew": journal(
+        rewritten("OdomReceived", r'"x":([-0-9.e]+)', r'"x":1.5'), careful=True
+    ),
+    "journal: a battery level changed, chained anew": journal(
+        rewritten("BatteryReceived", r'"level":[0-9.]+', '"level":0.77'), careful=True
+    ),
+    "journal: a command changed, chained anew": journal(
+        rewritten("PublishTwist", r'"linear":0\.', '"linear":0.1'), careful=True
+    ),
+    "journal: a reason changed, chained anew": journal(
+        rewritten("ModeChanged", r'"reason":"', '"reason":"not '), careful=True
+    ),
+    "journal: the source of a request changed": journal(
+        rewritten("DriveRequested", r'"source":"operator"', '"source":"nobody"')
+    ),
+    "journal: a limit changed in one snapshot, chained anew": journal(
+        rewritten("Snapshot", _LIMITS, '"linear_mps":0.59'), careful=True
+    ),
+    "journal: a limit changed in all snapshots, chained anew": journal(
+        rewritten("Snapshot", _LIMITS, '"linear_mps":0.59', everywhere=True), careful=True
+    ),
+    "journal: the number of commands changed in all snapshots, chained anew": journal(
+        rewritten("Snapshot", r'"commands":[0-9]+', '"commands":7', everywhere=True), careful=True
+    ),
+    "journal: topic removed": removed(JOURNAL),
+    "metadata: the limit of the velocity changed": metadata(
+        "robotctl", "parameter.limits.linear_mps", "0.59"
+    ),
+    "metadata: the topic of the commands changed": metadata(
+        "robotctl", "parameter.command.topic", "other"
+    ),
+    "metadata: the topic of odometry changed": metadata(
+        "robotctl", "parameter.odometry.topic", "other"
+    ),
+}
+"""Edits that a check finds: its verdict is not `same`."""
+
+ONLY_IF_CLOSED: Mapping[str, Kind] = {
+    "journal: the last entries dropped": journal(last_dropped),
+    "journal: the last entries dropped, chained anew": journal(last_dropped, careful=True),
+    "commands: any dropped, the others renumbered": dropped_and_renumbered(COMMANDS),
+    "journal: a tick dropped, chained anew": journal(without("Tick"), careful=True),
+    "journal: a missed tick added": journal(rewritten("Tick", r'"missed":0', '"missed":1')),
+    "the end cut off": cut(0.5),
+    "status: one dropped": dropped(STATUS),
+    "status: all removed": all_changed(STATUS, lambda m: None),
+    "ledger: a command more received": counted(COMMANDS, "received", 1),
+    "ledger: a command more written": counted(COMMANDS, "written", 1),
+}
+"""Edits that are found in a recording that was closed. One that was killed ends anywhere, has no
+ledger, and no snapshot after its last entries: an end cut off at a commit is what a kill leaves."""
+
+ACCEPTED: Mapping[str, tuple[Kind, str]] = {
+    "commands: one 100 ms late": (
+        changed(COMMANDS, lambda m, _: replace(m, publish_ns=m.publish_ns + 10**8), anywhere),
+        "a busy machine may hold up a step for longer than that",
+    ),
+    "odometry: the last one dropped": (
+        lambda contents, random: all_changed(
+            ODOMETRY, lambda m: None if m.sequence == last_number(contents, ODOMETRY) else m
+        )(contents, random),
+        "what was under way at the end is not recorded",
+    ),
+    "journal: odometry dropped while standing, chained anew": (
+        lambda contents, random: journal(
+            lambda entries, _: [
+                None if '"sequence":2,' in each.data and each.name == "OdomReceived" else each
+                for each in entries
+            ],
+            careful=True,
+        )(contents, random),
+        "the control loop takes its inputs with best effort, and the CRCs were computed again",
+    ),
+    "metadata: another version": (
+        metadata("robotctl", "robotctl", "9.9.9"),
+        "a note tells the version that it claims; all decisions are compared",
+    ),
+    "ledger: a command more lost": (
+        counted(COMMANDS, "lost", 1),
+        "it is a loss that nothing contradicts",
+    ),
+    "status: topic removed": (
+        removed(STATUS),
+        "the journal holds the modes, and nothing is decided on a status",
+    ),
+    "status: one says that odometry was stale": (
+        changed(STATUS, lambda m, _: replace(m, data=m.data[:-1] + b"\0"), anywhere),
+        "whether it was fresh at that moment is not in the journal",
+    ),
+    "status: another temperature": (
+        changed(STATUS, lambda m, _: replace(m, data=m.data[:-5] + MOTION[:4] + b"\1"), anywhere),
+        "it is only measured to be shown",
+    ),
+    "metadata: the mode at the start changed": (
+        metadata("robotctl", "mode", "MOVING"),
+        "no decision depends on it: the journal holds the mode",
+    ),
+}
+"""Edits that look like an honest recording, with the reason. A sealed recording shows them."""

@@ -1,0 +1,40 @@
+"""Honest recordings that are edited, made without ROS."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from robotctl.kernel.types import Event, LoopStalled, ModeRequested, ResetRequested
+from robotctl.recording.format.metadata_names import LEDGER_RECORD
+from robotctl.testing.drives import BEGIN_NS, drive_requested
+from tests.support.edited_recordings import Contents
+from tests.support.heard_drives import heard_drive
+
+
+def after(seconds: float) -> int:
+    """Return the steady time that many seconds after the beginning [ns]."""
+    return BEGIN_NS + round(seconds * 1e9)
+
+
+REQUESTS: dict[str, list[Event]] = {
+    "stopped": [
+        drive_requested(),
+        ModeRequested(after(1.2), 2, 3, "operator"),
+        ResetRequested(after(2.4), 3, "operator"),
+    ],
+    "stalled": [drive_requested(), LoopStalled(after(1.5), 0.2, 3, 0, "somewhere")],
+}
+"""The requests of each recording."""
+
+
+def sources(folder: Path) -> dict[str, Contents]:
+    """Return the recordings by name; "killed" was not closed."""
+    made = {
+        name: heard_drive(folder / name, 3.6, requests=requests, snapshots_s=(0.0, 2.0))
+        for name, requests in REQUESTS.items()
+    }
+    killed = made["stopped"].copy()
+    killed.metadata = [each for each in killed.metadata if each[0] != LEDGER_RECORD]
+    last = max(i for i, each in enumerate(killed.messages) if b"Snapshot" in each.data[:60])
+    del killed.messages[last]
+    return {**made, "killed": killed}
