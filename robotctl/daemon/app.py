@@ -5,16 +5,23 @@ from __future__ import annotations
 import asyncio
 import gc
 import os
+import time
 from contextlib import AsyncExitStack, ExitStack
 
 from robotctl import __version__
 from robotctl.config import Config, load
+from robotctl.daemon.command_choice import choose_command_type
 from robotctl.daemon.command_line import DaemonOptions
+from robotctl.daemon.decision_notes import noted, open_decision_log
 from robotctl.daemon.driver import Driver
 from robotctl.daemon.host import DaemonKind, Host, Ready
 from robotctl.daemon.observer import Observer
+from robotctl.daemon.owner import Owner
 from robotctl.daemon.recording.folder import save_recordings_path
+from robotctl.daemon.same_names import refuse_same_names
+from robotctl.daemon.service_manager import ServiceManager, reporting
 from robotctl.daemon.supervisor import Supervisor
+from robotctl.daemon.waiting import DISCOVERY_S
 from robotctl.domains import is_certainly_empty
 from robotctl.end_signals import end_signals
 from robotctl.ipc.answers import StartSummary
@@ -22,7 +29,7 @@ from robotctl.ipc.listener import remove_stale
 from robotctl.ipc.request_handler import Identity
 from robotctl.ipc.server import ControlServer
 from robotctl.paths import chain_to, robot_state_folder, socket_path
-from robotctl.ros.session import ros_session
+from robotctl.ros.session import Naming, ros_session
 
 
 async def serve(
@@ -36,7 +43,9 @@ async def serve(
         RobotctlError: The daemon cannot start, or ran out of memory.
     """
     stop = end_signals()
-    config = options.applied_to(load(options.config) if options.config else Config())
+    manager = ServiceManager()
+    settings = options.applied_to(load(options.config) if options.config else Config())
+    config = settings.config
     address = socket_path(options.robot)
     # A daemon whose lock file was deleted may still own the robot: it answers at the socket.
     remove_stale(address)
@@ -50,6 +59,10 @@ async def serve(
             at_end=at_end,
             on_exception=supervisor.callback_failed,
             fifo_priority=config.fifo_priority or None,
+            naming=Naming(
+                tuple(rule.argument() for rule in settings.remaps), options.ros.node_names
+            ),
+            use_sim_time=settings.use_sim_time,
         ) as session,
         AsyncExitStack() as stack,
     ):
@@ -59,8 +72,27 @@ async def serve(
         ]
         for folder in (address.parent, robot_state_folder(options.robot)):
             notes += chain_to(folder).group_writable()
-        host = Host(options, config, alone, supervisor, stop, session, warnings=[])
-        daemon: DaemonKind = Observer(host) if options.observe else Driver(host)
+        host = Host(
+            options,
+            config,
+            alone,
+            supervisor,
+            time.monotonic() + DISCOVERY_S,
+            stop,
+            session,
+            open_decision_log(options, config),
+            warnings=[],
+        )
+        host.warnings.append(host.decisions.warning)
+        if not options.observe:
+            await refuse_same_names(host)
+        daemon: DaemonKind
+        if options.observe:
+            daemon = Observer(host)
+        elif options.owner:
+            daemon = Owner(host)
+        else:
+            daemon = Driver(host, await choose_command_type(host))
         session.last.push_async_callback(daemon.recorder.close)  # when no message comes any more
         identity = Identity(options.robot, __version__, os.getpid())
         server = ControlServer(
@@ -77,11 +109,14 @@ async def serve(
 
         def ready(summary: StartSummary) -> None:
             on_ready(summary)
+            manager.ready()
             daemon.recorder.tidier.begin()  # not earlier: it may take long
 
-        try:
-            await daemon.run(server, notes, ready)
-        except BaseException:
-            await daemon.stop_robot()
-            raise
+        async with noted(host.decisions, options, config, daemon.recorder):
+            try:
+                async with reporting(manager, daemon.mode):
+                    await daemon.run(server, notes, ready)
+            except BaseException:
+                await daemon.stop_robot()
+                raise
     supervisor.check()

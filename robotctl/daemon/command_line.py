@@ -6,11 +6,21 @@ import argparse
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from robotctl.config import PATTERN_HELP, Config, is_topic_pattern
+from robotctl import ros_arguments
+from robotctl.config import (
+    PATTERN_HELP,
+    Config,
+    check_together,
+    is_topic_pattern,
+    with_setting,
+)
+from robotctl.config.ros_settings import RosSettings, apply_arguments
 from robotctl.domains import requested_domain
 from robotctl.errors import UsageError
+from robotctl.kernel.params import OWNER_SUFFIX
 from robotctl.kernel.patterns import PatternKind
-from robotctl.paths import DEFAULT_ROBOT, check_robot_name, namespace_of
+from robotctl.paths import DEFAULT_ROBOT, check_namespace, check_robot_name, namespace_of
+from robotctl.ros_arguments import NO_ARGUMENTS, RosArguments
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,16 +40,50 @@ class DaemonOptions:
     exclude: tuple[str, ...] = ()
     """Patterns of topics, added to those of the configuration."""
 
+    owner: bool = False
+    """Command a gate in another process, instead of the robot."""
+
+    settings: tuple[tuple[str, object], ...] = ()
+    """Dotted keys of the configuration with values that replace those of the file."""
+
+    ros_namespace: str | None = None
+    """A namespace other than the one that the robot's name gives."""
+
+    allow_same_names: bool = False
+    """Start beside another daemon whose nodes have the same names."""
+
+    ros: RosArguments = NO_ARGUMENTS
+    """The arguments of `--ros-args`."""
+
     @property
     def namespace(self) -> str:
-        """The robot's ROS namespace."""
+        """The robot's ROS namespace, "" for none."""
+        for given in (self.ros_namespace, self.ros.namespace):
+            if given is not None:
+                return given
         return namespace_of(self.robot)
 
-    def applied_to(self, config: Config) -> Config:
-        """Return the configuration with the topic patterns of the command line added."""
+    def applied_to(self, config: Config) -> RosSettings:
+        """Return the configuration as the command line changes it, and what is left for ROS.
+
+        Raises:
+            ConfigError: A parameter, a value, or a file of parameters is wrong.
+        """
+        for key, value in self.settings:
+            config = with_setting(config, key, value)
+        if self.settings:
+            check_together(config.kernel)
+        settings = apply_arguments(config, self.ros, self.namespace)
+        config = settings.config
+        if self.owner:
+            command = replace(
+                config.kernel.command, topic=f"{config.kernel.command.topic}{OWNER_SUFFIX}"
+            )
+            config = replace(config, kernel=replace(config.kernel, command=command))
         given = config.recording
         include, exclude = (*given.include, *self.include), (*given.exclude, *self.exclude)
-        return replace(config, recording=replace(given, include=include, exclude=exclude))
+        config = replace(config, recording=replace(given, include=include, exclude=exclude))
+        return replace(settings, config=config)
 
 
 def parse(arguments: list[str]) -> DaemonOptions:
@@ -50,6 +94,7 @@ def parse(arguments: list[str]) -> DaemonOptions:
     """
     parser = argparse.ArgumentParser(prog="python -m robotctl.daemon", description=__doc__)
     parser.add_argument("--robot", default=DEFAULT_ROBOT)
+    parser.add_argument("--namespace")
     parser.add_argument("--config", type=Path)
     parser.add_argument("--recordings", type=Path, default=Path("recordings"))
     parser.add_argument("--drive", choices=[kind.value for kind in PatternKind])
@@ -58,7 +103,9 @@ def parse(arguments: list[str]) -> DaemonOptions:
     parser.add_argument("--observe", action="store_true")
     parser.add_argument("--include", action="append", default=[])
     parser.add_argument("--exclude", action="append", default=[])
+    parser.add_argument("--allow-same-names", action="store_true")
     parser.add_argument("--ready-fd", type=int)
+    arguments, ros_words = ros_arguments.split(arguments)
     given = parser.parse_args(arguments)
     if given.observe and (given.drive or given.sim):
         raise UsageError(
@@ -67,17 +114,25 @@ def parse(arguments: list[str]) -> DaemonOptions:
     return DaemonOptions(
         robot=check_robot_name(given.robot),
         config=given.config,
-        recordings=_absolute(given.recordings),
+        recordings=absolute(given.recordings),
         drive=None if given.drive is None else PatternKind(given.drive),
         sim=given.sim,
         domain_id=requested_domain(given.domain_id) or 0,
         observe=given.observe,
+        ros_namespace=None if given.namespace is None else check_namespace(given.namespace),
         include=_patterns("--include", given.include),
         exclude=_patterns("--exclude", given.exclude),
+        allow_same_names=given.allow_same_names,
+        ros=ros_arguments.parse(ros_words),
     )
 
 
-def _absolute(recordings: Path) -> Path:
+def absolute(recordings: Path) -> Path:
+    """Return the path of the folder from the root.
+
+    Raises:
+        UsageError: It is relative, and the working folder was removed.
+    """
     try:
         return recordings.absolute()
     except FileNotFoundError:
@@ -98,5 +153,6 @@ def parse_ready_fd(arguments: list[str]) -> int | None:
     """Return the descriptor for the report of the start, even if other options are wrong."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("--ready-fd", type=int)
-    descriptor: int | None = parser.parse_known_args(arguments)[0].ready_fd
+    others, _ = ros_arguments.split(arguments)
+    descriptor: int | None = parser.parse_known_args(others)[0].ready_fd
     return descriptor

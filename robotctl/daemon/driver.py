@@ -5,15 +5,17 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import Mapping
-from functools import partial
+from collections.abc import Coroutine, Mapping
 from math import nan
 from typing import Any
 
 from robotctl.daemon.api.common import common_methods
 from robotctl.daemon.api.driving import DrivingMethods
+from robotctl.daemon.api.graph import graph_methods
+from robotctl.daemon.api.parameters import parameter_methods
 from robotctl.daemon.api.recording import recording_methods
 from robotctl.daemon.api.status import StatusSource
+from robotctl.daemon.control.decisions import Decisions
 from robotctl.daemon.control.dispatcher import Control
 from robotctl.daemon.control.effects import Effects
 from robotctl.daemon.control.foreign_commands import ForeignCommands
@@ -24,18 +26,24 @@ from robotctl.daemon.control.latch import Latch
 from robotctl.daemon.control.pending_requests import PendingRequests
 from robotctl.daemon.control.robot_report import RobotReport
 from robotctl.daemon.control.watchdog import Watchdog
+from robotctl.daemon.drive_goals import DriveGoals
 from robotctl.daemon.host import Host, Ready, running
+from robotctl.daemon.lifecycle import follow_lifecycle, with_lifecycle
+from robotctl.daemon.parameters import Parameters
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
+from robotctl.daemon.ros_parameters import serve_parameters
 from robotctl.daemon.shutdown import stand_still
+from robotctl.daemon.simulator import simulated_robot
 from robotctl.daemon.supervisor import Work
 from robotctl.daemon.waiting import until
 from robotctl.errors import RobotctlError
 from robotctl.ipc.advice import advice
 from robotctl.ipc.method import Method
 from robotctl.ipc.server import ControlServer
-from robotctl.kernel.battery import full_level, is_level
+from robotctl.kernel.battery import is_level
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
+from robotctl.kernel.safety_inputs import Use
 from robotctl.kernel.state import State, latched
 from robotctl.kernel.types import (
     ZERO,
@@ -43,14 +51,19 @@ from robotctl.kernel.types import (
     FaultReported,
     LoopStalled,
     Odometry,
+    Reply,
     Tick,
 )
 from robotctl.paths import latch_path
 from robotctl.ros.executor import Ticker
+from robotctl.ros.messages.command_type import CommandType
 from robotctl.ros.nodes.battery_subscriber import BatterySubscriber
+from robotctl.ros.nodes.drive_action import DriveAction
 from robotctl.ros.nodes.journal_publisher import JournalPublisher
 from robotctl.ros.nodes.mode_service import CALLS, STATUS, ModeService, Shown
 from robotctl.ros.nodes.odom_subscriber import OdomSubscriber
+from robotctl.ros.nodes.safety_inputs import SafetyInputs
+from robotctl.ros.nodes.scan_subscriber import ScanSubscriber
 from robotctl.ros.nodes.simulated_robot import SimulatedRobot, battery_topic, odometry_topic
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher, command_topic
 from robotctl.ros.tap.subscription import LATENCY_S
@@ -61,8 +74,12 @@ READY_S = 10.0
 """How long a start waits for what the configuration expects: odometry, battery level, and a
 subscriber of the command. Discovery by Fast DDS takes up to 2.6 s; a robot may still boot."""
 
-DRAIN_S = 1.0
+DRAIN_S = 3.0
 """How long a stop waits until the recorder has received the last command."""
+
+ACKNOWLEDGED_S = 1.0
+"""How long a stop waits until the robot has received it. Fast DDS forgets what was not acknowledged
+when the publisher goes; later the robot's command timeout has stopped it."""
 
 SHOW_PERIOD_S = 1.0
 
@@ -73,14 +90,18 @@ MAX_COMMAND_LATENCY_S = 0.01
 class Driver:
     """A daemon that connects kernel, ROS roles and recorder."""
 
-    def __init__(self, host: Host) -> None:
+    _ending = "stopping"
+
+    def __init__(self, host: Host, command: CommandType) -> None:
         self._host = host
+        self._command = command
         session, params, robot = host.session, host.config.kernel, host.options.robot
         latch = Latch(latch_path(robot))
         session.last.push_async_callback(latch.close)
         host.warnings.append(latch.warning)
         stop = latch.read()
-        kernel = Kernel(params, State() if stop is None else latched(*stop))
+        first = State() if stop is None else latched(*stop)
+        kernel = Kernel(params, with_lifecycle(first, autostart=host.config.autostart))
         self.recorder = FlightRecorder(
             host.options,
             host.config,
@@ -90,14 +111,18 @@ class Driver:
             on_file=lambda: self._control.journal_snapshot(time.monotonic_ns()),
         )
         tap = self.recorder.tap
-        for topic in (command_topic(params.command.topic), STATUS, *CALLS):
+        for topic in (command_topic(params.command.topic, command), STATUS, *CALLS):
             tap.subscribe_own(topic)
-        self._velocity = VelocityPublisher(session, params.command.topic)
+        self._velocity = self._make_velocity()
         self._watchdog = Watchdog(params.rate_hz, self._velocity)
         requests = PendingRequests()
+        decisions = Decisions(host.decisions, self.recorder.show_event)
         self._control = Control(
             kernel,
-            Journal(self.recorder.open_journal(JournalPublisher(session))),
+            Journal(
+                self.recorder.open_journal(JournalPublisher(session)),
+                lambda: self._velocity.accounted,
+            ),
             Effects(
                 self._velocity.publish,
                 self._show_mode,
@@ -105,11 +130,15 @@ class Driver:
                 latch,
                 requests,
                 robot,
+                lambda change: self._parameters.changed(change),
+                decisions.decided,
             ).carry_out,
             requests,
             host.supervisor.callback_failed,
             self._urgent,
+            decisions.asked,
         )
+        self._parameters = Parameters(host.config, self._control, self.recorder.reconfigure)
         self._foreign_commands = ForeignCommands(
             self._velocity.gid, self._velocity.name_of, self._moves, self._control.dispatch
         )
@@ -118,7 +147,7 @@ class Driver:
             LATENCY_S if params.rate_hz >= 50.0 else MAX_COMMAND_LATENCY_S,
         )
         host.supervisor.report_to(self._control.dispatch)
-        self._robot_report = RobotReport(self._control, params)
+        self._robot_report = RobotReport(self._control)
         self._status = StatusSource(
             host.options,
             self.recorder.report,
@@ -132,49 +161,70 @@ class Driver:
         )
         if params.battery.topic:
             BatterySubscriber(session, params.battery.topic, self._inputs.battery)
-        self._modes = ModeService(
-            session,
-            robot,
-            self._inputs.service_call,
-            lambda reply: advice(reply.message, reply.remedies, robot).sentence,
+        if params.scan.use is not Use.OFF:
+            ScanSubscriber(session, params.scan.topic, self._inputs.scan)
+        SafetyInputs(session, params.inputs, robot, self._inputs.safety_input)
+        self._modes = ModeService(session, robot, self._inputs.service_call, self._say)
+        follow_lifecycle(self._modes.node, self._inputs, autostart=host.config.autostart)
+        self._driving = DrivingMethods(self._control, self._robot_report, robot)
+        goals = DriveGoals(self._control, self._driving)
+        session.last.callback(DriveAction(self._modes.node, goals.begin, self._say).close)
+
+    def _make_velocity(self) -> VelocityPublisher:
+        topic = self._host.config.kernel.command.topic
+        return VelocityPublisher(
+            self._host.session, topic, self._command, lambda: self._control.state.silent
         )
-        self._driving = DrivingMethods(self._control, self._robot_report, params, robot)
+
+    def _graph_watch(self) -> Coroutine[Any, Any, None]:
+        return watch_graph(self._velocity, self._odometry, self._control.dispatch)
 
     def methods(self) -> Mapping[str, Method[Any]]:
         """Return the methods of the control socket."""
         return {
             **common_methods(self._status, self._host.stop),
             **recording_methods(self.recorder, self._host.options.robot),
+            **graph_methods(self.recorder.tap),
             **self._driving.table(),
+            **parameter_methods(self._parameters, self._host.options.robot),
         }
 
     async def run(self, server: ControlServer, notes: list[str], on_ready: Ready) -> None:
         """Run every task until the daemon is stopped."""
         self._control.journal_snapshot(time.monotonic_ns())
+        # Without a last snapshot, a check could not tell whether the last entries are there.
+        self._host.session.last.callback(
+            lambda: self._control.journal_snapshot(time.monotonic_ns())
+        )
         sim = self._host.options.sim
         if sim is None:
             sim = self._host.alone or not await has_odometry_publisher(
-                self._odometry, self._host.stop
+                self._odometry, self._host.stop, self._host.discovered_by_s
             )
             if not sim:
                 notes = [*notes, f"no simulator: {self._odometry.topic} has a publisher already"]
         self._robot_report.sim = sim
         work = {**self._work(sim), "socket": server.serve}
+        serve_parameters(self._host.session, self._parameters, self._host.options.robot)
         async with running(self._host.supervisor, work):
             with self._watchdog:
                 ready = await self._become_ready(notes, on_ready)
                 await self._host.stop.wait()
-                _log.info("stopping")
+                _log.info(self._ending)
                 await stand_still(self._control, lambda: self._velocity.published)
-        await until(self._is_drained, DRAIN_S)
+        await self._deliver_last_zero()
         if not ready:
             raise RobotctlError("the daemon was stopped before it was ready")
+
+    def mode(self) -> str:
+        """Return the name of the mode."""
+        return self._control.state.mode.name
 
     async def stop_robot(self) -> None:
         """Send a zero directly, and record it."""
         try:
             self._velocity.publish(ZERO)
-            await until(self._is_drained, DRAIN_S)
+            await self._deliver_last_zero()
         except Exception:  # noqa: BLE001 - the first failure is the one to report
             _log.exception("no last zero could be sent")
 
@@ -184,9 +234,7 @@ class Driver:
         work: dict[str, Work] = {
             "control": self._tick,
             **self.recorder.work(),
-            "graph watch": partial(
-                watch_graph, self._velocity, self._odometry, self._control.dispatch
-            ),
+            "graph watch": self._graph_watch,
             "status": self._show_status,
         }
         if sim:
@@ -198,14 +246,7 @@ class Driver:
         tap.subscribe_own(odometry_topic(params.odometry.topic))
         if params.battery.topic:
             tap.subscribe_own(battery_topic(params.battery.topic))
-        return SimulatedRobot(
-            self._host.session,
-            self._host.config.sim,
-            command=params.command.topic,
-            odometry=params.odometry.topic,
-            battery=params.battery.topic,
-            full_level=full_level(params.battery.scale),
-        )
+        return simulated_robot(self._host.session, self._host.config, self._command)
 
     async def _tick(self) -> None:
         async for tick in Ticker(self._host.config.kernel.rate_hz):
@@ -236,6 +277,15 @@ class Driver:
         if isinstance(event, LoopStalled):
             _log.warning("the loop stalled for %.2f s: %s", event.stalled_s, event.detail)
         return event
+
+    async def _deliver_last_zero(self) -> None:
+        await until(self._is_drained, DRAIN_S)
+        if not await until(self._velocity.is_acknowledged, ACKNOWLEDGED_S):
+            _log.warning(
+                "a subscriber of %s has not acknowledged the last zero within %g s",
+                self._velocity.topic,
+                ACKNOWLEDGED_S,
+            )
 
     def _is_drained(self) -> bool:
         received = self.recorder.received()
@@ -269,4 +319,7 @@ class Driver:
                 time.monotonic_ns(), request_id, pattern, 0, False, "robotctl start --drive"
             )
         )
+        return self._say(reply)
+
+    def _say(self, reply: Reply) -> str:
         return advice(reply.message, reply.remedies, self._host.options.robot).sentence

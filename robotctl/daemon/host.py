@@ -13,6 +13,7 @@ from robotctl.daemon.api.status import PartWarning
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.daemon.supervisor import Supervisor, Work
+from robotctl.decision_log.log import DecisionLog
 from robotctl.ipc.answers import StartSummary
 from robotctl.ipc.method import Method
 from robotctl.ipc.server import ControlServer
@@ -32,10 +33,14 @@ class Host:
     """Whether no other process was in the ROS domain at the start."""
 
     supervisor: Supervisor
+    discovered_by_s: float
+    """The steady time [s] until which a start waits for a robot before it simulates one."""
+
     stop: asyncio.Event
     """Set to end the daemon."""
 
     session: Session
+    decisions: DecisionLog
 
     warnings: list[PartWarning]
     """Called at each `status`; a part of the daemon appends its warning here."""
@@ -51,6 +56,9 @@ class DaemonKind(Protocol):
 
     async def run(self, server: ControlServer, notes: list[str], on_ready: Ready) -> None:
         """Run every task until the daemon is stopped."""
+
+    def mode(self) -> str:
+        """Return what the daemon does now, in a word."""
 
     async def stop_robot(self) -> None:
         """Stop the robot at once: the daemon is about to fail."""

@@ -7,6 +7,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NoReturn
 
 from robotctl.daemon.api.common import common_methods
+from robotctl.daemon.api.graph import graph_methods
+from robotctl.daemon.api.parameters import list_method
 from robotctl.daemon.api.recording import recording_methods
 from robotctl.daemon.api.status import StatusSource
 from robotctl.daemon.host import Host, Ready, running
@@ -14,8 +16,8 @@ from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.errors import Refused
 from robotctl.ipc.answers import RobotFacts
 from robotctl.ipc.method import Method
-from robotctl.ipc.method_names import DRIVE, PATH, RESET, SET_MODE
-from robotctl.ipc.params import DriveParams, NoParams, ResetParams, SetModeParams
+from robotctl.ipc.method_names import DRIVE, PARAM_SET, PATH, PREFLIGHT, RESET, SET_MODE
+from robotctl.ipc.params import DriveParams, NoParams, ParamSetParams, ResetParams, SetModeParams
 from robotctl.ipc.server import ControlServer
 from robotctl.kernel.remedies import Remedy
 from robotctl.kernel.types import Event, FaultReported
@@ -45,7 +47,11 @@ class Observer:
         return {
             **common_methods(self._status, self._host.stop),
             **recording_methods(self.recorder, self._host.options.robot),
+            **list_method(lambda: self._host.config),
+            PARAM_SET: Method(ParamSetParams, self._refuse),
+            **graph_methods(self.recorder.tap),
             PATH: Method(NoParams, self._refuse),
+            PREFLIGHT: Method(NoParams, self._refuse),
             SET_MODE: Method(SetModeParams, self._refuse),
             RESET: Method(ResetParams, self._refuse),
             DRIVE: Method(DriveParams, self._refuse),
@@ -59,6 +65,10 @@ class Observer:
             _log.info("ready: observing")
             await self._host.stop.wait()
             _log.info("stopping")
+
+    def mode(self) -> str:
+        """Return that the daemon only observes."""
+        return "observing"
 
     async def stop_robot(self) -> None:
         """Do nothing: there is no robot to stop."""

@@ -1,4 +1,4 @@
-"""The simulated robot as its own process, which outlives a daemon that dies."""
+"""The simulated robot, also as its own process, which outlives a daemon that dies."""
 
 from __future__ import annotations
 
@@ -7,10 +7,13 @@ from collections.abc import Callable
 from contextlib import ExitStack
 
 from robotctl.config import Config
+from robotctl.daemon.waiting import DISCOVERY_S, until
 from robotctl.end_signals import end_signals
 from robotctl.kernel.battery import full_level
+from robotctl.kernel.params import Stamping
+from robotctl.ros.messages.command_type import PLAIN, CommandType, stamped
 from robotctl.ros.nodes.simulated_robot import SimulatedRobot
-from robotctl.ros.session import ros_session
+from robotctl.ros.session import Session, ros_session
 
 
 async def simulate(
@@ -20,19 +23,20 @@ async def simulate(
     namespace: str,
     on_ready: Callable[[], None],
     at_end: ExitStack,
+    only_if_missing: bool = False,
 ) -> None:
-    """Run the robot until a signal ends it; the exit of `at_end` leaves the ROS domain."""
+    """Run the robot until a signal ends it; the exit of `at_end` leaves the ROS domain.
+
+    With `only_if_missing`, return where another node publishes the odometry topic already.
+    """
     stop = end_signals()
     topics = config.kernel
+    is_stamped = topics.command.stamped is Stamping.TRUE
     async with ros_session(domain_id=domain_id, namespace=namespace, at_end=at_end) as session:
-        robot = SimulatedRobot(
-            session,
-            config.sim,
-            command=topics.command.topic,
-            odometry=topics.odometry.topic,
-            battery=topics.battery.topic,
-            full_level=full_level(topics.battery.scale),
-        )
+        if only_if_missing and await _has_odometry(session, topics.odometry.topic, stop):
+            return
+        command_type = stamped(topics.command.frame_id) if is_stamped else PLAIN
+        robot = simulated_robot(session, config, command_type)
         running = asyncio.create_task(robot.run())
         on_ready()
         stopped = asyncio.create_task(stop.wait())
@@ -41,3 +45,25 @@ async def simulate(
             running.result()
         running.cancel()
         stopped.cancel()
+
+
+def simulated_robot(session: Session, config: Config, command_type: CommandType) -> SimulatedRobot:
+    """Return the robot that the configuration describes; its commands are of this type."""
+    topics = config.kernel
+    return SimulatedRobot(
+        session,
+        config.sim,
+        command=topics.command.topic,
+        command_type=command_type,
+        odometry=topics.odometry.topic,
+        battery=topics.battery.topic,
+        full_level=full_level(topics.battery.scale),
+    )
+
+
+async def _has_odometry(session: Session, topic: str, stop: asyncio.Event) -> bool:
+    """Return whether odometry is published, after the time that discovery may take."""
+    node = session.node("simulated_robot_wanted")
+    name = session.resolve(topic)
+    await until(lambda: node.count_publishers(name) > 0 or stop.is_set(), DISCOVERY_S)
+    return node.count_publishers(name) > 0 or stop.is_set()

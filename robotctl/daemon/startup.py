@@ -30,7 +30,7 @@ def main(arguments: list[str]) -> int:
 def _main(arguments: list[str], notes: list[str], at_end: ExitStack) -> int:
     """Run as `main` does; `at_end` holds what must happen after everything else, the log too."""
     report = StartReport(command_line.parse_ready_fd(arguments))
-    _allow_many_files()
+    allow_many_files()
     try:
         options = command_line.parse(arguments)
         at_end.enter_context(owned(lock_path(options.robot), options.robot))
@@ -58,7 +58,7 @@ def _run(
     asyncio.run(serve(options, notes, send, at_end))
 
 
-def _allow_many_files() -> None:
+def allow_many_files() -> None:
     """Raise the limit: each recorded topic takes a file, and 1,024 is only for select(2)."""
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))

@@ -105,7 +105,7 @@ class Supervisor:
         self._reserve = None
         self._end()
         _log.error("%s: out of memory", what)
-        self._stop_robot(OUT_OF_MEMORY)
+        self._stop_robot(f"{OUT_OF_MEMORY} ({what})")
 
     def _stop_robot(self, detail: str) -> None:
         if self._dispatch is not None:

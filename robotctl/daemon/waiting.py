@@ -8,6 +8,9 @@ from collections.abc import Callable
 
 POLL_S = 0.01
 
+DISCOVERY_S = 4.0
+"""Fast DDS usually discovers a process on the same machine within 0.15 s, at worst within 2.6 s."""
+
 
 async def until(condition: Callable[[], bool], deadline_s: float) -> bool:
     """Wait until the condition holds or the deadline is over; return whether it holds."""

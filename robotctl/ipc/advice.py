@@ -82,12 +82,34 @@ def cure_of(remedy: Remedy, robot: str) -> str:
             return f"check that the robot publishes odometry ({status} lists the topics)"
         case Remedy.STOP_ONE_ODOMETRY_PUBLISHER:
             return "stop one of the two publishers"
+        case Remedy.RELEASE_BUTTON:
+            return "release the button"
+        case Remedy.CHECK_INPUT:
+            return "check the node that publishes it, or its key inputs.*.use"
+        case Remedy.FREE_ROBOT:
+            return "look at the robot, and free it by hand"
+        case Remedy.BRING_BACK:
+            return "bring the robot back by hand, or start robotctl again where it may drive"
+        case Remedy.CLEAR_PATH:
+            return "clear the path, or turn the robot by hand"
+        case Remedy.CHECK_SCAN:
+            return "check the scanner, or scan.use"
+        case Remedy.CHECK_BASE:
+            return "see what the robot's base reports on /diagnostics"
         case Remedy.CHECK_WHEELS:
             return "check wheels and odometry, or lower the speed"
         case Remedy.STOP_COMMAND_PUBLISHER:
             return "stop the other publisher"
+        case Remedy.START_GATE:
+            return "start exactly one: ros2 run robot_controller velocity_publisher"
+        case Remedy.ACTIVATE:
+            change = "service call mode_service/change_state '{transition: {label: %s}}'"
+            activate = command_for(robot, change % "activate")
+            return f"activate it: {activate} (configure comes first; finalized is for good)"
         case Remedy.START_BASE:
             return (
-                "start the robot's base, and check command.topic: "
-                "robotctl sends geometry_msgs/msg/Twist"
+                "start the robot's base before robotctl, and check command.topic and "
+                "command.stamped"
             )
+        case Remedy.SET_COMMAND_TYPE:
+            return "set command.stamped to true for TwistStamped, or to false for Twist"

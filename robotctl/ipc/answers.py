@@ -102,11 +102,29 @@ class Status(RobotFacts, RecordingFacts):
     version: str
     pid: int
     warnings: list[str]
+    namespace: str
+    """The robot's, empty for none."""
     domain_id: int
     discovery_range: str
     scheduling: str
     socket: str
     uptime_s: float
+
+
+class ConditionAnswer(TypedDict):
+    """One start condition; `problem` and `cure` are "" where it holds."""
+
+    cause: str
+    condition: str
+    problem: str
+    cure: str
+
+
+class Preflight(TypedDict):
+    """The answer of `preflight`: the most severe cause comes first."""
+
+    passed: bool
+    conditions: list[ConditionAnswer]
 
 
 class StartSummary(TypedDict):
@@ -182,3 +200,79 @@ class Marked(TypedDict):
     message: str
     text: str
     time_ns: int
+
+
+class ParameterAnswer(TypedDict):
+    """One parameter; `value` and `default` are as in a configuration file."""
+
+    key: str
+    value: bool | int | float | str | list[str]
+    default: bool | int | float | str | list[str]
+    type: str
+    """boolean, whole number, number, text, or texts."""
+    allowed: str
+    changes: str
+    """When it takes a new value."""
+    about: str
+
+
+class ParameterList(TypedDict):
+    """The answer of `param_list`."""
+
+    parameters: list[ParameterAnswer]
+
+
+class ParameterSet(TypedDict):
+    """The answer of `param_set`."""
+
+    message: str
+    key: str
+    old: bool | int | float | str | list[str]
+    new: bool | int | float | str | list[str]
+
+
+class NameAndTypes(TypedDict):
+    """A topic or a service: its full name, and its types, which should be one."""
+
+    name: str
+    types: list[str]
+
+
+class Graph(TypedDict):
+    """The names that the daemon sees on ROS; `left_out` says how many more there are."""
+
+    topics: list[NameAndTypes]
+    services: list[NameAndTypes]
+    nodes: list[str]
+    left_out: int
+
+
+class GraphEndpoint(TypedDict):
+    """A publisher or a subscription; `node` is "" while it is unknown.
+
+    `qos` has reliability, durability, history and depth; "unknown" is what DDS does not tell.
+    """
+
+    node: str
+    type: str
+    gid: str
+    qos: dict[str, str | int]
+
+
+class GraphTopic(TypedDict):
+    """A topic with all that publish it or subscribe to it; both are empty for an unknown one."""
+
+    name: str
+    types: list[str]
+    publishers: list[GraphEndpoint]
+    subscriptions: list[GraphEndpoint]
+
+
+class GraphNode(TypedDict):
+    """What a node publishes, subscribes to, serves and calls."""
+
+    name: str
+    publishers: list[NameAndTypes]
+    subscriptions: list[NameAndTypes]
+    servers: list[NameAndTypes]
+    clients: list[NameAndTypes]

@@ -13,8 +13,14 @@ if TYPE_CHECKING:
         DriveAnswer,
         DrivenPath,
         FileSplit,
+        Graph,
+        GraphNode,
+        GraphTopic,
         Marked,
         ModeAnswer,
+        ParameterList,
+        ParameterSet,
+        Preflight,
         RecordStatus,
         Status,
         Stopped,
@@ -30,6 +36,7 @@ class MethodName(str, Generic[A_co]):
 
 
 STATUS: Final[MethodName[Status]] = MethodName("status")
+PREFLIGHT: Final[MethodName[Preflight]] = MethodName("preflight")
 STOP: Final[MethodName[Stopped]] = MethodName("stop")
 PATH: Final[MethodName[DrivenPath]] = MethodName("path")
 SET_MODE: Final[MethodName[ModeAnswer]] = MethodName("set_mode")
@@ -40,3 +47,8 @@ RECORD_STATUS: Final[MethodName[RecordStatus]] = MethodName("record_status")
 RECORD_COMMIT: Final[MethodName[Committed]] = MethodName("record_commit")
 RECORD_SPLIT: Final[MethodName[FileSplit]] = MethodName("record_split")
 MARK: Final[MethodName[Marked]] = MethodName("mark")
+PARAM_LIST: Final[MethodName[ParameterList]] = MethodName("param_list")
+PARAM_SET: Final[MethodName[ParameterSet]] = MethodName("param_set")
+GRAPH: Final[MethodName[Graph]] = MethodName("graph")
+GRAPH_TOPIC: Final[MethodName[GraphTopic]] = MethodName("graph_topic")
+GRAPH_NODE: Final[MethodName[GraphNode]] = MethodName("graph_node")

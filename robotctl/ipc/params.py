@@ -9,7 +9,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from robotctl.errors import UsageError
-from robotctl.ipc.protocol import MAX_MARK_LENGTH
+from robotctl.ipc.protocol import MAX_GRAPH_NAME, MAX_MARK_LENGTH
 from robotctl.kernel.drive import MAX_LAPS
 from robotctl.kernel.patterns import (
     MAX_SIZE_M,
@@ -59,6 +59,20 @@ class MarkParams(Struct, frozen=True, forbid_unknown_fields=True):
 
     text: Annotated[str, Meta(min_length=1, max_length=MAX_MARK_LENGTH)]
     source: Source
+
+
+class ParamSetParams(Struct, frozen=True, forbid_unknown_fields=True):
+    """The parameters of `param_set`: a key of the configuration and its new value as text."""
+
+    key: Annotated[str, Meta(max_length=100)]
+    value: Annotated[str, Meta(max_length=1000)]
+    source: Source
+
+
+class GraphNameParams(Struct, frozen=True, forbid_unknown_fields=True):
+    """The full name of a topic or a node."""
+
+    name: Annotated[str, Meta(min_length=1, max_length=MAX_GRAPH_NAME)]
 
 
 class DriveParams(Struct, frozen=True, forbid_unknown_fields=True):

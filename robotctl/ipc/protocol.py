@@ -39,6 +39,9 @@ EMERGENCY_STOP_MODE = 3
 MAX_MARK_LENGTH = 1000
 """In characters."""
 
+MAX_GRAPH_NAME = 255
+"""In characters: a longer name does not fit into an announcement of Fast DDS."""
+
 
 class Code(IntEnum):
     """The error codes of JSON-RPC 2.0, then those of robotctl."""

@@ -84,7 +84,7 @@ def test_diagnostics_on_ros_name_the_robot_in_a_cure() -> None:
         cast(Tap, SimpleNamespace(unrecorded=SimpleNamespace(warnings=lambda: iter(())))),
         TopicFilter((), (), ()),
         cast(DiagnosticsPublisher, SimpleNamespace(publish=published.append)),
-        [],
+        list,
         "r2",
     )
     report.sample()

@@ -6,6 +6,7 @@ import asyncio
 import json
 from dataclasses import replace
 from math import inf, nan
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -30,6 +31,7 @@ class FakeControl:
     def __init__(self, ended: DriveEnded, mode: Mode) -> None:
         self.ended = ended
         self.state = State(mode=mode)
+        self.params = KernelParams()
 
     def new_request_id(self) -> int:
         return self.ended.request_id
@@ -46,7 +48,7 @@ class FakeControl:
 async def wait_for(ended: DriveEnded, mode: Mode, laps: int) -> Any:
     control: Any = FakeControl(ended, mode)
     motion: Any = None
-    drive = DrivingMethods(control, motion, KernelParams()).table()["drive"].handler
+    drive = DrivingMethods(control, motion).table()["drive"].handler
     return await drive(DriveParams(pattern=PatternKind.SQUARE, source="test", laps=laps, wait=True))
 
 
@@ -87,8 +89,9 @@ async def test_a_drive_without_end_that_a_fault_ends_is_refused(mode: Mode) -> N
 
 
 async def test_a_speed_above_the_configured_limit_is_refused_by_name() -> None:
-    nobody: Any = None  # is asked
-    drive = DrivingMethods(nobody, nobody, KernelParams()).table()["drive"].handler
+    nobody: Any = None
+    control: Any = SimpleNamespace(params=KernelParams())
+    drive = DrivingMethods(control, nobody).table()["drive"].handler
     with pytest.raises(UsageError, match=r"5 m/s is above limits.linear_mps, 0.6 m/s: use at most"):
         await drive(DriveParams(pattern=PatternKind.CIRCLE, source="test", speed_mps=5.0))
     with pytest.raises(AttributeError):  # the kernel would get the request
@@ -127,7 +130,7 @@ async def leave(state: State, *, wait: bool = True) -> list[ModeRequested]:
     """Return the requests to the kernel when the client of drive 7 disconnects."""
     control: Any = RampingControl(state)
     motion: Any = None
-    drive = DrivingMethods(control, motion, KernelParams()).table()["drive"].handler
+    drive = DrivingMethods(control, motion).table()["drive"].handler
     task = asyncio.ensure_future(
         drive(DriveParams(pattern=PatternKind.SQUARE, source="test", wait=wait))
     )
@@ -159,7 +162,7 @@ async def test_a_drive_without_a_waiting_client_continues() -> None:
 async def test_ending_a_drive_releases_no_stop(mode: Mode) -> None:
     control: Any = RampingControl(State(mode=mode))
     motion: Any = None
-    end = DrivingMethods(control, motion, KernelParams()).table()["end_drive"].handler
+    end = DrivingMethods(control, motion).table()["end_drive"].handler
     answer: Any = await end(EndDriveParams(source="test"))
     assert answer == {"message": f"The robot stands, in {mode.name}", "mode": mode.name}
     assert control.asked == []

@@ -1,4 +1,4 @@
-"""A clean stop records all received messages and all journal entries."""
+"""A clean stop records all messages and journal entries, and delivers the last zero."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import pytest
 
 from robotctl.daemon.recording import folder as recordings_folder
 from robotctl.recording import Recorder, RecorderStats
+from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
 from tests.support.world import Peer, World, journal_of, read_back
 
 SLOW_DISK_S = 0.3
@@ -77,6 +78,22 @@ async def test_a_file_that_is_full_at_the_end_is_followed_by_none(
     async with in_process():
         pass
     assert [stats.dropped for stats in said] == [0]
+
+
+async def test_the_publisher_stays_until_the_last_zero_is_acknowledged(
+    in_process: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    published: list[int] = []
+
+    def acknowledged(velocity: VelocityPublisher) -> bool:
+        published.append(velocity.published)
+        return len(published) > 3
+
+    monkeypatch.setattr(VelocityPublisher, "is_acknowledged", acknowledged)
+    async with in_process():
+        pass
+    assert len(published) == 4
+    assert len(set(published)) == 1, "a command was sent after it"
 
 
 @pytest.mark.slow

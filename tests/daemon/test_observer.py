@@ -88,13 +88,13 @@ def _counts(status: Any) -> dict[str, int]:
 
 
 def test_it_publishes_no_command_serves_no_mode_and_simulates_nothing(observed: Observed) -> None:
-    assert observed.nodes == ["/diagnostics", "/marks", "/recorder"]
+    assert observed.nodes == ["/_recorder"]
     assert set(observed.publishers) == {
         "/diagnostics",
         "/robotctl/marks",
         "/parameter_events",  # as every node of rclpy
     }
-    assert all(name.endswith("/get_type_description") for name in observed.services)
+    assert observed.services == []
 
 
 def test_it_records_a_foreign_stack_with_its_commands(observed: Observed) -> None:

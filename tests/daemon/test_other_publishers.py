@@ -94,8 +94,9 @@ def test_a_robot_that_wants_another_type_of_command_is_not_driven_blind(
     peer, another = new_peer(world), new_peer(world)
     peer("take_commands", kind="TwistStamped")
     peer("measure", x=0.0)
-    (world.folder / "no_battery.yaml").write_text('battery.topic: ""\n')
-    world.ok("start", "--no-sim", "--config", str(world.folder / "no_battery.yaml"))
+    settings = world.folder / "twist.yaml"
+    settings.write_text('battery.topic: ""\ncommand.stamped: false\n')
+    world.ok("start", "--no-sim", "--config", str(settings))
     wanted = "the robot takes geometry_msgs/msg/TwistStamped on cmd_vel"
     until(lambda: any(wanted in each for each in world.status()["warnings"]))
     refused = world.robotctl("drive", "square")

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import hashlib
+import os
 import subprocess
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
 
+import robotctl
+from robotctl.config import Config
+from robotctl.daemon.recording.folder import open_recorder
 from robotctl.daemon.recording.provenance import provenance, revision, revision_around
+from robotctl.daemon.recording.software import CONTROL_PATH, DIGEST, software
+from robotctl.recording import read_info
+from robotctl.recording.format.metadata_names import FOXGLOVE_RECORD, SOFTWARE_RECORD
 
 
 def git(folder: Path, *arguments: str) -> str:
@@ -77,3 +86,69 @@ def test_a_directory_that_is_gone_is_left_out(
     monkeypatch.chdir(tmp_path / "gone")
     (tmp_path / "gone").rmdir()
     assert "directory" not in provenance()
+
+
+def test_the_version_of_rclpy_is_that_of_its_wheel() -> None:
+    """The package in the wheel names an earlier version than the wheel."""
+    assert provenance()["rclpy"] == version("ros-jazzy-rclpy")
+
+
+@pytest.mark.parametrize("name", ["HEAD", "refs/heads/main", "packed-refs", "commondir"])
+def test_a_pipe_in_the_place_of_a_file_of_git_holds_up_nothing(tmp_path: Path, name: str) -> None:
+    git = tmp_path / ".git"
+    (git / "refs" / "heads").mkdir(parents=True)
+    if name != "HEAD":
+        (git / "HEAD").write_text("ref: refs/heads/main\n")
+    os.mkfifo(git / name)
+    assert revision(tmp_path) == ""
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """A copy of the layout, with a few modules."""
+    for part in CONTROL_PATH:
+        (tmp_path / "package" / part).mkdir(parents=True)
+        (tmp_path / "package" / part / "module.py").write_text(f"name = {part!r}\n")
+    return tmp_path / "package"
+
+
+def test_the_hashes_name_the_module_that_differs(package: Path) -> None:
+    before = software.__wrapped__(package)
+    (package / "kernel" / "module.py").write_text("name = 'patched'\n")
+    after = software.__wrapped__(package)
+    differing = {name for name in before if before[name] != after[name]}
+    assert differing == {DIGEST, "kernel/module.py"}
+
+
+def test_the_digest_is_what_sha256sum_makes_of_its_own_list(package: Path) -> None:
+    files = sorted(path.relative_to(package).as_posix() for path in package.rglob("*.py"))
+    listed = subprocess.run(["sha256sum", *files], cwd=package, capture_output=True, check=True)
+    assert software.__wrapped__(package)[DIGEST] == hashlib.sha256(listed.stdout).hexdigest()
+
+
+def test_every_module_of_the_kernel_is_hashed() -> None:
+    kernel = Path(robotctl.__file__).parent / "kernel"
+    assert {f"kernel/{path.name}" for path in kernel.glob("*.py")} <= set(software())
+    assert "daemon/driver.py" in software()
+
+
+def test_a_module_that_cannot_be_read_fails_no_start(package: Path) -> None:
+    (package / "kernel" / "module.py").unlink()
+    (package / "kernel" / "module.py").symlink_to("nothing")
+    assert "kernel/module.py" not in software.__wrapped__(package)
+    assert software.__wrapped__(package / "nowhere") == {}
+
+
+def test_each_file_names_the_software_and_the_device(tmp_path: Path) -> None:
+    def fail(_: object) -> None:
+        pytest.fail("the recorder failed")
+
+    recorder = open_recorder(tmp_path, "r2", Config(), lambda: "IDLE", fail, lambda _: None, fail)
+    recorder.split()
+    recorder.close()
+    files = sorted((tmp_path / recorder.stats().file.parent.name).glob("*.mcap"))
+    assert len(files) == 2
+    for file in files:
+        metadata = read_info(file).metadata
+        assert metadata[SOFTWARE_RECORD] == software()
+        assert metadata[FOXGLOVE_RECORD] == {"deviceName": "r2"}

@@ -12,15 +12,16 @@ from typing import Any
 import pytest
 
 from robotctl.daemon.recording import folder, topic_rates
+from robotctl.errors import UnreadableFile
 from robotctl.kernel.patterns import PatternKind
-from robotctl.recording import RecorderOptions
+from robotctl.recording import RecorderOptions, Recording, read_journal
 from robotctl.rerun.rerun import first_divergence
 from robotctl.testing.faults import FailingFile
 from tests.support.waiting import until
 from tests.support.world import PATIENT, World, journal_of, read_back
 
 NEVER = 1 << 60
-FILE_BYTES = 60_000
+MORE_BYTES = 60_000
 
 
 @pytest.fixture
@@ -106,10 +107,21 @@ async def test_a_heavy_topic_is_named_once_with_the_filter_that_leaves_it_out(
     assert caplog.text.count(told) == 1
 
 
+def holds_a_journal(folder: Path) -> bool:
+    try:
+        with Recording(folder) as recording:
+            return any(True for _ in read_journal(recording, on_missing=lambda part: None))
+    except UnreadableFile:
+        return False
+
+
 def test_a_recorder_that_fails_stops_the_robot(world: World) -> None:
     world.ok("start", "--sim", "--drive", "circle", "--config", str(world.patient))
-    # Not from the start: shared memory counts as a file as well.
-    resource.prlimit(world.status()["pid"], resource.RLIMIT_FSIZE, (FILE_BYTES, FILE_BYTES))
+    # Not from the start: shared memory counts as a file as well, and the journal is to begin.
+    (folder,) = world.recordings.iterdir()
+    until(lambda: holds_a_journal(folder))
+    most = sum(path.stat().st_size for path in folder.glob("*.mcap")) + MORE_BYTES
+    resource.prlimit(world.status()["pid"], resource.RLIMIT_FSIZE, (most, most))
     until(lambda: world.status()["mode"] == "ERROR")
     status = world.status()
     assert status["recorder"]["state"] == "failed"
@@ -119,5 +131,5 @@ def test_a_recorder_that_fails_stops_the_robot(world: World) -> None:
     recorder = world.status()["recorder"]
     assert recorder["received"] == recorder["written"] + recorder["queued"] + recorder["dropped"]
     world.ok("stop")
-    journal = journal_of(read_back(next(world.recordings.iterdir()))["/robotctl/journal"])
+    journal = journal_of(read_back(folder)["/robotctl/journal"])
     assert first_divergence(journal) is None

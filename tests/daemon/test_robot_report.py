@@ -9,13 +9,12 @@ import pytest
 from robotctl.daemon.control import robot_report
 from robotctl.daemon.control.robot_report import MIN_STEP_M, RobotReport
 from robotctl.kernel.geometry import Pose
-from robotctl.kernel.params import KernelParams
 from robotctl.testing.kernels import Bench, moving
 
 
 def of(bench: Bench) -> RobotReport:
     control: Any = bench  # only its `state` is read
-    return RobotReport(control, KernelParams())
+    return RobotReport(control)
 
 
 def test_a_robot_that_stands_leaves_one_point() -> None:

@@ -57,7 +57,7 @@ def test_two_robots_live_side_by_side(world: World, new_peer: Callable[[World], 
     for robot in ("left", "right"):
         world.ok("start", "--sim", "--robot", robot)
     nodes = peer("nodes")
-    until(lambda: len(peer("nodes")) >= 14)
+    until(lambda: len(peer("nodes")) >= 10)
     nodes = peer("nodes")
     for robot in ("left", "right"):
         for node in ("velocity_publisher", "odom_subscriber", "mode_service", "simulated_robot"):

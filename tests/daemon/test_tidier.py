@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 from collections.abc import Callable, Iterator
@@ -100,6 +101,9 @@ def test_what_is_lost_is_in_the_status_and_what_is_well_in_the_log_only(world: W
     assert f"removed for its age or to free space: {old}" in world.log()
     assert not old.exists()
     world.ok("stop")
+    (journal,) = (world.folder / "state" / "robotctl" / "robot" / "decisions").iterdir()
+    removed = [line for line in journal.read_text().splitlines() if '"kind":"removed"' in line]
+    assert [json.loads(line)["file"] for line in removed] == [str(old)]
 
 
 def test_start_and_stop_do_not_wait_for_another_process_that_tidies(world: World) -> None:

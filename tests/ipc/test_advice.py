@@ -41,7 +41,7 @@ def test_a_refusal_has_its_cure_and_one_reset(rule: Rule) -> None:
 def test_every_command_of_a_cure_names_the_robot(remedy: Remedy) -> None:
     cure = cure_of(remedy, "r2")
     assert cure
-    commands = rf"robotctl (?:{'|'.join(COMMANDS)})\b(?: idle)?( --robot r2)?"
+    commands = rf"robotctl (?:{'|'.join(COMMANDS)})\b(?: idle| call \S+ '[^']+')?( --robot r2)?"
     assert all(re.findall(commands, cure)), cure
 
 

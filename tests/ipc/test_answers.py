@@ -19,6 +19,8 @@ STABLE = {
     answers.RecordStatus: "topics recorder warnings",
     answers.PoseAnswer: "x y theta",
     answers.VelocityAnswer: "linear angular",
+    answers.Preflight: "passed conditions",
+    answers.ConditionAnswer: "cause condition problem cure",
     answers.StartSummary: (
         "ready robot mode domain_id discovery_range sim socket pid recording log notes"
     ),

@@ -12,15 +12,21 @@ from robotctl.daemon.control.pending_requests import UnsavedReply
 from robotctl.daemon.control.robot_report import RobotReport
 from robotctl.errors import Refused, RobotctlError, UsageError
 from robotctl.ipc.advice import advice
-from robotctl.ipc.answers import DriveAnswer, DrivenPath, ModeAnswer
+from robotctl.ipc.answers import DriveAnswer, DrivenPath, ModeAnswer, Preflight
 from robotctl.ipc.method import Method
-from robotctl.ipc.method_names import DRIVE, END_DRIVE, PATH, RESET, SET_MODE
+from robotctl.ipc.method_names import DRIVE, END_DRIVE, PATH, PREFLIGHT, RESET, SET_MODE
 from robotctl.ipc.params import DriveParams, EndDriveParams, NoParams, ResetParams, SetModeParams
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.params import KernelParams
 from robotctl.kernel.patterns import SHAPES, Pattern, PatternKind, SizeName
 from robotctl.kernel.safety import remedies_for
-from robotctl.kernel.types import DriveEnded, DriveRequested, ModeRequested, Reply, ResetRequested
+from robotctl.kernel.types import (
+    DriveEnded,
+    DriveRequested,
+    ModeRequested,
+    Phase,
+    Reply,
+    ResetRequested,
+)
 from robotctl.paths import DEFAULT_ROBOT
 
 MODE_DEADLINE_S = 30.0
@@ -34,18 +40,17 @@ class DrivingMethods:
         self,
         control: Control,
         robot_report: RobotReport,
-        params: KernelParams,
         robot: str = DEFAULT_ROBOT,
     ) -> None:
         self._robot = robot
         self._control = control
         self._robot_report = robot_report
-        self._params = params
 
     def table(self) -> dict[str, Method[Any]]:
         """Return every method by its name."""
         return {
             PATH: Method(NoParams, self._get_path),
+            PREFLIGHT: Method(NoParams, self._preflight),
             SET_MODE: Method(SetModeParams, self._set_mode, MODE_DEADLINE_S),
             RESET: Method(ResetParams, self._reset, MODE_DEADLINE_S),
             DRIVE: Method(DriveParams, self._drive, None),
@@ -58,8 +63,13 @@ class DrivingMethods:
         size_m: float | None = None,
         speed_mps: float | None = None,
     ) -> Pattern:
-        """Return a pattern; a value that is None comes from the configuration."""
-        configured = self._params.pattern
+        """Return a pattern; a value that is None comes from the configuration.
+
+        Raises:
+            UsageError: The speed is above the configured limit.
+        """
+        self._check_speed(speed_mps)
+        configured = self._control.params.pattern
         if kind is None or kind is configured.kind:
             kind, default_m = configured.kind, configured.size_m
         else:
@@ -72,6 +82,9 @@ class DrivingMethods:
 
     async def _get_path(self, _: NoParams) -> DrivenPath:
         return self._robot_report.path()
+
+    async def _preflight(self, _: NoParams) -> Preflight:
+        return self._robot_report.preflight(self._robot)
 
     async def _set_mode(self, params: SetModeParams) -> ModeAnswer:
         if params.mode not in list(Mode):
@@ -94,12 +107,12 @@ class DrivingMethods:
         for other, unused_m in sizes_m.items():
             if unused_m is not None:
                 raise UsageError(f"a {kind.value} has no {other.value}: use --{wanted.value}")
-        self._check_speed(params.speed_mps)
+        pattern = self.pattern(kind, size_m, params.speed_mps)
         request_id = self._control.new_request_id()
         event = DriveRequested(
             time.monotonic_ns(),
             request_id,
-            self.pattern(kind, size_m, params.speed_mps),
+            pattern,
             int(params.wait) if params.laps is None else params.laps,
             params.replace,
             params.source,
@@ -112,7 +125,7 @@ class DrivingMethods:
             ended = await end
         except asyncio.CancelledError:
             if params.wait:
-                self._end_unattended(event)
+                self.ramp_down(request_id, f"{params.source}, whose connection closed")
             raise
         finally:
             end.cancel()
@@ -131,12 +144,15 @@ class DrivingMethods:
             return {"message": f"The robot stands, in {state.mode.name}", "mode": state.mode.name}
         return self._answer(await self._control.request(self._idle_request(params.source)))
 
-    def _end_unattended(self, event: DriveRequested) -> None:
-        """Ramp down the drive that `event` started: the client that waited for it has left."""
+    def ramp_down(self, request_id: int, source: str) -> bool:
+        """Ramp down the drive that this request began; return whether it was still going on."""
         state = self._control.state
-        is_ours = state.drive is not None and state.drive.request_id == event.request_id
-        if is_ours and state.mode is Mode.MOVING:
-            self._control.begin(self._idle_request(f"{event.source}, whose connection closed"))
+        is_it = state.drive is not None and state.drive.request_id == request_id
+        if not is_it or state.mode is not Mode.MOVING:
+            return False
+        if state.phase is not Phase.STOPPING:
+            self._control.begin(self._idle_request(source))
+        return True
 
     def _idle_request(self, source: str) -> ModeRequested:
         request_id = self._control.new_request_id()
@@ -144,11 +160,11 @@ class DrivingMethods:
 
     def _check_speed(self, speed_mps: float | None) -> None:
         """Raise UsageError for a speed above the configured limit."""
-        limit_mps = self._params.limits.linear_mps
+        limit_mps = self._control.params.limits.linear_mps
         if speed_mps is not None and speed_mps > limit_mps:
             raise UsageError(
                 f"a speed of {speed_mps:g} m/s is above limits.linear_mps, {limit_mps:g} m/s",
-                f"use at most {limit_mps:g}, or start with a configuration that allows more",
+                f"use at most {limit_mps:g}, or change it: robotctl param set limits.linear_mps",
             )
 
     def _answer(self, reply: Reply) -> ModeAnswer:

@@ -64,6 +64,7 @@ class StatusSource:
             **facts,
             **self._recording.facts(),
             "warnings": [for_robot(warning, robot) for warning in self._warnings()],
+            "namespace": self._options.namespace,
             "domain_id": self._options.domain_id,
             "discovery_range": discovery_range(),
             "scheduling": self._scheduling,

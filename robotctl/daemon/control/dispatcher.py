@@ -7,22 +7,21 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 
+from robotctl.daemon.control.decisions import Request
 from robotctl.daemon.control.journal_writer import Journal
 from robotctl.daemon.control.pending_requests import PendingRequests
 from robotctl.kernel.kernel import Kernel
+from robotctl.kernel.parameter_change import ParameterRequested
+from robotctl.kernel.params import KernelParams
 from robotctl.kernel.state import State
 from robotctl.kernel.types import (
     DriveEnded,
-    DriveRequested,
     Effect,
     Event,
-    ModeRequested,
+    LoopStalled,
     Reply,
-    ResetRequested,
 )
 from robotctl.kernel.units import NS_PER_S
-
-Request = ModeRequested | ResetRequested | DriveRequested
 
 SNAPSHOT_PERIOD_NS = 10 * NS_PER_S
 """The longest part of the journal that must be re-run to know the state at one moment."""
@@ -43,11 +42,13 @@ class Control:
         requests: PendingRequests,
         on_failure: Callable[[Exception, str], None],
         urgent: Callable[[], Event | None] = lambda: None,
+        asked: Callable[[Request], None] = lambda request: None,
     ) -> None:
         """`on_failure(error, where)` is called for an effect that could not be carried out.
 
         `urgent()` is called before each event. It returns an event that the kernel must handle
-        first, that the loop has stalled, or None.
+        first, that the loop has stalled, or None. `asked(request)` is called for each request
+        before it is dispatched.
         """
         self._kernel = kernel
         self._journal = journal
@@ -55,6 +56,7 @@ class Control:
         self._requests = requests
         self._on_failure = on_failure
         self._urgent = urgent
+        self._asked = asked
         self._events: deque[Event] = deque()
         self._busy = False
         self._failing = ""
@@ -64,6 +66,11 @@ class Control:
     def state(self) -> State:
         """The kernel's current state."""
         return self._kernel.state
+
+    @property
+    def params(self) -> KernelParams:
+        """The kernel's current parameters."""
+        return self._kernel.params
 
     def dispatch(self, event: Event) -> None:
         """Let the kernel decide on `event`, and carry out its effects."""
@@ -93,6 +100,7 @@ class Control:
     def begin(self, event: Request) -> asyncio.Future[Reply]:
         """Dispatch a request now; return the future of its reply, set after its effects."""
         reply = self._requests.expect_reply(event.request_id)
+        self._asked(event)
         try:
             self.dispatch(event)
         except BaseException:
@@ -104,13 +112,22 @@ class Control:
         """Dispatch a request and return its reply."""
         return await self.begin(event)
 
+    def decide(self, event: ParameterRequested) -> Reply:
+        """Dispatch a request whose reply waits for nothing; return that reply."""
+        self._requests.expect_reply_now(event.request_id)
+        self._asked(event)
+        self.dispatch(event)
+        return self._requests.reply_now(event.request_id)
+
     def expect_end(self, request_id: int) -> asyncio.Future[DriveEnded]:
         """Return the future of the end of the drive that request `request_id` will start."""
         return self._requests.expect_end(request_id)
 
     def _step(self, event: Event) -> None:
         last = self._snapshot_t_ns
-        if last is not None and event.t_ns - last >= SNAPSHOT_PERIOD_NS:
+        # The zeros of a stall are sent already, but not yet in the journal.
+        is_due = last is not None and event.t_ns - last >= SNAPSHOT_PERIOD_NS
+        if is_due and not isinstance(event, LoopStalled):
             self.journal_snapshot(event.t_ns)
         self._journal.event(event)
         problem = ""

@@ -12,6 +12,7 @@ from robotctl.daemon.control.latch import Latch
 from robotctl.daemon.control.pending_requests import PendingRequests, UnsavedReply
 from robotctl.ipc.advice import advice
 from robotctl.kernel.modes import Mode
+from robotctl.kernel.parameter_change import ParameterChanged
 from robotctl.kernel.safety import remedies_for
 from robotctl.kernel.types import (
     Cause,
@@ -44,19 +45,26 @@ class Effects:
         latch: Latch,
         requests: PendingRequests,
         robot: str,
+        change: Callable[[ParameterChanged], None] = lambda change: None,
+        decided: Callable[[Effect], None] = lambda effect: None,
     ) -> None:
+        """`decided(effect)` is called for each effect but velocity commands."""
         self._publish_twist = publish_twist
         self._show_mode = show_mode
         self._note = note
         self._latch = latch
         self._requests = requests
         self._robot = robot
+        self._change = change
+        self._decided = decided
 
     def carry_out(self, effect: Effect) -> None:
         """Carry out an effect, or start to; a reply is sent once earlier effects are done."""
+        if isinstance(effect, PublishTwist):
+            self._publish_twist(effect.twist)
+            return
+        self._decided(effect)
         match effect:
-            case PublishTwist():
-                self._publish_twist(effect.twist)
             case ModeChanged():
                 reason = self._with_cure(effect)
                 _log.info("%s -> %s: %s", effect.previous.name, effect.mode.name, reason)
@@ -67,8 +75,12 @@ class Effects:
                 self._latch.set(effect.reason, effect.cause or Cause.OPERATOR_STOP)
             case ReleaseEmergencyStop():
                 self._latch.clear()
+            case ParameterChanged():
+                _log.info("%s: %s -> %s, by %s", effect.key, effect.old, effect.new, effect.source)
+                self._change(effect)
             case Reply():
-                self._latch.when_settled(partial(self._answer, effect))
+                if not self._requests.keep_now(effect):
+                    self._latch.when_settled(partial(self._answer, effect))
             case DriveEnded():
                 _log.info("drive ended: %s", self._with_cure(effect))
                 laps = effect.report.laps

@@ -12,36 +12,39 @@ from robotctl.kernel.types import CommandListenersSeen, CommandPublishersSeen, E
 from robotctl.ros.nodes.odom_subscriber import OdomSubscriber
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
 
-DISCOVERY_S = 4.0
-"""How long a start waits for a publisher of odometry before it simulates a robot.
-
-Fast DDS usually discovers a process on the same machine within 0.15 s, at worst within 2.6 s.
-"""
-
 PUBLISHER_POLL_S = 0.2
 
 LOOKS_PER_INSPECTION = 5
 """Subscriptions are inspected at each such look, even if their number is the same."""
 
 
-async def has_odometry_publisher(odometry: OdomSubscriber, stop: asyncio.Event) -> bool:
-    """Wait for a publisher of odometry; return whether there is one. `stop` ends the wait."""
-    await until(lambda: odometry.count_publishers() > 0 or stop.is_set(), DISCOVERY_S)
+async def has_odometry_publisher(
+    odometry: OdomSubscriber, stop: asyncio.Event, until_s: float
+) -> bool:
+    """Wait for a publisher of odometry until the steady time `until_s` [s] or until `stop`.
+
+    Return whether there is one.
+    """
+    remaining_s = until_s - time.monotonic()
+    await until(lambda: odometry.count_publishers() > 0 or stop.is_set(), remaining_s)
     return odometry.count_publishers() > 0
 
 
 async def watch_graph(
-    velocity: VelocityPublisher, odometry: OdomSubscriber, dispatch: Callable[[Event], None]
+    velocity: VelocityPublisher,
+    odometry: OdomSubscriber,
+    dispatch: Callable[[Event], None],
+    looked: Callable[[], None] = lambda: None,
 ) -> None:
     """Dispatch changes of the command's other publishers and of its subscribers, until cancelled.
 
-    Also find the names of the publishers of odometry.
+    Also find the names of the publishers of odometry. `looked()` is called after each look.
     """
     publishers: tuple[str, ...] = ()
-    listeners: tuple[int, tuple[str, ...]] | None = None
+    listeners: tuple[int, tuple[str, ...], str] | None = None
     count = -1
     for look in itertools.count():
-        others = velocity.other_publishers() if velocity.count_publishers() > 1 else ()
+        others = velocity.other_publishers()
         if others != publishers:
             publishers = others
             dispatch(CommandPublishersSeen(time.monotonic_ns(), others))
@@ -51,4 +54,5 @@ async def watch_graph(
                 listeners = seen
                 dispatch(CommandListenersSeen(time.monotonic_ns(), *seen))
         odometry.find_names()
+        looked()
         await asyncio.sleep(PUBLISHER_POLL_S)

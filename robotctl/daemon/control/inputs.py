@@ -7,6 +7,9 @@ import time
 
 from robotctl.daemon.control.dispatcher import Control
 from robotctl.daemon.control.robot_report import RobotReport
+from robotctl.kernel.lifecycle import LifecycleChanged, LifecycleState
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.safety_inputs import SafetyInput
 from robotctl.kernel.types import (
     BatteryReceived,
     Cause,
@@ -16,6 +19,8 @@ from robotctl.kernel.types import (
     OdometrySourceFound,
     OdomReceived,
     Reply,
+    SafetyInputReceived,
+    ScanReceived,
 )
 
 
@@ -37,9 +42,26 @@ class Inputs:
         """Handle the first sample of a new publisher of odometry."""
         self._control.dispatch(OdometrySourceFound(time.monotonic_ns(), source, gid, name))
 
-    def battery(self, level: float) -> None:
+    def battery(self, level: float, publisher: str, sequence: int) -> None:
         """Handle a battery level from 0 to 1, NaN if unknown."""
-        self._control.dispatch(BatteryReceived(time.monotonic_ns(), level))
+        self._control.dispatch(BatteryReceived(time.monotonic_ns(), level, publisher, sequence))
+
+    def safety_input(self, kind: SafetyInput, value: float, detail: str) -> None:
+        """Handle a message of a safety input."""
+        self._control.dispatch(SafetyInputReceived(time.monotonic_ns(), kind, value, detail))
+
+    def scan(self, sectors: tuple[float, ...]) -> None:
+        """Handle a laser scan: the nearest ranges by direction, () if it is unreadable."""
+        self._control.dispatch(ScanReceived(time.monotonic_ns(), sectors))
+
+    def lifecycle(self, state: LifecycleState, source: str) -> None:
+        """Handle a transition of the node that gates motion; one that is not active ramps down."""
+        present = self._control.state
+        if state is present.health.lifecycle:
+            return
+        self._control.dispatch(LifecycleChanged(time.monotonic_ns(), state, source))
+        if state is not LifecycleState.ACTIVE and present.mode is Mode.MOVING:
+            self.service_call(Mode.IDLE.value, source)
 
     def service_call(self, requested: int, source: str) -> asyncio.Future[Reply]:
         """Dispatch the mode request of a ROS node; return the future of its reply."""

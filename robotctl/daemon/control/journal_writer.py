@@ -7,19 +7,26 @@ from typing import Any
 
 from robotctl.kernel.codec import to_json
 from robotctl.kernel.kernel import Kernel
-from robotctl.kernel.snapshot import Snapshot
+from robotctl.kernel.snapshot import Proof, Snapshot
 from robotctl.kernel.types import Effect, Event
-from robotctl.recording.format.journal import EntryKind, JournalEntry, encode
+from robotctl.recording.format.journal import EntryKind, JournalEntry, chained, encode
 from robotctl.recording.format.metadata_names import MADE_BY
 
 
 class Journal:
     """The journal; each entry goes to `write` in order, serialized as a ROS message."""
 
-    def __init__(self, write: Callable[[bytes, int], None]) -> None:
-        """`write(serialized, seq)` is called for each entry."""
+    def __init__(
+        self, write: Callable[[bytes, int], None], commands: Callable[[], int] = lambda: 0
+    ) -> None:
+        """`write(serialized, seq)` is called for each entry.
+
+        `commands()` returns how many commands the journal accounts for so far.
+        """
         self._write = write
+        self._commands = commands
         self._seq = 0
+        self._crc = 0
 
     def event(self, event: Event) -> None:
         """Write an event."""
@@ -31,9 +38,12 @@ class Journal:
 
     def snapshot(self, t_ns: int, kernel: Kernel) -> None:
         """Write a snapshot, from which a re-run can start."""
-        self._add(t_ns, EntryKind.SNAPSHOT, Snapshot(MADE_BY, kernel.params, kernel.state))
+        proof = Proof(self._commands(), self._crc)
+        self._add(t_ns, EntryKind.SNAPSHOT, Snapshot(MADE_BY, kernel.params, kernel.state, proof))
 
     def _add(self, t_ns: int, kind: EntryKind, value: Any) -> None:
         entry = JournalEntry(self._seq, t_ns, kind, type(value).__name__, to_json(value))
-        self._write(encode(entry), self._seq)
+        serialized = encode(entry)
+        self._crc = chained(serialized, self._crc)
+        self._write(serialized, self._seq)
         self._seq += 1

@@ -24,6 +24,8 @@ class PendingRequests:
         self._last_id = 0
         self._replies: dict[int, asyncio.Future[Reply]] = {}
         self._ends: dict[int, asyncio.Future[DriveEnded]] = {}
+        self._replies_now: dict[int, Reply | None] = {}
+        self._at_once: dict[int, Reply] = {}
 
     def new_id(self) -> int:
         """Return a new request id."""
@@ -33,6 +35,23 @@ class PendingRequests:
     def expect_reply(self, request_id: int) -> asyncio.Future[Reply]:
         """Return the future of the one reply to a request."""
         return _expect(self._replies, request_id)
+
+    def expect_reply_now(self, request_id: int) -> None:
+        """Keep the reply to a request for `reply_now`: its caller does not wait."""
+        self._replies_now[request_id] = None
+
+    def keep_now(self, reply: Reply) -> bool:
+        """Keep a reply if `reply_now` will return it; return whether it does."""
+        if reply.request_id not in self._replies_now:
+            return False
+        self._replies_now[reply.request_id] = reply
+        return True
+
+    def reply_now(self, request_id: int) -> Reply:
+        """Return the reply that was kept."""
+        reply = self._replies_now.pop(request_id)
+        assert reply is not None, "the request was dispatched while another event was handled"
+        return reply
 
     def expect_end(self, request_id: int) -> asyncio.Future[DriveEnded]:
         """Return the future of the end of the drive that a request will start."""

@@ -6,21 +6,39 @@ import time
 from collections.abc import Iterator
 
 from robotctl.daemon.control.dispatcher import Control
-from robotctl.ipc.answers import DrivenPath, RobotFacts
+from robotctl.ipc.advice import advice
+from robotctl.ipc.answers import ConditionAnswer, DrivenPath, Preflight, RobotFacts
+from robotctl.ipc.conditions import condition_of
 from robotctl.kernel.battery import is_level
-from robotctl.kernel.checks import FOREIGN_COMMAND_S
+from robotctl.kernel.checks import FOREIGN_COMMAND_S, foreign_command, stands_alone
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.health import Health
-from robotctl.kernel.params import KernelParams
+from robotctl.kernel.params import Foreign
 from robotctl.kernel.remedies import Remedy
-from robotctl.kernel.safety import RULE_OF, remedies_for
+from robotctl.kernel.safety import RULE_OF, remedies_for, start_conditions
 from robotctl.kernel.types import Cause
 from robotctl.kernel.units import NS_PER_S
 
 MAX_DRIVEN_POSES = 20_000
 """Limit of the driven path; above it every second pose is removed."""
 
-WARNED = (Cause.FOREIGN_PUBLISHER, Cause.SECOND_ODOMETRY, Cause.COMMAND_UNHEARD)
+WARNED = (
+    Cause.NOT_ACTIVE,
+    Cause.ESTOP_PRESSED,
+    Cause.ESTOP_SILENT,
+    Cause.FENCE_LEFT,
+    Cause.OBSTACLE_NEAR,
+    Cause.SCAN_LOST,
+    Cause.BUMPER_PRESSED,
+    Cause.TILTED,
+    Cause.BASE_FAULT,
+    Cause.INPUT_LOST,
+    Cause.GATE_LOST,
+    Cause.FOREIGN_PUBLISHER,
+    Cause.SECOND_ODOMETRY,
+    Cause.COMMAND_UNHEARD,
+    Cause.COMMAND_TYPES_MIXED,
+)
 """Failed start conditions that are warnings even if no motion is requested."""
 
 RECENT_S = 600.0
@@ -29,17 +47,28 @@ RECENT_S = 600.0
 MIN_STEP_M = 0.005
 """A pose nearer than this to the previous one is not kept."""
 
-_EXPECTED = (Cause.ODOMETRY_LOST, Cause.BATTERY_UNKNOWN, Cause.COMMAND_UNHEARD)
+ALONE = (
+    "no robot, no odometry and no gate here: these start conditions are off, and MOVING commands "
+    "zeros (standalone)"
+)
+
+_EXPECTED = (
+    Cause.ODOMETRY_LOST,
+    Cause.BATTERY_UNKNOWN,
+    Cause.COMMAND_UNHEARD,
+    Cause.ESTOP_SILENT,
+    Cause.INPUT_LOST,
+    Cause.SCAN_LOST,
+)
 """Causes that refuse a drive until a robot is found."""
 
 
 class RobotReport:
     """A report of the kernel's state, and the driven path; `sim`: the robot is simulated."""
 
-    def __init__(self, control: Control, params: KernelParams) -> None:
+    def __init__(self, control: Control) -> None:
         self.sim = False
         self._control = control
-        self._params = params
         self._driven: list[Pose] = []
         self._wanted: list[Pose] = []
         self._drive_id: int | None = None
@@ -70,12 +99,12 @@ class RobotReport:
         if health.odometry is None:
             return False
         age_s = (time.monotonic_ns() - health.odometry_t_ns) / NS_PER_S
-        return age_s <= self._params.odometry.timeout_s
+        return age_s <= self._control.params.odometry.timeout_s
 
     def missing(self) -> list[str]:
         """Return sentences for what the configuration expects and discovery has not found yet."""
         health, now = self._control.state.health, time.monotonic_ns()
-        found = (RULE_OF[cause].check(health, self._params, now) for cause in _EXPECTED)
+        found = (RULE_OF[cause].check(health, self._control.params, now) for cause in _EXPECTED)
         missing = [text for text in found if text]
         if health.command_topic.listeners is None:
             missing.append("the nodes that subscribe to the velocity command are not known yet")
@@ -102,6 +131,23 @@ class RobotReport:
             "odometry_dropped": state.health.odometry_sources.dropped,
         }
 
+    def preflight(self, robot: str) -> Preflight:
+        """Return each start condition, with commands for `robot` in the cures."""
+        health, now_ns = self._control.state.health, time.monotonic_ns()
+        conditions: list[ConditionAnswer] = []
+        for rule, problem in start_conditions(health, self._control.params, now_ns):
+            told = advice(problem, (rule.remedy,) if problem else (), robot)
+            conditions.append(
+                {
+                    "cause": rule.cause.value,
+                    "condition": condition_of(rule.cause),
+                    "problem": told.cause,
+                    "cure": told.cure,
+                }
+            )
+        passed = not any(each["problem"] for each in conditions)
+        return {"passed": passed, "conditions": conditions}
+
     def remedies(self) -> tuple[Remedy, ...]:
         """Return what the operator can do about the mode."""
         return remedies_for(self._control.state.cause)
@@ -110,15 +156,20 @@ class RobotReport:
         """Yield what is wrong with the robot, or may be."""
         health, now_ns = self._control.state.health, time.monotonic_ns()
         for cause in WARNED:
-            problem = RULE_OF[cause].check(health, self._params, now_ns)
+            problem = RULE_OF[cause].check(health, self._control.params, now_ns)
             if problem:
                 yield problem
+        params = self._control.params
+        if params.command.foreign is Foreign.WARN:
+            yield from filter(None, [foreign_command(health, params, now_ns)])
         yield from _recent(health, now_ns)
         if health.odometry_fault:
             yield health.odometry_fault
         if health.odometry is not None and not self.is_connected():
             yield "odometry is older than its timeout"
-        if not self._params.battery.topic:
+        if stands_alone(health, self._control.params):
+            yield ALONE
+        if not self._control.params.battery.topic:
             yield "no battery topic is configured: the battery is not checked"
 
 

@@ -43,12 +43,18 @@ class QueueHandler(logging.Handler):
         super().close()
 
 
+_FORMAT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
+
+
 @contextmanager
-def log_to_stderr() -> Iterator[None]:
-    """Log to stderr within the block; at its end, write the queue for at most 1 s."""
+def log_to_stderr(line: str = _FORMAT) -> Iterator[None]:
+    """Log to stderr within the block; at its end, write the queue for at most 1 s.
+
+    `line` is the format of a line, as for `logging.Formatter`.
+    """
     with StderrQueue() as queue:
         handler = QueueHandler(queue)
-        handler.setFormatter(PlainFormatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+        handler.setFormatter(PlainFormatter(line))
         root = logging.getLogger()
         root.addHandler(handler)
         root.setLevel(logging.INFO)

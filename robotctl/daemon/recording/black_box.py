@@ -66,7 +66,9 @@ class BlackBox:
         self._limits = limits
         self._now_ns = now_ns
         self._sleep = sleep
-        self._params = params
+        self.params = params
+        """The lengths of the clips."""
+
         self._recording = recording
         self._waiting: deque[RecordedEvent] = deque()
         self._came = asyncio.Event()
@@ -75,7 +77,7 @@ class BlackBox:
 
     def note(self, event: RecordedEvent) -> None:
         """Order a clip of `event`, if it is of a kind that gets one."""
-        if event.kind not in CLIPPED or not self._params.clip_before_s:
+        if event.kind not in CLIPPED or not self.params.clip_before_s:
             return
         if len(self._waiting) >= self._limits.waiting or self._ordered >= self._limits.clips:
             _log.warning("no clip is cut of this %s: the limit is reached", event.kind.value)
@@ -90,7 +92,7 @@ class BlackBox:
             self._came.clear()
             while self._waiting:
                 since_s = (self._now_ns() - self._waiting[0].log_ns) / NS_PER_S
-                after_s = self._params.clip_after_s
+                after_s = self.params.clip_after_s
                 await self._sleep(min(after_s - since_s, after_s))  # the clock may jump back
                 await self._cut_next(self._limits.cut_s)
             await self._came.wait()
@@ -110,8 +112,8 @@ class BlackBox:
         job = ClipJob(
             self._recording,
             Moment.of(event),
-            self._params.clip_before_s,
-            self._params.clip_after_s,
+            self.params.clip_before_s,
+            self.params.clip_after_s,
         )
         self._cutting = asyncio.get_running_loop().run_in_executor(None, self._cut, job, deadline_s)
         await asyncio.shield(self._cutting)

@@ -6,21 +6,24 @@ import asyncio
 import logging
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from shutil import rmtree
 
-from robotctl.config import Config
+from robotctl.config import Config, flat
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.recording.black_box import BlackBox
 from robotctl.daemon.recording.call_in_loop import in_loop
 from robotctl.daemon.recording.folder import open_recorder, retention_policy
+from robotctl.daemon.recording.head_forwarder import HeadForwarder
 from robotctl.daemon.recording.recorder_report import RecorderReport
+from robotctl.daemon.recording.robot_seal import RobotSealer
 from robotctl.daemon.recording.tidier import Tidier
 from robotctl.daemon.supervisor import Work
 from robotctl.ipc.advice import for_robot
 from robotctl.recording import RecorderStats, Topic
+from robotctl.recording.format import foxglove
 from robotctl.recording.format.event_kind import EventKind
 from robotctl.recording.format.events import RecordedEvent
 from robotctl.recording.write.topic_filter import TopicFilter
@@ -33,6 +36,7 @@ from robotctl.ros.nodes import (
     mode_service,
 )
 from robotctl.ros.nodes.diagnostics_publisher import DiagnosticsPublisher
+from robotctl.ros.nodes.head_publisher import HeadPublisher
 from robotctl.ros.nodes.journal_publisher import JournalPublisher
 from robotctl.ros.nodes.mark_publisher import MarkPublisher
 from robotctl.ros.session import Session
@@ -72,6 +76,9 @@ class FlightRecorder:
         self._on_file = on_file
         self._closing = False
         self._must_record = config.on_recorder_failure == "stop"
+        self._config = config
+        publish = HeadPublisher(session).publish if config.recording.publish_heads else None
+        self._heads = HeadForwarder(config.recording.head_command, publish)
         self._recorder = open_recorder(
             options.recordings,
             options.robot,
@@ -80,6 +87,9 @@ class FlightRecorder:
             in_loop(self._failed),
             in_loop(self._file_begun),
             in_loop(self._file_full),
+            present=lambda: self._config,
+            sealer=RobotSealer(options.robot, in_loop(self._heads.take)),
+            evidence=frozenset(map(session.resolve, _evidence_topics(config))),
         )
         topics = (config.kernel.command.topic, config.kernel.odometry.topic)
         own = (mode_service.STATUS.name, journal_publisher.TOPIC.name)
@@ -90,17 +100,29 @@ class FlightRecorder:
         diagnostics = DiagnosticsPublisher(session, options.robot)
         self._marks = MarkPublisher(session)
         self._write_mark = self.tap.reserve(mark_publisher.TOPIC)
-        recording = self._recorder.stats().file.parent
-        self._black_box = BlackBox(config.recording, recording)
-        self.tidier = Tidier(retention_policy(config.recording), recording)
+        self._events: int | None = None
+        """The channel for Foxglove, None without one."""
+        if config.recording.foxglove_events:
+            topic = Topic(session.resolve(foxglove.TOPIC), foxglove.TYPE_NAME, foxglove.DEFINITION)
+            self._events = self._recorder.add_topic(topic)
+        self.folder = self._recorder.stats().file.parent
+        self._black_box = BlackBox(config.recording, self.folder)
+        self.tidier = Tidier(retention_policy(config.recording), self.folder)
         self.report = RecorderReport(
             self._recorder,
             self.tap,
             topic_filter,
             diagnostics,
-            self.tidier.problems,
+            self._problems,
             options.robot,
         )
+
+    def reconfigure(self, config: Config) -> None:
+        """Use the retention, the clips and the meaning of a failure of `config` from now on."""
+        self._must_record = config.on_recorder_failure == "stop"
+        self._black_box.params = config.recording
+        self.tidier.policy = retention_policy(config.recording)
+        self._config = config
 
     def work(self) -> dict[str, Work]:
         """Return the tasks of the recorder by name."""
@@ -109,6 +131,7 @@ class FlightRecorder:
             "recorder's statistics": self._keep_statistics,
             "black box": self._black_box.run,
             "tidier": self.tidier.run,
+            "heads of the seal": self._heads.run,
         }
 
     def open_journal(self, publisher: JournalPublisher) -> Callable[[bytes, int], None]:
@@ -132,12 +155,20 @@ class FlightRecorder:
         self._recorder.add_event(event)
         self._black_box.note(event)
 
+    def show_event(self, values: Mapping[str, str]) -> None:
+        """Record an event of now that Foxglove shows, if the configuration wants that."""
+        if self._events is not None:
+            now_ns = time.time_ns()
+            event = foxglove.encode_event(now_ns, now_ns, values)
+            self._recorder.write(self._events, event, now_ns, now_ns, 0, UNKNOWN_GID)
+
     def mark(self, text: str, source: str) -> RecordedEvent:
         """Mark this moment in the recording and on ROS."""
         now_ns = time.time_ns()
         event = RecordedEvent(EventKind.MARK, now_ns, f"{text} [{source}]")
         self._write_mark(self._marks.publish(event.text), now_ns, now_ns, 0, UNKNOWN_GID)
         self.note(event)
+        self.show_event({"event": "mark", "text": text, "by": source})
         _log.info("marked: %s", event.text)
         return event
 
@@ -171,6 +202,7 @@ class FlightRecorder:
             stats.dropped,
             stats.lost,
         )
+        await self._heads.finish()
         await self._black_box.finish()
 
     async def discard(self) -> None:
@@ -182,6 +214,9 @@ class FlightRecorder:
         while True:
             self.report.sample()
             await asyncio.sleep(SAMPLE_PERIOD_S)
+
+    def _problems(self) -> list[str]:
+        return [*self.tidier.problems, *filter(None, [self._heads.problem])]
 
     def _failed(self, detail: str) -> None:
         _log.error("%s", for_robot(detail, self._robot))
@@ -201,3 +236,10 @@ class FlightRecorder:
             topic.name, topic.type_name, topic.definition, topic.type_hash, topic.offered_qos
         )
         return partial(self._recorder.write, self._recorder.add_topic(described))
+
+
+def _evidence_topics(config: Config) -> list[str]:
+    """Return the topics that a check of the decisions needs: journal, commands, inputs, calls."""
+    used = [str(name) for key, name in flat(config).items() if key.endswith(".topic") and name]
+    own = (journal_publisher.TOPIC, mode_service.STATUS, mark_publisher.TOPIC, *mode_service.CALLS)
+    return [*used, *(topic.name for topic in own)]

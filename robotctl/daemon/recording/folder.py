@@ -9,10 +9,13 @@ from pathlib import Path
 
 from robotctl.config import Config, RecordingParams, flat
 from robotctl.daemon.recording.provenance import provenance
+from robotctl.daemon.recording.software import software
 from robotctl.errors import RobotctlError
 from robotctl.paths import make_private, recordings_note_path
 from robotctl.recording import Recorder, RecorderOptions
+from robotctl.recording.format.metadata_names import FOXGLOVE_RECORD, SOFTWARE_RECORD
 from robotctl.recording.keep.retention import DAY_S, RetentionPolicy
+from robotctl.recording.write.file_seal import Sealer
 
 
 def retention_policy(params: RecordingParams) -> RetentionPolicy:
@@ -43,24 +46,39 @@ def open_recorder(
     on_failure: Callable[[str], None],
     on_split: Callable[[Path], None],
     on_full: Callable[[Path], None],
+    *,
+    present: Callable[[], Config] | None = None,
+    sealer: Sealer | None = None,
+    evidence: frozenset[str] = frozenset(),
 ) -> Recorder:
     """Start the recording ROBOT_DATE_TIME.
 
     All callbacks are called from any thread: `mode()` when a file starts, `on_failure(detail)`,
     `on_split(file)`, and `on_full(file)`, which must arrange a call of the recorder's `split`.
+    `present()` returns the configuration that a later file names; `config` where it is None.
+    `sealer` seals the files if the configuration says so.
+    `evidence` are the full names of the topics that a check needs.
 
     Raises:
         Refused: The recording cannot be written.
     """
-    parameters = {f"parameter.{key}": str(value) for key, value in flat(config).items()}
-    described = {"robot": robot, **provenance(), **parameters}
+    described = {"robot": robot, **provenance()}
+
+    def metadata() -> dict[str, str]:
+        values = flat(config if present is None else present())
+        parameters = {f"parameter.{key}": str(value) for key, value in values.items()}
+        return {"mode": mode(), **described, **parameters}
+
     return Recorder(
         _new_folder(recordings, f"{robot}_{time.strftime('%Y%m%d_%H%M%S')}"),
         RecorderOptions(
             compression=config.recording.compression,
             group_readable=config.recording.group_readable,
+            sealer=sealer if config.recording.seal else None,
+            evidence=evidence,
+            records={SOFTWARE_RECORD: software(), FOXGLOVE_RECORD: {"deviceName": robot}},
         ),
-        metadata=lambda: {"mode": mode(), **described},
+        metadata=metadata,
         on_failure=on_failure,
         on_split=on_split,
         on_full=on_full,

@@ -5,15 +5,34 @@ from __future__ import annotations
 import os
 import platform
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from pwd import getpwuid
+from typing import Final
 
 import robotctl
 from robotctl.environment import DISTRO, RMW
+from robotctl.regular_file import open_regular
 
-MAX_GIT_BYTES = 4 << 20
-"""Limit of `packed-refs`; a larger file is not read."""
+MAX_GIT_BYTES: Final = 4 << 20
+"""A larger file of git is not read."""
+
+WHEELS: Final = {
+    "rclpy": "ros-jazzy-rclpy",
+    "rcl": "ros-rcl",
+    "rmw_fastrtps": "ros-rmw-fastrtps-cpp",
+    "fastdds": "ros-fastrtps",
+    "common_interfaces": "ros-jazzy-common-interfaces",
+    "mcap": "mcap",
+    "msgspec": "msgspec",
+    "zstandard": "zstandard",
+    "isal": "isal",
+    "numpy": "numpy",
+}
+"""The distribution that holds each library. Of rclpy, the ROS wheel has the true version: the
+package in it still names the version before its last patch."""
 
 _REVISION = re.compile(r"[0-9a-f]{40}(?:[0-9a-f]{24})?")
 
@@ -22,26 +41,42 @@ def provenance() -> dict[str, str]:
     """Return versions, host and git revisions, as far as they are known.
 
     `git.robotctl` is the commit of robotctl's own source tree, `git.directory` that of the
-    repository in which the daemon was started; each is left out if there is none.
+    repository in which the daemon was started; each is left out if there is none. `user` is who
+    runs the daemon.
     """
     try:
-        directory = Path.cwd()
+        return dict(_provenance(Path.cwd()))
     except OSError:  # it was removed
-        directory = None
+        return dict(_provenance(None))
+
+
+@cache
+def _provenance(directory: Path | None) -> Mapping[str, str]:
+    """Read it all once: the files of a running daemon may be replaced."""
     known = {
         "robotctl": robotctl.__version__,
         "python": platform.python_version(),
         "libc": " ".join(platform.libc_ver()).strip(),
         "ros_distro": DISTRO,
         "rmw": RMW,
-        "rclpy": _version("rclpy"),
-        "mcap": _version("mcap"),
+        **{name: _version(wheel) or _version(name) for name, wheel in WHEELS.items()},
         "host": os.uname().nodename,
+        "machine": f"{os.uname().machine}, Linux {os.uname().release}",
+        "user": user(),
         "directory": "" if directory is None else str(directory),
         "git.robotctl": revision(Path(robotctl.__file__).parents[1]),
         "git.directory": "" if directory is None else revision_around(directory),
     }
     return {name: value for name, value in known.items() if value}
+
+
+def user() -> str:
+    """Return login name and uid of the user of this process."""
+    uid = os.getuid()
+    try:
+        return f"{getpwuid(uid).pw_name} (uid {uid})"
+    except KeyError:  # a container without this user
+        return f"uid {uid}"
 
 
 def revision_around(folder: Path) -> str:
@@ -57,8 +92,8 @@ def revision(folder: Path) -> str:
     try:
         git = folder / ".git"
         if git.is_file():  # of a worktree or submodule
-            git = folder / git.read_text().strip().removeprefix("gitdir: ")
-        head = (git / "HEAD").read_text().strip()
+            git = folder / _text(git).removeprefix("gitdir: ")
+        head = _text(git / "HEAD")
         name = head.removeprefix("ref: ")
         candidates = [head] if name == head else _values(git, name)
         return next(filter(_REVISION.fullmatch, candidates), "")
@@ -69,15 +104,28 @@ def revision(folder: Path) -> str:
 def _values(git: Path, name: str) -> Iterator[str]:
     """Yield the possible values of the reference `name`."""
     common = git / "commondir"
-    for place in (git, git / common.read_text().strip()) if common.exists() else (git,):
+    for place in (git, git / _text(common)) if common.exists() else (git,):
         if (place / name).is_file():
-            yield (place / name).read_text().strip()
-        packed = place / "packed-refs"
-        if packed.is_file() and packed.stat().st_size <= MAX_GIT_BYTES:
-            for line in packed.read_text().splitlines():
+            yield _text(place / name)
+        if (place / "packed-refs").is_file():
+            for line in _text(place / "packed-refs").splitlines():
                 commit, _, reference = line.partition(" ")
                 if reference == name:
                     yield commit
+
+
+def _text(path: Path) -> str:
+    """Return the text of a regular file: a FIFO that somebody planted in /tmp would never end.
+
+    Raises:
+        OSError: It cannot be read, or is no regular file.
+        ValueError: It is no text, or larger than MAX_GIT_BYTES.
+    """
+    with open_regular(path) as file:
+        content = file.read(MAX_GIT_BYTES + 1)
+    if len(content) > MAX_GIT_BYTES:
+        raise ValueError(f"{path} is larger than {MAX_GIT_BYTES} bytes")
+    return content.decode().strip()
 
 
 def _version(distribution: str) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 from robotctl.daemon.recording.loss_diagnosis import diagnose
@@ -32,10 +32,10 @@ class RecorderReport:
         tap: Tap,
         topic_filter: TopicFilter,
         diagnostics: DiagnosticsPublisher,
-        problems: Sequence[str],
+        problems: Callable[[], Sequence[str]],
         robot: str,
     ) -> None:
-        """`problems` may grow: the problems of other recordings in the folder."""
+        """`problems()` returns those of other recordings in the folder, and of the seal's heads."""
         self._recorder = recorder
         self._tap = tap
         self._filter = topic_filter
@@ -94,7 +94,7 @@ class RecorderReport:
             )
         yield from self._tap.unrecorded.warnings()
         yield from (warning for _, warning in self._heavy_warnings())
-        yield from self._problems
+        yield from self._problems()
 
     def sample(self) -> None:
         """Update the rates, and publish the diagnosis; called once a second."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Callable
 from contextlib import aclosing
 from pathlib import Path
 from typing import Any
@@ -30,13 +30,16 @@ class Tidier:
 
     def __init__(self, policy: RetentionPolicy, recording: Path) -> None:
         """`recording` is the folder of the present recording, among the others."""
-        self._policy = policy
+        self.policy = policy
         self._recordings = recording.parent
         self._recording = recording
         self._begun = asyncio.Event()
         self._finished = asyncio.Event()
         self.problems: list[str] = []
         """Sentences about losses and failures."""
+
+        self.on_removed: Callable[[str], None] = lambda path: None
+        """Called with the path of each file that is removed."""
 
     def begin(self) -> None:
         """Start to tidy; called when the daemon is ready."""
@@ -63,7 +66,7 @@ class Tidier:
             return False
 
     async def _tidy(self, *, repairs: bool) -> None:
-        job = TidyJob(self._recordings, self._policy, repairs)
+        job = TidyJob(self._recordings, self.policy, repairs)
         try:
             child = start([*program("robotctl.recording.keep.tidy_process"), job.to_json()])
         except OSError as error:  # no process or no descriptor
@@ -73,7 +76,7 @@ class Tidier:
         try:
             async with aclosing(_heard(child)) as heard:
                 async for said in heard:
-                    self._tell(TidyNote(said["text"], said["problem"]))
+                    self._tell(TidyNote(said["text"], said["problem"], said["removed"]))
         except (ValueError, KeyError):
             self._tell(TidyNote(f"{said_by} sent an invalid report", problem=True))
         except asyncio.CancelledError:
@@ -86,6 +89,8 @@ class Tidier:
 
     def _tell(self, done: TidyNote) -> None:
         _log.log(logging.WARNING if done.problem else logging.INFO, "%s", done.text)
+        if done.removed:
+            self.on_removed(done.removed)
         if done.problem and len(self.problems) < MAX_PROBLEMS:
             self.problems.append(done.text)
 

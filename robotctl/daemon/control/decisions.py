@@ -1,0 +1,108 @@
+"""What requests asked and what the kernel decided, for the journal that is kept for years."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from robotctl.decision_log.entries import Kind
+from robotctl.decision_log.log import DecisionLog
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.parameter_change import ParameterChanged, ParameterRequested
+from robotctl.kernel.types import (
+    DriveEnded,
+    DriveRequested,
+    Effect,
+    LatchEmergencyStop,
+    ModeChanged,
+    ModeRequested,
+    ReleaseEmergencyStop,
+    Reply,
+    ResetRequested,
+)
+
+Request = ModeRequested | ResetRequested | DriveRequested | ParameterRequested
+
+
+class Decisions:
+    """Notes each request with its answer, and each change of the mode; in the loop's thread."""
+
+    def __init__(
+        self, log: DecisionLog, show: Callable[[Mapping[str, str]], None] = lambda change: None
+    ) -> None:
+        """`show(change)` is called for each change of the mode."""
+        self._log = log
+        self._show = show
+        self._open: dict[int, tuple[Request, int]] = {}
+        """Requests by id, with the number of changes before each."""
+        self._changes = 0
+        self._latch: dict[str, bool] = {}
+        """What the next change of the mode does to the latch."""
+
+    def asked(self, request: Request) -> None:
+        """Note a request, before it is decided."""
+        self._open[request.request_id] = request, self._changes
+
+    def decided(self, effect: Effect) -> None:
+        """Note an effect; velocity commands need not be told."""
+        match effect:
+            case LatchEmergencyStop():
+                self._latch = {"latched": True}
+            case ReleaseEmergencyStop():
+                self._latch = {"released": True}
+            case ModeChanged():
+                self._changes += 1
+                latch, self._latch = self._latch, {}
+                self._log.add_values(Kind.MODE, {**_change(effect), **latch})
+                self._show({"event": "mode", **_change(effect)})
+            case DriveEnded():
+                self._changes += 1
+            case ParameterChanged():
+                self._log.add_values(
+                    Kind.PARAMETER,
+                    {
+                        "key": effect.key,
+                        "from": effect.old,
+                        "to": effect.new,
+                        "by": effect.source,
+                    },
+                )
+            case Reply():
+                self._answered(effect)
+            case _:
+                pass
+
+    def _answered(self, reply: Reply) -> None:
+        request, before = self._open.pop(reply.request_id, (None, 0))
+        if request is None:
+            return
+        changed = self._changes > before or isinstance(request, DriveRequested)
+        if changed or not reply.ok:
+            self._log.add(
+                Kind.REQUEST if reply.ok else Kind.REFUSED,
+                asked=_asked(request),
+                by=request.source,
+                answer=reply.message,
+            )
+
+
+def _change(effect: ModeChanged) -> dict[str, str]:
+    cause = {} if effect.cause is None else {"cause": effect.cause.value}
+    return {
+        "from": effect.previous.name,
+        "to": effect.mode.name,
+        "reason": effect.reason,
+        **cause,
+    }
+
+
+def _asked(request: Request) -> str:
+    match request:
+        case ModeRequested():
+            number = request.requested
+            return Mode(number).name if number in list(Mode) else f"mode {number}"
+        case ResetRequested():
+            return "reset"
+        case DriveRequested():
+            return f"drive {request.pattern.kind.value}"
+        case ParameterRequested():
+            return f"{request.key} = {request.new}"

@@ -1,0 +1,82 @@
+"""Goals of the action `drive_pattern`, as requests for the kernel."""
+
+from __future__ import annotations
+
+import time
+
+from robotctl.daemon.api.driving import DrivingMethods
+from robotctl.daemon.control.dispatcher import Control
+from robotctl.errors import UsageError
+from robotctl.kernel.drive import MAX_LAPS
+from robotctl.kernel.patterns import PatternKind
+from robotctl.kernel.types import DriveRequested
+from robotctl.ros.nodes.drive_action import Goal, Progress
+
+MAX_SHOWN = 40
+"""The part of an unknown pattern's name that a refusal shows, in characters."""
+
+
+class RequestedDrive:
+    """The drive that a goal asks for, from its request to its end."""
+
+    def __init__(self, control: Control, driving: DrivingMethods, event: DriveRequested) -> None:
+        self._control = control
+        self._driving = driving
+        self._event = event
+        self.ended = control.expect_end(event.request_id)
+        self.reply = control.begin(event)
+
+    def progress(self) -> Progress | None:
+        """Return how far the drive has come, None if it is not going on."""
+        state = self._control.state
+        drive, odometry = state.drive, state.health.odometry
+        if drive is None or drive.request_id != self._event.request_id or odometry is None:
+            return None
+        laps = min(drive.progress.laps, drive.laps - 1) if drive.laps else drive.progress.laps
+        return Progress(drive.score.distance_m, laps, drive.cross_track_m(odometry.pose))
+
+    def ramp_down(self) -> bool:
+        """End the drive with a ramp; return whether it was still going on."""
+        return self._driving.ramp_down(
+            self._event.request_id, f"{self._event.source}, which was cancelled"
+        )
+
+
+class DriveGoals:
+    """Turns goals into requests."""
+
+    def __init__(self, control: Control, driving: DrivingMethods) -> None:
+        self._control = control
+        self._driving = driving
+
+    def begin(self, goal: Goal, source: str) -> RequestedDrive:
+        """Request the drive of a goal now.
+
+        Raises:
+            ValueError: The goal has no laps, an unknown pattern or a speed above the limit.
+        """
+        if goal.laps == 0:
+            raise ValueError(f"0 laps: a goal ends by itself: use 1 to {MAX_LAPS}")
+        try:
+            pattern = self._driving.pattern(
+                _kind(goal.pattern), goal.size_m or None, goal.speed_mps or None
+            )
+        except UsageError as error:
+            raise ValueError(str(error)) from None
+        event = DriveRequested(
+            time.monotonic_ns(),
+            self._control.new_request_id(),
+            pattern,
+            goal.laps,
+            goal.replace,
+            source,
+        )
+        return RequestedDrive(self._control, self._driving, event)
+
+
+def _kind(name: str) -> PatternKind | None:
+    try:
+        return PatternKind(name) if name else None
+    except ValueError:
+        names = ", ".join(kind.value for kind in PatternKind)
+        raise UsageError(f"no pattern {name[:MAX_SHOWN]!r}", f"use {names}") from None

@@ -1,0 +1,113 @@
+"""The parameters of a running daemon: each change is checked here and decided by the kernel."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+from robotctl.config import Config, check_together, declarations, flat, with_setting, with_text
+from robotctl.daemon.control.dispatcher import Control
+from robotctl.errors import Refused
+from robotctl.ipc.answers import ParameterAnswer
+from robotctl.kernel.kernel import Kernel
+from robotctl.kernel.parameter_change import ParameterChanged, ParameterRequested
+from robotctl.kernel.parameters import kernel_leaves
+from robotctl.kernel.ranges import Change
+from robotctl.kernel.types import Reply
+
+START_CURE = "stop the daemon, and start it with --config, or with --ros-args -p {key}:=VALUE"
+
+
+class Setting(NamedTuple):
+    """A new value for a key, in the form that a file uses."""
+
+    key: str
+    value: object
+
+
+class Parameters:
+    """The present configuration: the kernel owns its parameters, this object all others."""
+
+    def __init__(
+        self, config: Config, control: Control, on_change: Callable[[Config], None]
+    ) -> None:
+        """Call `on_change(config)` after each change."""
+        self._config = config
+        self._control = control
+        self._on_change = on_change
+        self.followers: list[Callable[[str, object], None]] = []
+        """Called with key and value after each change."""
+
+    @property
+    def config(self) -> Config:
+        """The present configuration."""
+        return replace(self._config, kernel=self._control.params)
+
+    def parsed(self, key: str, text: str) -> Setting:
+        """Return the setting that a text means.
+
+        Raises:
+            ConfigError: There is no such key, or the value is not allowed.
+        """
+        return Setting(key, flat(with_text(self.config, key, text))[key])
+
+    def request(self, settings: Sequence[Setting], source: str) -> Reply:
+        """Change all the parameters, or none; return the last reply, or that of the first refusal.
+
+        Raises:
+            ConfigError: There is no such key, or a value is not allowed.
+            Refused: A parameter changes at a start only.
+        """
+        events, config = [], self.config
+        for key, value in settings:
+            before, config = config, with_setting(config, key, value)
+            if declarations()[key].change is Change.START:
+                raise Refused(f"{key} changes at a start only", START_CURE.format(key=key))
+            check_together(config.kernel)
+            events.append(
+                ParameterRequested(
+                    time.monotonic_ns(),
+                    self._control.new_request_id(),
+                    key,
+                    str(flat(before)[key]),
+                    str(flat(config)[key]),
+                    source,
+                )
+            )
+        if len(events) > 1:
+            trial = Kernel(self._control.params, self._control.state)
+            for event in events:
+                (*_, reply) = trial.step(event)
+                if isinstance(reply, Reply) and not reply.ok:
+                    return reply
+        replies = [self._control.decide(event) for event in events]
+        return replies[-1]
+
+    def changed(self, change: ParameterChanged) -> None:
+        """Carry out a change that the kernel granted."""
+        if change.key not in kernel_leaves():
+            self._config = with_text(self._config, change.key, change.new)
+        config = self.config
+        self._on_change(config)
+        value = flat(config)[change.key]
+        for follow in self.followers:
+            follow(change.key, value)
+
+
+def listed(config: Config) -> list[ParameterAnswer]:
+    """Return every parameter with its value in `config`."""
+    values: dict[str, Any] = flat(config)
+    return [
+        {
+            "key": key,
+            "value": values[key],
+            "default": each.default,
+            "type": each.kind.value,
+            "allowed": each.allowed,
+            "changes": each.change.value,
+            "about": each.about,
+        }
+        for key, each in declarations().items()
+    ]

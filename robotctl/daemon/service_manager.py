@@ -1,0 +1,82 @@
+"""Reports to systemd, where it started the daemon: ready, alive, mode, stopping (sd_notify(3))."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import socket
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
+
+from robotctl.kernel.units import NS_PER_S
+
+SOCKET_VARIABLE = "NOTIFY_SOCKET"
+WATCHDOG_VARIABLE = "WATCHDOG_USEC"
+
+STATUS_PERIOD_S = 1.0
+
+_US_PER_S = NS_PER_S // 1000
+
+
+class ServiceManager:
+    """The socket of the service manager; without one, nothing is sent.
+
+    The socket is opened once: a report needs no free descriptor later. A report that cannot be sent
+    is dropped, as sd_notify(3) recommends.
+    """
+
+    def __init__(self) -> None:
+        """Take the variables out of the environment, so that no child process reports, too."""
+        address = os.environ.pop(SOCKET_VARIABLE, "")
+        watchdog = os.environ.pop(WATCHDOG_VARIABLE, "")
+        self._period_s = STATUS_PERIOD_S
+        if watchdog.isdecimal() and int(watchdog):
+            self._period_s = min(STATUS_PERIOD_S, int(watchdog) / _US_PER_S / 2.0)
+        self._socket: socket.socket | None = None
+        if address.startswith(("/", "@")):
+            self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
+            with suppress(OSError):
+                self._socket.connect(address.replace("@", "\0", 1))
+
+    def ready(self) -> None:
+        """Report that the start is over."""
+        self._tell("READY=1")
+
+    def stopping(self) -> None:
+        """Report that the daemon has begun to end."""
+        self._tell("STOPPING=1\nSTATUS=stopping")
+
+    def close(self) -> None:
+        """Close the socket."""
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+    async def run(self, status: Callable[[], str]) -> None:
+        """Report in time that the loop runs, and the status when it changes, until cancelled."""
+        if self._socket is None:
+            return
+        told = ""
+        while True:
+            lines = ["WATCHDOG=1"]
+            if told != (told := status()):
+                lines.append(f"STATUS={told}")
+            self._tell("\n".join(lines))
+            await asyncio.sleep(self._period_s)
+
+    def _tell(self, text: str) -> None:
+        if self._socket is not None:
+            with suppress(OSError):
+                self._socket.send(text.encode())
+
+
+@asynccontextmanager
+async def reporting(manager: ServiceManager, status: Callable[[], str]) -> AsyncIterator[None]:
+    """Report for the time of the block; at its end the daemon is stopping."""
+    task = asyncio.create_task(manager.run(status))
+    try:
+        yield
+    finally:
+        task.cancel()
+        manager.stopping()
+        manager.close()

@@ -1,0 +1,55 @@
+"""A base that takes TwistStamped is driven with it, and recorded, and checked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from geometry_msgs.msg import TwistStamped
+from rclpy.serialization import deserialize_message
+
+from tests.support.waiting import DEADLINE_S, until
+from tests.support.world import PATIENT, Peer, World, read_back
+
+STAMPED = "geometry_msgs/msg/TwistStamped"
+
+
+def test_a_base_that_takes_twist_stamped_is_driven_recorded_and_checked(world: World) -> None:
+    settings = world.folder / "base.yaml"
+    settings.write_text(f"{PATIENT}command: {{stamped: true, frame_id: base}}\n")
+    base = world.spawn("sim", "--config", str(settings))
+    assert base.stdout is not None
+    base.stdout.readline()
+    settings.write_text(f"{PATIENT}command.frame_id: base\n")
+    world.ok("start", "--no-sim", "--config", str(settings))
+    until(
+        lambda: (
+            world.robotctl("drive", "square", "--side", "0.3", "--laps", "1", "--wait").exit_code
+            == 0
+        )
+    )
+    world.ok("stop")
+    base.terminate()
+    base.communicate(timeout=DEADLINE_S)
+    assert "same" in world.ok("replay", "--check", "last")
+    messages = read_back(next(world.recordings.iterdir()))["/cmd_vel"]
+    commands = [deserialize_message(each.data, TwistStamped) for each in messages]
+    assert {each.header.frame_id for each in commands} == {"base"}
+    assert max(each.twist.linear.x for each in commands) > 0.1
+    stamps = [each.header.stamp.sec * 10**9 + each.header.stamp.nanosec for each in commands]
+    late_ns = [each.log_time - stamp for each, stamp in zip(messages, stamps, strict=True)]
+    assert min(late_ns) >= 0
+    assert sorted(stamps) == stamps
+
+
+def test_two_nodes_that_want_different_types_are_both_named(
+    world: World, new_peer: Callable[[World], Peer]
+) -> None:
+    peer = new_peer(world)
+    peer("take_commands", kind="TwistStamped")
+    world.ok("start", "--sim")
+    until(lambda: any(STAMPED in each for each in world.status()["warnings"]))
+    refused = world.robotctl("drive", "square")
+    assert refused.exit_code == 4
+    assert "some nodes take geometry_msgs/msg/Twist on cmd_vel, others" in refused.err
+    assert "set command.stamped to true" in refused.err
+    world.ok("stop")

@@ -1,0 +1,185 @@
+"""`topic`, `node` and `service` on ROS, through the daemon and through a process of their own."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import subprocess
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from tests.support.lines import Told, peer_command
+from tests.support.waiting import until
+from tests.support.world import World, new_world
+
+
+@pytest.fixture(scope="module")
+def world() -> Iterator[World]:
+    """A world with a daemon, and two peers that announce topics of strange types."""
+    with new_world() as made, ExitStack() as stack:
+        made.ok("start", "--sim")
+        stack.callback(made.ok, "stop")
+        peers = [peer_command("tests.support.hostile_peer") for _ in range(2)]
+        one, other = (Told(command, made.environment) for command in peers)
+        stack.callback(one.close)
+        stack.callback(other.close)
+        one("offer", topic="/strange", type_name="nowhere/msg/Type")
+        one("offer", topic="/bad\xff\x1b[31m", type_name="std_msgs/msg/String")
+        one("offer", topic="/two", type_name="std_msgs/msg/String")
+        other("offer", topic="/two", type_name="std_msgs/msg/Header")
+
+        def are_known() -> bool:
+            types = {each["name"]: each["types"] for each in made.answer("topic", "list")["topics"]}
+            return len(types.get("/two", ())) == 2 and "/strange" in types
+
+        until(are_known)
+        yield made
+
+
+@pytest.mark.parametrize("kind", ["topic", "node", "service"])
+def test_a_process_of_its_own_lists_what_the_daemon_lists(world: World, kind: str) -> None:
+    seen: list[tuple[Any, Any]] = []
+
+    def agree() -> bool:  # a process of its own waits 3.5 s for discovery, and no longer
+        own = world.answer(kind, "list", "--all", "--domain-id", str(world.domain_id))
+        seen.append((own, world.answer(kind, "list", "--all")))
+        return bool(own == seen[-1][1])
+
+    try:
+        until(agree)
+    except AssertionError:
+        raise AssertionError(seen[-1]) from None
+
+
+def test_the_lists_hold_the_daemons_names_and_no_escape_sequence(world: World) -> None:
+    topics = world.ok("topic", "list", "-t")
+    assert "/cmd_vel [geometry_msgs/msg/Twist]" in topics.splitlines()
+    assert "\x1b" not in topics
+    assert "/velocity_publisher" in world.ok("node", "list").splitlines()
+    services = world.ok("service", "list", "-t").splitlines()
+    assert "/set_mode [robot_controller/srv/SetMode]" in services
+
+
+@pytest.mark.parametrize("own", [False, True], ids=["daemon", "own process"])
+def test_a_topic_and_a_node_are_told_with_all_they_have(world: World, own: bool) -> None:
+    options = ["--domain-id", str(world.domain_id)] if own else []
+
+    def told() -> bool:  # a process of its own waits 3.5 s for discovery, and no longer
+        topic = world.answer("topic", "info", "odom", *options)
+        node = world.answer("node", "info", "/mode_service", *options)
+        return (
+            topic["types"] == ["nav_msgs/msg/Odometry"]
+            and [each["node"] for each in topic["publishers"]] == ["/simulated_robot"]
+            and {"name": "/set_mode", "types": ["robot_controller/srv/SetMode"]} in node["servers"]
+        )
+
+    until(told)
+
+
+def test_a_live_message_is_yaml_and_a_field_a_line(world: World) -> None:
+    (message, _) = yaml.safe_load_all(world.ok("topic", "echo", "/odom", "--once"))
+    assert message["child_frame_id"] == "base_link"
+    assert world.ok("topic", "echo", "odom", "child_frame_id", "--once") == "base_link\n"
+    value = world.answer("topic", "echo", "odom", "pose.pose.orientation.w", "--once")
+    assert value["value"] == 1.0
+
+
+def test_a_latched_message_reaches_who_comes_late(world: World) -> None:
+    assert world.answer("topic", "echo", "/robot_status", "--once")["message"]["mode"] == 0
+
+
+def test_the_rate_of_a_live_topic_is_told(world: World) -> None:
+    told = world.answer("topic", "hz", "/odom", "--once")
+    assert told["rate_hz"] > 0
+    assert told["window"] >= 2
+
+
+def test_a_service_is_called_with_its_type_or_without(world: World) -> None:
+    answer = world.answer("service", "call", "/set_mode", "{requested_mode: 0}")["response"]
+    assert (answer["success"], answer["current_mode"]) == (True, 0)
+    said = world.ok(
+        "service", "call", "/set_mode", "robot_controller/srv/SetMode", "{requested_mode: 9}"
+    )
+    assert yaml.safe_load(said)["success"] is False
+
+
+@pytest.mark.parametrize(
+    ("arguments", "exit_code", "said"),
+    [
+        (["topic", "echo", "/odomm"], 2, "no topic /odomm: did you mean /odom?"),
+        (["topic", "echo", "/odom", "pose.pose.positon"], 2, "did you mean position?"),
+        (["topic", "echo", "/strange"], 4, "nowhere/msg/Type, which is not installed"),
+        (["topic", "echo", "/two"], 2, "has several types: std_msgs/msg/Header, std_msgs/msg/Str"),
+        (
+            ["topic", "echo", "/two", "--type", "std_msgs/msg/String", "--timeout", "0.1"],
+            4,
+            "for 0",
+        ),
+        (["node", "info", "/mode_servic"], 2, "did you mean /mode_service?"),
+        (["service", "call", "/set_mode", "{mode: 1}"], 2, "did you mean requested_mode?"),
+        (["service", "call", "/set_mode", "std_srvs/srv/Trigger"], 2, "leave the type out"),
+        (["service", "call", "/set_mod"], 3, "did you mean /set_mode?"),
+        pytest.param(
+            ["service", "call", "/ghost", "std_srvs/srv/Trigger"],
+            3,
+            "no process serves /ghost as std_srvs/srv/Trigger within 5 s",
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_what_cannot_be_done_is_a_sentence_and_an_exit_code(
+    world: World, arguments: list[str], exit_code: int, said: str
+) -> None:
+    ran = world.robotctl(*arguments)
+    assert (ran.exit_code, ran.out) == (exit_code, ""), ran.err
+    assert said in ran.err
+    assert "\x1b" not in ran.err
+
+
+def first_line(process: subprocess.Popen[str]) -> str:
+    assert process.stdout is not None
+    return process.stdout.readline()
+
+
+def test_ctrl_c_ends_a_look_without_a_traceback(world: World) -> None:
+    process = world.spawn("topic", "echo", "/odom", "child_frame_id")
+    assert first_line(process) == "base_link\n"
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "Traceback" not in err
+
+
+def test_a_closed_pipe_ends_a_look(world: World) -> None:
+    process = world.spawn("topic", "echo", "/odom", "--json")
+    assert json.loads(first_line(process))["topic"] == "/odom"
+    assert process.stdout is not None
+    process.stdout.close()
+    assert process.wait(timeout=60) == 0
+    assert process.stderr is not None
+    assert "Traceback" not in process.stderr.read()
+
+
+PAGE = Path(__file__).parents[2] / "docs" / "ros.md"
+ROW = re.compile(
+    r"^\| out \| `([\w/]+)` \| `([\w/]+)`[^|]* \| ([a-z ]+), ([a-z ]+), \d+ \|", re.MULTILINE
+)
+
+
+@pytest.mark.parametrize(
+    ("topic", "kind", "reliability", "durability"), ROW.findall(PAGE.read_text())
+)
+def test_the_page_tells_type_and_qos_of_each_topic_of_the_daemon(
+    world: World, topic: str, kind: str, reliability: str, durability: str
+) -> None:
+    told = world.answer("topic", "info", topic)
+    assert told["types"] == [kind]
+    (qos,) = (each["qos"] for each in told["publishers"])
+    assert qos["reliability"] == reliability.replace(" ", "_")
+    assert qos["durability"] == durability.replace(" ", "_")

@@ -1,0 +1,58 @@
+"""What must hold before a motion: the list of it, and an emergency stop as an input."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+
+from tests.support.waiting import until
+from tests.support.world import PATIENT, Peer, World
+
+
+def test_an_emergency_stop_topic_stops_a_drive_and_is_a_condition_of_the_next(
+    world: World, new_peer: Callable[[World], Peer]
+) -> None:
+    peer = new_peer(world)
+    settings = world.folder / "button.yaml"
+    settings.write_text(f"{PATIENT}inputs.estop.use: optional\n")
+    world.ok("start", "--sim", "--drive", "circle", "--config", str(settings))
+    assert "FAILED" not in world.ok("preflight")
+
+    def stops() -> bool:
+        peer("press", topic="/estop_pressed", pressed=True)
+        return bool(world.status()["mode"] == "EMERGENCY_STOP")
+
+    until(stops)
+    failed = world.robotctl("preflight")
+    assert failed.exit_code == 4
+    assert "FAILED  emergency stop inputs released" in failed.out
+    assert "the emergency stop on estop_pressed is pressed" in failed.out
+    assert "release the button" in failed.err
+    assert world.robotctl("reset").exit_code == 4
+
+    def releases() -> bool:
+        peer("press", topic="/estop_pressed", pressed=False)
+        return world.robotctl("reset").exit_code == 0
+
+    until(releases)
+    assert json.loads(world.ok("preflight", "--json"))["passed"] is True
+    world.ok("stop")
+    assert "same" in world.ok("replay", "--check", "last")
+
+
+def test_a_preflight_without_a_robot_names_what_is_missing_and_waits(world: World) -> None:
+    world.ok("start", "--no-sim")
+    failed = world.robotctl("preflight", "--json")
+    assert failed.exit_code == 4
+    answer = json.loads(failed.out)
+    problems = {each["cause"]: each for each in answer["conditions"] if each["problem"]}
+    assert {"odometry lost", "battery unknown"} <= set(problems)
+    assert "check that the robot publishes odometry" in problems["odometry lost"]["cure"]
+    waiting = world.spawn("preflight", "--wait", "600")
+    sim = world.spawn("sim")
+    out, err = waiting.communicate()
+    assert waiting.returncode == 0, err
+    assert "passed  odometry fresh" in out
+    sim.terminate()
+    sim.communicate()
+    world.ok("stop")

@@ -1,0 +1,131 @@
+"""Every visible node answers the parameter services; a change there is the kernel's decision."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from robotctl.config import Config, flat
+from robotctl.config.nodes import node_of
+from tests.support.lines import Told, peer_command
+from tests.support.waiting import until
+from tests.support.world import World, journal_of, new_world, read_back
+
+OWN = {"start_type_description_service", "use_sim_time"}
+"""The parameters that rclpy declares on each node."""
+
+
+class Graph:
+    """A world with one daemon, and a peer with a parameter client."""
+
+    def __init__(self, world: World, peer: Told) -> None:
+        self.world = world
+        self.peer = peer
+
+    def value(self, key: str) -> Any:
+        """Return the value that the daemon's socket tells."""
+        return self.world.answer("param", "get", key)["value"]
+
+
+@pytest.fixture(scope="module")
+def graph() -> Iterator[Graph]:
+    with new_world() as world:
+        peer = Told(peer_command("tests.support.parameter_peer"), world.environment)
+        try:
+            world.ok("start", "--sim")
+            until(lambda: len(peer("visible")) >= 4)
+            yield Graph(world, peer)
+            world.ok("stop")
+        finally:
+            peer.close()
+
+
+def test_each_visible_node_lists_its_keys_and_each_key_has_one_node(graph: Graph) -> None:
+    told = graph.peer("list_all")
+    listed = told["keys"]
+    nodes = {"velocity_publisher", "odom_subscriber", "mode_service", "simulated_robot"}
+    assert set(listed) == {f"/{name}" for name in nodes}
+    for name in nodes:
+        own = [key for key in flat(Config()) if node_of(key) == name]
+        assert sorted({*own, *OWN}) == listed[f"/{name}"]
+    declared = [key for keys in listed.values() for key in keys if key not in OWN]
+    assert sorted(declared) == sorted(flat(Config()))
+
+
+def test_a_node_tells_the_values_and_the_declaration(graph: Graph) -> None:
+    keys = ["limits.linear_mps", "pattern.kind", "rate_hz"]
+    assert graph.peer("get", node="/velocity_publisher", keys=keys) == [0.6, "square", 50.0]
+    assert graph.peer("get", node="/mode_service", keys=["recording.include"]) == [[]]
+    described = graph.peer("describe", node="/velocity_publisher", key="limits.linear_mps")
+    assert described == {
+        "type": 3,
+        "about": "largest speed of a command",
+        "allowed": "0.01 to 10 m/s; changes while the robot stands",
+        "read_only": False,
+        "range": [[0.01, 10.0]],
+    }
+    described = graph.peer("describe", node="/simulated_robot", key="sim.lag_s")
+    assert described["read_only"] is True
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "why"),
+    [
+        ("limits.linear_mp", 0.4, "/velocity_publisher has no parameter limits.linear_mp"),
+        ("odometry.timeout_s", 0.4, "/velocity_publisher has no parameter odometry.timeout_s"),
+        ("limits.linear_mps", "fast", "Wrong parameter type"),
+        ("limits.linear_mps", 1, "Wrong parameter type"),
+        ("limits.linear_mps", 11.0, "out of range"),
+        ("limits.linear_mps", float("nan"), "out of range"),
+        ("pattern.kind", "star", "use square, circle, figure-eight"),
+        ("rate_hz", 100.0, "read-only"),
+        ("command.frame_id", "base", "read-only"),
+    ],
+)
+def test_a_wrong_change_is_refused_with_the_reason(
+    graph: Graph, key: str, value: Any, why: str
+) -> None:
+    ((granted, reason),) = graph.peer("set", node="/velocity_publisher", values={key: value})
+    assert not granted
+    assert why in reason
+
+
+def test_a_change_by_a_service_and_one_by_the_command_line_are_seen_by_both(graph: Graph) -> None:
+    node, key = "/velocity_publisher", "limits.angular_rps"
+    assert graph.peer("set", node=node, values={key: 1.25}) == [[True, ""]]
+    assert graph.value(key) == 1.25
+    graph.world.ok("param", "set", key, "1.1")
+    assert graph.peer("get", node=node, keys=[key]) == [1.1]
+    until(lambda: len([e for e in graph.peer("events") if e[1] == key]) >= 2)
+    assert [e for e in graph.peer("events") if e[1] == key] == [[node, key, 1.25], [node, key, 1.1]]
+
+
+def test_several_values_are_set_all_or_none(graph: Graph) -> None:
+    node = "/mode_service"
+    both = {"battery.clear_level": 0.5, "battery.stop_level": 0.4}
+    assert graph.peer("set", node=node, values=both, atomically=True) == [[True, ""]]
+    wrong = {"battery.clear_level": 0.6, "battery.stop_level": 0.7}
+    ((granted, reason),) = graph.peer("set", node=node, values=wrong, atomically=True)
+    assert (granted, "use at least battery.stop_level" in reason) == (False, True)
+    assert graph.value("battery.clear_level") == 0.5
+
+
+def test_a_change_is_refused_by_name_while_the_robot_moves_and_recorded(graph: Graph) -> None:
+    node, key = "/velocity_publisher", "limits.linear_mps"
+    graph.world.ok("set-mode", "moving")
+    ((granted, reason),) = graph.peer("set", node=node, values={key: 0.2})
+    assert (granted, reason.startswith(f"{key} does not change while the robot is MOVING")) == (
+        False,
+        True,
+    )
+    assert graph.peer("set", node=node, values={"pattern.size_m": 0.5}) == [[True, ""]]
+    graph.world.ok("set-mode", "idle")
+    assert graph.peer("set", node=node, values={key: 0.2}) == [[True, ""]]
+    graph.world.ok("record", "split")
+    (folder,) = graph.world.recordings.iterdir()
+    journal = journal_of(read_back(folder)["/robotctl/journal"])
+    by = "by the ROS service /velocity_publisher/set_parameters"
+    assert any(e.name == "ParameterChanged" and by[3:] in e.data for e in journal)
+    assert by in graph.world.log()
