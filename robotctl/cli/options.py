@@ -21,6 +21,11 @@ Robot = Annotated[
     ),
 ]
 
+Namespace = Annotated[
+    str | None,
+    typer.Option("--namespace", metavar="/NAME", help="ROS namespace [default: by --robot]."),
+]
+
 ConfigFile = Annotated[
     Path | None,
     typer.Option("--config", metavar="FILE", help="Parameters: YAML, or a ROS parameter file."),
@@ -30,6 +35,11 @@ DomainId = Annotated[
     int | None,
     typer.Option("--domain-id", metavar="N", help="ROS domain [default: ROS_DOMAIN_ID, or 0]."),
 ]
+
+ROS_WORD = "--ros-word"
+"""The hidden option that carries each word of `--ros-args` through the parser."""
+
+RosWords = Annotated[list[str] | None, typer.Option(ROS_WORD, hidden=True)]
 
 Json = Annotated[bool, typer.Option("--json", help="Print one line of JSON, for machines.")]
 

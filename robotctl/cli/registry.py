@@ -8,15 +8,19 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from robotctl import __version__
-from robotctl.cli.options import new_app
+from robotctl import __version__, ros_arguments
+from robotctl.cli.options import ROS_WORD, new_app
 from robotctl.errors import IN_PARENTHESES, UsageError
 
 SECTIONS = {
     "Without a robot": ("demo", "sim"),
-    "The daemon": ("start", "status", "watch", "logs", "stop"),
-    "The robot": ("drive", "set-mode", "estop", "reset"),
-    "Recordings": (*("record", "mark", "recordings", "info", "clip", "recover", "replay", "why"),),
+    "The daemon": ("start", "status", "watch", "logs", "stop", "boot", "config"),
+    "The robot": ("preflight", "drive", "set-mode", "estop", "reset", "param"),
+    "ROS": ("topic", "node", "service"),
+    "Recordings": (
+        *("record", "mark", "recordings", "info", "clip", "recover", "replay", "why"),
+        *("verify", "key", "evidence"),
+    ),
 }
 """The sections of the help, with their commands; each command is a module of `commands`."""
 
@@ -87,6 +91,8 @@ def dispatch(arguments: list[str]) -> None:
         UsageError: typer could not parse it; the error names the help to read.
     """
     command = typer.main.get_command(app)
+    arguments, ros_words = ros_arguments.split(arguments)
+    arguments += [f"{ROS_WORD}={word}" for word in ros_words]
     try:
         with command.make_context("robotctl", arguments) as context:
             command.invoke(context)

@@ -64,6 +64,7 @@ class FakeDaemon:
             "velocity": {"linear": 0.2, "angular": 0.0},
             "battery": 0.87,
             "sim": True,
+            "namespace": "",
             "stalls": 0,
             "odometry_dropped": 0,
             "topics": [

@@ -43,6 +43,8 @@ class Terminal:
         environment = {**os.environ, "TERM": "xterm", "COLUMNS": "80", "LINES": "24"}
         self.pid, self._file = pty.fork()
         if self.pid == 0:
+            for number in (signal.SIGINT, signal.SIGQUIT):  # a job in the background ignores them
+                signal.signal(number, signal.SIG_DFL)
             os.execve(command[0], command, environment)
         self._seen = ""
 

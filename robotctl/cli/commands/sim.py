@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import sys
 from contextlib import ExitStack
+from typing import Annotated
 
-from robotctl.cli.options import ConfigFile, DomainId, Robot, new_app
-from robotctl.paths import DEFAULT_ROBOT, check_robot_name, namespace_of
+import typer
+
+from robotctl.cli.options import ConfigFile, DomainId, Namespace, Robot, new_app
+from robotctl.paths import DEFAULT_ROBOT, check_namespace, check_robot_name, namespace_of
 
 app = new_app()
 
@@ -14,8 +17,12 @@ app = new_app()
 @app.command()
 def sim(
     robot: Robot = DEFAULT_ROBOT,
+    namespace: Namespace = None,
     config: ConfigFile = None,
     domain_id: DomainId = None,
+    auto: Annotated[
+        bool, typer.Option("--auto", help="End at once where odometry is published already.")
+    ] = False,
 ) -> None:
     """Run the simulated robot in a process of its own, until Ctrl-C.
 
@@ -39,7 +46,8 @@ def sim(
     from robotctl.domains import requested_domain
 
     domain = requested_domain(domain_id) or 0
-    namespace = namespace_of(check_robot_name(robot))
+    name = check_robot_name(robot)
+    full = namespace_of(name) if namespace is None else check_namespace(namespace)
     settings = Config() if config is None else load(config)
 
     def say_ready() -> None:
@@ -48,6 +56,11 @@ def sim(
     with ExitStack() as at_end:
         asyncio.run(
             simulate(
-                settings, domain_id=domain, namespace=namespace, on_ready=say_ready, at_end=at_end
+                settings,
+                domain_id=domain,
+                namespace=full,
+                on_ready=say_ready,
+                at_end=at_end,
+                only_if_missing=auto,
             )
         )

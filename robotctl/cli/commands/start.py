@@ -9,10 +9,11 @@ from typing import Annotated
 
 import typer
 
-from robotctl import __version__
-from robotctl.cli.options import ConfigFile, DomainId, Json, Robot, new_app
+from robotctl import __version__, ros_arguments
+from robotctl.cli.options import ConfigFile, DomainId, Json, Namespace, Robot, RosWords, new_app
 from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.launch import INTERRUPTIONS, StartOptions, launch
+from robotctl.cli.support.profile_option import ProfileName
 from robotctl.cli.support.signals import interrupted_by
 from robotctl.cli.terminal.status_screen import mode_text
 from robotctl.cli.terminal.text import printable, short_path
@@ -20,7 +21,7 @@ from robotctl.errors import UsageError
 from robotctl.ipc.answers import StartSummary
 from robotctl.ipc.client import command_for
 from robotctl.kernel.patterns import PatternKind
-from robotctl.paths import DEFAULT_ROBOT, check_robot_name
+from robotctl.paths import DEFAULT_ROBOT, check_namespace, check_robot_name
 
 app = new_app()
 
@@ -28,7 +29,9 @@ app = new_app()
 @app.command()
 def start(
     robot: Robot = DEFAULT_ROBOT,
+    namespace: Namespace = None,
     config: ConfigFile = None,
+    profile: ProfileName = None,
     recordings: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Where to record [default: ./recordings].")
     ] = None,
@@ -59,6 +62,13 @@ def start(
     foreground: Annotated[
         bool, typer.Option("--foreground", help="Stay in the terminal, for systemd and containers.")
     ] = False,
+    allow_same_names: Annotated[
+        bool,
+        typer.Option(
+            "--allow-same-names", help="Start beside a daemon whose nodes have the same names."
+        ),
+    ] = False,
+    ros_words: RosWords = None,
     as_json: Json = False,
 ) -> None:
     """Start the daemon and return when it is ready.
@@ -69,20 +79,29 @@ def start(
     (type:sensor_msgs/msg/Image), or several separated by commas. Command, odometry, robot status
     and journal are always recorded: `why` and `replay --check` need them.
 
+    After --ros-args come the arguments of ROS: -p KEY:=VALUE, --params-file FILE, -r FROM:=TO,
+    -r __ns:=/NAMESPACE, -r NODE:__node:=NAME.
+
     \b
     Examples:
       robotctl start
       robotctl start --drive circle
       robotctl start --no-sim --config robot.yaml --recordings /data
+      robotctl start --no-sim --profile turtlebot3
       robotctl start --robot r2 --domain-id 5
       robotctl start --observe --recordings /data
+      robotctl start --ros-args -p limits.linear_mps:=0.4 -r odom:=/base/odom
       robotctl start --exclude '/camera/*,type:sensor_msgs/msg/PointCloud2'
     """
     if foreground and as_json:
         raise UsageError("--foreground with --json", "leave --json out: the output is JSON anyway")
+    if config is not None and profile is not None:
+        cure = f"copy the profile: robotctl config show --profile {profile.value} > robot.yaml"
+        raise UsageError("--config with --profile", cure)
     options = StartOptions(
         robot=check_robot_name(robot),
-        config=config,
+        namespace=None if namespace is None else check_namespace(namespace),
+        config=config if profile is None else profile.path,
         recordings=recordings,
         drive=None if drive is None else drive.value,
         sim=sim,
@@ -90,7 +109,10 @@ def start(
         observe=observe,
         include=tuple(include or ()),
         exclude=tuple(exclude or ()),
+        allow_same_names=allow_same_names,
+        ros_words=tuple(ros_words or ()),
     )
+    ros_arguments.parse(options.ros_words)
     if foreground:
         command = options.command()
         os.execv(command[0], command)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
+from robotctl import ros_arguments
 from robotctl.daemon.lock import is_owned
 from robotctl.errors import (
     IN_PARENTHESES,
@@ -42,6 +43,7 @@ class StartOptions:
     """The options that `robotctl start` passes to the daemon; None means the daemon's default."""
 
     robot: str
+    namespace: str | None = None
     config: Path | None = None
     recordings: Path | None = None
     drive: str | None = None
@@ -50,11 +52,14 @@ class StartOptions:
     observe: bool = False
     include: tuple[str, ...] = ()
     exclude: tuple[str, ...] = ()
+    allow_same_names: bool = False
+    ros_words: tuple[str, ...] = ()
+    """The words after `--ros-args`."""
 
     def command(self) -> list[str]:
         """Return the daemon's command line."""
         command = [*DAEMON, "--robot", self.robot]
-        for name in ("config", "recordings", "drive", "domain_id"):
+        for name in ("namespace", "config", "recordings", "drive", "domain_id"):
             value = getattr(self, name)
             if value is not None:
                 command += [f"--{name.replace('_', '-')}", str(value)]
@@ -62,8 +67,12 @@ class StartOptions:
             command.append("--sim" if self.sim else "--no-sim")
         if self.observe:
             command.append("--observe")
+        if self.allow_same_names:
+            command.append("--allow-same-names")
         command += [f"--include={pattern}" for pattern in self.include]
         command += [f"--exclude={pattern}" for pattern in self.exclude]
+        if self.ros_words:
+            command += [ros_arguments.BEGIN, *self.ros_words, ros_arguments.END]
         return command
 
 

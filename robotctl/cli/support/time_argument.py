@@ -53,3 +53,22 @@ def _date_ns(text: str) -> int | None:
         return round(datetime.fromisoformat(text).astimezone().timestamp() * NS_PER_S)
     except (ValueError, OverflowError, OSError):
         return None
+
+
+def parse_since(text: str, now_ns: int) -> int:
+    """Return the moment that `--since` means, as nanoseconds since the epoch.
+
+    Raises:
+        UsageError: The text is neither a time span such as 30d, 12h or 15m, nor a date.
+    """
+    units_s = {"d": 86_400.0, "h": 3_600.0, "m": 60.0, "s": 1.0}
+    if text[-1:] in units_s and is_offset(text[:-1]):
+        span_s = float(text[:-1]) * units_s[text[-1]]
+        if math.isfinite(span_s) and span_s >= 0:
+            return max(now_ns - round(span_s * NS_PER_S), 0)
+    date_ns = None if is_offset(text) else _date_ns(text)
+    if date_ns is None:
+        raise UsageError(
+            f"--since {text} is not a time", "give a span such as 30d, 12h or 15m, or 2026-01-31"
+        )
+    return date_ns

@@ -22,8 +22,12 @@ from robotctl.rerun.check_report import Verdict
 _INDENT = " " * LABEL_WIDTH
 
 
-def check_command(files: Sequence[Path], robot: str | None, *, as_json: bool) -> None:
+def check_command(
+    files: Sequence[Path], robot: str | None, *, all_bytes: bool, as_json: bool
+) -> None:
     """Check recordings and print the results; files that are not recordings are skipped.
+
+    With `all_bytes` every byte of large recordings is read, too.
 
     Raises:
         Divergence: A recording is decided differently, or breaks a promise.
@@ -31,7 +35,7 @@ def check_command(files: Sequence[Path], robot: str | None, *, as_json: bool) ->
     """
     paths, skipped = select_recordings(files, robot)
     with progress_bar("checking", quiet=as_json) as on_progress:
-        reports = check_recordings(paths, on_progress)
+        reports = check_recordings(paths, on_progress, all_bytes=all_bytes)
     lines = [line for report in reports for line in report_lines(report)]
     lines += skipped_lines(skipped)
     answer = {"recordings": reports, **_counts(reports), "skipped": list(map(str, skipped))}
@@ -61,6 +65,8 @@ def report_lines(report: dict[str, Any]) -> Iterator[str]:
         yield from row(_INDENT, f"not checked: {sentence}")
     for sentence in report["notes"]:
         yield from row(_INDENT, f"note: {sentence}")
+    if report["seal"]:
+        yield from row(_INDENT, f"seal: {report['seal']}")
 
 
 def _divergence_lines(found: dict[str, Any]) -> Iterator[str]:

@@ -22,7 +22,9 @@ app = new_app()
 
 MAX_READ_AHEAD = 1_000_000
 
-_OPTIONS_OF_RERUNS = frozenset({"files", "check", "what_if", "resim", "robot", "as_json"})
+_OPTIONS_OF_RERUNS = frozenset(
+    {"files", "check", "all_bytes", "what_if", "resim", "robot", "as_json"}
+)
 """The options that --check, --what-if and --resim accept."""
 
 
@@ -59,6 +61,10 @@ def replay(
     ] = None,
     check: Annotated[
         bool, typer.Option("--check", help="Re-run the decisions and compare; needs no ROS.")
+    ] = False,
+    all_bytes: Annotated[
+        bool,
+        typer.Option("--all-bytes", help="With --check: read every byte of large recordings, too."),
     ] = False,
     what_if: Annotated[
         list[str] | None,
@@ -132,13 +138,15 @@ def replay(
         )
     if check and (what_if or resim):
         raise UsageError("--check uses the recorded parameters", "leave --what-if and --resim out")
+    if all_bytes and not check:
+        raise UsageError("--all-bytes goes with --check")
     daemon_robot = check_robot_name(robot or DEFAULT_ROBOT)
     if check or what_if or resim:
         _refuse_playing_options(context)
     if check:
         from robotctl.cli.commands.replay.check import check_command
 
-        check_command(files, robot, as_json=as_json)
+        check_command(files, robot, all_bytes=all_bytes, as_json=as_json)
         return
     if resim:
         from robotctl.cli.commands.replay.resim import resim_command

@@ -1,0 +1,55 @@
+"""boot install: write the unit, and start it."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from robotctl.cli.commands.boot.group import Arguments, System, UnitUser, group, me, start_arguments
+from robotctl.cli.options import Json, Robot
+from robotctl.cli.support.answer import print_answer
+from robotctl.cli.support.boot_unit import unit
+from robotctl.cli.support.systemd import systemctl
+from robotctl.errors import RobotctlError
+from robotctl.paths import DEFAULT_ROBOT, check_robot_name
+
+
+@group.command()
+def install(
+    arguments: Arguments = None,
+    system: System = False,
+    user: UnitUser = "",
+    now: Annotated[bool, typer.Option("--now/--later", help="Start it at once.")] = True,
+    robot: Robot = DEFAULT_ROBOT,
+    as_json: Json = False,
+) -> None:
+    """Write the systemd unit of the daemon, enable it, and start it.
+
+    A daemon that fails is started again, and the robot does not move by that. For a unit of yours
+    to run while you are not logged in: loginctl enable-linger.
+
+    \b
+    Examples:
+      robotctl boot install -- --no-sim --config robot.yaml
+      sudo robotctl boot install --system --user ros -- --no-sim
+    """
+    made = unit(
+        check_robot_name(robot), start_arguments(arguments), system=system, user=user or me()
+    )
+    try:
+        made.path.parent.mkdir(parents=True, exist_ok=True)
+        made.path.write_text(made.text)
+    except OSError as error:
+        cure = "use sudo" if system else "check the folder"
+        raise RobotctlError(f"{made.path}: {error.strerror}", cure) from None
+    problem = systemctl(made.scope, "daemon-reload")
+    if not problem:
+        problem = systemctl(made.scope, "enable", *(("--now",) if now else ()), made.name)
+    started = "" if problem else "enabled and started" if now else "enabled"
+    lines = [f"{made.path} written" + (f", {started}" if started else "")]
+    if problem:
+        wanted = " ".join(("systemctl", *made.scope, "enable --now", made.name))
+        lines.append(f"systemd did not take it ({problem}); once it runs: {wanted}")
+    answer = {"path": str(made.path), "enabled": not problem, "problem": problem}
+    print_answer(answer, lines, as_json=as_json)

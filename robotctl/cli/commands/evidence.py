@@ -1,0 +1,180 @@
+"""evidence: one report of who changed what, which stops there were, and what proves it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from robotctl.cli.commands.verify.verified import verified
+from robotctl.cli.options import Json, Robot, new_app
+from robotctl.cli.support.answer import print_answer
+from robotctl.cli.support.time_argument import parse_since
+from robotctl.cli.terminal.evidence_lines import evidence_lines
+from robotctl.cli.terminal.progress import progress_bar
+from robotctl.errors import Divergence, Refused, RobotctlError, UnreadableFile
+from robotctl.ipc.client import command_for
+from robotctl.paths import DEFAULT_ROBOT, check_robot_name
+
+if TYPE_CHECKING:
+    from robotctl.decision_log.read import LogContent
+    from robotctl.evidence.report import Evidence
+
+app = new_app()
+
+LIVE = "live"
+GONE = "removed"
+"""The state of a recording that is not where it was made: retention removed it, or somebody did."""
+
+
+@app.command()
+def evidence(
+    since: Annotated[
+        str | None,
+        typer.Option("--since", metavar="TIME", help="Only later: 30d, 12h, or 2026-01-31."),
+    ] = None,
+    recordings: Annotated[
+        Path | None,
+        typer.Option(
+            "--recordings", metavar="DIR", help="Look for the recordings here as well, by name."
+        ),
+    ] = None,
+    check: Annotated[
+        bool,
+        typer.Option(
+            help="Read every byte of the recordings, and decide them again; it may take long."
+        ),
+    ] = True,
+    robot: Robot = DEFAULT_ROBOT,
+    as_json: Json = False,
+) -> None:
+    """Show who changed what, the stops, and what proves them.
+
+    The journal of decisions tells it; robotctl keeps it for five years. A recording that is
+    there is checked as by `verify` and `replay --check`. The exit code is 0, 6 if a recording
+    could not be checked completely, and 7 if the journal or a recording is not as it was written.
+
+    \b
+    Examples:
+      robotctl evidence --since 30d
+      robotctl evidence --since 2026-01-31 --json | jq '.stops'
+      robotctl evidence --no-check
+    """
+    from robotctl.decision_log.folder import log_folder
+    from robotctl.decision_log.read import read_log
+    from robotctl.evidence.report import KILLED, RUNS, collect
+
+    folder = log_folder(check_robot_name(robot))
+    since_ns = 0 if since is None else parse_since(since, time.time_ns())
+    log = read_log(folder)
+    if not log.files:
+        start = command_for(robot, "start")
+        raise Refused(f"robot {robot!r} has no journal of decisions in {folder}", f"begin: {start}")
+    found = collect(log.entries, since_ns)
+    proof = _proof(found, recordings, check=check, quiet=as_json)
+    if found.daemons and found.daemons[-1]["end_ns"] is None:
+        runs = any(
+            item["path"] == found.daemons[-1]["recording"] and item["state"] == LIVE
+            for item in proof
+        )
+        found.daemons[-1]["ended"] = RUNS if runs else KILLED
+    answer = _as_object(robot, since_ns, folder, log, found, proof)
+    error = _gravest(log, proof)
+    print_answer(answer, evidence_lines(answer), as_json=as_json, error=error)
+
+
+def _proof(
+    found: Evidence, elsewhere: Path | None, *, check: bool, quiet: bool
+) -> list[dict[str, Any]]:
+    """Return each recording with what it is, and its verdicts if it is to be checked."""
+    from robotctl.recording.keep.listing import list_recording
+    from robotctl.rerun.check_many import check_recordings
+
+    proof: list[dict[str, Any]] = []
+    finished: list[tuple[Path, dict[str, Any]]] = []
+    for name in found.recordings():
+        path = Path(name)
+        if elsewhere is not None and not path.exists():
+            path = elsewhere / path.name
+        item: dict[str, Any] = {"path": str(path), "state": GONE, "verify": None, "check": None}
+        proof.append(item)
+        try:
+            listed = list_recording(path)
+        except OSError:
+            continue
+        item |= {
+            "state": LIVE if listed.live else "kept" if listed.kept else "there",
+            "start_ns": listed.start_ns,
+            "end_ns": listed.end_ns,
+            "size_bytes": listed.size_bytes,
+        }
+        if check and not listed.live:
+            finished.append((path, item))
+    for path, item in finished:
+        with progress_bar(f"reading {path.name}", quiet=quiet) as on_progress:
+            item["verify"] = verified(path, on_progress)["verdict"]
+    if finished:
+        with progress_bar("checking", quiet=quiet) as on_progress:
+            reports = check_recordings([path for path, _ in finished], on_progress)
+        for (_, item), report in zip(finished, reports, strict=True):
+            item["check"] = report["verdict"]
+    return proof
+
+
+def _as_object(
+    robot: str,
+    since_ns: int,
+    folder: Path,
+    log: LogContent,
+    found: Evidence,
+    proof: Sequence[dict[str, Any]],
+) -> dict[str, Any]:
+    times = [entry.time_ns for entry in log.entries]
+    return {
+        "robot": robot,
+        "since_ns": since_ns or None,
+        "journal": {
+            "folder": str(folder),
+            "files": len(log.files),
+            "entries": len(log.entries),
+            "first_ns": times[0] if times else None,
+            "last_ns": times[-1] if times else None,
+            "broken": log.broken,
+            "notes": log.notes,
+        },
+        "software": dict(found.software),
+        "software_changes": found.software_changes,
+        "configuration": dict(found.configuration),
+        "configuration_changes": found.configuration_changes,
+        "daemons": found.daemons,
+        "interventions": found.interventions,
+        "stops": found.stops,
+        "releases": found.releases,
+        "refusals": found.refusals,
+        "removed": found.removed,
+        "unwritten": found.unwritten,
+        "recordings": list(proof),
+    }
+
+
+def _gravest(log: LogContent, proof: Sequence[dict[str, Any]]) -> RobotctlError | None:
+    wrong = list(_wrong(proof, ("broken",), ("diverged", "broken")))
+    if log.broken:
+        return Divergence(f"the journal of decisions is not as it was written: {log.broken[0]}")
+    if wrong:
+        return Divergence(f"{len(wrong)} recordings are not as they were written: {wrong[0]}")
+    partly = list(_wrong(proof, ("unreadable",), ("incomplete",)))
+    if partly:
+        return UnreadableFile(f"{len(partly)} recordings could not be checked: {partly[0]}")
+    return None
+
+
+def _wrong(
+    proof: Sequence[dict[str, Any]], verify: Sequence[str], check: Sequence[str]
+) -> Iterator[str]:
+    for item in proof:
+        if item["verify"] in verify or item["check"] in check:
+            yield item["path"]

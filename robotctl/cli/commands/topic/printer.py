@@ -1,0 +1,74 @@
+"""Print messages, or a field of each, for people or machines."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+from robotctl.cdr.definition import UnreadableType, parse_definition
+from robotctl.cdr.field_path import parse_path, value_at
+from robotctl.cdr.given import WrongValue
+from robotctl.cdr.values import decode
+from robotctl.cli.terminal.message_text import SHOWN_LENGTH, as_json, message_lines
+from robotctl.cli.terminal.text import json_text
+from robotctl.errors import UnreadableFile, UsageError
+from robotctl.kernel.units import NS_PER_S
+
+
+class Printer:
+    """Prints the messages of one topic."""
+
+    def __init__(
+        self, topic: str, type_name: str, definition: str, field: str, *, full_length: bool
+    ) -> None:
+        """Print whole messages, or the `field` of each.
+
+        Raises:
+            UnreadableFile: The definition of the type cannot be read.
+            UsageError: The type has no such field.
+        """
+        self._topic = topic
+        self._type_name = type_name
+        self._field = field
+        self._limit = None if full_length else SHOWN_LENGTH
+        try:
+            self._definition = parse_definition(type_name, definition)
+            self._steps = parse_path(self._definition, field) if field else ()
+        except UnreadableType as error:
+            raise UnreadableFile(f"the type {type_name} cannot be read: {error}") from None
+        except WrongValue as error:
+            raise UsageError(str(error)) from None
+
+    def print_json(self, data: bytes, time_ns: int, publish_ns: int) -> None:
+        """Print one line of JSON; `message` or, of a field, `value` is never shortened."""
+        key = "value" if self._steps else "message"
+        told = {
+            "topic": self._topic,
+            "type": self._type_name,
+            "time_ns": time_ns,
+            "publish_ns": publish_ns,
+            key: as_json(self._value(data)),
+        }
+        print(json_text(told), flush=True)
+
+    def print_lines(self, data: bytes, time_ns: int | None) -> None:
+        """Print YAML and `---`, or a line with the value of a field.
+
+        With `time_ns` the time is printed as well [s since 1970]: in a comment before a message, or
+        before the value.
+        """
+        value = self._value(data)
+        lines = list(message_lines(value, self._limit))
+        time = "" if time_ns is None else f"{time_ns // NS_PER_S}.{time_ns % NS_PER_S:09d}"
+        if isinstance(value, dict | list | bytes):
+            print(*([f"# {time}"] if time else []), *lines, "---", sep="\n", flush=True)
+        else:
+            print(*([time] if time else []), *lines, flush=True)
+
+    def _value(self, data: bytes) -> Any:
+        try:
+            return value_at(decode(self._definition, data), self._steps)
+        except struct.error as error:
+            raise UnreadableFile(f"a message of {self._topic} cannot be read: {error}") from None
+        except WrongValue as error:
+            raise UsageError(str(error)) from None

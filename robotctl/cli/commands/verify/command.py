@@ -1,0 +1,97 @@
+"""The options of `verify`, and its exit code."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from robotctl.cli.options import Json, new_app
+from robotctl.cli.support.answer import print_answer
+from robotctl.cli.support.recording_paths import RecordedBy
+from robotctl.cli.terminal.progress import progress_bar
+from robotctl.errors import Divergence, NotSealed, RobotctlError, UnreadableFile, UsageError
+
+app = new_app()
+
+_DIGEST_DIGITS = 64
+
+
+@app.command()
+def verify(
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FILE",
+            help="An MCAP file, a recording's folder or name, a folder of them, last.",
+        ),
+    ],
+    head: Annotated[
+        str,
+        typer.Option(metavar="HEX", help="A head that is known: it must be in what is verified."),
+    ] = "",
+    robot: RecordedBy = None,
+    as_json: Json = False,
+) -> None:
+    """Show whether recordings are whole and sealed. Reads every byte; needs no ROS.
+
+    The exit code is 0 if all are whole and sealed, 4 if one is whole but not sealed, 6 if one
+    cannot be read, and 7 if a byte, the chain or a signature is wrong.
+
+    \b
+    Examples:
+      robotctl verify last
+      robotctl verify recordings
+      robotctl verify robot_0.mcap --head $(ssh robot robotctl key head)
+    """
+    from robotctl.cli.commands.replay.select_recordings import select_recordings
+    from robotctl.cli.commands.verify.report import (
+        recording_lines,
+        recording_object,
+        summary_lines,
+        summary_object,
+        unreadable_object,
+    )
+    from robotctl.recording.read.verified import VerifiedRecording, verify_recording
+
+    if head and not (len(head) == _DIGEST_DIGITS and set(head.lower()) <= set("0123456789abcdef")):
+        raise UsageError(
+            f"--head {head[:80]} is no head", "give 64 digits, as robotctl key head does"
+        )
+    paths, _ = select_recordings(files, robot)
+    found: list[VerifiedRecording] = []
+    reports: list[dict[str, Any]] = []
+    for path in paths:
+        with progress_bar("reading", quiet=as_json) as on_progress:
+            try:
+                found.append(verify_recording(path, on_progress))
+            except UnreadableFile as error:
+                reports.append(unreadable_object(path, str(error)))
+            else:
+                reports.append(recording_object(found[-1]))
+    summary = summary_object(found, head)
+    lines = [line for report in reports for line in recording_lines(report)]
+    lines += summary_lines(summary)
+    answer = {"recordings": reports, **summary}
+    print_answer(answer, lines, as_json=as_json, error=_gravest(reports, summary))
+
+
+def _gravest(reports: Sequence[dict[str, Any]], summary: dict[str, Any]) -> RobotctlError | None:
+    def those(verdict: str, what: str) -> str:
+        count = sum(report["verdict"] == verdict for report in reports)
+        if len(reports) == 1:
+            return f"the recording {what}"
+        return f"{count} of {len(reports)} recordings: {what}"
+
+    verdicts = {report["verdict"] for report in reports}
+    if "broken" in verdicts:
+        return Divergence(those("broken", "is not as it was written"))
+    if summary["wrong"]:
+        return Divergence(f"the chain is broken: {summary['wrong'][0]}")
+    if "unreadable" in verdicts:
+        return UnreadableFile(those("unreadable", "could not be read completely"))
+    if "whole" in verdicts:
+        return NotSealed(those("whole", "is whole, but not sealed"))
+    return None

@@ -1,0 +1,101 @@
+"""The systemd unit that starts a robot's daemon at boot."""
+
+from __future__ import annotations
+
+import os
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from robotctl.errors import UsageError
+from robotctl.paths import state_folder
+
+SYSTEM_FOLDER = Path("/etc/systemd/system")
+
+WATCHDOG_S = 10
+STOP_S = 30
+
+PASSED_ON = (
+    "ROS_DOMAIN_ID",
+    "ROS_AUTOMATIC_DISCOVERY_RANGE",
+    "ROS_STATIC_PEERS",
+    "RMW_IMPLEMENTATION",
+)
+"""Variables of the installing shell that the unit keeps."""
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """Name, place and text of a unit; `scope` are the options of systemctl for it."""
+
+    path: Path
+    text: str
+    scope: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        """The name that systemctl takes."""
+        return self.path.name
+
+
+def unit_path(robot: str, *, system: bool) -> Path:
+    """Return where the unit of a robot belongs."""
+    config = os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config"
+    folder = SYSTEM_FOLDER if system else Path(config) / "systemd" / "user"
+    return folder / f"robotctl-{robot}.service"
+
+
+def unit(robot: str, arguments: tuple[str, ...], *, system: bool, user: str) -> Unit:
+    """Return the unit that starts the daemon of `robot` with these arguments of `start`.
+
+    A restart never moves the robot: the daemon begins in IDLE, or in EMERGENCY_STOP if that was
+    latched.
+    """
+    program = Path(sys.executable).with_name("robotctl")
+    recordings = state_folder() / "recordings" / robot
+    command: tuple[str, ...] = (str(program), "start", "--foreground", "--robot", robot)
+    if "--recordings" not in arguments:
+        command += ("--recordings", str(recordings))
+    lines = [
+        "[Unit]",
+        f"Description=robotctl, the daemon of robot {robot}",
+        "After=network.target",
+        "",
+        "[Service]",
+        "Type=notify",
+        "NotifyAccess=main",
+        f"ExecStart={' '.join(map(_quoted, (*command, *arguments)))}",
+        "Restart=on-failure",
+        "RestartSec=2",
+        f"WatchdogSec={WATCHDOG_S}",
+        f"TimeoutStopSec={STOP_S}",
+        "UMask=0077",
+        *(
+            f"Environment={_quoted(f'{key}={os.environ[key]}')}"
+            for key in PASSED_ON
+            if key in os.environ
+        ),
+    ]
+    if system:
+        runtime = f"robotctl-{robot}"
+        lines += [
+            f"User={user}",
+            f"RuntimeDirectory={runtime}",
+            "RuntimeDirectoryMode=0700",
+            f"Environment=XDG_RUNTIME_DIR=/run/{runtime}",
+        ]
+    lines += ["", "[Install]", f"WantedBy={'multi-user' if system else 'default'}.target", ""]
+    scope = () if system else ("--user",)
+    return Unit(unit_path(robot, system=system), "\n".join(lines), scope)
+
+
+def _quoted(word: str) -> str:
+    """Return a word of a unit file, quoted as systemd.syntax(7) says.
+
+    Raises:
+        UsageError: It holds a control character.
+    """
+    if not word.isprintable():
+        raise UsageError(f"{word!r} cannot stand in a unit file", "use printable characters")
+    escaped = word.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%").replace("$", "$$")
+    return f'"{escaped}"' if set(escaped) & set(" \\\"'") else escaped

@@ -1,0 +1,219 @@
+"""What commands see of ROS: through the daemon where one runs, else through a process of their own.
+
+That process (robotctl.ros.looks) joins the ROS domain for as long as the command takes.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+
+from robotctl.domains import requested_domain
+from robotctl.errors import NoDaemon, RobotctlError, UsageError, error_for_exit_code
+from robotctl.ipc.answers import Graph, GraphNode, GraphTopic
+from robotctl.ipc.client import call
+from robotctl.ipc.method_names import GRAPH, GRAPH_NODE, GRAPH_TOPIC, STATUS
+from robotctl.ipc.protocol import MAX_GRAPH_NAME
+from robotctl.paths import namespace_of
+from robotctl.processes import Child, program, start
+from robotctl.unknown_name import only_type, unknown_name
+
+LOOK = program("robotctl.ros.looks")
+
+ANSWER_S = 30.0
+"""How long the process may take for an answer: it waits up to 3.5 s for discovery, and a busy
+machine starts it slowly."""
+
+END_S = 10.0
+"""How long it may take to leave the domain."""
+
+
+@dataclass(frozen=True, slots=True)
+class RosView:
+    """The view of one ROS domain; with `through_daemon` a daemon of `robot` answers.
+
+    Relative names are those of the robot's `namespace`, which is "" for none.
+    """
+
+    robot: str
+    namespace: str
+    domain_id: int
+    through_daemon: bool
+
+    def names(self) -> Graph:
+        """Return all names of topics, services and nodes."""
+        if self.through_daemon:
+            return call(self.robot, GRAPH)
+        answer: Graph = self._ask("names")
+        return answer
+
+    def topic(self, name: str) -> GraphTopic:
+        """Return the endpoints of a topic, by its full name.
+
+        Raises:
+            UsageError: Nothing publishes it or subscribes to it.
+        """
+        if self.through_daemon:
+            found = call(self.robot, GRAPH_TOPIC, {"name": _checked(name)})
+        else:
+            found = self._ask("topic", name=_checked(name))
+        if not found["types"]:
+            raise UsageError(*unknown_name("topic", name, _names(self.names()["topics"])))
+        return found
+
+    def node(self, name: str) -> GraphNode:
+        """Return what a node does, by its full name.
+
+        Raises:
+            UsageError: There is no such node.
+        """
+        try:
+            if self.through_daemon:
+                return call(self.robot, GRAPH_NODE, {"name": _checked(name)})
+            answer: GraphNode = self._ask("node", name=_checked(name))
+            return answer
+        except UsageError:
+            known = self.names()["nodes"]
+            raise UsageError(*unknown_name("node", name, known)) from None
+
+    def full_name(self, name: str) -> str:
+        """Return the full name of a topic, node or service: relative ones are the robot's."""
+        return name if name.startswith("/") else f"{self.namespace}/{name}"
+
+    def listen(self, topic: str, type_name: str, *, data: bool) -> Listener:
+        """Listen to a topic, with its data or only the times and sizes of its messages.
+
+        Raises:
+            UsageError: The topic is unknown, or has several types and none is chosen.
+        """
+        expected = False
+        if self.through_daemon and not type_name:  # the daemon knows at once what does not exist
+            found = self.topic(topic)
+            expected = bool(found["publishers"])
+            type_name = only_type(topic, found["types"])
+        request = {"name": _checked(topic), "type": type_name, "data": data, "expected": expected}
+        return Listener(self._start("listen", **request))
+
+    def call_service(
+        self, name: str, type_name: str, values: Any, *, wait_s: float, answer_s: float
+    ) -> dict[str, Any]:
+        """Call a service and return {"type", "definition", "data"} of its response.
+
+        Raises:
+            NoDaemon: No such service appears, or it does not answer in time.
+            UsageError: A value does not fit the service's type.
+        """
+        expected = self.through_daemon and name in _names(self.names()["services"])
+        answer: dict[str, Any] = self._ask(
+            "call",
+            wait_s + answer_s,
+            name=_checked(name),
+            expected=expected,
+            type=type_name,
+            values=values,
+            wait_s=wait_s,
+            answer_s=answer_s,
+        )
+        return answer
+
+    def _ask(self, look: str, longer_s: float = 0.0, **request: Any) -> Any:
+        child = self._start(look, **request)
+        try:
+            return _checked_report(child.receive_one(ANSWER_S + longer_s))
+        except (EOFError, TimeoutError):
+            raise RobotctlError("the process that looks at ROS did not answer") from None
+        finally:
+            child.close(END_S)
+
+    def _start(self, look: str, **request: Any) -> Child:
+        from json import dumps
+
+        child = start(LOOK, with_stdin=True)
+        line = dumps({"look": look, "domain_id": self.domain_id, **request})
+        with suppress(BrokenPipeError):  # it has ended; the first receive notices
+            child.send(f"{line}\n".encode())
+        return child
+
+
+class Listener:
+    """The messages of a topic; close it, or use it in a `with` block."""
+
+    def __init__(self, child: Child) -> None:
+        """Wait for the topic.
+
+        Raises:
+            RobotctlError: The topic cannot be listened to; the text says why.
+        """
+        self._child = child
+        try:
+            first = _checked_report(child.receive_one(ANSWER_S))
+        except (EOFError, TimeoutError):
+            child.close()
+            raise RobotctlError("the process that listens did not answer") from None
+        except BaseException:
+            child.close(END_S)
+            raise
+        self.type_name: str = first["type"]
+        self.definition: str = first["definition"]
+        self.publishers: int = first["publishers"]
+
+    def __enter__(self) -> Listener:
+        """Return the listener itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End the process."""
+        self._child.close(END_S)
+
+    def receive(self, seconds: float) -> Iterator[dict[str, Any]]:
+        """Yield the messages that have arrived; nothing if none comes within `seconds`.
+
+        Raises:
+            RobotctlError: The process has ended.
+        """
+        try:
+            reports = self._child.receive(seconds)
+        except TimeoutError:
+            return
+        except EOFError:
+            raise RobotctlError("the process that listens has ended") from None
+        yield from map(_checked_report, reports)
+
+
+def ros_view(robot: str, domain_id: int | None) -> RosView:
+    """Return the view of a domain: a given one, else that of the daemon, else ROS_DOMAIN_ID or 0.
+
+    Raises:
+        UsageError: The domain does not exist.
+    """
+    if domain_id is None:
+        try:
+            status = call(robot, STATUS)
+        except NoDaemon:
+            pass
+        else:
+            os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", status["discovery_range"])
+            return RosView(robot, status["namespace"], status["domain_id"], through_daemon=True)
+    domain = requested_domain(domain_id) or 0
+    return RosView(robot, namespace_of(robot), domain, through_daemon=False)
+
+
+def _names(typed: Any) -> list[str]:
+    return [each["name"] for each in typed]
+
+
+def _checked(name: str) -> str:
+    """Return a name that can be asked for; raise UsageError for another."""
+    if len(name) > MAX_GRAPH_NAME or not name.isprintable():
+        raise UsageError(f"{name[:40]!r} is no name in ROS")
+    return name
+
+
+def _checked_report(report: dict[str, Any]) -> dict[str, Any]:
+    """Return a report of the process; raise the error that it tells."""
+    if "error" in report:
+        raise error_for_exit_code(report["exit_code"], report["error"], report)
+    return report

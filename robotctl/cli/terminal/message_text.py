@@ -1,0 +1,97 @@
+"""A message as lines of YAML, in the form of `ros2 topic echo`, and as JSON."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from math import isfinite
+from typing import Any, Final
+
+from robotctl.cli.terminal.text import printable
+
+SHOWN_LENGTH: Final = 128
+"""How much of a list or a text is shown, as in `ros2 topic echo`."""
+
+_CUT: Final = "..."
+_PLAIN = re.compile(r"[A-Za-z_/][A-Za-z0-9_/]*")
+"""Texts that no YAML parser takes for something else, but for the words below."""
+
+_WORDS = frozenset({"true", "false", "yes", "no", "on", "off", "null", "y", "n"})
+
+
+def message_lines(value: Any, limit: int | None = SHOWN_LENGTH) -> Iterator[str]:
+    """Yield a message, or a field of one, as lines of YAML.
+
+    Of lists and texts at most `limit` items or characters are shown, then `...`; None shows all.
+    """
+    if isinstance(value, Mapping) and value:
+        for name, inner in value.items():
+            yield from _entry(f"{name}:", inner, limit)
+    elif _is_list(value) and value:
+        yield from _items(value, limit)
+    else:
+        yield _scalar(value, limit)
+
+
+def _entry(label: str, value: Any, limit: int | None) -> Iterator[str]:
+    if isinstance(value, Mapping) and value:
+        yield label
+        yield from (f"  {line}" for line in message_lines(value, limit))
+    elif _is_list(value) and value:
+        yield label
+        yield from _items(value, limit)
+    else:
+        yield f"{label} {_scalar(value, limit)}"
+
+
+def _items(values: Sequence[Any], limit: int | None) -> Iterator[str]:
+    for item in values[:limit]:
+        first, *others = message_lines(item, limit)
+        yield f"- {first}"
+        yield from (f"  {line}" for line in others)
+    if limit is not None and len(values) > limit:
+        yield f"- '{_CUT}'"
+
+
+def _is_list(value: Any) -> bool:
+    return isinstance(value, list | bytes)
+
+
+def _scalar(value: Any, limit: int | None) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, float):
+        return _number(value)
+    if isinstance(value, str):
+        cut = limit is not None and len(value) > limit
+        return _text(value[:limit] + _CUT if cut else value)
+    if isinstance(value, Mapping):
+        return "{}"
+    return "[]" if _is_list(value) else str(value)
+
+
+def _number(value: float) -> str:
+    if not isfinite(value):
+        return ".nan" if value != value else ".inf" if value > 0 else "-.inf"
+    text = repr(value)
+    mantissa, sign, exponent = text.partition("e")
+    return f"{mantissa}.0e{exponent}" if sign and "." not in mantissa else text
+
+
+def _text(text: str) -> str:
+    if _PLAIN.fullmatch(text) and text.lower() not in _WORDS:
+        return text
+    if text.isprintable():
+        return "'" + text.replace("'", "''") + "'"
+    escaped = json.dumps(text, ensure_ascii=False)
+    return "".join(each if each.isprintable() else printable(each) for each in escaped)
+
+
+def as_json(value: Any) -> Any:
+    """Return a message with what JSON can hold: NaN and infinity become null, bytes a list."""
+    if isinstance(value, float):
+        return value if isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {name: as_json(inner) for name, inner in value.items()}
+    return [as_json(inner) for inner in value] if _is_list(value) else value

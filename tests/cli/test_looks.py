@@ -1,0 +1,165 @@
+"""`topic`, `node` and `service` on recordings, and what they refuse before they look at ROS."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from mcap.writer import Writer
+
+from robotctl.cli.commands.service.call import parse_words
+from robotctl.cli.commands.topic.rate import statistics
+from robotctl.errors import UsageError
+
+RECORDING = str(Path(__file__).parents[1] / "golden" / "stopped")
+
+Cli = Callable[..., Any]
+
+
+def test_the_topics_of_a_recording_are_listed_with_type_and_count(cli: Cli) -> None:
+    ran = cli("topic", "list", "--file", RECORDING)
+    (row,) = (line.split() for line in ran.out.splitlines() if "/odom " in line)
+    assert row[:2] == ["/odom", "nav_msgs/Odometry"]
+    (odom,) = (
+        each
+        for each in json.loads(cli("topic", "list", "--file", RECORDING, "--json").out)["topics"]
+        if each["name"] == "/odom"
+    )
+    assert odom == {"name": "/odom", "types": ["nav_msgs/msg/Odometry"], "count": int(row[2])}
+
+
+def test_a_recorded_message_is_yaml_after_its_time(cli: Cli) -> None:
+    ran = cli("topic", "echo", "--file", RECORDING, "/robot_status", "--once")
+    assert ran.exit_code == 0
+    assert ran.out.startswith("# 1")
+    assert ran.out.endswith("\n---\n")
+    (message, _) = yaml.safe_load_all(ran.out)
+    assert message["robot_name"] == "robot"
+
+
+def test_a_field_of_each_message_is_a_line_with_the_time(cli: Cli) -> None:
+    ran = cli("topic", "echo", "--file", RECORDING, "odom", "pose.pose.position.x")
+    lines = [list(map(float, line.split())) for line in ran.out.splitlines()]
+    as_json = cli("topic", "echo", "--file", RECORDING, "odom", "pose.pose.position.x", "--json")
+    told = [json.loads(line) for line in as_json.out.splitlines()]
+    assert [each["value"] for each in told] == [value for _, value in lines]
+    assert [time for time, _ in lines] == pytest.approx([each["time_ns"] / 1e9 for each in told])
+    assert max(value for _, value in lines) > 0.2
+
+
+def test_lists_are_shortened_unless_all_is_wanted(cli: Cli, tmp_path: Path) -> None:
+    file = write(tmp_path / "a.mcap", "uint8[] data", b"\0\1\0\0\xc8\0\0\0" + bytes(200))
+    assert len(cli("topic", "echo", "--file", file, "/x").out.splitlines()) == 128 + 4
+    assert len(cli("topic", "echo", "--file", file, "/x", "-f").out.splitlines()) == 200 + 3
+    (line,) = cli("topic", "echo", "--file", file, "/x", "--json").out.splitlines()
+    assert json.loads(line)["message"] == {"data": [0] * 200}
+
+
+def test_the_rate_of_a_recorded_topic_is_told(cli: Cli) -> None:
+    told = json.loads(cli("topic", "hz", "--file", RECORDING, "/odom", "--json").out)
+    assert told["rate_hz"] == pytest.approx(50.0, rel=0.1)
+    assert told["start_ns"] < told["end_ns"]
+    assert "average rate: " in cli("topic", "hz", "--file", RECORDING, "/odom").out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "exit_code", "said"),
+    [
+        (["echo", "--file", RECORDING, "/odomm"], 2, "did you mean /odom?"),
+        (["hz", "--file", RECORDING, "/zzz"], 2, "see: robotctl topic list --file"),
+        (["echo", "--file", RECORDING, "odom", "pose.pose.x"], 2, "has no field 'x'"),
+        (["echo", "--file", RECORDING, "odom", "--type", "a/msg/B"], 2, "choose one: --type nav"),
+        (["hz", "--file", RECORDING, "/robotctl/marks"], 4, "has 0 messages there: no rate"),
+        (["echo", "/odom", "--timeout", "0"], 2, "give seconds above 0"),
+        (["echo", "/od\x1bom", "--domain-id", "1"], 2, "is no name in ROS"),
+        (["list", "--file", "nowhere.mcap"], 6, "nowhere.mcap"),
+        (["list", "--domain-id", "233"], 2, "use 0 to 232"),
+    ],
+)
+def test_a_wrong_argument_is_a_sentence_and_an_exit_code(
+    cli: Cli, arguments: list[str], exit_code: int, said: str
+) -> None:
+    ran = cli("topic", *arguments)
+    assert (ran.exit_code, ran.out) == (exit_code, "")
+    assert said in ran.err
+
+
+@pytest.mark.parametrize(
+    ("definition", "data", "encoding", "said"),
+    [
+        ("string x", b"\0\1\0\0\xff\xff\xff\xff", "cdr", "a message of /x cannot be read"),
+        ("Unknown x", b"\0\1\0\0", "cdr", "needs a/Unknown, which is not described"),
+        ("string x", b"{}", "json", "has messages in json, not in cdr"),
+    ],
+)
+def test_a_message_that_cannot_be_read_is_named(
+    cli: Cli, tmp_path: Path, definition: str, data: bytes, encoding: str, said: str
+) -> None:
+    ran = cli(
+        "topic", "echo", "--file", write(tmp_path / "a.mcap", definition, data, encoding), "x"
+    )
+    assert ran.exit_code == 6
+    assert said in ran.err
+
+
+def test_a_text_in_a_recording_does_not_reach_the_terminal_as_it_is(
+    cli: Cli, tmp_path: Path
+) -> None:
+    text = b"\0\1\0\0\x05\0\0\0\x1b[2J\0"
+    ran = cli("topic", "echo", "--file", write(tmp_path / "a.mcap", "string x", text), "/x")
+    assert r'x: "\u001b[2J"' in ran.out
+    assert "\x1b" not in ran.out
+
+
+def write(path: Path, definition: str, data: bytes, encoding: str = "cdr") -> str:
+    """Write a recording with one message on /x, of type a/msg/T."""
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2")
+        schema = writer.register_schema("a/msg/T", "ros2msg", definition.encode())
+        channel = writer.register_channel("/x", encoding, schema)
+        writer.add_message(channel, 10**18, data, 10**18)
+        writer.finish()
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("words", "type_name", "values"),
+    [
+        ([], "", {}),
+        (["a/srv/B"], "a/srv/B", {}),
+        (["{mode: 1}"], "", {"mode": 1}),
+        (["mode: 1"], "", {"mode": 1}),
+        (["a/srv/B", "{x: [1, .nan]}"], "a/srv/B", None),
+    ],
+)
+def test_the_type_of_a_service_may_be_left_out(
+    words: list[str], type_name: str, values: dict[str, Any] | None
+) -> None:
+    found = parse_words(words)
+    assert found[0] == type_name
+    assert values is None or found[1] == values
+
+
+@pytest.mark.parametrize(
+    "words", [["{a"], ["1"], ["a", "b"], ["a/srv/B", "{}", "x"], ["!!python/x"]]
+)
+def test_values_that_are_no_yaml_of_fields_are_refused(words: list[str]) -> None:
+    with pytest.raises(UsageError):
+        parse_words(words)
+
+
+def test_the_rate_is_of_the_periods_between_messages() -> None:
+    assert statistics([0, 10**9, 3 * 10**9]) == {
+        "rate_hz": pytest.approx(2 / 3),
+        "min_s": 1.0,
+        "max_s": 2.0,
+        "std_dev_s": 0.5,
+        "window": 3,
+    }
+    assert statistics([5]) is None
+    assert statistics([5, 5]) is None
