@@ -8,13 +8,13 @@ from typing import Final, Protocol
 
 from robotctl.errors import Refused
 from robotctl.ipc.client import command_for
+from robotctl.kernel.types import COMMAND_TYPES
 from robotctl.replay.other_daemons import RunningDaemon, daemons_in
 from robotctl.replay.plan import Route, absolute, is_named
 
 REPLAY_PREFIX: Final = "/replay"
 """Prefix of the topics of a replay next to a running daemon."""
 
-COMMAND_TYPES: Final = frozenset({"geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"})
 COMMAND_NAME: Final = "cmd_vel"
 """Topics that move robots have a Twist type, or are named `.../cmd_vel`."""
 

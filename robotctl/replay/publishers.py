@@ -60,7 +60,7 @@ def open_routes(
                 sends[topic.name] = ros.open_requests(route.name, topic.type_name)
             else:
                 sends[topic.name] = ros.open(
-                    route.name, topic.type_name, topic.offered_qos, keep_all=job.rate is None
+                    route.name, topic.type_name, topic.offered_qos, patient=job.rate is None
                 )
             opened.append(route)
         except Unpublishable as error:

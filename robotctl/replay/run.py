@@ -28,6 +28,7 @@ from robotctl.replay.timeline import Span, recorded, span_of
 from robotctl.ros.executor.realtime import FifoScheduling
 from robotctl.ros.playback.playback import GLANCE_S, QUIET_S, ReplaySession
 from robotctl.ros.playback.recorded_qos import latched_depth
+from robotctl.ros.playback.senders import BLOCKED_S
 
 PROGRESS_S: Final = 0.1
 """Interval of progress messages."""
@@ -165,6 +166,11 @@ class Replay:
             guard.check()  # again, because waiting may have taken long
             self._run_player(player, ahead, guard)
         self._ros.wait_until_received()
+        for topic in self._ros.given_up():
+            self._report.note(
+                f"a subscriber of {topic} did not acknowledge messages within {BLOCKED_S:g} s; "
+                "it may lack some"
+            )
         return player
 
     def _run_player(

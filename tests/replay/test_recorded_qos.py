@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 from rclpy.qos import (
     DurabilityPolicy,
-    HistoryPolicy,
     QoSCompatibility,
     QoSProfile,
     ReliabilityPolicy,
@@ -13,7 +12,12 @@ from rclpy.qos import (
 )
 
 from robotctl.ros.messages.qos import LATCHED, SENSOR, to_yaml
-from robotctl.ros.playback.recorded_qos import MAX_DEPTH, latched_depth, replay_qos
+from robotctl.ros.playback.recorded_qos import (
+    MAX_DEPTH,
+    VOLATILE_DEPTH,
+    latched_depth,
+    replay_qos,
+)
 
 OLD = """\
 - history: 3
@@ -52,10 +56,11 @@ def test_of_several_publishers_the_strongest_counts_for_every_subscriber_to_matc
         assert qos_check_compatible(qos, asked)[0] != QoSCompatibility.ERROR
 
 
-def test_at_full_speed_reliable_publishers_wait_and_others_do_not() -> None:
-    reliable = replay_qos(to_yaml([QoSProfile(depth=7)]), keep_all=True)
-    assert reliable.history is HistoryPolicy.KEEP_ALL
-    assert replay_qos(to_yaml([SENSOR]), keep_all=True).history is HistoryPolicy.KEEP_LAST
+def test_at_full_speed_few_messages_are_kept_and_latched_ones_as_recorded() -> None:
+    assert replay_qos(to_yaml([QoSProfile(depth=7)])).depth == VOLATILE_DEPTH
+    assert replay_qos(to_yaml([QoSProfile(depth=7)]), most=5).depth == 5
+    latched = to_yaml([QoSProfile(depth=7, durability=DurabilityPolicy.TRANSIENT_LOCAL)])
+    assert replay_qos(latched, most=5).depth == 7
 
 
 @pytest.mark.parametrize(
