@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 from pathlib import Path
 
 import pytest
@@ -66,14 +67,24 @@ def test_every_node_is_documented() -> None:
     documented = re.findall(r"^\| `/(\w+)` \|", page, re.MULTILINE)
     ros = ROOT / "robotctl" / "ros"
     code = "\n".join(path.read_text() for path in [ros / "session.py", *ros.glob("nodes/*.py")])
-    named = r'(?:\.node\(|^(?:RECORDER_NODE|NODE_NAME) = )"(\w+)"'
+    named = r'(?:\.node(?:\(|_of\(\w+, )|^(?:RECORDER_NODE|NODE_NAME) = )"(\w+)"'
     assert sorted(re.findall(named, code, re.MULTILINE)) == sorted(documented)
 
 
-def test_the_parameters_are_documented_with_their_defaults() -> None:
-    table = (ROOT / "docs" / "ros.md").read_text()
-    documented = dict(re.findall(r"^\| `([\w.]+)` \| (\S*) \|", table, re.MULTILINE))
-    assert documented == {key: str(value) for key, value in flat(Config()).items()}
+def test_the_fields_of_every_interface_are_documented() -> None:
+    page = (ROOT / "docs" / "ros.md").read_text()
+    for path in (each for kind in ("msg", "srv", "action") for each in ROOT.glob(f"{kind}/*.*")):
+        lines = (line.partition("#")[0].strip() for line in path.read_text().splitlines())
+        fields = [line for line in lines if line]
+        _, _, told = page.partition(f"# robot_controller/{path.parent.name}/{path.stem}\n")
+        shown = (line.partition("#")[0].strip() for line in told.partition("```")[0].splitlines())
+        assert [line for line in shown if line][: len(fields)] == fields, path.name
+
+
+def test_the_table_of_parameters_is_made_from_their_declarations() -> None:
+    made = runpy.run_path(str(ROOT / "docs" / "parameter_table.py"))["table"]()
+    page = (ROOT / "docs" / "ros.md").read_text()
+    assert f"\n{made}\n" in page, "paste: python docs/parameter_table.py"
 
 
 def test_the_parameters_are_documented_with_what_is_allowed() -> None:

@@ -13,6 +13,8 @@ from robotctl import errors
 from robotctl.config import Config, flat, load
 from robotctl.daemon.api.common import common_methods
 from robotctl.daemon.api.driving import DrivingMethods
+from robotctl.daemon.api.graph import graph_methods
+from robotctl.daemon.api.parameters import parameter_methods
 from robotctl.daemon.api.recording import recording_methods
 from robotctl.ipc.method import Method
 from robotctl.ipc.params import HelloParams
@@ -86,6 +88,8 @@ def test_each_golden_request_is_taken(line: dict[str, Any]) -> None:
     methods: dict[str, Method[Any]] = {
         **common_methods(nothing, nothing),
         **recording_methods(nothing, "robot"),
+        **parameter_methods(nothing, "robot"),
+        **graph_methods(nothing),
         **DrivingMethods(nothing, nothing, nothing).table(),
     }
     params = HelloParams if line["method"] == "hello" else methods[line["method"]].params

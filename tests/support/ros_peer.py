@@ -12,16 +12,16 @@ import rclpy
 from geometry_msgs.msg import Twist, TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.duration import Duration
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from robot_controller.msg import RobotStatus
 from robot_controller.srv import SetMode
 from sensor_msgs.msg import BatteryState
-from std_msgs.msg import String, UInt8MultiArray
+from std_msgs.msg import Bool, String, UInt8MultiArray
 from std_srvs.srv import Trigger
 
 from tests.support.lines import obey
+from tests.support.spinning import spinning
 from tests.support.waiting import DEADLINE_S, until
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -41,6 +41,7 @@ class Peer:
         self.robot: threading.Thread | None = None
         self._clients: dict[str, Any] = {}
         self._asked: list[Any] = []
+        self._buttons: dict[str, Any] = {}
 
     def listen(self, namespace: str = "") -> None:
         """Keep the messages of the daemon: sequence number and content."""
@@ -219,6 +220,14 @@ class Peer:
         assert publisher.wait_for_all_acked(Duration(seconds=DEADLINE_S))
         self.node.destroy_publisher(publisher)
 
+    def press(self, topic: str, pressed: bool) -> None:
+        """Publish a Bool once there is a subscriber."""
+        publisher = self._buttons.get(topic)
+        if publisher is None:
+            publisher = self._buttons[topic] = self.node.create_publisher(Bool, topic, 10)
+        until(publisher.get_subscription_count)
+        publisher.publish(Bool(data=pressed))
+
     def send_large(self, topic: str, size: int) -> None:
         """Publish one message of `size` bytes once there is a subscriber."""
         publisher = self.node.create_publisher(UInt8MultiArray, topic, 1)
@@ -261,14 +270,9 @@ class Peer:
 def main() -> None:
     rclpy.init(args=[])
     peer = Peer()
-    executor = SingleThreadedExecutor()
-    executor.add_node(peer.node)
-    spinner = threading.Thread(target=executor.spin)
-    spinner.start()
-    obey(peer)
-    peer.end()
-    executor.shutdown()
-    spinner.join()
+    with spinning(peer.node):
+        obey(peer)
+        peer.end()
     peer.node.destroy_node()
     rclpy.shutdown()
 

@@ -6,8 +6,13 @@ from math import inf, nan
 
 from hypothesis import strategies as st
 
+from robotctl.config import Config, flat
 from robotctl.kernel.geometry import Pose
+from robotctl.kernel.lifecycle import LifecycleChanged, LifecycleState
+from robotctl.kernel.parameter_change import ParameterRequested
+from robotctl.kernel.parameters import kernel_leaves
 from robotctl.kernel.patterns import Pattern, PatternKind
+from robotctl.kernel.safety_inputs import SafetyInput
 from robotctl.kernel.types import (
     BatteryReceived,
     Cause,
@@ -24,6 +29,8 @@ from robotctl.kernel.types import (
     OdometrySourceFound,
     OdomReceived,
     ResetRequested,
+    SafetyInputReceived,
+    ScanReceived,
     Tick,
     Twist,
 )
@@ -49,6 +56,12 @@ PATTERN = st.builds(
     st.one_of(st.floats(0.1, 3.0), ANY_FLOAT),
     st.one_of(st.floats(0.01, 3.0), ANY_FLOAT),
 )
+PARAMETER = st.one_of(st.sampled_from(sorted(kernel_leaves())), SOURCE)
+PARAMETER_TEXT = st.one_of(
+    st.sampled_from(sorted({str(value) for value in flat(Config()).values()})),
+    st.floats(0.0, 10.0).map(repr),
+    SOURCE,
+)
 
 
 def event(
@@ -61,6 +74,9 @@ def event(
         st.builds(OdomReceived, t_ns, ODOMETRY, st.integers(0, 3), st.integers(0, 2**40)),
         st.builds(OdometrySourceFound, t_ns, st.integers(0, 3), SOURCE, SOURCE),
         st.builds(BatteryReceived, t_ns, LEVEL),
+        st.builds(ScanReceived, t_ns, st.lists(LEVEL, max_size=64).map(tuple)),
+        st.builds(SafetyInputReceived, t_ns, st.sampled_from(SafetyInput), LEVEL, SOURCE),
+        st.builds(LifecycleChanged, t_ns, st.sampled_from(LifecycleState), SOURCE),
         st.builds(ModeRequested, t_ns, request_id, MODE_NUMBER, SOURCE),
         st.builds(ResetRequested, t_ns, request_id, SOURCE),
         st.builds(
@@ -71,6 +87,9 @@ def event(
             st.integers(-1, 3),
             st.booleans(),
             SOURCE,
+        ),
+        st.builds(
+            ParameterRequested, t_ns, request_id, PARAMETER, PARAMETER_TEXT, PARAMETER_TEXT, SOURCE
         ),
         st.builds(CommandPublishersSeen, t_ns, NAMES),
         st.builds(ForeignCommandHeard, t_ns, SOURCE),

@@ -31,15 +31,15 @@ from tests.support.lines import Told, peer_command
 from tests.support.waiting import DEADLINE_S, until
 
 
-def installed_robotctl() -> str:
+def installed(name: str) -> str:
     """The command as pip installs it, or else as colcon does, where `ros2 run` finds it."""
-    by_pip = Path(sys.executable).with_name("robotctl")
+    by_pip = Path(sys.executable).with_name(name)
     if by_pip.exists():
         return str(by_pip)
-    return str(Path(get_package_prefix("robot_controller"), "lib/robot_controller/robotctl"))
+    return str(Path(get_package_prefix("robot_controller"), "lib/robot_controller", name))
 
 
-ROBOTCTL = installed_robotctl()
+ROBOTCTL = installed("robotctl")
 SHARED_MEMORY = Path("/dev/shm")
 
 PATIENT = """\
@@ -129,6 +129,29 @@ class World:
         self._spawned.append(process)
         return process
 
+    def role(self, name: str, *arguments: str) -> subprocess.Popen[str]:
+        """Start an executable of the tutorial; its log is `role_log(name)`."""
+        with self._role_log(name).open("a") as log:
+            process = subprocess.Popen(
+                [installed(name), *arguments],
+                text=True,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                cwd=self.folder,
+                env=self.environment,
+            )
+        self._spawned.append(process)
+        return process
+
+    def role_log(self, name: str) -> str:
+        """Return what executables of this name have logged."""
+        path = self._role_log(name)
+        return path.read_text() if path.exists() else ""
+
+    def _role_log(self, name: str) -> Path:
+        return self.folder / f"{name}.log"
+
     def robotctl(self, *arguments: str) -> Ran:
         """Run a command line to its end."""
         process = self.spawn(*arguments)
@@ -169,15 +192,22 @@ class World:
         return found
 
     def kill(self, pid: int, number: int = signal.SIGKILL) -> None:
-        """Kill a process of this world, and remove the shared memory that it leaves behind."""
+        """Kill a process of this world, and remove the shared memory that it leaves behind.
+
+        Only its own: it has also mapped what its neighbours own, and they would fall silent.
+        """
         self._killed = True
-        maps = Path(f"/proc/{pid}/maps").read_text()
+        own = set()
+        for each in Path(f"/proc/{pid}/fd").iterdir():
+            with suppress(OSError):  # closed meanwhile
+                own.add(os.readlink(each))
         with suppress(ProcessLookupError):
             os.kill(pid, number)
         until(lambda: pid not in self.processes())
-        for name in set(re.findall(rf"{SHARED_MEMORY}/(fastrtps_[0-9a-f]+)\b", maps)):
-            for path in SHARED_MEMORY.glob(f"{name}*"):
-                path.unlink(missing_ok=True)
+        for name in own:
+            if re.fullmatch(rf"{SHARED_MEMORY}/fastrtps_[0-9a-f]+_el", name):  # locked by its owner
+                for path in SHARED_MEMORY.glob(f"{Path(name).name.removesuffix('_el')}*"):
+                    path.unlink(missing_ok=True)
 
     def shared_memory(self) -> list[Path]:
         """Return the ports of this domain that are left in /dev/shm (DDSI-RTPS 9.6.2.3)."""

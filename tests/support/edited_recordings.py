@@ -1,0 +1,167 @@
+"""Recordings that a test edits: valid files again, with CRCs, indexes and a ledger that agree."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from mcap.reader import make_reader
+from mcap.records import Channel, Schema
+
+from robotctl.recording.disk.new_file import new_file
+from robotctl.recording.format.compression import Compression
+from robotctl.recording.format.metadata_names import LEDGER_RECORD
+from robotctl.recording.format.rosbag2 import METADATA_RECORD, BagFile, serialized_metadata
+from robotctl.recording.format.topics import Topic
+from robotctl.recording.write.buffer import pack
+from robotctl.recording.write.chunk_encoder import ChunkEncoder
+from robotctl.recording.write.mcap_writer import McapFile
+from robotctl.testing.drives import Written, record
+
+CHUNK = 200
+"""The number of messages in a chunk."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stored:
+    """A message of a recording."""
+
+    topic: str
+    data: bytes
+    log_ns: int
+    publish_ns: int
+    sequence: int
+
+
+@dataclass(slots=True)
+class Contents:
+    """What a file holds: messages in the order of writing, and metadata records in their order."""
+
+    library: str
+    types: list[tuple[Channel, Schema]]
+    messages: list[Stored]
+    metadata: list[tuple[str, dict[str, str]]]
+    counts: Counter[str] = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Remember how many messages each topic had."""
+        self.counts = Counter(each.topic for each in self.messages)
+
+    def lose(self, topic: str, count: int) -> None:
+        """Count more losses of a topic in the ledger."""
+        for name, values in self.metadata:
+            if name == LEDGER_RECORD:
+                counts = json.loads(values[topic])
+                values[topic] = json.dumps({**counts, "lost": counts["lost"] + count})
+
+    def copy(self) -> Contents:
+        """Return a copy; messages are immutable."""
+        metadata = [(name, dict(values)) for name, values in self.metadata]
+        copied = replace(self, messages=list(self.messages), metadata=metadata)
+        copied.counts = self.counts
+        return copied
+
+
+def contents_of(path: Path) -> Contents:
+    """Return what a file holds."""
+    with path.open("rb") as stream:
+        reader = make_reader(stream)
+        library = reader.get_header().library
+        summary = reader.get_summary()
+        assert summary is not None
+        types = [(each, summary.schemas[each.schema_id]) for each in summary.channels.values()]
+        messages: list[Stored] = []
+        for _, channel, message in reader.iter_messages(log_time_order=False):
+            messages.append(
+                Stored(
+                    channel.topic,
+                    message.data,
+                    message.log_time,
+                    message.publish_time,
+                    message.sequence,
+                )
+            )
+        metadata = [(each.name, each.metadata) for each in reader.iter_metadata()]
+    return Contents(library, types, messages, metadata)
+
+
+def write_contents(folder: Path, contents: Contents) -> Path:
+    """Write a recording of one file into a new folder, and return the folder."""
+    folder.mkdir(parents=True)
+    found = Counter(each.topic for each in contents.messages)
+    target = folder / f"{folder.name}_0.mcap"
+    with new_file(target) as storage:
+        mcap = McapFile(storage, profile="ros2", library=contents.library)
+        ledger = None
+        for name, values in contents.metadata:
+            if name == LEDGER_RECORD:
+                ledger = _adjusted(values, contents.counts, found)
+            elif name != METADATA_RECORD:
+                mcap.add_metadata(name, values)
+        topics = [_add_topic(mcap, number, *each) for number, each in enumerate(contents.types)]
+        numbers = {topic.name: number for number, topic in enumerate(topics)}
+        encoder = ChunkEncoder(Compression.ZSTD, 1)
+        for at in range(0, len(contents.messages), CHUNK):
+            chunk = [
+                (numbers[each.topic], each.data, each.log_ns, each.publish_ns, each.sequence)
+                for each in contents.messages[at : at + CHUNK]
+            ]
+            mcap.commit(encoder.encode(pack(chunk)), finished=False)
+        summary = mcap.summary
+        file = BagFile(target.name, summary.start_ns, summary.end_ns, dict(summary.counts))
+        text = serialized_metadata(topics, [file])
+        mcap.add_metadata(METADATA_RECORD, {"serialized_metadata": text})
+        if ledger is not None:
+            mcap.add_metadata(LEDGER_RECORD, ledger)
+        mcap.commit()
+    return folder
+
+
+def _add_topic(mcap: McapFile, number: int, channel: Channel, schema: Schema) -> Topic:
+    mcap.add_schema(replace(schema, id=number + 1))
+    mcap.add_channel(replace(channel, id=number, schema_id=number + 1))
+    return Topic(
+        channel.topic,
+        schema.name,
+        type_hash=channel.metadata.get("topic_type_hash", ""),
+        offered_qos=channel.metadata.get("offered_qos_profiles", ""),
+    )
+
+
+def _adjusted(ledger: dict[str, str], before: Counter[str], found: Counter[str]) -> dict[str, str]:
+    """Return the ledger for other numbers of messages, as a careful forger leaves it."""
+    adjusted = {}
+    for topic, text in ledger.items():
+        counts, more = json.loads(text), found[topic] - before[topic]
+        counts["received"] += more
+        counts["written"] += more
+        adjusted[topic] = json.dumps(counts)
+    return adjusted
+
+
+def recorded(folder: Path, written: list[Written]) -> Contents:
+    """Return what a recording of `written` holds."""
+    (file,) = record(folder, written).glob("*.mcap")
+    return contents_of(file)
+
+
+def edit(
+    contents: Contents, topic: str, change: Callable[[int, Stored], Stored | None]
+) -> Contents:
+    """Return the contents with each message of a topic changed, or removed where it is None.
+
+    `change` gets the position of the message among those of its topic.
+    """
+    edited, position = contents.copy(), -1
+    edited.messages = []
+    for each in contents.messages:
+        kept: Stored | None = each
+        if each.topic == topic:
+            position += 1
+            kept = change(position, each)
+        if kept is not None:
+            edited.messages.append(kept)
+    return edited

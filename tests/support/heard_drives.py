@@ -1,0 +1,147 @@
+"""Recordings of simulated drives with the messages that the kernel heard, made without ROS."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from math import nan
+from pathlib import Path
+
+from mcap.records import Channel, Schema
+
+from robotctl.cdr.battery import read_battery_level
+from robotctl.cdr.motion import OdometryEncoder, read_odometry
+from robotctl.cdr.reader import ENCAPSULATION
+from robotctl.config import Config
+from robotctl.kernel.kernel import Kernel
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.types import BatteryReceived, Effect, Event, OdomReceived
+from robotctl.kernel.units import NS_PER_S
+from robotctl.recording.format.journal import decode
+from robotctl.recording.format.metadata_names import LEDGER_RECORD
+from robotctl.rerun.closed_loop import closed_loop
+from robotctl.testing.drives import BEGIN_NS, drive_requested, journaled, record
+from tests.support.edited_recordings import Contents, Stored, contents_of
+
+ODOMETRY, BATTERY, COMMANDS, JOURNAL = "/odom", "/battery_state", "/cmd_vel", "/robotctl/journal"
+STATUS = "/robot_status"
+
+_BATTERY = struct.Struct("<4siII1s3x7f")
+"""A BatteryState with an empty frame name, as far as the level."""
+
+
+class HearingKernel(Kernel):
+    """A kernel that hears numbered messages instead of values; `heard` is what it took last."""
+
+    def __init__(self, config: Config) -> None:
+        super().__init__(config.kernel)
+        self.heard: Event | None = None
+        self.messages: dict[tuple[str, int], bytes] = {}
+        self._odometry_encoder = OdometryEncoder("odom", "base_link")
+        self._odometry_count = self._battery_count = 0
+
+    def step(self, event: Event) -> tuple[Effect, ...]:
+        """Decide on what is left of an event after it went over the wire."""
+        if isinstance(event, OdomReceived):
+            self._odometry_count += 1
+            sample = event.odometry
+            data = self._odometry_encoder.encode(sample.pose, sample.velocity, sample.stamp_ns)
+            self.messages[ODOMETRY, self._odometry_count] = data
+            event = replace(
+                event, odometry=read_odometry(data), source=1, sequence=self._odometry_count
+            )
+        elif isinstance(event, BatteryReceived):
+            self._battery_count += 1
+            data = _BATTERY.pack(ENCAPSULATION, 0, 0, 1, b"\0", *[0.0] * 6, event.level)
+            self.messages[BATTERY, self._battery_count] = data
+            level = read_battery_level(data)
+            event = BatteryReceived(event.t_ns, level, "ba77e7", self._battery_count)
+        self.heard = event
+        return super().step(event)
+
+
+def heard_drive(
+    folder: Path,
+    seconds: float = 3.0,
+    *,
+    requests: Sequence[Event] | None = None,
+    snapshots_s: Iterable[float] = (0.0,),
+    config: Config | None = None,
+) -> Contents:
+    """Return what a recording of a drive holds, with odometry and battery levels."""
+    config = config or Config()
+    kernel = HearingKernel(config)
+    asked = [drive_requested()] if requests is None else requests
+    end_ns = BEGIN_NS + round(seconds * NS_PER_S)
+
+    def steps() -> Iterable[tuple[Event, tuple[Effect, ...]]]:
+        for _, effects in closed_loop(kernel, config.sim, asked, BEGIN_NS):
+            assert kernel.heard is not None
+            yield kernel.heard, effects
+            if kernel.heard.t_ns >= end_ns:
+                return
+
+    snapshots_ns = [BEGIN_NS + round(after_s * NS_PER_S) for after_s in snapshots_s]
+    written = journaled(kernel, steps(), snapshots_ns)
+    (file,) = record(folder, written, config=config).glob("*.mcap")
+    return _with_messages(contents_of(file), kernel.messages)
+
+
+def status(mode: int, level: float, name: bytes = b"robot") -> bytes:
+    """Return a serialized RobotStatus."""
+    head = struct.pack("<4sI", ENCAPSULATION, len(name) + 1) + name + b"\0"
+    head += struct.pack("<B", mode)
+    head += bytes(-len(head) % 4)
+    return head + struct.pack("<ff?", level, 40.0, True)
+
+
+def _with_messages(contents: Contents, heard: dict[tuple[str, int], bytes]) -> Contents:
+    """Add what was heard and shown, each message a few entries late, as the recorder does."""
+    _add_topic(contents, BATTERY, "sensor_msgs/msg/BatteryState")
+    _add_topic(contents, STATUS, "robot_controller/msg/RobotStatus")
+    messages: list[Stored] = []
+    late: list[Stored] = []
+    mode, level, shown, due_ns = Mode.IDLE.value, nan, 0, 0
+    for each in contents.messages:
+        messages.append(each)
+        if each.topic != JOURNAL:
+            continue
+        entry = decode(each.data)
+        values = json.loads(entry.data)
+        topic = {"OdomReceived": ODOMETRY, "BatteryReceived": BATTERY}.get(entry.name)
+        if topic is not None:
+            sequence = values["sequence"]
+            data = heard[topic, sequence]
+            late.append(Stored(topic, data, each.log_ns, each.log_ns, sequence))
+            level = values["level"] if topic == BATTERY else level
+        is_change = entry.name == "ModeChanged"
+        mode = values["mode"] if is_change else mode
+        if is_change or entry.t_ns >= due_ns:
+            shown, due_ns = shown + 1, entry.t_ns + NS_PER_S
+            data = status(mode, level)
+            late.append(Stored(STATUS, data, each.log_ns, each.log_ns, shown))
+        if len(late) >= 3:
+            messages += late
+            late = []
+    contents.messages = messages + late
+    return _counted(contents)
+
+
+def _add_topic(contents: Contents, topic: str, type_name: str) -> None:
+    schema = Schema(id=0, name=type_name, encoding="ros2msg", data=type_name.encode())
+    values = {"topic_type_hash": "", "offered_qos_profiles": ""}
+    channel = Channel(id=0, topic=topic, message_encoding="cdr", schema_id=0, metadata=values)
+    contents.types.append((channel, schema))
+
+
+def _counted(contents: Contents) -> Contents:
+    """Return the contents with a ledger that counts all messages."""
+    again = replace(contents)
+    ledger = next(values for name, values in again.metadata if name == LEDGER_RECORD)
+    for topic, count in again.counts.items():
+        counts = dict.fromkeys(("received", "written", "queued", "dropped", "lost", "unseen"), 0)
+        counts |= json.loads(ledger.get(topic, "{}"))
+        ledger[topic] = json.dumps({**counts, "received": count, "written": count})
+    return again
