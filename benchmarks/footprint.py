@@ -1,4 +1,4 @@
-"""CPU and memory of the daemon beside the classic arrangement, one process a role.
+"""CPU and memory of the daemon beside one process a role: ours, and the classic arrangement.
 
     python benchmarks/footprint.py                                    about 8 minutes
     python benchmarks/footprint.py --rates 50 --rounds 3 --seconds 4
@@ -7,6 +7,9 @@ The daemon runs with control, simulated robot and recorder, and drives a square.
 arrangement does as much of it as is usual: four processes of plain rclpy in `benchmarks/classic`
 (velocity publisher, odometry subscriber, mode service with status, simulated robot of the same
 physics), and a recorder. It does without journal, closed loop and socket.
+
+Between the two stands one process a role on the AsyncioExecutor: simulated robot, gate
+(`velocity_publisher`) and owner (`mode_service`, with kernel, journal, recorder and socket).
 
 Each is measured with the other absent, in turn, so that a noisy machine is noisy for both; ratios
 are taken within a round. Shown are medians over the rounds, and the lowest and highest in
@@ -90,6 +93,39 @@ def daemon(rate_hz: float, folder: Path, domain: int) -> Iterator[list[int]]:
 
 
 @contextmanager
+def roles(rate_hz: float, folder: Path, domain: int) -> Iterator[list[int]]:
+    """Start our roles, a process each, moving; yields their pids."""
+    config, around = folder / "config.yaml", environment(folder, domain)
+    config.write_text(f"rate_hz: {rate_hz}\nsim.odometry_rate_hz: {rate_hz}\n")
+    owned = {"config": config, "recordings": folder / "recordings", "standalone": "false"}
+    given = [word for name, value in owned.items() for word in ("-p", f"{name}:={value}")]
+    commands = (
+        [command_named("mode_service"), "--ros-args", *given],
+        [command_named("velocity_publisher"), "--ros-args", "-p", "sweep:=false"],
+        [command_named("robotctl"), "sim", "--config", str(config)],
+    )
+    with (folder / "log").open("w") as log, ending() as processes:
+        for command in commands:
+            processes.append(subprocess.Popen(command, env=around, stdout=log, stderr=log))
+        until = time.monotonic() + READY_TIMEOUT_S
+        while subprocess.run(
+            [command_named("robotctl"), "set-mode", "moving"],
+            env=around,
+            capture_output=True,
+            check=False,
+        ).returncode:
+            if time.monotonic() > until:
+                raise SystemExit(f"our roles do not move: {(folder / 'log').read_text()}")
+            time.sleep(0.2)
+        yield [process.pid for process in processes]
+
+
+def command_named(name: str) -> str:
+    """The path of a command of this environment."""
+    return str(Path(sys.executable).with_name(name))
+
+
+@contextmanager
 def classic(rate_hz: float, folder: Path, domain: int) -> Iterator[list[int]]:
     """Start the roles, moving; yields their pids, the recorder's last."""
     arguments = {
@@ -140,7 +176,7 @@ def pss_mb(pid: int) -> float:
     raise SystemExit(f"/proc/{pid}/smaps_rollup has no Pss: is this Linux?")
 
 
-ARRANGEMENTS = {"daemon": daemon, "classic": classic}
+ARRANGEMENTS = {"daemon": daemon, "roles": roles, "classic": classic}
 
 
 def measure(name: str, rate_hz: float, options: argparse.Namespace, domain: int) -> Usage:
@@ -161,7 +197,7 @@ def measure(name: str, rate_hz: float, options: argparse.Namespace, domain: int)
 
 def recorded_per_second(folder: Path) -> float:
     """Messages of command and odometry in the recording, while both were there."""
-    (path,) = folder.rglob("*.mcap")
+    (path,) = (each for each in folder.rglob("*.mcap") if each.parent.name != "clips")
     times: dict[str, list[int]] = {}
     with path.open("rb") as file:
         for _, channel, message in make_reader(file).iter_messages(topics=["/cmd_vel", "/odom"]):
@@ -197,6 +233,9 @@ def show(rate_hz: float, rounds: list[dict[str, Usage]]) -> bool:
         print(
             f"  {what.upper()} ratio {spread(ratios, '.3f')}, to be at most {target:.3f}: {verdict}"
         )
+    for what in ("cpu", "pss"):
+        ratios = [getattr(each["roles"], what) / getattr(each["classic"], what) for each in rounds]
+        print(f"  our roles beside the classic ones, {what.upper()} ratio {spread(ratios, '.3f')}")
     return reached
 
 

@@ -61,7 +61,7 @@ def opened(domain_id: int) -> Iterator[Callable[[bytes], bool]]:
     with Membership(domain_id) as membership:
         ros = ReplaySession(membership)
         ros.settle()
-        send = ros.open("/odom", ODOMETRY, QOS, keep_all=False)
+        send = ros.open("/odom", ODOMETRY, QOS, patient=False)
         ros.wait_for_matches()
         gc.freeze()
         yield send
