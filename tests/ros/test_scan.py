@@ -51,14 +51,15 @@ def test_a_hundred_thousand_rays_are_read() -> None:
     assert min(nearest_by_sector(scan([2.0] * 100_000))) == 2.0
 
 
+# Named, for rmw leaves the padding of a message as it was: each process has other bytes there.
 @pytest.mark.parametrize(
     "data",
     [
-        b"",
-        scan([1.0])[:-9],
-        scan([1.0], angle_min=nan),
-        scan([1.0], angle_increment=inf),
-        scan([1.0] * (MAX_RAYS + 1)),
+        pytest.param(b"", id="empty"),
+        pytest.param(scan([1.0])[:-9], id="cut"),
+        pytest.param(scan([1.0], angle_min=nan), id="begins nowhere"),
+        pytest.param(scan([1.0], angle_increment=inf), id="endless step"),
+        pytest.param(scan([1.0] * (MAX_RAYS + 1)), id="too many rays"),
     ],
 )
 def test_what_is_no_scan_is_refused(data: bytes) -> None:
