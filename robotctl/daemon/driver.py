@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import time
 from collections.abc import Coroutine, Mapping
-from math import nan
 from typing import Any
 
 from robotctl.daemon.api.common import common_methods
@@ -28,10 +26,12 @@ from robotctl.daemon.control.robot_report import RobotReport
 from robotctl.daemon.control.watchdog import Watchdog
 from robotctl.daemon.drive_goals import DriveGoals
 from robotctl.daemon.host import Host, Ready, running
+from robotctl.daemon.last_zero import LastZero
 from robotctl.daemon.lifecycle import follow_lifecycle, with_lifecycle
 from robotctl.daemon.parameters import Parameters
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.daemon.ros_parameters import serve_parameters
+from robotctl.daemon.shown_status import ShownStatus
 from robotctl.daemon.shutdown import stand_still
 from robotctl.daemon.simulator import simulated_robot
 from robotctl.daemon.supervisor import Work
@@ -40,7 +40,6 @@ from robotctl.errors import RobotctlError
 from robotctl.ipc.advice import advice
 from robotctl.ipc.method import Method
 from robotctl.ipc.server import ControlServer
-from robotctl.kernel.battery import is_level
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.safety_inputs import Use
@@ -60,7 +59,7 @@ from robotctl.ros.messages.command_type import CommandType
 from robotctl.ros.nodes.battery_subscriber import BatterySubscriber
 from robotctl.ros.nodes.drive_action import DriveAction
 from robotctl.ros.nodes.journal_publisher import JournalPublisher
-from robotctl.ros.nodes.mode_service import CALLS, STATUS, ModeService, Shown
+from robotctl.ros.nodes.mode_service import CALLS, STATUS, ModeService
 from robotctl.ros.nodes.odom_subscriber import OdomSubscriber
 from robotctl.ros.nodes.safety_inputs import SafetyInputs
 from robotctl.ros.nodes.scan_subscriber import ScanSubscriber
@@ -73,15 +72,6 @@ _log = logging.getLogger(__name__)
 READY_S = 10.0
 """How long a start waits for what the configuration expects: odometry, battery level, and a
 subscriber of the command. Discovery by Fast DDS takes up to 2.6 s; a robot may still boot."""
-
-DRAIN_S = 3.0
-"""How long a stop waits until the recorder has received the last command."""
-
-ACKNOWLEDGED_S = 1.0
-"""How long a stop waits until the robot has received it. Fast DDS forgets what was not acknowledged
-when the publisher goes; later the robot's command timeout has stopped it."""
-
-SHOW_PERIOD_S = 1.0
 
 MAX_COMMAND_LATENCY_S = 0.01
 """How long heard commands are batched if the ticks that check them are over 20 ms apart."""
@@ -125,7 +115,7 @@ class Driver:
             ),
             Effects(
                 self._velocity.publish,
-                self._show_mode,
+                lambda mode: self._shown.show(mode),
                 self.recorder.note,
                 latch,
                 requests,
@@ -165,6 +155,8 @@ class Driver:
             ScanSubscriber(session, params.scan.topic, self._inputs.scan)
         SafetyInputs(session, params.inputs, robot, self._inputs.safety_input)
         self._modes = ModeService(session, robot, self._inputs.service_call, self._say)
+        self._shown = ShownStatus(self._modes, self._control, self._robot_report)
+        self._last_zero = LastZero(self._velocity, self._modes, self.recorder.received)
         follow_lifecycle(self._modes.node, self._inputs, autostart=host.config.autostart)
         self._driving = DrivingMethods(self._control, self._robot_report, robot)
         goals = DriveGoals(self._control, self._driving)
@@ -212,7 +204,7 @@ class Driver:
                 await self._host.stop.wait()
                 _log.info(self._ending)
                 await stand_still(self._control, lambda: self._velocity.published)
-        await self._deliver_last_zero()
+        await self._last_zero.arrived()
         if not ready:
             raise RobotctlError("the daemon was stopped before it was ready")
 
@@ -224,7 +216,7 @@ class Driver:
         """Send a zero directly, and record it."""
         try:
             self._velocity.publish(ZERO)
-            await self._deliver_last_zero()
+            await self._last_zero.arrived()
         except Exception:  # noqa: BLE001 - the first failure is the one to report
             _log.exception("no last zero could be sent")
 
@@ -235,7 +227,7 @@ class Driver:
             "control": self._tick,
             **self.recorder.work(),
             "graph watch": self._graph_watch,
-            "status": self._show_status,
+            "status": self._shown.run,
         }
         if sim:
             work["simulated robot"] = self._simulated_robot().run
@@ -254,17 +246,6 @@ class Driver:
             self._control.dispatch(Tick(tick.t_ns, tick.missed))
             self._watchdog.ping()
 
-    async def _show_status(self) -> None:
-        while True:
-            self._show_mode(self._control.state.mode)
-            await asyncio.sleep(SHOW_PERIOD_S)
-
-    def _show_mode(self, mode: Mode) -> None:
-        level = self._control.state.health.battery_level
-        self._modes.publish(
-            Shown(mode, level if is_level(level) else nan, self._robot_report.is_connected())
-        )
-
     def _take_odometry(self, odometry: Odometry, source: int, sequence: int) -> None:
         self._look_at_commands()  # twice as often as the ticks alone
         self._inputs.odometry(odometry, source, sequence)
@@ -277,22 +258,6 @@ class Driver:
         if isinstance(event, LoopStalled):
             _log.warning("the loop stalled for %.2f s: %s", event.stalled_s, event.detail)
         return event
-
-    async def _deliver_last_zero(self) -> None:
-        await until(self._is_drained, DRAIN_S)
-        if not await until(self._velocity.is_acknowledged, ACKNOWLEDGED_S):
-            _log.warning(
-                "a subscriber of %s has not acknowledged the last zero within %g s",
-                self._velocity.topic,
-                ACKNOWLEDGED_S,
-            )
-
-    def _is_drained(self) -> bool:
-        received = self.recorder.received()
-        return (
-            received.get(self._velocity.topic, 0) >= self._velocity.published
-            and received.get(self._modes.status_topic, 0) >= self._modes.published
-        )
 
     # Start
 
