@@ -78,7 +78,8 @@ def publisher(megabytes: int, environment: Mapping[str, str]) -> Iterator[subpro
     process = subprocess.Popen(
         arguments, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
-    assert process.stdin and process.stdout
+    assert process.stdin
+    assert process.stdout
     process.stdout.readline()
     try:
         yield process
