@@ -22,6 +22,9 @@ STATE_VARIABLE = "XDG_STATE_HOME"
 ROBOT_VARIABLE = "ROBOTCTL_ROBOT"
 """The default of `--robot`, as an environment variable."""
 
+LEASE_VARIABLE = "ROBOTCTL_LEASE"
+"""The token of a lease: who has it acts for the holder."""
+
 _NAMESPACE_PART = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _ROBOT_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 

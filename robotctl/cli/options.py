@@ -41,6 +41,10 @@ ROS_WORD = "--ros-word"
 
 RosWords = Annotated[list[str] | None, typer.Option(ROS_WORD, hidden=True)]
 
+Reason = Annotated[
+    str, typer.Option("--reason", metavar="TEXT", help="Why, for the journal and `why`.")
+]
+
 Json = Annotated[bool, typer.Option("--json", help="Print one line of JSON, for machines.")]
 
 

@@ -15,10 +15,12 @@ from functools import partial
 from robotctl.cli.support import quick_actions
 from robotctl.paths import DEFAULT_ROBOT, ROBOT_VARIABLE
 
-_WITHOUT_ARGUMENT: dict[str, Callable[[str, bool], None]] = {
-    "status": quick_actions.status,
+_WITH_REASON: dict[str, Callable[[str, bool, str], None]] = {
     "estop": quick_actions.estop,
     "reset": quick_actions.reset,
+}
+_WITHOUT_ARGUMENT: dict[str, Callable[[str, bool], None]] = {
+    "status": quick_actions.status,
     "stop": quick_actions.stop,
 }
 
@@ -27,6 +29,7 @@ def match(arguments: list[str]) -> Callable[[], None] | None:
     """Return the call that the arguments spell, or None if typer has to parse them."""
     robot = os.environ.get(ROBOT_VARIABLE) or DEFAULT_ROBOT
     as_json = False
+    reason: str | None = None
     words: list[str] = []
     rest = iter(arguments)
     for argument in rest:
@@ -34,15 +37,24 @@ def match(arguments: list[str]) -> Callable[[], None] | None:
             as_json = True
         elif argument == "--robot":
             robot = next(rest, "")
+        elif argument == "--reason":
+            reason = next(rest, "-")
         elif argument.startswith("-"):
             return None
         else:
             words.append(argument)
-    if not robot or robot.startswith("-") or arguments[:1] != words[:1]:
+    if (
+        (reason or "").startswith("-")
+        or not robot
+        or robot.startswith("-")
+        or arguments[:1] != words[:1]
+    ):
         return None
     match words:
         case ["set-mode", mode]:
-            return partial(quick_actions.set_mode, mode, robot, as_json)
-        case [name] if name in _WITHOUT_ARGUMENT:
+            return partial(quick_actions.set_mode, mode, robot, as_json, reason or "")
+        case [name] if name in _WITH_REASON:
+            return partial(_WITH_REASON[name], robot, as_json, reason or "")
+        case [name] if name in _WITHOUT_ARGUMENT and reason is None:
             return partial(_WITHOUT_ARGUMENT[name], robot, as_json)
     return None

@@ -10,6 +10,7 @@ from typing import Any
 from robotctl.daemon.api.common import common_methods
 from robotctl.daemon.api.driving import DrivingMethods
 from robotctl.daemon.api.graph import graph_methods
+from robotctl.daemon.api.lease import LeaseMethods
 from robotctl.daemon.api.parameters import parameter_methods
 from robotctl.daemon.api.recording import recording_methods
 from robotctl.daemon.api.status import StatusSource
@@ -158,7 +159,10 @@ class Driver:
         self._shown = ShownStatus(self._modes, self._control, self._robot_report)
         self._last_zero = LastZero(self._velocity, self._modes, self.recorder.received)
         follow_lifecycle(self._modes.node, self._inputs, autostart=host.config.autostart)
-        self._driving = DrivingMethods(self._control, self._robot_report, robot)
+        self._leases = LeaseMethods(self._control, robot)
+        self._driving = DrivingMethods(
+            self._control, self._robot_report, robot, self._leases.client_of
+        )
         goals = DriveGoals(self._control, self._driving)
         session.last.callback(DriveAction(self._modes.node, goals.begin, self._say).close)
 
@@ -178,6 +182,7 @@ class Driver:
             **recording_methods(self.recorder, self._host.options.robot),
             **graph_methods(self.recorder.tap),
             **self._driving.table(),
+            **self._leases.table(),
             **parameter_methods(self._parameters, self._host.options.robot),
         }
 

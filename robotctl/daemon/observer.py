@@ -83,6 +83,7 @@ class Observer:
             "velocity": None,
             "battery": None,
             "sim": None,
+            "lease": None,
             "stalls": None,
             "odometry_dropped": None,
         }

@@ -38,10 +38,10 @@ class Kind(StrEnum):
     """The mode changed: `from`, `to`, `reason`, `cause`; `latched` or `released` for a stop."""
 
     REQUEST = "request"
-    """A request was granted: `asked`, `by`, `answer`."""
+    """A request was granted: `asked`, `by`, `answer`, and `because` if the client gave a reason."""
 
     REFUSED = "refused"
-    """A request was refused: `asked`, `by`, `answer`."""
+    """A request was refused: the same."""
 
     PARAMETER = "parameter"
     """A setting was changed in a running daemon: `key`, `from`, `to`, `by`."""

@@ -111,5 +111,8 @@ def cure_of(remedy: Remedy, robot: str) -> str:
                 "start the robot's base before robotctl, and check command.topic and "
                 "command.stamped"
             )
+        case Remedy.WAIT_FOR_LEASE:
+            idle = command_for(robot, "set-mode idle")
+            return f"wait until it is released; {idle} and {command_for(robot, 'estop')} still stop"
         case Remedy.SET_COMMAND_TYPE:
             return "set command.stamped to true for TwistStamped, or to false for Twist"

@@ -47,6 +47,8 @@ class RobotFacts(TypedDict):
     battery: float | None
     """From 0 to 1."""
     sim: bool | None
+    lease: str | None
+    """The holder of the lease, None if there is none."""
     stalls: int | None
     odometry_dropped: int | None
 
@@ -174,6 +176,21 @@ class DriveAnswer(ModeAnswer, total=False):
     cross_track_rms_m: float | None
     cross_track_max_m: float | None
     closure_m: float | None
+
+
+class LeaseAnswer(TypedDict):
+    """The answer of `lease_release`, and of `lease_take` once the lease has ended."""
+
+    message: str
+
+
+class LeaseStatus(TypedDict):
+    """The answer of `lease_status`; `holder` is None while everybody may start motion."""
+
+    holder: str | None
+    reason: str
+    yours: bool
+    """Whether the token of the request holds it."""
 
 
 class Committed(TypedDict):

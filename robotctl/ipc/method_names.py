@@ -16,6 +16,8 @@ if TYPE_CHECKING:
         Graph,
         GraphNode,
         GraphTopic,
+        LeaseAnswer,
+        LeaseStatus,
         Marked,
         ModeAnswer,
         ParameterList,
@@ -43,6 +45,9 @@ SET_MODE: Final[MethodName[ModeAnswer]] = MethodName("set_mode")
 RESET: Final[MethodName[ModeAnswer]] = MethodName("reset")
 DRIVE: Final[MethodName[DriveAnswer]] = MethodName("drive")
 END_DRIVE: Final[MethodName[ModeAnswer]] = MethodName("end_drive")
+LEASE_TAKE: Final[MethodName[LeaseAnswer]] = MethodName("lease_take")
+LEASE_RELEASE: Final[MethodName[LeaseAnswer]] = MethodName("lease_release")
+LEASE_STATUS: Final[MethodName[LeaseStatus]] = MethodName("lease_status")
 RECORD_STATUS: Final[MethodName[RecordStatus]] = MethodName("record_status")
 RECORD_COMMIT: Final[MethodName[Committed]] = MethodName("record_commit")
 RECORD_SPLIT: Final[MethodName[FileSplit]] = MethodName("record_split")

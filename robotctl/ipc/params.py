@@ -9,7 +9,12 @@ import msgspec
 from msgspec import Meta, Struct
 
 from robotctl.errors import UsageError
-from robotctl.ipc.protocol import MAX_GRAPH_NAME, MAX_MARK_LENGTH
+from robotctl.ipc.protocol import (
+    MAX_GRAPH_NAME,
+    MAX_MARK_LENGTH,
+    MAX_REASON,
+    REASON_PATTERN,
+)
 from robotctl.kernel.drive import MAX_LAPS
 from robotctl.kernel.patterns import (
     MAX_SIZE_M,
@@ -21,6 +26,12 @@ from robotctl.kernel.patterns import (
 
 Source = Annotated[str, Meta(max_length=200)]
 """The name of the requester, for the journal and the log."""
+
+Reason = Annotated[str, Meta(max_length=MAX_REASON, pattern=REASON_PATTERN)]
+"""Why the client asks, for the journal and the log."""
+
+Token = Annotated[str, Meta(min_length=16, max_length=64)]
+"""The token of a lease."""
 
 Size = Annotated[float, Meta(ge=MIN_SIZE_M, le=MAX_SIZE_M)]
 
@@ -40,12 +51,15 @@ class SetModeParams(Struct, frozen=True, forbid_unknown_fields=True):
 
     mode: Annotated[int, Meta(ge=0, le=255)]
     source: Source
+    reason: Reason = ""
+    lease: Token | None = None
 
 
 class ResetParams(Struct, frozen=True, forbid_unknown_fields=True):
     """The parameters of `reset`, which releases ERROR and EMERGENCY_STOP to IDLE."""
 
     source: Source
+    reason: Reason = ""
 
 
 class EndDriveParams(Struct, frozen=True, forbid_unknown_fields=True):
@@ -90,6 +104,29 @@ class DriveParams(Struct, frozen=True, forbid_unknown_fields=True):
     speed_mps: Annotated[float, Meta(ge=MIN_SPEED_MPS, le=MAX_SPEED_MPS)] | None = None
     replace: bool = False
     wait: bool = False
+    reason: Reason = ""
+    lease: Token | None = None
+
+
+class LeaseTakeParams(Struct, frozen=True, forbid_unknown_fields=True):
+    """The parameters of `lease_take`: the client chooses the token, so that no other knows it."""
+
+    token: Token
+    source: Source
+    reason: Reason = ""
+
+
+class LeaseReleaseParams(Struct, frozen=True, forbid_unknown_fields=True):
+    """The parameters of `lease_release`."""
+
+    source: Source
+    token: Token | None = None
+
+
+class LeaseStatusParams(Struct, frozen=True, forbid_unknown_fields=True):
+    """The parameters of `lease_status`; with a token it says whether that one holds the lease."""
+
+    token: Token | None = None
 
 
 P = TypeVar("P")
@@ -135,8 +172,9 @@ def _allowed(kind: Any) -> str:
             return f"a whole number from {low} to {high}"
         case inspect.FloatType(ge=low, le=high):
             return f"a number from {low:g} to {high:g}"
-        case inspect.StrType(min_length=low, max_length=high):
-            return f"a text of {low or 0} to {high} characters"
+        case inspect.StrType(min_length=low, max_length=high, pattern=pattern):
+            suffix = " without control characters" if pattern else ""
+            return f"a text of {low or 0} to {high} characters{suffix}"
         case inspect.EnumType(cls=members):
             return ", ".join(str(member.value) for member in members)
         case _:

@@ -39,6 +39,12 @@ EMERGENCY_STOP_MODE = 3
 MAX_MARK_LENGTH = 1000
 """In characters."""
 
+MAX_REASON = 200
+"""In characters."""
+
+REASON_PATTERN = r"^[^\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069]*\Z"
+"""Without characters that move the cursor, end the line or turn the direction of a text."""
+
 MAX_GRAPH_NAME = 255
 """In characters: a longer name does not fit into an announcement of Fast DDS."""
 

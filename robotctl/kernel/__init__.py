@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from robotctl.kernel.codec import from_json, to_json
     from robotctl.kernel.geometry import Pose
     from robotctl.kernel.kernel import Kernel
+    from robotctl.kernel.lease import Lease, LeaseLost, LeaseRequested
     from robotctl.kernel.lifecycle import LifecycleChanged, LifecycleState
     from robotctl.kernel.modes import Mode
     from robotctl.kernel.parameter_change import ParameterChanged, ParameterRequested
@@ -87,6 +88,9 @@ __all__ = [
     "Kernel",
     "KernelParams",
     "LatchEmergencyStop",
+    "Lease",
+    "LeaseLost",
+    "LeaseRequested",
     "LifecycleChanged",
     "LifecycleState",
     "LoopStalled",
@@ -127,6 +131,9 @@ _MODULES = {
     "CommandParams": "params",
     "Kernel": "kernel",
     "KernelParams": "params",
+    "Lease": "lease",
+    "LeaseLost": "lease",
+    "LeaseRequested": "lease",
     "LifecycleChanged": "lifecycle",
     "LifecycleState": "lifecycle",
     "Mode": "modes",

@@ -8,6 +8,7 @@ from typing import assert_never
 
 from robotctl.kernel.battery import counts_in_percent, level_of
 from robotctl.kernel.health import Health, Scan, Stalls
+from robotctl.kernel.lease import LeaseLost, LeaseRequested
 from robotctl.kernel.lifecycle import LifecycleChanged
 from robotctl.kernel.limits import limit, within
 from robotctl.kernel.modes import Mode, Trigger
@@ -107,6 +108,10 @@ class Kernel(ParameterControl):
                     type_name=event.type_name,
                 )
                 self._learn(event.t_ns, command_topic=topic)
+            case LeaseRequested():
+                self._request_lease(event)
+            case LeaseLost():
+                self._lose_lease(event)
             case LoopStalled():
                 self._stalled(event)
             case FaultReported():
@@ -180,6 +185,7 @@ class Kernel(ParameterControl):
             waiting=state.waiting,
             idle_t_ns=state.idle_t_ns,
             silent=state.silent,
+            lease=state.lease,
         )
         self._raise_fault(event.t_ns)
 
@@ -284,6 +290,7 @@ class Kernel(ParameterControl):
             drive=drive,
             stop_reason=stop_reason,
             waiting=state.waiting,
+            lease=state.lease,
         )
         if phase is Phase.STOPPING and command == ZERO:
             self._stand(Trigger.STANDSTILL, stop_reason, None)

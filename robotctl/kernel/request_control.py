@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from robotctl.kernel.checks import stands_alone
 from robotctl.kernel.drive import MAX_LAPS, Drive, Progress
-from robotctl.kernel.mode_control import ModeControl
+from robotctl.kernel.lease_control import LeaseControl
 from robotctl.kernel.modes import REQUESTS, TRANSITIONS, Guard, Mode, Trigger
 from robotctl.kernel.patterns import Pattern
 from robotctl.kernel.remedies import Remedy
@@ -35,7 +35,7 @@ _OPERATOR_CAUSES = {
 VALID_MODES = ", ".join(f"{mode.value} {mode.name}" for mode in Mode)
 
 
-class RequestControl(ModeControl):
+class RequestControl(LeaseControl):
     """The decisions on requests for a mode, a reset or a drive."""
 
     def _request(self, event: ModeRequested) -> None:
@@ -44,11 +44,12 @@ class RequestControl(ModeControl):
         except ValueError:
             self._refuse(event.request_id, f"{event.requested} is not a mode: use {VALID_MODES}")
             return
-        reason = f"requested by {event.source}"
-        self._decide(event.t_ns, event.request_id, REQUESTS[requested], reason)
+        if requested is Mode.MOVING and self._is_kept_by_another(event):
+            return
+        self._decide(event.t_ns, event.request_id, REQUESTS[requested], _told("requested", event))
 
     def _reset(self, event: ResetRequested) -> None:
-        self._decide(event.t_ns, event.request_id, Trigger.RESET, f"reset by {event.source}")
+        self._decide(event.t_ns, event.request_id, Trigger.RESET, _told("reset", event))
 
     def _decide(self, t_ns: int, request_id: int, trigger: Trigger, reason: str) -> None:
         """Decide on a request by the table of transitions."""
@@ -82,6 +83,8 @@ class RequestControl(ModeControl):
             self._accept(request_id, f"Mode is already {state.mode.name}")
 
     def _request_drive(self, event: DriveRequested) -> None:
+        if self._is_kept_by_another(event):
+            return
         state = self.state
         refusal = event.pattern.refusal() or _laps_refusal(event.laps)
         remedies: tuple[Remedy, ...] = ()
@@ -98,7 +101,7 @@ class RequestControl(ModeControl):
         if refusal:
             self._refuse(event.request_id, refusal, remedies)
             return
-        reason = f"requested by {event.source}"
+        reason = _told("requested", event)
         self._start(event.t_ns, event.request_id, event.pattern, event.laps, reason)
 
     def _start(self, t_ns: int, request_id: int, pattern: Pattern, laps: int, reason: str) -> None:
@@ -182,6 +185,12 @@ class RequestControl(ModeControl):
         asked = trigger.value.removeprefix("request ")
         refusal = f"{asked} is refused in {state.mode.name} ({state.reason})"
         self._refuse(request_id, refusal, remedies_to_move(state.cause or Cause.OPERATOR_STOP))
+
+
+def _told(what: str, event: ModeRequested | ResetRequested | DriveRequested) -> str:
+    """Return who asked, and why."""
+    by = f"{what} by {event.source}"
+    return f"{by}: {event.reason}" if event.reason else by
 
 
 def _laps_refusal(laps: int) -> str:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from robotctl.kernel.drive import Drive
 from robotctl.kernel.health import Health
+from robotctl.kernel.lease import Lease
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import ZERO, Cause, Phase, Twist
 
@@ -18,6 +19,7 @@ class State:
     `stop_reason` is why the robot ramps down, and `waiting` are the ids of the requests for IDLE
     that are answered at the end of the ramp. `tick_t_ns` is the time of the last tick, and
     `idle_t_ns` that of the first tick since the mode is IDLE. While `silent`, no command is sent.
+    `lease` names who alone may start motion, None if everybody may.
     """
 
     mode: Mode = Mode.IDLE
@@ -32,6 +34,7 @@ class State:
     waiting: tuple[int, ...] = ()
     idle_t_ns: int | None = None
     silent: bool = False
+    lease: Lease | None = None
 
 
 def latched(reason: str, cause: Cause = Cause.OPERATOR_STOP) -> State:

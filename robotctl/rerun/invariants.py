@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import assert_never
 
+from robotctl.kernel.lease import LeaseRequested
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.parameter_change import ParameterChanged, ParameterRequested
 from robotctl.kernel.parameters import kernel_leaves, with_text
@@ -44,7 +45,13 @@ MAX_VIOLATIONS = 20
 ROUNDING = 1e-9
 """The tolerance for the change between two commands."""
 
-_REQUESTS = (ModeRequested, ResetRequested, DriveRequested, ParameterRequested)
+_REQUESTS = (
+    ModeRequested,
+    ResetRequested,
+    DriveRequested,
+    ParameterRequested,
+    LeaseRequested,
+)
 
 
 @dataclass(frozen=True, slots=True)

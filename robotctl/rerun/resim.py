@@ -15,6 +15,7 @@ from robotctl.config import Config, flat
 from robotctl.errors import UnreadableFile
 from robotctl.kernel.health import CommandTopic
 from robotctl.kernel.kernel import Kernel
+from robotctl.kernel.lease import LeaseLost, LeaseRequested
 from robotctl.kernel.parameter_change import ParameterRequested
 from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.state import State
@@ -44,7 +45,14 @@ MAX_SPAN_NS = 7 * 86_400 * NS_PER_S
 LONGEST = 10
 """A drive that continues at the end is simulated for at most this many times the recording."""
 
-_REPEATED = (ModeRequested, ResetRequested, DriveRequested, ParameterRequested)
+_REPEATED = (
+    ModeRequested,
+    ResetRequested,
+    DriveRequested,
+    ParameterRequested,
+    LeaseRequested,
+    LeaseLost,
+)
 _REQUESTS = frozenset(kind.__name__ for kind in _REPEATED)
 
 
@@ -136,7 +144,10 @@ def _take(run: Run, entry: JournalEntry) -> None:
         request = read_event(entry)
         assert isinstance(request, _REPEATED)
         if len(run.requests) <= MAX_REQUESTS:
-            run.requests[request.request_id] = request
+            if isinstance(request, LeaseLost):  # no id, and those of requests are positive
+                run.requests[-1 - len(run.requests)] = request
+            else:
+                run.requests[request.request_id] = request
     elif entry.kind is EntryKind.EFFECT and entry.name == DriveEnded.__name__:
         ended = read_effect(entry)
         assert isinstance(ended, DriveEnded)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import nan
 
 from robotctl.kernel.battery import FULLEST_LEVEL
+from robotctl.kernel.lease import LeaseLost, LeaseRequested
 from robotctl.kernel.lifecycle import LifecycleChanged
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.parameter_change import ParameterRequested
@@ -52,6 +53,10 @@ def sentence_of(event: Event) -> str:
             return (
                 f"a request to change {event.key} from {event.old} to {event.new} by {event.source}"
             )
+        case LeaseRequested():
+            return f"a request to {'take' if event.take else 'release'} the lease by {event.source}"
+        case LeaseLost():
+            return "the loss of the lease: the connection of its holder closed"
         case CommandPublishersSeen():
             names = ", ".join(event.names) or "no other node"
             return f"{names} publishes velocity commands, too"

@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import assert_never
 
 from robotctl.config import Config, flat
+from robotctl.kernel.lease import LeaseLost, LeaseRequested
 from robotctl.kernel.modes import REQUESTS, TRANSITIONS, Guard, Mode, Trigger
 from robotctl.kernel.parameter_change import ParameterChanged
 from robotctl.kernel.params import KernelParams
@@ -177,6 +178,8 @@ def _rule(incident: Incident) -> str:
 def _table_rule(incident: Incident, before: State) -> str:
     """Return what the table of modes says about a request, or why a drive ended."""
     event = incident.ramp[1] if incident.ramp else incident.event
+    if Remedy.WAIT_FOR_LEASE in _remedies(incident):
+        return "the lease: its holder alone starts and steers motion"
     match event:
         case ModeRequested() if event.requested in list(Mode):
             trigger = REQUESTS[Mode(event.requested)]
@@ -184,6 +187,8 @@ def _table_rule(incident: Incident, before: State) -> str:
             trigger = Trigger.RESET
         case DriveRequested():
             trigger = Trigger.REQUEST_MOVING
+        case LeaseLost() | LeaseRequested():
+            return "the lease: motion ends with it"
         case _:
             return "the drive was over" if incident.kind is IncidentKind.STOP else ""
     mode = Mode.MOVING if incident.ramp else before.mode

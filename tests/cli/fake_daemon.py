@@ -64,6 +64,7 @@ class FakeDaemon:
             "velocity": {"linear": 0.2, "angular": 0.0},
             "battery": 0.87,
             "sim": True,
+            "lease": None,
             "namespace": "",
             "stalls": 0,
             "odometry_dropped": 0,
@@ -91,11 +92,12 @@ class FakeDaemon:
     async def set_mode(self, params: SetModeParams) -> dict[str, Any]:
         if self.mode == 3 and params.mode == 1:
             raise Refused("EMERGENCY_STOP is latched: release it with robotctl reset")
-        self.mode, self.asked_by = params.mode, params.source
+        self.mode = params.mode
+        self.asked_by = params.source + (f": {params.reason}" if params.reason else "")
         return {"message": f"Mode changed to {MODES[self.mode]}", "mode": MODES[self.mode]}
 
     async def reset(self, params: ResetParams) -> dict[str, Any]:
-        return await self.set_mode(SetModeParams(0, params.source))
+        return await self.set_mode(SetModeParams(0, params.source, params.reason))
 
     async def drive(self, params: DriveParams) -> dict[str, Any]:
         if self.mode == 1 and not params.replace:

@@ -26,6 +26,8 @@ words = st.sampled_from(
         "7",
         "--json",
         "--robot",
+        "--reason",
+        "smoke",
         "--robot=r2",
         "--robot=",
         "r2",
@@ -51,8 +53,9 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
             seen.append((name, *arguments))
 
         monkeypatch.setattr(quick_actions, name, record)
-        if name in quick._WITHOUT_ARGUMENT:
-            monkeypatch.setitem(quick._WITHOUT_ARGUMENT, name, record)
+        for table in (quick._WITHOUT_ARGUMENT, quick._WITH_REASON):
+            if name in table:
+                monkeypatch.setitem(table, name, record)
     return seen
 
 
@@ -71,10 +74,11 @@ def by_typer(arguments: list[str], calls: list[Any]) -> Any:
     [
         ("status", ("status", "robot", False)),
         ("status --json", ("status", "robot", True)),
-        ("set-mode moving", ("set_mode", "moving", "robot", False)),
-        ("set-mode --robot r2 IDLE --json", ("set_mode", "IDLE", "r2", True)),
-        ("estop --robot r2", ("estop", "r2", False)),
-        ("reset", ("reset", "robot", False)),
+        ("set-mode moving", ("set_mode", "moving", "robot", False, "")),
+        ("set-mode --robot r2 IDLE --json", ("set_mode", "IDLE", "r2", True, "")),
+        ("estop --robot r2", ("estop", "r2", False, "")),
+        ("reset", ("reset", "robot", False, "")),
+        ("estop --reason smoke", ("estop", "robot", False, "smoke")),
         ("stop", ("stop", "robot", False)),
     ],
 )
@@ -118,5 +122,5 @@ def test_both_ways_take_the_robot_from_the_environment(
     command = quick.match(["estop"])
     assert command is not None
     command()
-    assert calls == [("estop", name or "robot", False)]
-    assert by_typer(["estop"], calls) == ("estop", name or "robot", False)
+    assert calls == [("estop", name or "robot", False, "")]
+    assert by_typer(["estop"], calls) == ("estop", name or "robot", False, "")

@@ -14,6 +14,7 @@ from robotctl.config import Config, flat, load
 from robotctl.daemon.api.common import common_methods
 from robotctl.daemon.api.driving import DrivingMethods
 from robotctl.daemon.api.graph import graph_methods
+from robotctl.daemon.api.lease import LeaseMethods
 from robotctl.daemon.api.parameters import parameter_methods
 from robotctl.daemon.api.recording import recording_methods
 from robotctl.ipc.method import Method
@@ -91,6 +92,7 @@ def test_each_golden_request_is_taken(line: dict[str, Any]) -> None:
         **parameter_methods(nothing, "robot"),
         **graph_methods(nothing),
         **DrivingMethods(nothing, nothing, nothing).table(),
+        **LeaseMethods(nothing).table(),
     }
     params = HelloParams if line["method"] == "hello" else methods[line["method"]].params
     taken = msgspec.to_builtins(msgspec.convert(line["params"], params))

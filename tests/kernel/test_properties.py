@@ -13,6 +13,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 
 from robotctl.kernel.codec import from_json, to_json
 from robotctl.kernel.kernel import Kernel
+from robotctl.kernel.lease import LeaseRequested
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.parameter_change import ParameterRequested
 from robotctl.kernel.params import KernelParams, VelocityLimits
@@ -40,7 +41,7 @@ from robotctl.kernel.types import (
 from robotctl.testing.kernels import TICK_NS, Bench, moving, ready
 from tests.support import strategies
 
-REQUESTS = (ModeRequested, ResetRequested, DriveRequested, ParameterRequested)
+REQUESTS = (ModeRequested, ResetRequested, DriveRequested, ParameterRequested, LeaseRequested)
 RELEASES = (0,)
 """The only mode number whose request leaves EMERGENCY_STOP."""
 

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from robotctl.config import Config, flat
 from robotctl.kernel.geometry import Pose
+from robotctl.kernel.lease import LeaseLost, LeaseRequested
 from robotctl.kernel.lifecycle import LifecycleChanged, LifecycleState
 from robotctl.kernel.parameter_change import ParameterRequested
 from robotctl.kernel.parameters import kernel_leaves
@@ -64,6 +65,9 @@ PARAMETER_TEXT = st.one_of(
 )
 
 
+CLIENT = st.integers(0, 2)
+
+
 def event(
     t_ns: st.SearchStrategy[int], request_id: st.SearchStrategy[int]
 ) -> st.SearchStrategy[Event]:
@@ -77,7 +81,7 @@ def event(
         st.builds(ScanReceived, t_ns, st.lists(LEVEL, max_size=64).map(tuple)),
         st.builds(SafetyInputReceived, t_ns, st.sampled_from(SafetyInput), LEVEL, SOURCE),
         st.builds(LifecycleChanged, t_ns, st.sampled_from(LifecycleState), SOURCE),
-        st.builds(ModeRequested, t_ns, request_id, MODE_NUMBER, SOURCE),
+        st.builds(ModeRequested, t_ns, request_id, MODE_NUMBER, SOURCE, CLIENT),
         st.builds(ResetRequested, t_ns, request_id, SOURCE),
         st.builds(
             DriveRequested,
@@ -87,7 +91,10 @@ def event(
             st.integers(-1, 3),
             st.booleans(),
             SOURCE,
+            CLIENT,
         ),
+        st.builds(LeaseRequested, t_ns, request_id, st.booleans(), CLIENT, SOURCE),
+        st.builds(LeaseLost, t_ns, CLIENT),
         st.builds(
             ParameterRequested, t_ns, request_id, PARAMETER, PARAMETER_TEXT, PARAMETER_TEXT, SOURCE
         ),

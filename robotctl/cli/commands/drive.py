@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from robotctl.cli.commands.watch import polled_until, show
-from robotctl.cli.options import Json, Robot, new_app
+from robotctl.cli.options import Json, Reason, Robot, new_app
 from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.background import Background
 from robotctl.cli.support.interrupted_drive import (
@@ -17,7 +17,7 @@ from robotctl.cli.support.interrupted_drive import (
     stop_drive,
     wait_while_stdout_open,
 )
-from robotctl.cli.support.quick_actions import request_source
+from robotctl.cli.support.quick_actions import asked_by, lease_of_shell
 from robotctl.cli.support.signals import interrupted_by
 from robotctl.cli.terminal.text import is_terminal, number, printable
 from robotctl.errors import RobotctlError, UsageError
@@ -67,6 +67,7 @@ def drive(
             "--wait", help="Wait for the end, then print the tracking error; Ctrl-C stops."
         ),
     ] = False,
+    reason: Reason = "",
     replace: Annotated[bool, typer.Option("--replace", help="Replace the current drive.")] = False,
     robot: Robot = DEFAULT_ROBOT,
     as_json: Json = False,
@@ -99,7 +100,8 @@ def drive(
         "speed_mps": speed,
         "replace": replace,
         "wait": wait,
-        "source": request_source("drive"),
+        **asked_by("drive", reason),
+        **lease_of_shell(),
     }
     answer = _drive_and_wait(robot, params, as_json=as_json) if wait else call(robot, DRIVE, params)
     lines = [printable(answer.get("message", "done"))]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from robotctl.cli.options import Json, Robot, new_app
+from robotctl.cli.options import Json, Reason, Robot, new_app
 from robotctl.cli.support import quick_actions
 from robotctl.paths import DEFAULT_ROBOT
 
@@ -10,7 +10,7 @@ app = new_app()
 
 
 @app.command()
-def estop(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
+def estop(reason: Reason = "", robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
     """Stop at once and latch EMERGENCY_STOP.
 
     This is a software stop, not a safety-rated one. It stays latched over restarts and reboots,
@@ -21,4 +21,4 @@ def estop(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
       robotctl estop
       robotctl estop --robot r2
     """
-    quick_actions.estop(robot, as_json)
+    quick_actions.estop(robot, as_json, reason)

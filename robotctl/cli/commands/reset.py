@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from robotctl.cli.options import Json, Robot, new_app
+from robotctl.cli.options import Json, Reason, Robot, new_app
 from robotctl.cli.support import quick_actions
 from robotctl.paths import DEFAULT_ROBOT
 
@@ -10,7 +10,7 @@ app = new_app()
 
 
 @app.command()
-def reset(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
+def reset(reason: Reason = "", robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
     """Release EMERGENCY_STOP or ERROR to IDLE; nothing moves yet.
 
     Refused, with exit code 4, while the cause persists.
@@ -19,4 +19,4 @@ def reset(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
     Examples:
       robotctl reset
     """
-    quick_actions.reset(robot, as_json)
+    quick_actions.reset(robot, as_json, reason)

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from robotctl.cli.options import Json, Robot, new_app
+from robotctl.cli.options import Json, Reason, Robot, new_app
 from robotctl.cli.support import quick_actions
 from robotctl.paths import DEFAULT_ROBOT
 
@@ -19,6 +19,7 @@ def set_mode(
         str,
         typer.Argument(metavar="MODE", help=f"{quick_actions.VALID_MODES}; names in any case."),
     ],
+    reason: Reason = "",
     robot: Robot = DEFAULT_ROBOT,
     as_json: Json = False,
 ) -> None:
@@ -32,4 +33,4 @@ def set_mode(
       robotctl set-mode EMERGENCY_STOP
       robotctl set-mode 0
     """
-    quick_actions.set_mode(mode, robot, as_json)
+    quick_actions.set_mode(mode, robot, as_json, reason)

@@ -6,14 +6,16 @@
 from __future__ import annotations
 
 import os
+import re
 from typing import TYPE_CHECKING
 
+from robotctl.cli.support.lease_token import own_token
 from robotctl.cli.terminal.status_screen import status_screen_lines
 from robotctl.cli.terminal.text import json_text, printable
 from robotctl.errors import RobotctlError, UsageError
 from robotctl.ipc.client import Client, call, command_for
 from robotctl.ipc.method_names import RESET, SET_MODE, STATUS, STOP
-from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
+from robotctl.ipc.protocol import EMERGENCY_STOP_MODE, MAX_REASON, REASON_PATTERN
 from robotctl.mode_names import MODES, find_mode
 
 if TYPE_CHECKING:
@@ -31,26 +33,49 @@ def status(robot: str, as_json: bool) -> None:
     print(json_text(answer) if as_json else "\n".join(status_screen_lines(answer)))
 
 
-def set_mode(mode: str, robot: str, as_json: bool) -> None:
+def set_mode(mode: str, robot: str, as_json: bool, reason: str = "") -> None:
     """Request a mode by name or number.
 
     Raises:
-        UsageError: There is no such mode.
+        UsageError: There is no such mode, or the reason is not allowed.
     """
     number = mode_number(mode)
-    _show(call(robot, SET_MODE, {"mode": number, "source": request_source("set-mode")}), as_json)
+    if number == EMERGENCY_STOP_MODE:
+        _show(_stopped("set-mode", robot, reason), as_json)
+        return
+    params = {"mode": number, **asked_by("set-mode", reason), **lease_of_shell()}
+    _show(call(robot, SET_MODE, params), as_json)
 
 
-def estop(robot: str, as_json: bool) -> None:
-    """Latch the emergency stop."""
-    params = {"mode": EMERGENCY_STOP_MODE, "source": request_source("estop")}
-    answer = call(robot, SET_MODE, params)
-    _show(answer, as_json, hint=f"release it with: {command_for(robot, 'reset')}")
+def estop(robot: str, as_json: bool, reason: str = "") -> None:
+    """Latch the emergency stop, also with a reason that is not allowed.
+
+    Raises:
+        UsageError: The robot is stopped, but the reason was left out.
+    """
+    hint = f"release it with: {command_for(robot, 'reset')}"
+    _show(_stopped("estop", robot, reason), as_json, hint)
 
 
-def reset(robot: str, as_json: bool) -> None:
-    """Release ERROR or EMERGENCY_STOP to IDLE."""
-    _show(call(robot, RESET, {"source": request_source("reset")}), as_json)
+def _stopped(command: str, robot: str, reason: str) -> ModeAnswer:
+    """Stop the robot first, then refuse a reason that is not allowed."""
+    try:
+        params, problem = asked_by(command, reason), None
+    except UsageError as error:
+        params, problem = asked_by(command), error
+    answer = call(robot, SET_MODE, {"mode": EMERGENCY_STOP_MODE, **params})
+    if problem is not None:
+        raise UsageError(f"{answer['message']}, and the reason was left out: {problem}")
+    return answer
+
+
+def reset(robot: str, as_json: bool, reason: str = "") -> None:
+    """Release ERROR or EMERGENCY_STOP to IDLE.
+
+    Raises:
+        UsageError: The reason is not allowed.
+    """
+    _show(call(robot, RESET, asked_by("reset", reason)), as_json)
 
 
 def stop(robot: str, as_json: bool) -> None:
@@ -83,6 +108,37 @@ def mode_number(text: str) -> int:
     if number is None:
         raise UsageError(f"no mode {text!r}", f"use {VALID_MODES}")
     return number
+
+
+def asked_by(command: str, reason: str = "") -> dict[str, str]:
+    """Return who asks and why, as parameters of a request.
+
+    Raises:
+        UsageError: The reason is not allowed.
+    """
+    params = {"source": request_source(command)}
+    return {**params, "reason": checked_reason(reason)} if reason else params
+
+
+def checked_reason(reason: str) -> str:
+    """Return the reason if a daemon takes it.
+
+    Raises:
+        UsageError: It is too long, or has control characters.
+    """
+    if len(reason) > MAX_REASON:
+        problem = f"--reason of {len(reason)} characters"
+    elif not re.match(REASON_PATTERN, reason):
+        problem = "--reason with control characters"
+    else:
+        return reason
+    raise UsageError(problem, f"use at most {MAX_REASON} characters on one line")
+
+
+def lease_of_shell() -> dict[str, str]:
+    """Return the lease for which the commands of this shell act, as parameters of a request."""
+    token = own_token()
+    return {"lease": token} if token else {}
 
 
 def request_source(command: str) -> str:

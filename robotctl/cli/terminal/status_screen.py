@@ -56,6 +56,8 @@ def status_rows(status: Status) -> Iterator[tuple[str, str]]:
         yield "pose", pose_text(status)
         yield "velocity", velocity_text(status)
         yield "battery", battery_text(status)
+        if status.get("lease"):
+            yield "lease", printable(status["lease"])
         yield "simulator", "yes" if status.get("sim") else "no"
     recorder = status["recorder"]
     yield "recorder", f"{printable(recorder.get('state'))}, {size(recorder.get('bytes') or 0)}"

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections.abc import Callable
 from math import isfinite
 from typing import Any
 
+from robotctl.daemon.api.granted import granted
 from robotctl.daemon.control.dispatcher import Control
-from robotctl.daemon.control.pending_requests import UnsavedReply
 from robotctl.daemon.control.robot_report import RobotReport
-from robotctl.errors import Refused, RobotctlError, UsageError
+from robotctl.errors import Refused, UsageError
 from robotctl.ipc.advice import advice
 from robotctl.ipc.answers import DriveAnswer, DrivenPath, ModeAnswer, Preflight
 from robotctl.ipc.method import Method
@@ -24,7 +25,6 @@ from robotctl.kernel.types import (
     DriveRequested,
     ModeRequested,
     Phase,
-    Reply,
     ResetRequested,
 )
 from robotctl.paths import DEFAULT_ROBOT
@@ -41,7 +41,10 @@ class DrivingMethods:
         control: Control,
         robot_report: RobotReport,
         robot: str = DEFAULT_ROBOT,
+        client_of: Callable[[str | None], int] = lambda token: 0,
     ) -> None:
+        """`client_of(token)` returns the number of the client that has the token of a lease."""
+        self._client_of = client_of
         self._robot = robot
         self._control = control
         self._robot_report = robot_report
@@ -91,13 +94,20 @@ class DrivingMethods:
             names = ", ".join(f"{mode.value} {mode.name}" for mode in Mode)
             raise UsageError(f"{params.mode} is not a mode", f"use {names}")
         request_id = self._control.new_request_id()
-        event = ModeRequested(time.monotonic_ns(), request_id, params.mode, params.source)
-        return self._answer(await self._control.request(event))
+        event = ModeRequested(
+            time.monotonic_ns(),
+            request_id,
+            params.mode,
+            params.source,
+            self._client_of(params.lease),
+            params.reason,
+        )
+        return granted(await self._control.request(event), self._robot)
 
     async def _reset(self, params: ResetParams) -> ModeAnswer:
         request_id = self._control.new_request_id()
-        event = ResetRequested(time.monotonic_ns(), request_id, params.source)
-        return self._answer(await self._control.request(event))
+        event = ResetRequested(time.monotonic_ns(), request_id, params.source, params.reason)
+        return granted(await self._control.request(event), self._robot)
 
     async def _drive(self, params: DriveParams) -> DriveAnswer:
         kind = params.pattern
@@ -116,10 +126,12 @@ class DrivingMethods:
             int(params.wait) if params.laps is None else params.laps,
             params.replace,
             params.source,
+            self._client_of(params.lease),
+            params.reason,
         )
         end = self._control.expect_end(request_id)
         try:
-            answer = self._answer(await self._control.request(event))
+            answer = granted(await self._control.request(event), self._robot)
             if not params.wait:
                 return {"message": answer["message"], "mode": answer["mode"]}
             ended = await end
@@ -142,7 +154,7 @@ class DrivingMethods:
         state = self._control.state
         if state.mode is not Mode.MOVING:
             return {"message": f"The robot stands, in {state.mode.name}", "mode": state.mode.name}
-        return self._answer(await self._control.request(self._idle_request(params.source)))
+        return granted(await self._control.request(self._idle_request(params.source)), self._robot)
 
     def ramp_down(self, request_id: int, source: str) -> bool:
         """Ramp down the drive that this request began; return whether it was still going on."""
@@ -166,13 +178,6 @@ class DrivingMethods:
                 f"a speed of {speed_mps:g} m/s is above limits.linear_mps, {limit_mps:g} m/s",
                 f"use at most {limit_mps:g}, or change it: robotctl param set limits.linear_mps",
             )
-
-    def _answer(self, reply: Reply) -> ModeAnswer:
-        if isinstance(reply, UnsavedReply):
-            raise RobotctlError(*advice(reply.message, reply.remedies, self._robot))
-        if not reply.ok:
-            raise Refused(*advice(reply.message, reply.remedies, self._robot))
-        return {"message": reply.message, "mode": reply.mode.name}
 
 
 def _drive_answer(ended: DriveEnded, mode: Mode) -> DriveAnswer:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 
 from robotctl.decision_log.entries import Kind
 from robotctl.decision_log.log import DecisionLog
+from robotctl.kernel.lease import LeaseRequested
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.parameter_change import ParameterChanged, ParameterRequested
 from robotctl.kernel.types import (
@@ -20,7 +21,7 @@ from robotctl.kernel.types import (
     ResetRequested,
 )
 
-Request = ModeRequested | ResetRequested | DriveRequested | ParameterRequested
+Request = ModeRequested | ResetRequested | DriveRequested | ParameterRequested | LeaseRequested
 
 
 class Decisions:
@@ -75,13 +76,14 @@ class Decisions:
         request, before = self._open.pop(reply.request_id, (None, 0))
         if request is None:
             return
-        changed = self._changes > before or isinstance(request, DriveRequested)
+        changed = self._changes > before or isinstance(request, DriveRequested | LeaseRequested)
         if changed or not reply.ok:
             self._log.add(
                 Kind.REQUEST if reply.ok else Kind.REFUSED,
                 asked=_asked(request),
                 by=request.source,
                 answer=reply.message,
+                **_because(request),
             )
 
 
@@ -95,6 +97,12 @@ def _change(effect: ModeChanged) -> dict[str, str]:
     }
 
 
+def _because(request: Request) -> dict[str, str]:
+    if isinstance(request, ParameterRequested) or not request.reason:
+        return {}
+    return {"because": request.reason}
+
+
 def _asked(request: Request) -> str:
     match request:
         case ModeRequested():
@@ -104,5 +112,7 @@ def _asked(request: Request) -> str:
             return "reset"
         case DriveRequested():
             return f"drive {request.pattern.kind.value}"
+        case LeaseRequested():
+            return "take the lease" if request.take else "release the lease"
         case ParameterRequested():
             return f"{request.key} = {request.new}"

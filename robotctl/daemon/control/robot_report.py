@@ -127,6 +127,7 @@ class RobotReport:
             else {"linear": odometry.velocity.linear, "angular": odometry.velocity.angular},
             "battery": level if is_level(level) else None,
             "sim": self.sim,
+            "lease": None if state.lease is None else state.lease.source,
             "stalls": state.health.stalls.count,
             "odometry_dropped": state.health.odometry_sources.dropped,
         }

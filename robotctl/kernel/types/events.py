@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from robotctl.kernel.lease import LeaseLost, LeaseRequested
 from robotctl.kernel.lifecycle import LifecycleChanged
 from robotctl.kernel.parameter_change import ParameterRequested
 from robotctl.kernel.patterns import Pattern
@@ -88,12 +89,18 @@ class ScanReceived:
 
 @dataclass(frozen=True, slots=True)
 class ModeRequested:
-    """A request for a mode by its number, valid or not; it gets one `Reply`."""
+    """A request for a mode by its number, valid or not; it gets one `Reply`.
+
+    `client` is the number of the client that may hold the lease, 0 for one without an identity.
+    `reason` is what the client says about it.
+    """
 
     t_ns: int
     request_id: int
     requested: int
     source: str
+    client: int = 0
+    reason: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,11 +110,15 @@ class ResetRequested:
     t_ns: int
     request_id: int
     source: str
+    reason: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class DriveRequested:
-    """A request to drive `laps` laps (0: until stopped) of a pattern; it gets one `Reply`."""
+    """A request to drive `laps` laps (0: until stopped) of a pattern; it gets one `Reply`.
+
+    `client` and `reason` are as in `ModeRequested`.
+    """
 
     t_ns: int
     request_id: int
@@ -115,6 +126,8 @@ class DriveRequested:
     laps: int
     replace: bool
     source: str
+    client: int = 0
+    reason: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,6 +202,8 @@ Event = (
     | ResetRequested
     | DriveRequested
     | ParameterRequested
+    | LeaseRequested
+    | LeaseLost
     | OdometrySourceFound
     | CommandPublishersSeen
     | ForeignCommandHeard

@@ -1,0 +1,89 @@
+"""The methods of the control socket for the lease: who alone may start and steer motion."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from dataclasses import dataclass
+from typing import Any
+
+from robotctl.daemon.api.granted import granted
+from robotctl.daemon.control.dispatcher import Control
+from robotctl.ipc.answers import LeaseAnswer, LeaseStatus
+from robotctl.ipc.method import Method
+from robotctl.ipc.method_names import LEASE_RELEASE, LEASE_STATUS, LEASE_TAKE
+from robotctl.ipc.params import LeaseReleaseParams, LeaseStatusParams, LeaseTakeParams
+from robotctl.kernel.lease import LeaseLost, LeaseRequested
+from robotctl.paths import DEFAULT_ROBOT
+
+NOBODY = 0
+"""The number of a client without an identity."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Holder:
+    """A client that asked for the lease; `ended` gets the text of the end."""
+
+    client: int
+    token: str
+    ended: asyncio.Future[str]
+
+
+class LeaseMethods:
+    """The handlers; the connection of `lease_take` keeps the lease, and its end ends it."""
+
+    def __init__(self, control: Control, robot: str = DEFAULT_ROBOT) -> None:
+        self._control = control
+        self._robot = robot
+        self._clients = NOBODY
+        self._holder: _Holder | None = None
+
+    def table(self) -> dict[str, Method[Any]]:
+        """Return every method by its name."""
+        return {
+            LEASE_TAKE: Method(LeaseTakeParams, self._take, None),
+            LEASE_RELEASE: Method(LeaseReleaseParams, self._release),
+            LEASE_STATUS: Method(LeaseStatusParams, self._status),
+        }
+
+    def client_of(self, token: str | None) -> int:
+        """Return the number of the client that holds the lease by this token, else NOBODY."""
+        holder = self._holder
+        return holder.client if holder is not None and holder.token == token else NOBODY
+
+    async def _take(self, params: LeaseTakeParams) -> LeaseAnswer:
+        self._clients += 1
+        ended: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+        holder = _Holder(self._clients, params.token, ended)
+        request_id = self._control.new_request_id()
+        event = LeaseRequested(
+            time.monotonic_ns(), request_id, True, holder.client, params.source, params.reason
+        )
+        try:
+            granted(await self._control.request(event), self._robot)
+            self._holder = holder
+            return {"message": await ended}
+        except asyncio.CancelledError:
+            self._control.dispatch(LeaseLost(time.monotonic_ns(), holder.client))
+            raise
+        finally:
+            if self._holder is holder:
+                self._holder = None
+
+    async def _release(self, params: LeaseReleaseParams) -> LeaseAnswer:
+        holder = self._holder
+        request_id = self._control.new_request_id()
+        client = self.client_of(params.token)
+        event = LeaseRequested(time.monotonic_ns(), request_id, False, client, params.source)
+        answer = granted(await self._control.request(event), self._robot)
+        if holder is not None and holder.client == client and not holder.ended.done():
+            holder.ended.set_result(f"Lease released by {params.source}")
+        return {"message": answer["message"]}
+
+    async def _status(self, params: LeaseStatusParams) -> LeaseStatus:
+        lease = self._control.state.lease
+        return {
+            "holder": None if lease is None else lease.source,
+            "reason": "" if lease is None else lease.reason,
+            "yours": lease is not None and lease.client == self.client_of(params.token),
+        }

@@ -1,0 +1,53 @@
+"""The lease with the real daemon: three clients, a ROS node, and a holder that is killed."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from signal import SIGINT
+
+from tests.support.waiting import DEADLINE_S, until
+from tests.support.world import Peer, World
+
+
+def test_the_holder_alone_moves_the_robot_and_its_death_ramps_it_down(
+    world: World, new_peer: Callable[[World], Peer]
+) -> None:
+    world.ok("start", "--sim")
+    holder = world.spawn("lease", "take", "--reason", "inspection")
+    assert holder.stdout is not None
+    told = holder.stdout.readline()
+    found = re.search(r"ROBOTCTL_LEASE=(\w+)", told)
+    assert found, told
+    second = world.robotctl("lease", "take")
+    assert second.exit_code == 4
+    assert f"pid {holder.pid}) holds the lease (inspection)" in second.err
+    for asked in ("set-mode moving", "drive circle", "lease release"):
+        refused = world.robotctl(*asked.split())
+        assert refused.exit_code == 4
+        assert re.search(r"holds the lease \(inspection\), and robotctl .* asked", refused.err)
+    over_ros = new_peer(world)("set_mode", mode=1)
+    assert not over_ros["success"]
+    assert "and the ROS service /set_mode asked" in over_ros["message"]
+    world.environment["ROBOTCTL_LEASE"] = found[1]
+    assert world.answer("lease", "status")["yours"] is True
+    world.ok("drive", "circle", "--reason", "the first lap")
+    status = world.status()
+    assert status["mode"] == "MOVING"
+    assert f"pid {holder.pid})" in status["lease"]
+    assert "the first lap" in status["mode_reason"]
+    holder.kill()
+    holder.communicate()
+    until(lambda: world.status()["mode"] == "IDLE")
+    told = world.status()["mode_reason"]
+    assert "lost the lease: its connection closed" in told
+    del world.environment["ROBOTCTL_LEASE"]
+    third = world.spawn("lease", "take")
+    until(lambda: world.answer("lease", "status")["holder"] is not None)
+    third.send_signal(SIGINT)
+    out, _ = third.communicate(timeout=DEADLINE_S)
+    assert (third.returncode, "Lease released" in out) == (0, True)
+    ran = world.robotctl("lease", "take", "--", "robotctl", "lease", "status", "--json")
+    assert (ran.exit_code, '"yours": true' in ran.out) == (0, True), ran
+    world.ok("set-mode", "moving")
+    world.ok("stop")
