@@ -5,7 +5,7 @@ They run at each tick, so each one returns early where its input is off.
 
 from __future__ import annotations
 
-from math import inf
+from math import inf, isnan
 
 from robotctl.kernel.health import Health
 from robotctl.kernel.params import KernelParams
@@ -44,7 +44,7 @@ def bumper_pressed(health: Health, params: KernelParams, t_ns: int) -> str:
 
 
 def _pressed(reading: Reading) -> str:
-    return "is pressed" if reading.value == reading.value else "cannot be read"
+    return "cannot be read" if isnan(reading.value) else "is pressed"
 
 
 def tilted(health: Health, params: KernelParams, t_ns: int) -> str:

@@ -65,6 +65,23 @@ def test_the_distance_is_that_of_the_front() -> None:
     assert ahead(1.0, 0.0, FORWARD) == pytest.approx(0.75, abs=0.01)
 
 
+RANGES = st.lists(st.floats(0.05, 2.0), min_size=SECTORS, max_size=SECTORS)
+COMMANDS = st.builds(Twist, st.floats(-1.0, 1.0), st.floats(-2.0, 2.0))
+
+
+@given(RANGES, COMMANDS)
+def test_left_and_right_are_alike(ranges: list[float], command: Twist) -> None:
+    mirrored = Twist(command.linear, -command.angular)
+    left = distance_ahead(tuple(ranges), command, PARAMS, 1.0)
+    right = distance_ahead(tuple(reversed(ranges)), mirrored, PARAMS, 1.0)
+    assert left == pytest.approx(right, abs=1e-6)
+
+
+@given(RANGES, COMMANDS)
+def test_no_distance_is_negative(ranges: list[float], command: Twist) -> None:
+    assert distance_ahead(tuple(ranges), command, PARAMS, 1.0) >= 0.0
+
+
 @given(st.floats(-3.0, 3.0), st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
 def test_a_scanner_may_sit_anywhere_and_look_anywhere(yaw: float, x: float, y: float) -> None:
     params = replace(PARAMS, yaw_rad=yaw, x_m=x, y_m=y)
