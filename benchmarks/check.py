@@ -17,26 +17,19 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from recording.figures import Figure, Round, table
+from recording.heard_drive import record_drive
 
-from robotctl.config import Config, with_setting
-from robotctl.kernel.kernel import Kernel
-from robotctl.kernel.types import DriveRequested
-from robotctl.recording import Compression, RecorderOptions
-from robotctl.recording.format.journal import JournalEntry
+from robotctl.recording import Compression
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_many import check_recordings
 from robotctl.rerun.check_report import Verdict
-from robotctl.rerun.closed_loop import closed_loop
-from robotctl.testing.drives import BEGIN_NS, Written, drive_requested, journaled, record
 
 RATE_HZ = 100.0
 SECONDS = 60.0
 FILES = 8
-ODOMETRY_BYTES = bytes(724)
 BYTES_PER_S = 138_000
 """Of such a recording, not compressed."""
 
@@ -51,29 +44,11 @@ print(int(status.split("VmHWM:")[1].split()[0]) / 1024)
 """
 
 
-def config() -> Config:
-    """The default at RATE_HZ."""
-    return with_setting(with_setting(Config(), "rate_hz", RATE_HZ), "sim.odometry_rate_hz", RATE_HZ)
-
-
-def traffic(seconds: float, requests: Iterable[DriveRequested]) -> Iterator[Written]:
-    """What a recording holds."""
-    kernel = Kernel(config().kernel)
-    end_ns = BEGIN_NS + round(seconds * 1e9)
-    for each in journaled(kernel, closed_loop(kernel, config().sim, requests, BEGIN_NS)):
-        yield each
-        if isinstance(each, JournalEntry):
-            if each.name == "OdomReceived":
-                yield ODOMETRY_BYTES
-            if each.t_ns > end_ns and each.name == "PublishTwist":
-                return
-
-
-def make(folder: Path, seconds: float, *, moving: bool, compression: Compression) -> Path:
+def make(
+    folder: Path, seconds: float, *, moving: bool, compression: Compression = Compression.ZSTD
+) -> Path:
     """A recording of that length, in one file."""
-    options = RecorderOptions(compression=compression, split_bytes=1 << 40, split_s=1e9)
-    requests = [drive_requested()] if moving else []
-    return record(folder, traffic(seconds, requests), config=config(), options=options)
+    return record_drive(folder, seconds, rate_hz=RATE_HZ, moving=moving, compression=compression)
 
 
 def times_real_time(path: Path) -> float:
@@ -137,8 +112,8 @@ def main() -> int:
     rounds = []
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
-        moving = make(folder / "moving", SECONDS, moving=True, compression=Compression.ZSTD)
-        standing = make(folder / "standing", SECONDS, moving=False, compression=Compression.ZSTD)
+        moving = make(folder / "moving", SECONDS, moving=True)
+        standing = make(folder / "standing", SECONDS, moving=False)
         large_s = arguments.gigabyte * 1e9 / BYTES_PER_S
         large = make(folder / "large", large_s, moving=True, compression=Compression.NONE)
         size = sum(file.stat().st_size for file in large.glob("*.mcap"))

@@ -8,6 +8,7 @@ from math import inf, nan, sqrt
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.params import VelocityLimits
 from robotctl.kernel.patterns import Path, Pattern, lap_of
+from robotctl.kernel.quick_init import quick_init
 from robotctl.kernel.tracking import Reference
 from robotctl.kernel.types import DriveReport
 
@@ -23,6 +24,7 @@ SPEED_SHARE, ACCEL_SHARE = 0.9, 0.6
 """The share of each limit that the reference uses; the rest is for lag and tracking errors."""
 
 
+@quick_init
 @dataclass(frozen=True, slots=True)
 class Progress:
     """How far the reference has come.
@@ -40,6 +42,7 @@ class Progress:
     closure_m: float = nan
 
 
+@quick_init
 @dataclass(frozen=True, slots=True)
 class Score:
     """How well the robot followed so far: sums over the odometry samples.
@@ -56,6 +59,7 @@ class Score:
     distance_m: float = 0.0
 
 
+@quick_init
 @dataclass(frozen=True, slots=True)
 class Drive:
     """A drive of `laps` laps (0: until stopped); its path begins at `origin` in the odom frame."""

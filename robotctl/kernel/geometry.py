@@ -5,12 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import atan2, cos, hypot, nan, pi, sin, tau
 
+from robotctl.kernel.quick_init import quick_init
+
 
 def wrap_angle(angle_rad: float) -> float:
     """Return the angle in [-pi, pi) that has the same direction."""
     return (angle_rad + pi) % tau - pi
 
 
+@quick_init
 @dataclass(frozen=True, slots=True)
 class Pose:
     """A position x, y [m] and a heading theta [rad]."""

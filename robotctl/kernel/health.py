@@ -7,6 +7,7 @@ from math import inf
 
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.lifecycle import LifecycleState
+from robotctl.kernel.quick_init import quick_init
 from robotctl.kernel.safety_inputs import Reading
 from robotctl.kernel.types import TWIST, Cause, Odometry
 
@@ -24,6 +25,7 @@ class SecondOdometry:
     angle_rad: float
 
 
+@quick_init
 @dataclass(frozen=True, slots=True)
 class OdometrySources:
     """The publishers of odometry. The robot follows one at a time; `followed` is its number.
@@ -83,6 +85,7 @@ class Scan:
     ahead_m: float = inf
 
 
+@quick_init
 @dataclass(frozen=True, slots=True)
 class Health:
     """What the kernel knows about everything that motion depends on; "" and () mean healthy.
@@ -114,3 +117,7 @@ class Health:
     fence_origin: Pose | None = None
     scan: Scan | None = None
     lifecycle: LifecycleState = LifecycleState.ACTIVE
+
+
+UNKNOWN = Health()
+"""The health before anything was received."""

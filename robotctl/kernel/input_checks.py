@@ -19,6 +19,19 @@ _ESTOP, _JOY, _BUMPER, _TILT, _DIAGNOSTICS = range(len(SafetyInput))
 """The places of the readings."""
 
 
+def is_any_required(params: KernelParams) -> bool:
+    """Return whether a safety input or a scan is required, so that its silence is a fault."""
+    inputs = params.inputs
+    return (
+        params.scan.use is Use.REQUIRED
+        or inputs.estop.use is Use.REQUIRED
+        or inputs.joy.use is Use.REQUIRED
+        or inputs.bumper.use is Use.REQUIRED
+        or inputs.tilt.use is Use.REQUIRED
+        or inputs.diagnostics.use is Use.REQUIRED
+    )
+
+
 def _used(health: Health, wanted: InputParams, place: int) -> Reading | None:
     """Return the last reading of an input, None if there is none or the input is off."""
     return health.inputs[place] if health.inputs and wanted.use is not Use.OFF else None

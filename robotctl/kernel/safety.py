@@ -7,7 +7,7 @@ severity: the first one that applies decides.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -191,19 +191,32 @@ class Finding:
         return (self.rule.remedy,)
 
 
-_RULES_IN: tuple[tuple[Rule, ...], ...] = tuple(
-    tuple(rule for rule in RULES if mode in rule.raised_in and rule.check is not checks.healthy)
-    for mode in Mode
+def _rules_in(rules: Iterable[Rule]) -> tuple[tuple[Rule, ...], ...]:
+    """Return for each mode those of the rules that can change it."""
+    rules = [rule for rule in rules if rule.check is not checks.healthy]
+    return tuple(tuple(rule for rule in rules if mode in rule.raised_in) for mode in Mode)
+
+
+_RULES_IN = _rules_in(RULES)
+_MEASURED_IN = _rules_in(rule for rule in RULES if rule not in _REPORTED)
+"""The rules that can apply while nothing is reported."""
+
+_FEWEST_IN = _rules_in(
+    rule
+    for rule in RULES
+    if rule not in _REPORTED and rule.check.__module__ != input_checks.__name__
 )
-_MEASURED_IN: tuple[tuple[Rule, ...], ...] = tuple(
-    tuple(rule for rule in rules if rule not in _REPORTED) for rules in _RULES_IN
-)
-"""The rules that can apply while nothing is reported. They are checked at each step."""
+"""The rules that can apply without safety inputs and scans as well: most robots have none."""
 
 
 def raised(mode: Mode, health: Health, params: KernelParams, t_ns: int) -> Finding | None:
     """Return the most severe finding that must change `mode` now, None if there is none."""
-    rules = _RULES_IN if health.reported else _MEASURED_IN
+    if health.reported:
+        rules = _RULES_IN
+    elif health.inputs or health.scan is not None or input_checks.is_any_required(params):
+        rules = _MEASURED_IN
+    else:
+        rules = _FEWEST_IN
     return _first_that_applies(rules[mode], health, params, t_ns)
 
 

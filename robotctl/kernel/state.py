@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from robotctl.kernel.drive import Drive
-from robotctl.kernel.health import Health
+from robotctl.kernel.health import UNKNOWN, Health
 from robotctl.kernel.lease import Lease
 from robotctl.kernel.modes import Mode
+from robotctl.kernel.quick_init import quick_init
 from robotctl.kernel.types import ZERO, Cause, Phase, Twist
 
 
+@quick_init
 @dataclass(frozen=True, slots=True)
 class State:
     """The whole memory of the kernel: state, parameters and events determine every later effect.
@@ -28,7 +30,7 @@ class State:
     cause: Cause | None = None
     command: Twist = ZERO
     tick_t_ns: int | None = None
-    health: Health = field(default_factory=Health)
+    health: Health = UNKNOWN
     drive: Drive | None = None
     stop_reason: str = ""
     waiting: tuple[int, ...] = ()

@@ -14,9 +14,11 @@ from math import cos, sin
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.limits import clamp
 from robotctl.kernel.params import TrackingParams, VelocityLimits
+from robotctl.kernel.quick_init import quick_init
 from robotctl.kernel.types import Twist
 
 
+@quick_init
 @dataclass(frozen=True, slots=True)
 class Reference:
     """The pose that the robot should have now, and how the reference moves.

@@ -12,8 +12,9 @@ import pytest
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Report, Verdict
 from robotctl.rerun.command_bytes import is_zero, numbers_of
+from robotctl.testing.hearing import BATTERY, ODOMETRY
 from tests.support.edited_recordings import Contents, Stored, edit, write_contents
-from tests.support.heard_drives import BATTERY, COMMANDS, ODOMETRY, heard_drive
+from tests.support.heard_drives import COMMANDS, heard_drive
 
 Change = Callable[[int, Stored], Stored | None]
 

@@ -11,55 +11,19 @@ from pathlib import Path
 
 from mcap.records import Channel, Schema
 
-from robotctl.cdr.battery import read_battery_level
-from robotctl.cdr.motion import OdometryEncoder, read_odometry
 from robotctl.cdr.reader import ENCAPSULATION
 from robotctl.config import Config
-from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.types import BatteryReceived, Effect, Event, OdomReceived
+from robotctl.kernel.types import Effect, Event
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.journal import decode
 from robotctl.recording.format.metadata_names import LEDGER_RECORD
 from robotctl.rerun.closed_loop import closed_loop
 from robotctl.testing.drives import BEGIN_NS, drive_requested, journaled, record
+from robotctl.testing.hearing import BATTERY, ODOMETRY, HearingKernel
 from tests.support.edited_recordings import Contents, Stored, contents_of
 
-ODOMETRY, BATTERY, COMMANDS, JOURNAL = "/odom", "/battery_state", "/cmd_vel", "/robotctl/journal"
-STATUS = "/robot_status"
-
-_BATTERY = struct.Struct("<4siII1s3x7f")
-"""A BatteryState with an empty frame name, as far as the level."""
-
-
-class HearingKernel(Kernel):
-    """A kernel that hears numbered messages instead of values; `heard` is what it took last."""
-
-    def __init__(self, config: Config) -> None:
-        super().__init__(config.kernel)
-        self.heard: Event | None = None
-        self.messages: dict[tuple[str, int], bytes] = {}
-        self._odometry_encoder = OdometryEncoder("odom", "base_link")
-        self._odometry_count = self._battery_count = 0
-
-    def step(self, event: Event) -> tuple[Effect, ...]:
-        """Decide on what is left of an event after it went over the wire."""
-        if isinstance(event, OdomReceived):
-            self._odometry_count += 1
-            sample = event.odometry
-            data = self._odometry_encoder.encode(sample.pose, sample.velocity, sample.stamp_ns)
-            self.messages[ODOMETRY, self._odometry_count] = data
-            event = replace(
-                event, odometry=read_odometry(data), source=1, sequence=self._odometry_count
-            )
-        elif isinstance(event, BatteryReceived):
-            self._battery_count += 1
-            data = _BATTERY.pack(ENCAPSULATION, 0, 0, 1, b"\0", *[0.0] * 6, event.level)
-            self.messages[BATTERY, self._battery_count] = data
-            level = read_battery_level(data)
-            event = BatteryReceived(event.t_ns, level, "ba77e7", self._battery_count)
-        self.heard = event
-        return super().step(event)
+COMMANDS, JOURNAL, STATUS = "/cmd_vel", "/robotctl/journal", "/robot_status"
 
 
 def heard_drive(

@@ -8,8 +8,9 @@ from random import Random
 
 from robotctl.kernel.modes import Mode
 from robotctl.recording.format.journal import EntryKind, JournalEntry, decode
+from robotctl.testing.hearing import BATTERY, ODOMETRY
 from tests.support.edited_recordings import Contents, Stored
-from tests.support.heard_drives import BATTERY, COMMANDS, JOURNAL, ODOMETRY, STATUS
+from tests.support.heard_drives import COMMANDS, JOURNAL, STATUS
 from tests.tampering.edits import (
     MOTION,
     Kind,

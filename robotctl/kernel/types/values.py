@@ -6,8 +6,10 @@ from dataclasses import dataclass
 from enum import Enum
 
 from robotctl.kernel.geometry import Pose
+from robotctl.kernel.quick_init import quick_init
 
 
+@quick_init
 @dataclass(frozen=True, slots=True)
 class Twist:
     """A velocity in the robot's own frame: linear [m/s] forward, angular [rad/s] to the left."""
@@ -24,6 +26,7 @@ COMMAND_TYPES = frozenset({TWIST, TWIST_STAMPED})
 """The message types of a velocity command."""
 
 
+@quick_init
 @dataclass(frozen=True, slots=True)
 class Odometry:
     """A sample of odometry: pose in the `odom` frame, velocity in the robot's own, header stamp."""

@@ -1,0 +1,53 @@
+"""A kernel that hears numbered messages, as a daemon does, instead of values."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import replace
+
+from robotctl.cdr.battery import read_battery_level
+from robotctl.cdr.motion import OdometryEncoder, read_odometry
+from robotctl.cdr.reader import ENCAPSULATION
+from robotctl.config import Config
+from robotctl.kernel.kernel import Kernel
+from robotctl.kernel.types import BatteryReceived, Effect, Event, OdomReceived
+
+ODOMETRY, BATTERY = "/odom", "/battery_state"
+
+_BATTERY = struct.Struct("<4siII1s3x7f")
+"""A BatteryState with an empty frame name, as far as the level."""
+
+
+class HearingKernel(Kernel):
+    """A kernel whose odometry and battery levels go over the wire first.
+
+    `heard` is the event that it took last, and `messages` holds what was on the wire, by topic and
+    number.
+    """
+
+    def __init__(self, config: Config) -> None:
+        """Begin standing, with the parameters of the configuration."""
+        super().__init__(config.kernel)
+        self.heard: Event | None = None
+        self.messages: dict[tuple[str, int], bytes] = {}
+        self._odometry_encoder = OdometryEncoder("odom", "base_link")
+        self._odometry_count = self._battery_count = 0
+
+    def step(self, event: Event) -> tuple[Effect, ...]:
+        """Decide on what is left of an event after it went over the wire."""
+        if isinstance(event, OdomReceived):
+            self._odometry_count += 1
+            sample = event.odometry
+            data = self._odometry_encoder.encode(sample.pose, sample.velocity, sample.stamp_ns)
+            self.messages[ODOMETRY, self._odometry_count] = data
+            event = replace(
+                event, odometry=read_odometry(data), source=1, sequence=self._odometry_count
+            )
+        elif isinstance(event, BatteryReceived):
+            self._battery_count += 1
+            data = _BATTERY.pack(ENCAPSULATION, 0, 0, 1, b"\0", *[0.0] * 6, event.level)
+            self.messages[BATTERY, self._battery_count] = data
+            level = read_battery_level(data)
+            event = BatteryReceived(event.t_ns, level, "ba77e7", self._battery_count)
+        self.heard = event
+        return super().step(event)
