@@ -9,7 +9,7 @@ from typing import Final, TypeVar
 
 T = TypeVar("T")
 
-DEADLINE_S: Final = 30.0
+DEADLINE_S: Final = 60.0
 """A wait that takes this long has failed: every condition should hold far sooner."""
 
 
