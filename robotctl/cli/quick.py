@@ -15,10 +15,6 @@ from functools import partial
 from robotctl.cli.support import quick_actions
 from robotctl.paths import DEFAULT_ROBOT, ROBOT_VARIABLE
 
-_WITH_REASON: dict[str, Callable[[str, bool, str], None]] = {
-    "estop": quick_actions.estop,
-    "reset": quick_actions.reset,
-}
 _WITHOUT_ARGUMENT: dict[str, Callable[[str, bool], None]] = {
     "status": quick_actions.status,
     "stop": quick_actions.stop,
@@ -30,6 +26,7 @@ def match(arguments: list[str]) -> Callable[[], None] | None:
     robot = os.environ.get(ROBOT_VARIABLE) or DEFAULT_ROBOT
     as_json = False
     reason: str | None = None
+    every = False
     words: list[str] = []
     rest = iter(arguments)
     for argument in rest:
@@ -37,6 +34,8 @@ def match(arguments: list[str]) -> Callable[[], None] | None:
             as_json = True
         elif argument == "--robot":
             robot = next(rest, "")
+        elif argument == "--all":
+            every = True
         elif argument == "--reason":
             reason = next(rest, "-")
         elif argument.startswith("-"):
@@ -51,10 +50,14 @@ def match(arguments: list[str]) -> Callable[[], None] | None:
     ):
         return None
     match words:
+        case ["estop"]:
+            return partial(quick_actions.estop, robot, as_json, reason or "", every)
+        case _ if every:
+            return None
         case ["set-mode", mode]:
             return partial(quick_actions.set_mode, mode, robot, as_json, reason or "")
-        case [name] if name in _WITH_REASON:
-            return partial(_WITH_REASON[name], robot, as_json, reason or "")
+        case ["reset"]:
+            return partial(quick_actions.reset, robot, as_json, reason or "")
         case [name] if name in _WITHOUT_ARGUMENT and reason is None:
             return partial(_WITHOUT_ARGUMENT[name], robot, as_json)
     return None

@@ -14,7 +14,7 @@ from robotctl.errors import IN_PARENTHESES, UsageError
 
 SECTIONS = {
     "Without a robot": ("demo", "sim"),
-    "The daemon": ("start", "status", "watch", "logs", "stop", "boot", "config"),
+    "The daemon": ("start", "status", "ps", "watch", "logs", "stop", "boot", "config"),
     "The robot": ("preflight", "drive", "set-mode", "estop", "reset", "lease", "param"),
     "ROS": ("topic", "node", "service"),
     "Recordings": (

@@ -16,15 +16,12 @@ import pytest
 from robotctl import processes
 from robotctl.cli.support import interrupted_drive, quick_actions
 from robotctl.cli.support.background import Background
-from robotctl.errors import UsageError
 from robotctl.ipc.answers import DriveAnswer, Status
 from robotctl.ipc.client import Client, call
 from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
 from robotctl.kernel.modes import Mode
 from robotctl.mode_names import MODES
 from tests.support.waiting import until
-
-BAD_REASONS = ["x" * 10_000, "a\nb", "\x1b[2J", "\u202etxt"]
 
 
 def mode() -> str:
@@ -284,27 +281,3 @@ def test_the_command_line_knows_the_modes_of_the_kernel() -> None:
     names = {mode.name.lower().replace("_", "-"): mode.value for mode in Mode}
     assert names == MODES
     assert Mode.EMERGENCY_STOP == EMERGENCY_STOP_MODE
-
-
-@pytest.mark.parametrize("reason", BAD_REASONS, ids=["10 kB", "line", "escape", "direction"])
-def test_a_reason_that_cannot_be_kept_is_refused_by_name_and_delays_no_stop(
-    reason: str, daemon: None, cli: Callable[..., Any]
-) -> None:
-    for words in (("set-mode", "moving"), ("drive", "square"), ("reset",)):
-        ran = cli(*words, "--reason", reason)
-        assert (ran.exit_code, mode()) == (2, "IDLE")
-        assert "--reason" in ran.err
-    stopped = cli("estop", "--reason", reason)
-    assert (stopped.exit_code, mode()) == (2, "EMERGENCY_STOP")
-    assert "the reason was left out: --reason" in stopped.err
-
-
-def test_a_reason_stands_where_the_mode_is_explained(daemon: None, cli: Callable[..., Any]) -> None:
-    assert cli("estop", "--reason", "a child ran in").exit_code == 0
-    assert call("robot", "status")["mode_reason"].endswith(": a child ran in")
-
-
-@pytest.mark.parametrize("reason", BAD_REASONS, ids=["10 kB", "line", "escape", "direction"])
-def test_the_socket_takes_no_such_reason_either(reason: str, daemon: None) -> None:
-    with pytest.raises(UsageError, match=r"reason: .* without control characters"):
-        call("robot", "set_mode", {"mode": 0, "source": "test", "reason": reason})

@@ -27,6 +27,7 @@ words = st.sampled_from(
         "--json",
         "--robot",
         "--reason",
+        "--all",
         "smoke",
         "--robot=r2",
         "--robot=",
@@ -53,9 +54,8 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
             seen.append((name, *arguments))
 
         monkeypatch.setattr(quick_actions, name, record)
-        for table in (quick._WITHOUT_ARGUMENT, quick._WITH_REASON):
-            if name in table:
-                monkeypatch.setitem(table, name, record)
+        if name in quick._WITHOUT_ARGUMENT:
+            monkeypatch.setitem(quick._WITHOUT_ARGUMENT, name, record)
     return seen
 
 
@@ -76,9 +76,10 @@ def by_typer(arguments: list[str], calls: list[Any]) -> Any:
         ("status --json", ("status", "robot", True)),
         ("set-mode moving", ("set_mode", "moving", "robot", False, "")),
         ("set-mode --robot r2 IDLE --json", ("set_mode", "IDLE", "r2", True, "")),
-        ("estop --robot r2", ("estop", "r2", False, "")),
+        ("estop --robot r2", ("estop", "r2", False, "", False)),
         ("reset", ("reset", "robot", False, "")),
-        ("estop --reason smoke", ("estop", "robot", False, "smoke")),
+        ("estop --reason smoke", ("estop", "robot", False, "smoke", False)),
+        ("estop --all", ("estop", "robot", False, "", True)),
         ("stop", ("stop", "robot", False)),
     ],
 )
@@ -122,5 +123,5 @@ def test_both_ways_take_the_robot_from_the_environment(
     command = quick.match(["estop"])
     assert command is not None
     command()
-    assert calls == [("estop", name or "robot", False, "")]
-    assert by_typer(["estop"], calls) == ("estop", name or "robot", False, "")
+    assert calls == [("estop", name or "robot", False, "", False)]
+    assert by_typer(["estop"], calls) == ("estop", name or "robot", False, "", False)

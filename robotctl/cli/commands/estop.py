@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
+import typer
+
 from robotctl.cli.options import Json, Reason, Robot, new_app
 from robotctl.cli.support import quick_actions
 from robotctl.paths import DEFAULT_ROBOT
@@ -10,15 +14,21 @@ app = new_app()
 
 
 @app.command()
-def estop(reason: Reason = "", robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
+def estop(
+    reason: Reason = "",
+    every: Annotated[bool, typer.Option("--all", help="Stop every robot of this user.")] = False,
+    robot: Robot = DEFAULT_ROBOT,
+    as_json: Json = False,
+) -> None:
     """Stop at once and latch EMERGENCY_STOP.
 
     This is a software stop, not a safety-rated one. It stays latched over restarts and reboots,
-    until robotctl reset.
+    until robotctl reset. It names the other robots that still move.
 
     \b
     Examples:
       robotctl estop
-      robotctl estop --robot r2
+      robotctl estop --robot r2 --reason "a child ran in"
+      robotctl estop --all
     """
-    quick_actions.estop(robot, as_json, reason)
+    quick_actions.estop(robot, as_json, reason, every)

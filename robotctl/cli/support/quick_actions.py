@@ -41,32 +41,76 @@ def set_mode(mode: str, robot: str, as_json: bool, reason: str = "") -> None:
     """
     number = mode_number(mode)
     if number == EMERGENCY_STOP_MODE:
-        _show(_stopped("set-mode", robot, reason), as_json)
+        answer, problem = _stopped("set-mode", robot, reason)
+        _show(answer, as_json)
+        if problem is not None:
+            raise problem
         return
     params = {"mode": number, **asked_by("set-mode", reason), **lease_of_shell()}
     _show(call(robot, SET_MODE, params), as_json)
 
 
-def estop(robot: str, as_json: bool, reason: str = "") -> None:
-    """Latch the emergency stop, also with a reason that is not allowed.
+def estop(robot: str, as_json: bool, reason: str = "", every: bool = False) -> None:
+    """Latch the emergency stop, of `every` robot of this user or of one.
 
     Raises:
-        UsageError: The robot is stopped, but the reason was left out.
+        UsageError: The reason was left out: it is not allowed.
+        RobotctlError: A robot was not stopped.
     """
-    hint = f"release it with: {command_for(robot, 'reset')}"
-    _show(_stopped("estop", robot, reason), as_json, hint)
-
-
-def _stopped(command: str, robot: str, reason: str) -> ModeAnswer:
-    """Stop the robot first, then refuse a reason that is not allowed."""
-    try:
-        params, problem = asked_by(command, reason), None
-    except UsageError as error:
-        params, problem = asked_by(command), error
-    answer = call(robot, SET_MODE, {"mode": EMERGENCY_STOP_MODE, **params})
+    if every:
+        _estop_all(as_json, reason)
+        return
+    answer, problem = _stopped("estop", robot, reason)
+    if not as_json:
+        _show(answer, as_json, hint=f"release it with: {command_for(robot, 'reset')}")
+    others = _others_than(robot)
+    if as_json:
+        print(json_text({**answer, **others}))
+    else:
+        _show_others(others)
     if problem is not None:
-        raise UsageError(f"{answer['message']}, and the reason was left out: {problem}")
-    return answer
+        raise problem
+
+
+def _others_than(robot: str) -> dict[str, list[str]]:
+    """Return the names of other robots that move, and of those that do not answer."""
+    from robotctl.cli.support.estop_all import others_than
+
+    found = others_than(robot)
+    return {
+        "others_moving": [each.robot for each in found if each.moves],
+        "others_silent": [each.robot for each in found if not each.moves],
+    }
+
+
+def _show_others(others: dict[str, list[str]]) -> None:
+    for verb, names in (("still MOVING", "others_moving"), ("no answer from", "others_silent")):
+        if others[names]:
+            print(f"{verb}: {', '.join(others[names])} (all robots: robotctl estop --all)")
+
+
+def _estop_all(as_json: bool, reason: str) -> None:
+    from robotctl.cli.support.answer import print_answer
+    from robotctl.cli.support.estop_all import stop_all
+
+    params, problem = _asked_by_or_why_not("estop --all", reason)
+    stopped, failure = stop_all(params)
+    lines = [f"{each['robot']}: {printable(each['message'])}" for each in stopped]
+    print_answer({"robots": stopped}, lines, as_json=as_json, error=failure or problem)
+
+
+def _stopped(command: str, robot: str, reason: str) -> tuple[ModeAnswer, UsageError | None]:
+    """Stop the robot in any case; return what is wrong with the reason as well."""
+    params, problem = _asked_by_or_why_not(command, reason)
+    return call(robot, SET_MODE, {"mode": EMERGENCY_STOP_MODE, **params}), problem
+
+
+def _asked_by_or_why_not(command: str, reason: str) -> tuple[dict[str, str], UsageError | None]:
+    try:
+        return asked_by(command, reason), None
+    except UsageError as error:
+        problem = f"the robot was stopped, but the reason was left out: {error.cause}"
+        return asked_by(command), UsageError(problem, error.cure)
 
 
 def reset(robot: str, as_json: bool, reason: str = "") -> None:

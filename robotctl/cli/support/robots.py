@@ -1,0 +1,63 @@
+"""Every daemon of this user, by the sockets in its runtime folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from functools import partial
+from typing import NamedTuple, TypeVar
+
+from robotctl.cli.support.background import Background
+from robotctl.errors import NoDaemon, RobotctlError
+from robotctl.ipc.answers import Status
+from robotctl.ipc.client import Client
+from robotctl.ipc.method_names import STATUS
+from robotctl.paths import runtime_folder
+
+ANSWER_S = 2.0
+"""How long a daemon may take to tell its status; the daemons are asked at the same time."""
+
+T = TypeVar("T")
+
+
+class Found(NamedTuple):
+    """One daemon: its status, or why it gave none."""
+
+    robot: str
+    status: Status | None
+    problem: str
+
+    @property
+    def moves(self) -> bool:
+        """Whether it said that its robot moves."""
+        return self.status is not None and self.status["mode"] == "MOVING"
+
+
+def names() -> list[str]:
+    """Return the robots that have a socket, also one that a killed daemon has left."""
+    return sorted(path.stem for path in runtime_folder().glob("*.sock"))
+
+
+def find(robots: Iterable[str]) -> list[Found]:
+    """Return each of these robots that has a daemon."""
+    return [found for found in at_once(_look, robots) if found is not None]
+
+
+def at_once(ask: Callable[[str], T], robots: Iterable[str]) -> list[T]:
+    """Ask for all robots at the same time, so that a daemon that hangs delays no other."""
+    asking = [Background(partial(ask, robot)) for robot in robots]
+    for each in asking:
+        each.start()
+    return [each.result() for each in asking]
+
+
+def _look(robot: str) -> Found | None:
+    try:
+        with Client(robot) as client:
+            try:
+                return Found(robot, client.call(STATUS, deadline_s=ANSWER_S), "")
+            except RobotctlError as error:
+                return Found(robot, None, str(error))
+    except NoDaemon:
+        return None
+    except RobotctlError as error:
+        return Found(robot, None, str(error))
