@@ -1,4 +1,4 @@
-"""`--ros-args` of a command line: parameters, files of them, remaps, namespace and node names.
+"""`--ros-args` of a command line: parameters, files of them, remaps, names, and levels of the log.
 
 The syntax is that of rcl (https://design.ros2.org/articles/ros_command_line_arguments.html). Each
 argument is checked here, so that a wrong one is named before a node exists.
@@ -12,15 +12,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from robotctl.errors import UsageError
+from robotctl.log_levels import LogLevel, read_log_level
 
 BEGIN, END = "--ros-args", "--"
+LOG_LEVEL = "--log-level"
 
 _NODE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _NAMESPACE = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)*/?")
 _NAME = re.compile(r"~?/?[A-Za-z_~][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 
 _TAKEN = (
-    "use -p KEY:=VALUE, -r FROM:=TO, -r __ns:=/NAMESPACE, -r NODE:__node:=NAME, --params-file FILE"
+    "use -p KEY:=VALUE, -r FROM:=TO, -r __ns:=/NAMESPACE, -r NODE:__node:=NAME, "
+    "--params-file FILE, --log-level LEVEL"
 )
 
 
@@ -55,13 +58,14 @@ class RosArguments:
     """What the arguments say, in their order; `namespace` is None where they name none.
 
     `settings` holds parameters and files of parameters; a later one wins. `node_names` maps the
-    usual name of a node to the new one, with "" for every node.
+    usual name of a node to the new one, with "" for every node. Of `log_levels` a later one wins.
     """
 
     settings: tuple[Assignment | Path, ...] = ()
     remaps: tuple[Remap, ...] = ()
     namespace: str | None = None
     node_names: dict[str, str] = field(default_factory=dict)
+    log_levels: tuple[LogLevel, ...] = ()
 
 
 NO_ARGUMENTS = RosArguments()
@@ -82,6 +86,28 @@ def split(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
     return others, ros
 
 
+def with_log_levels(arguments: Sequence[str]) -> list[str]:
+    """Return a command line whose `--log-level LEVEL` stand in a `--ros-args` section, for rcl.
+
+    Raises:
+        UsageError: There is no such level.
+    """
+    others: list[str] = []
+    levels: list[str] = []
+    words = iter(arguments)
+    for word in words:
+        name, sign, value = word.partition("=")
+        if word == BEGIN:
+            others += [word, *words]
+        elif name == LOG_LEVEL:
+            level = value if sign else next(words, "")
+            read_log_level(level)
+            levels += [LOG_LEVEL, level]
+        else:
+            others.append(word)
+    return [*others, BEGIN, *levels] if levels else others
+
+
 def parse(words: Sequence[str]) -> RosArguments:
     """Return the meaning of the words of the `--ros-args` sections.
 
@@ -92,7 +118,11 @@ def parse(words: Sequence[str]) -> RosArguments:
     remaps: list[Remap] = []
     namespace: str | None = None
     names: dict[str, str] = {}
+    levels: list[LogLevel] = []
     for option, value in _options(words):
+        if option == LOG_LEVEL:
+            levels.append(read_log_level(value))
+            continue
         if option == "--params-file":
             settings.append(Path(value))
             continue
@@ -109,7 +139,7 @@ def parse(words: Sequence[str]) -> RosArguments:
             names[node] = right
         else:
             remaps.append(Remap(node, *(_checked_name(value, each) for each in (left, right))))
-    return RosArguments(tuple(settings), tuple(remaps), namespace, names)
+    return RosArguments(tuple(settings), tuple(remaps), namespace, names, tuple(levels))
 
 
 def _options(words: Sequence[str]) -> Iterator[tuple[str, str]]:
@@ -117,7 +147,7 @@ def _options(words: Sequence[str]) -> Iterator[tuple[str, str]]:
     rest = iter(words)
     for word in rest:
         option = {"--param": "-p", "--remap": "-r"}.get(word, word)
-        if option not in ("-p", "-r", "--params-file"):
+        if option not in ("-p", "-r", "--params-file", LOG_LEVEL):
             raise UsageError(f"--ros-args {word!r} is not supported", _TAKEN)
         value = next(rest, None)
         if value is None:

@@ -10,14 +10,17 @@ from contextlib import AsyncExitStack, ExitStack
 
 from robotctl import __version__
 from robotctl.config import Config, load
+from robotctl.config.nodes import MODE_SERVICE
 from robotctl.daemon.command_choice import choose_command_type
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.decision_notes import noted, open_decision_log
 from robotctl.daemon.driver import Driver
 from robotctl.daemon.host import DaemonKind, Host, Ready
+from robotctl.daemon.log.levels import LoggerLevels
 from robotctl.daemon.observer import Observer
 from robotctl.daemon.owner import Owner
 from robotctl.daemon.recording.folder import save_recordings_path
+from robotctl.daemon.ros_logs import apply_levels, published_log, serve_logger_levels
 from robotctl.daemon.same_names import refuse_same_names
 from robotctl.daemon.service_manager import ServiceManager, reporting
 from robotctl.daemon.supervisor import Supervisor
@@ -29,7 +32,7 @@ from robotctl.ipc.listener import remove_stale
 from robotctl.ipc.request_handler import Identity
 from robotctl.ipc.server import ControlServer
 from robotctl.paths import chain_to, robot_state_folder, socket_path
-from robotctl.ros.session import Naming, ros_session
+from robotctl.ros.session import RECORDER_NODE, Naming, ros_session
 
 
 async def serve(
@@ -66,6 +69,9 @@ async def serve(
         ) as session,
         AsyncExitStack() as stack,
     ):
+        own_logger = session.logger_name(RECORDER_NODE if options.observe else MODE_SERVICE)
+        levels = LoggerLevels(own_logger)
+        apply_levels(levels, options.log_levels)
         notes = [
             *notes,
             *await asyncio.to_thread(save_recordings_path, options.recordings, options.robot),
@@ -93,6 +99,7 @@ async def serve(
             daemon = Owner(host)
         else:
             daemon = Driver(host, await choose_command_type(host))
+        session.last.enter_context(published_log(session, levels))
         session.last.push_async_callback(daemon.recorder.close)  # when no message comes any more
         identity = Identity(options.robot, __version__, os.getpid())
         server = ControlServer(
@@ -108,6 +115,7 @@ async def serve(
         gc.freeze()  # a full collection over all imported objects would block the loop for 70 ms
 
         def ready(summary: StartSummary) -> None:
+            serve_logger_levels(session, levels)
             on_ready(summary)
             manager.ready()
             daemon.recorder.tidier.begin()  # not earlier: it may take long

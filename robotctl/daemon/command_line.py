@@ -19,6 +19,7 @@ from robotctl.domains import requested_domain
 from robotctl.errors import UsageError
 from robotctl.kernel.params import OWNER_SUFFIX
 from robotctl.kernel.patterns import PatternKind
+from robotctl.log_levels import LogLevel, read_log_level
 from robotctl.paths import DEFAULT_ROBOT, check_namespace, check_robot_name, namespace_of
 from robotctl.ros_arguments import NO_ARGUMENTS, RosArguments
 
@@ -52,8 +53,16 @@ class DaemonOptions:
     allow_same_names: bool = False
     """Start beside another daemon whose nodes have the same names."""
 
+    log_level: tuple[LogLevel, ...] = ()
+    """The levels of `--log-level`."""
+
     ros: RosArguments = NO_ARGUMENTS
     """The arguments of `--ros-args`."""
+
+    @property
+    def log_levels(self) -> tuple[LogLevel, ...]:
+        """The levels of loggers; a later one wins."""
+        return (*self.log_level, *self.ros.log_levels)
 
     @property
     def namespace(self) -> str:
@@ -104,6 +113,7 @@ def parse(arguments: list[str]) -> DaemonOptions:
     parser.add_argument("--include", action="append", default=[])
     parser.add_argument("--exclude", action="append", default=[])
     parser.add_argument("--allow-same-names", action="store_true")
+    parser.add_argument("--log-level", action="append", default=[])
     parser.add_argument("--ready-fd", type=int)
     arguments, ros_words = ros_arguments.split(arguments)
     given = parser.parse_args(arguments)
@@ -123,6 +133,7 @@ def parse(arguments: list[str]) -> DaemonOptions:
         include=_patterns("--include", given.include),
         exclude=_patterns("--exclude", given.exclude),
         allow_same_names=given.allow_same_names,
+        log_level=tuple(map(read_log_level, given.log_level)),
         ros=ros_arguments.parse(ros_words),
     )
 

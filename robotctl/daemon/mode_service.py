@@ -62,7 +62,7 @@ def options_of(words: list[str]) -> DaemonOptions:
     Raises:
         UsageError: A name or an argument is wrong.
     """
-    _, ros_words = ros_arguments.split(words)
+    _, ros_words = ros_arguments.split(ros_arguments.with_log_levels(words))
     given = ros_arguments.parse(ros_words)
     names = {node or NODE_NAME: name for node, name in given.node_names.items()}
     given = replace(given, node_names=names)

@@ -64,6 +64,11 @@ class Session:
         """Return the full name of a topic that may be relative, or have another name here."""
         return str(self.helper().resolve_topic_name(topic))
 
+    def logger_name(self, node_name: str) -> str:
+        """Return the name that ROS gives the logger of a node, by the node's usual name."""
+        full = f"{self._namespace}/{self._node_names.get(node_name, node_name)}"
+        return full.strip("/").replace("/", ".")
+
     @property
     def visible_nodes(self) -> Mapping[str, Node]:
         """The nodes that ROS tools show, by their usual names."""

@@ -92,6 +92,7 @@ def test_it_publishes_no_command_serves_no_mode_and_simulates_nothing(observed: 
     assert set(observed.publishers) == {
         "/diagnostics",
         "/robotctl/marks",
+        "/rosout",
         "/parameter_events",  # as every node of rclpy
     }
     assert observed.services == []

@@ -1,4 +1,7 @@
-"""Every visible node answers the parameter services; a change there is the kernel's decision."""
+"""Every visible node answers the services for parameters and log levels; a change is told.
+
+A change of a parameter is the kernel's decision.
+"""
 
 from __future__ import annotations
 
@@ -129,3 +132,28 @@ def test_a_change_is_refused_by_name_while_the_robot_moves_and_recorded(graph: G
     by = "by the ROS service /velocity_publisher/set_parameters"
     assert any(e.name == "ParameterChanged" and by[3:] in e.data for e in journal)
     assert by in graph.world.log()
+
+
+def test_the_log_is_on_rosout_and_each_node_sets_its_level(graph: Graph) -> None:
+    node = "/velocity_publisher"
+    assert graph.peer("levels", node=node, names=["mode_service", ""]) == [0, 20]
+    wanted = {"velocity_publisher": 10, "mode_service": 30, "rcl": 25}
+    granted = graph.peer("set_levels", node=node, levels=wanted)
+    assert granted == [[True, ""], [True, ""], [False, "Failed reason: Invalid logger level."]]
+    told = "log level of mode_service: UNSET -> WARN, by the ROS service"
+    line = [20, "mode_service", f"{told} /velocity_publisher/set_logger_levels"]
+    until(lambda: line in graph.peer("lines"))
+    published = [10, "velocity_publisher", "Publishing: linear.x=0.0, angular.z=0.0"]
+    until(lambda: published in graph.peer("lines"))
+    graph.world.ok("mark", "not told, because it is below the level")
+    back = {"velocity_publisher": 0, "mode_service": 0}
+    assert graph.peer("set_levels", node="/mode_service", levels=back) == [[True, ""]] * 2
+    graph.world.ok("mark", "told")
+    until(lambda: any(text.startswith("marked: told") for *_, text in graph.peer("lines")))
+    assert not any("below the level" in text for *_, text in graph.peer("lines"))
+    log = graph.world.log()
+    assert (told in log, "below the level" in log) == (True, False)
+    topics = {
+        each["name"]: each["written"] + each["queued"] for each in graph.world.status()["topics"]
+    }
+    assert topics["/rosout"] >= 3

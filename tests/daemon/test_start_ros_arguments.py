@@ -20,6 +20,7 @@ def test_a_start_takes_parameters_remaps_a_namespace_and_a_node_name() -> None:
                 *("-r", "set_mode:=change_mode", "-r", "robot_status:=status"),
                 *("-r", "velocity_publisher:__node:=velocity"),
                 *("-p", "limits.linear_mps:=0.4", "--params-file", str(file)),
+                *("--log-level", "lab.velocity:=debug"),
             )
             until(lambda: "/lab/velocity" in peer("nodes"))
             assert "/lab/velocity_publisher" not in peer("nodes")
@@ -29,6 +30,7 @@ def test_a_start_takes_parameters_remaps_a_namespace_and_a_node_name() -> None:
             assert {"/lab/cmd_vel", "/base/odom", "/lab/status"} <= topics
             assert world.answer("param", "get", "limits.linear_mps")["value"] == 0.4
             assert world.answer("param", "get", "limits.angular_rps")["value"] == 1.0
+            assert "DEBUG lab.velocity: Publishing: linear.x=0.0, angular.z=0.0" in world.log()
             until(lambda: "/lab/velocity" in client("visible"))
             assert client("get", node="/lab/velocity", keys=["limits.linear_mps"]) == [0.4]
             world.ok("set-mode", "moving")
@@ -44,6 +46,7 @@ def test_a_wrong_argument_is_refused_before_a_daemon_starts() -> None:
         for words, said in (
             (["-r", "__ns:=/my lab"], "a namespace is /NAME"),
             (["-p", "limits.linear_mps:=fast"], "limits.linear_mps: 'fast' is not allowed"),
+            (["--log-level", "loud"], "use debug, info, warn, error, fatal, or LOGGER:=LEVEL"),
             (["--params-file", "none.yaml"], "none.yaml: No such file"),
         ):
             ran = world.robotctl("start", "--config", str(world.patient), "--ros-args", *words)

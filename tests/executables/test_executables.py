@@ -15,6 +15,8 @@ import pytest
 import rclpy
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
+from rcl_interfaces.msg import LoggerLevel
+from rcl_interfaces.srv import SetLoggerLevels
 from rclpy.context import Context
 from rclpy.node import Node
 from robot_controller.msg import RobotStatus
@@ -23,7 +25,7 @@ from robotctl.errors import UsageError
 from robotctl.kernel.modes import Mode
 from robotctl.ros.executables.mode_client import mode_of
 from robotctl.ros.executables.sweep import sweep_mps
-from tests.support.waiting import until
+from tests.support.waiting import DEADLINE_S, until
 from tests.support.world import installed
 
 LINE = re.compile(r"^\[\w+\] \[[\d.]+\] \[[\w.]+\]: (.*)$", re.MULTILINE)
@@ -216,6 +218,27 @@ def test_the_odom_subscriber_tells_each_tenth_position(start: Start, node: Node)
     position = "Position: x=1.23, y=-0.50, z=0.00"
     expected = [position, "Messages received: 10", position, "Messages received: 20"]
     assert subscriber.lines[1:5] == expected
+    assert subscriber.end() == 0
+
+
+def test_the_log_level_of_an_executable_is_given_and_set_by_a_service(
+    start: Start, node: Node
+) -> None:
+    subscriber = start("odom_subscriber", "--log-level", "odom_subscriber:=warn")
+    client = node.create_client(SetLoggerLevels, "/odom_subscriber/set_logger_levels")
+    assert client.wait_for_service(DEADLINE_S)
+    assert subscriber.lines == []
+    wanted = [LoggerLevel(name="odom_subscriber", level=LoggerLevel.LOG_LEVEL_INFO)]
+    done = client.call_async(SetLoggerLevels.Request(levels=wanted))
+    spin_until([node], done.done)
+    assert done.result().results[0].successful
+    publisher = node.create_publisher(Odometry, "odom", 10)
+
+    def told() -> bool:
+        publisher.publish(Odometry())
+        return bool(subscriber.lines)
+
+    until(told)
     assert subscriber.end() == 0
 
 

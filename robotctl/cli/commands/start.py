@@ -21,6 +21,7 @@ from robotctl.errors import UsageError
 from robotctl.ipc.answers import StartSummary
 from robotctl.ipc.client import command_for
 from robotctl.kernel.patterns import PatternKind
+from robotctl.log_levels import read_log_level
 from robotctl.paths import DEFAULT_ROBOT, check_namespace, check_robot_name
 
 app = new_app()
@@ -68,6 +69,10 @@ def start(
             "--allow-same-names", help="Start beside a daemon whose nodes have the same names."
         ),
     ] = False,
+    log_level: Annotated[
+        list[str] | None,
+        typer.Option(metavar="LEVEL", help="debug, info, warn, error or fatal; LOGGER:=LEVEL."),
+    ] = None,
     ros_words: RosWords = None,
     as_json: Json = False,
 ) -> None:
@@ -80,7 +85,7 @@ def start(
     and journal are always recorded: `why` and `replay --check` need them.
 
     After --ros-args come the arguments of ROS: -p KEY:=VALUE, --params-file FILE, -r FROM:=TO,
-    -r __ns:=/NAMESPACE, -r NODE:__node:=NAME.
+    -r __ns:=/NAMESPACE, -r NODE:__node:=NAME, --log-level LEVEL.
 
     \b
     Examples:
@@ -110,8 +115,11 @@ def start(
         include=tuple(include or ()),
         exclude=tuple(exclude or ()),
         allow_same_names=allow_same_names,
+        log_levels=tuple(log_level or ()),
         ros_words=tuple(ros_words or ()),
     )
+    for level in options.log_levels:
+        read_log_level(level)
     ros_arguments.parse(options.ros_words)
     if foreground:
         command = options.command()

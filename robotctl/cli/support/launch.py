@@ -53,6 +53,7 @@ class StartOptions:
     include: tuple[str, ...] = ()
     exclude: tuple[str, ...] = ()
     allow_same_names: bool = False
+    log_levels: tuple[str, ...] = ()
     ros_words: tuple[str, ...] = ()
     """The words after `--ros-args`."""
 
@@ -71,6 +72,7 @@ class StartOptions:
             command.append("--allow-same-names")
         command += [f"--include={pattern}" for pattern in self.include]
         command += [f"--exclude={pattern}" for pattern in self.exclude]
+        command += [f"--log-level={level}" for level in self.log_levels]
         if self.ros_words:
             command += [ros_arguments.BEGIN, *self.ros_words, ros_arguments.END]
         return command

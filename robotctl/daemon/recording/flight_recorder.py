@@ -34,6 +34,7 @@ from robotctl.ros.nodes import (
     journal_publisher,
     mark_publisher,
     mode_service,
+    rosout_publisher,
 )
 from robotctl.ros.nodes.diagnostics_publisher import DiagnosticsPublisher
 from robotctl.ros.nodes.head_publisher import HeadPublisher
@@ -96,7 +97,8 @@ class FlightRecorder:
         proof = map(session.resolve, (*topics, *own))
         topic_filter = TopicFilter(config.recording.include, config.recording.exclude, proof)
         self.tap = Tap(session, self._open_sink, topic_filter.records)
-        self.tap.subscribe_own(diagnostics_publisher.TOPIC)
+        for own_topic in (diagnostics_publisher.TOPIC, rosout_publisher.TOPIC):
+            self.tap.subscribe_own(own_topic)
         diagnostics = DiagnosticsPublisher(session, options.robot)
         self._marks = MarkPublisher(session)
         self._write_mark = self.tap.reserve(mark_publisher.TOPIC)

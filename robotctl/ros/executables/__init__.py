@@ -11,6 +11,7 @@ from importlib import import_module
 
 from robotctl import environment
 from robotctl.errors import RobotctlError
+from robotctl.ros_arguments import with_log_levels
 from robotctl.streams import open_standard_streams
 
 
@@ -33,6 +34,7 @@ def _run(name: str) -> int:
     """Prepare the environment before anything imports rclpy, then run `main` of the module."""
     open_standard_streams()
     try:
+        sys.argv = with_log_levels(sys.argv)
         environment.prepare()
         code: int = import_module(f"{__name__}.{name}").main()
     except KeyboardInterrupt:

@@ -18,6 +18,7 @@ from robot_controller.srv import SetMode
 from std_srvs.srv import Trigger
 
 from robotctl.kernel.modes import REQUESTS, TRANSITIONS, Guard, Mode
+from robotctl.ros.executables.process import LOGGER_SERVICES
 from robotctl.ros.messages import qos
 from robotctl.ros.nodes.mode_service import ESTOP, SET_MODE, STATUS
 
@@ -34,7 +35,7 @@ class ModeService(Node):
 
     def __init__(self, context: Context | None = None, **options: Any) -> None:
         """Create the node in mode IDLE; `options` are those of rclpy's Node."""
-        super().__init__("mode_service", context=context, **options)
+        super().__init__("mode_service", context=context, **{**LOGGER_SERVICES, **options})
         self.mode = Mode.IDLE
         self._status = STATUS.create_publisher(self)
         self._services = [

@@ -9,7 +9,7 @@ from nav_msgs.msg import Odometry
 from rclpy.context import Context
 from rclpy.node import Node
 
-from robotctl.ros.executables.process import run_node
+from robotctl.ros.executables.process import LOGGER_SERVICES, run_node
 from robotctl.ros.messages import qos
 
 LOG_EVERY = 10
@@ -20,7 +20,7 @@ class OdomSubscriber(Node):
 
     def __init__(self, context: Context | None = None, **options: Any) -> None:
         """Create the node and its subscription; `options` are those of rclpy's Node."""
-        super().__init__("odom_subscriber", context=context, **options)
+        super().__init__("odom_subscriber", context=context, **{**LOGGER_SERVICES, **options})
         self._messages = 0
         self.create_subscription(Odometry, "odom", self._take, qos.SENSOR)
         self.get_logger().info("Odometry Subscriber Node started")

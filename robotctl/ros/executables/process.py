@@ -7,7 +7,7 @@ import asyncio
 import sys
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from typing import TypeVar
+from typing import Final, TypeVar
 
 from rclpy.context import Context
 from rclpy.node import Node
@@ -19,6 +19,9 @@ from robotctl.errors import UsageError
 from robotctl.ros.arguments import BAD_ARGUMENTS
 from robotctl.ros.context import close_context
 from robotctl.ros.executor import AsyncioExecutor
+
+LOGGER_SERVICES: Final = {"enable_logger_service": True}
+"""The option of rclpy's Node with which other programs see and set the levels of its loggers."""
 
 Made = TypeVar("Made", bound=Node)
 

@@ -23,13 +23,19 @@ from robotctl.kernel.types import ZERO
 from robotctl.kernel.types import Twist as Velocity
 from robotctl.printable import short_name
 from robotctl.ros.executables.gate import SILENCE_S, Gate
-from robotctl.ros.executables.process import run_node
+from robotctl.ros.executables.process import LOGGER_SERVICES, run_node
 from robotctl.ros.executables.sweep import sweep_mps
 from robotctl.ros.executor import RawTap
 from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.publishers import TOOL_NODES, full_name, gid_of
 from robotctl.ros.messages.no_events import NO_SUBSCRIPTION_EVENTS
-from robotctl.ros.nodes.velocity_publisher import MONITORS, NODE_NAME, OWNER_NODE, command_topic
+from robotctl.ros.nodes.velocity_publisher import (
+    MONITORS,
+    NODE_NAME,
+    OWNER_NODE,
+    command_topic,
+    publishing_line,
+)
 
 TICK_S = 0.05
 """The time between two looks for a silent owner, and between two zeros while it is silent."""
@@ -66,7 +72,7 @@ class VelocityPublisher(Node):
 
     def __init__(self, context: Context | None = None, **options: Any) -> None:
         """Create the node and its timer; `options` are those of rclpy's Node."""
-        super().__init__(NODE_NAME, context=context, **options)
+        super().__init__(NODE_NAME, context=context, **{**LOGGER_SERVICES, **options})
         self._may_sweep = self._sweep_parameter()
         self._gate = Gate(self._silence_parameter())
         self._ticks = 0
@@ -198,8 +204,7 @@ class VelocityPublisher(Node):
             self._say(self._gate.closed_because(time.monotonic_ns()))
         else:
             self._send(Velocity(*self._velocity_alone()))
-        linear, angular = round(self._last.linear, 3), round(self._last.angular, 3)
-        self.get_logger().info(f"Publishing: linear.x={linear}, angular.z={angular}")
+        self.get_logger().info(publishing_line(self._last))
 
     def _velocity_alone(self) -> tuple[float, float]:
         if self._asked is not None:

@@ -30,6 +30,11 @@ MARK = QoSProfile(depth=100)
 
 DIAGNOSTICS = QoSProfile(depth=10)
 
+ROSOUT = QoSProfile(
+    depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL, lifespan=Duration(seconds=10)
+)
+"""As rcl's `rcl_qos_profile_rosout_default`: a late subscriber gets the lines of the last 10 s."""
+
 SERVICE_EVENTS = QoSProfile(depth=100)
 """Reliable, because they record who requested what; a call is two events."""
 

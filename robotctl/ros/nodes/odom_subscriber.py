@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from typing import Any
 
@@ -41,6 +42,7 @@ class OdomSubscriber:
         finds the node.
         """
         self._node = session.node("odom_subscriber")
+        self._log = logging.getLogger(session.logger_name("odom_subscriber"))
         self._on_odometry = on_odometry
         self._on_source = on_source
         self._sources: dict[bytes, int] = {}
@@ -78,7 +80,10 @@ class OdomSubscriber:
             self._last_gid = gid
             self._sources[gid] = self._sources.pop(gid, 0) or self._number(gid)
         source = self._sources[gid]
-        self._on_odometry(read_odometry(data), source, sequence)
+        odometry = read_odometry(data)
+        if self._log.isEnabledFor(logging.DEBUG):
+            self._log.debug("Position: x=%.2f, y=%.2f", odometry.pose.x, odometry.pose.y)
+        self._on_odometry(odometry, source, sequence)
 
     def _number(self, gid: bytes) -> int:
         """Return the number of a new publisher, and report it to `on_source`."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterable
 from threading import Lock
 from typing import Any
@@ -44,6 +45,12 @@ def command_topic(name: str, command: CommandType = PLAIN) -> OwnTopic:
     return OwnTopic(name, command.message_class, qos.COMMAND)
 
 
+def publishing_line(twist: Twist) -> str:
+    """Return the line of the first-package tutorial about a command."""
+    linear, angular = round(twist.linear, 3), round(twist.angular, 3)
+    return f"Publishing: linear.x={linear}, angular.z={angular}"
+
+
 class VelocityPublisher:
     """Node `velocity_publisher`; `published` counts the commands that were sent.
 
@@ -62,6 +69,7 @@ class VelocityPublisher:
         """While `is_silent()`, other nodes may command, and `publish_zero` sends nothing."""
         self._is_silent = is_silent
         self._node = session.node(node_name)
+        self._log = logging.getLogger(session.logger_name(node_name))
         self._command = command
         own_topic = command_topic(topic, command)
         self._publisher = own_topic.create_publisher(self._node)
@@ -119,6 +127,8 @@ class VelocityPublisher:
             self._publisher.publish(self._command.encode(twist))
             self.published += 1
             self.accounted += 1
+        if self._log.isEnabledFor(logging.DEBUG):
+            self._log.debug(publishing_line(twist))
 
     def publish_zero(self) -> None:
         """Send a zero if the gate is closed; for threads other than the loop's.
