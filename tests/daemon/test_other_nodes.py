@@ -99,8 +99,8 @@ def test_commands_of_another_node_are_shown_and_refuse_motion(
     peer = new_peer(world)
     peer("command", linear=0.1)
     until(lambda: world.status()["mode"] == "ERROR")
-    # Which comes first, the publisher in the graph or its command, differs.
-    assert "/somebody_else also publish" in world.status()["mode_reason"]
+    # Its command may be heard before the graph shows the publisher, or before it has a name.
+    assert "also publish" in world.status()["mode_reason"]
     warning = "/somebody_else also publishes velocity commands"
     until(lambda: warning in world.status()["warnings"])
     refused = world.robotctl("set-mode", "moving")
