@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
-from functools import partial
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from robotctl.errors import UnreadableFile
@@ -13,8 +12,7 @@ from robotctl.kernel.types import OdomReceived
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording, RecordingInfo
 from robotctl.recording.format.journal import EntryKind, JournalEntry
-from robotctl.recording.format.ledger_record import read_ledger
-from robotctl.recording.format.metadata_names import CLIP_RECORD, INFO_RECORD, OWN_LIBRARY
+from robotctl.recording.format.metadata_names import INFO_RECORD, OWN_LIBRARY
 from robotctl.recording.read.journal_reader import EntryDecoder, journal_topic, own_journal_topic
 from robotctl.recording.read.source import Source
 from robotctl.rerun.bytes_check import check_bytes
@@ -22,13 +20,13 @@ from robotctl.rerun.check_report import Report
 from robotctl.rerun.command_bytes import command_topic
 from robotctl.rerun.command_check import CommandCheck
 from robotctl.rerun.comparison import Comparison
-from robotctl.rerun.ending import Ending
-from robotctl.rerun.input_check import input_checks, is_filtered
-from robotctl.rerun.invariants import Invariants, unbalanced
+from robotctl.rerun.input_check import input_checks
+from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.journal_chain import JournalChain
 from robotctl.rerun.journal_steps import Gap, Step, steps
 from robotctl.rerun.journal_values import read_effect, read_event, read_snapshot
 from robotctl.rerun.recorded_parameters import differing_parameters
+from robotctl.rerun.recording_ends import RecordingEnds
 from robotctl.rerun.rerun import Divergence, Rerun
 from robotctl.rerun.status_check import StatusCheck
 from robotctl.rerun.vocabulary import Vocabulary
@@ -76,11 +74,6 @@ class _Check:
         self._invariants = Invariants()
         self._commands = CommandCheck(report)
         self._chain = JournalChain()
-        self._is_own = False
-        """Whether the recorder wrote the journal itself, and not what it received of it."""
-
-        self._first_seq = self._last_seq = -1
-        self._last_snapshot = -1
         self._vocabulary: Vocabulary | None = Vocabulary()
         self._rerun: Rerun | None = None
         self._before_snapshot = 0
@@ -102,7 +95,8 @@ class _Check:
         topic = self._topic = journal_topic(info)
         if topic is None:
             raise UnreadableFile("it holds no journal of robotctl: there are no decisions to check")
-        self._is_own = topic == own_journal_topic(info)
+        is_own = topic == own_journal_topic(info)
+        self._ends = RecordingEnds(self._recording, info, report, is_own=is_own)
         self._inputs = input_checks(report, info, topic)
         self._status = StatusCheck(report, info, topic)
         for item in steps(self._entries(topic)):
@@ -133,8 +127,8 @@ class _Check:
                 entry = decoder.decode(message.data)
                 if not report.begin_log_ns:
                     report.begin_ns, report.begin_log_ns = entry.t_ns, message.log_ns
-                    self._first_seq = entry.seq
-                self._end_ns, self._last_seq = entry.t_ns, max(entry.seq, self._last_seq)
+                self._end_ns = entry.t_ns
+                self._ends.entry(entry.seq)
                 self._chain.add(entry.seq, message.data)
                 if entry.kind is not EntryKind.EFFECT:
                     self._log_ns = self._log_ns[1], message.log_ns
@@ -166,18 +160,17 @@ class _Check:
 
     def _compare_parameters(self, entry: JournalEntry) -> None:
         """Compare the parameters of the first snapshot with those in the metadata."""
-        if entry.seq == 0 and self._report.same_version and self._is_own:
+        if entry.seq == 0 and self._report.same_version and self._ends.is_own:
             for sentence in differing_parameters(self._info, read_snapshot(entry).params):
                 self._report.miss(sentence)
 
     def _check_chain(self, entry: JournalEntry, proof: Proof | None) -> None:
         is_whole = self._chain.is_whole(entry, proof)
+        before = self._ends.snapshot(entry, proof)
         if not is_whole:
-            before = max(self._last_snapshot, 0)
             self._invariants.violate(
                 f"the journal was changed between its entries {before} and {entry.seq}"
             )
-        self._last_snapshot = entry.seq if proof is not None else -1
 
     def _step(self, step: Step) -> None:
         report = self._report
@@ -248,51 +241,16 @@ class _Check:
             return
         if self._before_snapshot:
             report.notes.append(f"{self._before_snapshot} events before the first snapshot")
-        self._check_ends()
+        self._ends.check(self._before_snapshot)
         kernel = self._rerun.kernel
         if kernel is not None:
             invariants.end(kernel.state.waiting)
-        ledger = self._check_ledger()
-        commands = command_topic(self._info, self._topic or "")
-        self._commands.end(invariants, self._ending(ledger, commands))
-        self._inputs.end(invariants, partial(self._ending, ledger), self._end_ns)
-        self._status.end(self._ending(ledger, self._status.topic))
+        ends = self._ends
+        ends.read_ledger(invariants)
+        self._commands.end(invariants, ends.ending(command_topic(self._info, self._topic or "")))
+        self._inputs.end(invariants, ends.ending, self._end_ns)
+        self._status.end(ends.ending(self._status.topic))
         report.violations, report.violation_count = invariants.violations, invariants.count
-
-    def _check_ends(self) -> None:
-        """Check that the journal of a whole recording begins and ends with a snapshot."""
-        path, report = self._recording.path, self._report
-        if not (self._is_own and path.is_dir()) or self._last_snapshot < 0:
-            return
-        if self._first_seq and self._info.files[0].name == f"{path.name}_0.mcap":
-            report.miss(f"its journal begins with entry {self._first_seq}: the first are missing")
-        elif self._before_snapshot and not self._first_seq:
-            report.miss("its journal does not begin with a snapshot")
-        was_closed = not (self._recording.is_cut_off or self._recording.is_live)
-        if was_closed and self._last_snapshot != self._last_seq:
-            report.miss("it was closed, but its journal does not end with a snapshot")
-
-    def _check_ledger(self) -> Mapping[str, Mapping[str, int]] | None:
-        """Check the loss ledger in the last file; return it, None if the file was not closed."""
-        path = self._recording.path
-        ledger = read_ledger(self._recording.metadata_of_last_file())
-        if not ledger and CLIP_RECORD in self._info.metadata:
-            return None  # a clip has no ledger: its source has it
-        if not ledger:
-            self._report.notes.append("it was not closed: it has no loss ledger to check")
-            return None
-        for sentence in unbalanced(ledger, finished=path.is_dir()):
-            self._invariants.violate(sentence)
-        return ledger
-
-    def _ending(self, ledger: Mapping[str, Mapping[str, int]] | None, topic: str | None) -> Ending:
-        return Ending(
-            None if ledger is None else ledger.get(topic or "", {}),
-            is_clip=CLIP_RECORD in self._info.metadata,
-            is_own=self._is_own,
-            is_whole=self._recording.path.is_dir(),
-            is_filtered=is_filtered(self._info),
-        )
 
 
 def _version(info: RecordingInfo) -> str:

@@ -1,0 +1,83 @@
+"""Checks how a recording begins and ends: the first entries, the last snapshot, the ledger."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from robotctl.kernel.snapshot import Proof
+from robotctl.recording import Recording, RecordingInfo
+from robotctl.recording.format.journal import JournalEntry
+from robotctl.recording.format.ledger_record import read_ledger
+from robotctl.recording.format.metadata_names import CLIP_RECORD
+from robotctl.rerun.check_report import Report
+from robotctl.rerun.ending import Ending
+from robotctl.rerun.input_check import is_filtered
+from robotctl.rerun.invariants import Invariants, unbalanced
+
+
+class RecordingEnds:
+    """The numbers of the first and the last journal entry, and the ledger of the last file."""
+
+    def __init__(
+        self, recording: Recording, info: RecordingInfo, report: Report, *, is_own: bool
+    ) -> None:
+        """`is_own`: the recorder wrote the journal itself, and not what it received of it."""
+        self.is_own = is_own
+        self._recording = recording
+        self._info = info
+        self._report = report
+        self._first_seq = self._last_seq = -1
+        self._last_snapshot = -1
+        self._ledger: Mapping[str, Mapping[str, int]] | None = None
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether all files are there."""
+        return self._recording.path.is_dir()
+
+    def entry(self, seq: int) -> None:
+        """Take the number of the next entry."""
+        if self._first_seq < 0:
+            self._first_seq = seq
+        self._last_seq = max(seq, self._last_seq)
+
+    def snapshot(self, entry: JournalEntry, proof: Proof | None) -> int:
+        """Take a snapshot; return the number of the one before it, 0 if there is none."""
+        before = max(self._last_snapshot, 0)
+        self._last_snapshot = entry.seq if proof is not None else -1
+        return before
+
+    def check(self, events_before_snapshot: int) -> None:
+        """Check that the journal of a whole recording begins and ends with a snapshot."""
+        report = self._report
+        if not (self.is_own and self.is_whole) or self._last_snapshot < 0:
+            return
+        if self._first_seq and self._info.files[0].name == f"{self._recording.path.name}_0.mcap":
+            report.miss(f"its journal begins with entry {self._first_seq}: the first are missing")
+        elif events_before_snapshot and not self._first_seq:
+            report.miss("its journal does not begin with a snapshot")
+        was_closed = not (self._recording.is_cut_off or self._recording.is_live)
+        if was_closed and self._last_snapshot != self._last_seq:
+            report.miss("it was closed, but its journal does not end with a snapshot")
+
+    def read_ledger(self, invariants: Invariants) -> None:
+        """Check the loss ledger in the last file; there is none if it was not closed."""
+        ledger = read_ledger(self._recording.metadata_of_last_file())
+        if not ledger and CLIP_RECORD in self._info.metadata:
+            return  # a clip has no ledger: its source has it
+        if not ledger:
+            self._report.notes.append("it was not closed: it has no loss ledger to check")
+            return
+        for sentence in unbalanced(ledger, finished=self.is_whole):
+            invariants.violate(sentence)
+        self._ledger = ledger
+
+    def ending(self, topic: str | None) -> Ending:
+        """Return how the recording ends for a topic."""
+        return Ending(
+            None if self._ledger is None else self._ledger.get(topic or "", {}),
+            is_clip=CLIP_RECORD in self._info.metadata,
+            is_own=self.is_own,
+            is_whole=self.is_whole,
+            is_filtered=is_filtered(self._info),
+        )
