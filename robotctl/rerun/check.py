@@ -17,6 +17,7 @@ from robotctl.recording.read.journal_reader import EntryDecoder, journal_topic, 
 from robotctl.recording.read.source import Source
 from robotctl.rerun.bytes_check import check_bytes
 from robotctl.rerun.check_report import Report
+from robotctl.rerun.clock_changes import ClockChanges
 from robotctl.rerun.command_bytes import command_topic
 from robotctl.rerun.command_check import CommandCheck
 from robotctl.rerun.comparison import Comparison
@@ -28,6 +29,7 @@ from robotctl.rerun.journal_values import read_effect, read_event, read_snapshot
 from robotctl.rerun.recorded_parameters import differing_parameters
 from robotctl.rerun.recording_ends import RecordingEnds
 from robotctl.rerun.rerun import Divergence, Rerun
+from robotctl.rerun.service_check import ServiceChecks
 from robotctl.rerun.status_check import StatusCheck
 from robotctl.rerun.vocabulary import Vocabulary
 
@@ -72,7 +74,8 @@ class _Check:
         self._on_progress = on_progress
         self._info = recording.info()
         self._invariants = Invariants()
-        self._commands = CommandCheck(report)
+        self._clock = ClockChanges()
+        self._commands = CommandCheck(report, self._clock)
         self._chain = JournalChain()
         self._vocabulary: Vocabulary | None = Vocabulary()
         self._rerun: Rerun | None = None
@@ -99,6 +102,7 @@ class _Check:
         self._ends = RecordingEnds(self._recording, info, report, is_own=is_own)
         self._inputs = input_checks(report, info, topic)
         self._status = StatusCheck(report, info, topic)
+        self._services = ServiceChecks(report, info, topic, self._clock)
         for item in steps(self._entries(topic)):
             if isinstance(item, Gap):
                 report.miss(item.text)
@@ -113,7 +117,7 @@ class _Check:
         """Yield the journal entries; hand the other messages to their checks."""
         report = self._report
         commands = command_topic(self._info, topic)
-        readers = self._inputs.readers()
+        readers = self._inputs.readers() | self._services.readers()
         if commands is not None:
             readers[commands] = self._commands.message
         if self._status.topic is not None:
@@ -156,6 +160,7 @@ class _Check:
         self._invariants.snapshot(snapshot)
         self._commands.snapshot(snapshot)
         self._inputs.snapshot(snapshot.proof is not None)
+        self._services.snapshot(snapshot.proof is not None, self._log_ns[1])
         self._status.snapshot(snapshot)
 
     def _compare_parameters(self, entry: JournalEntry) -> None:
@@ -198,7 +203,9 @@ class _Check:
         level = None if kernel is None else kernel.state.health.battery_level
         self._status.step(decided.event, effects, level)
         if effects or not isinstance(decided.event, OdomReceived):
-            self._commands.step(decided.event, effects, (decided.event.t_ns, *self._log_ns))
+            moments = decided.event.t_ns, *self._log_ns
+            self._commands.step(decided.event, effects, moments)
+            self._services.step(decided.event, step.event.seq, effects, moments)
         self._invariants.step(step.event.seq, decided.event, effects)
 
     def _note(self, divergence: Divergence | None) -> None:
@@ -230,6 +237,7 @@ class _Check:
         self._invariants.stop()
         self._commands.stop()
         self._inputs.stop()
+        self._services.stop()
         if self._rerun is not None:
             self._rerun.stop()
 
@@ -249,6 +257,7 @@ class _Check:
         ends.read_ledger(invariants)
         self._commands.end(invariants, ends.ending(command_topic(self._info, self._topic or "")))
         self._inputs.end(invariants, ends.ending, self._end_ns)
+        self._services.end(invariants, ends.ending, self._end_ns)
         self._status.end(ends.ending(self._status.topic))
         report.violations, report.violation_count = invariants.violations, invariants.count
 

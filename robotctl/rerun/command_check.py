@@ -4,19 +4,13 @@ from __future__ import annotations
 
 from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.types import Effect, Event
-from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.read.messages import Message
 from robotctl.rerun.check_report import Report
+from robotctl.rerun.clock_changes import ClockChanges
 from robotctl.rerun.command_pairs import CommandPairs, Moments
 from robotctl.rerun.ending import Ending
 from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.traffic import CommandTraffic
-
-CLOCK_NS = NS_PER_S // 4
-"""A larger change between wall clock and steady clock: the clock was set, or the loop stalled."""
-
-CLOCK_EXCUSES_NS = 2 * NS_PER_S
-"""How near to such a change the time of a command is not compared."""
 
 CUT = 3
 """How many commands at the end of a clip may be decided after it."""
@@ -25,15 +19,13 @@ CUT = 3
 class CommandCheck:
     """The comparison of commands and decisions: by number, or by value for version 0.1.0."""
 
-    def __init__(self, report: Report) -> None:
+    def __init__(self, report: Report, clock: ClockChanges) -> None:
         self._report = report
+        self._clock = clock
         self._pairs = CommandPairs()
         self._traffic = CommandTraffic()
         self._by_number: bool | None = None
         self._seen = 0
-        self._decided = 0
-        self._clock_ns: int | None = None
-        self._clock_set_ns: list[int] = []
 
     def message(self, message: Message) -> None:
         """Take a message of the command topic."""
@@ -57,16 +49,10 @@ class CommandCheck:
     def step(self, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
         """Take an event with its effects, and when it was handled."""
         if self._by_number:
-            self._look_at_clock(event.t_ns, moments[1])
+            self._clock.look(event.t_ns, moments[1])
             self._pairs.step(event, effects, moments)
         elif effects:
             self._traffic.step(effects)
-
-    def _look_at_clock(self, steady_ns: int, wall_ns: int) -> None:
-        offset_ns = wall_ns - steady_ns
-        before_ns, self._clock_ns = self._clock_ns, offset_ns
-        if before_ns is not None and abs(offset_ns - before_ns) > CLOCK_NS:
-            self._clock_set_ns.append(steady_ns)
 
     def end(self, invariants: Invariants, ending: Ending) -> None:
         """Report what differs."""
@@ -131,11 +117,7 @@ class CommandCheck:
             self._report.miss(f"the last {count} decided commands are missing")
 
     def _tell_late(self, invariants: Invariants, ending: Ending) -> None:
-        late = [
-            text
-            for steady_ns, text in self._pairs.late
-            if not any(abs(steady_ns - at_ns) <= CLOCK_EXCUSES_NS for at_ns in self._clock_set_ns)
-        ]
+        late = [text for steady_ns, text in self._pairs.late if not self._clock.is_near(steady_ns)]
         if late:
             ending.accuse(
                 self._report,

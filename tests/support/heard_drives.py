@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Iterable, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from math import nan
 from pathlib import Path
+from typing import Any
 
 from mcap.records import Channel, Schema
 
@@ -22,6 +24,7 @@ from robotctl.rerun.closed_loop import closed_loop
 from robotctl.testing.drives import BEGIN_NS, drive_requested, journaled, record
 from robotctl.testing.hearing import BATTERY, ODOMETRY, HearingKernel
 from tests.support.edited_recordings import Contents, Stored, contents_of
+from tests.support.service_calls import ESTOP, SET_MODE, received, sent
 
 COMMANDS, JOURNAL, STATUS = "/cmd_vel", "/robotctl/journal", "/robot_status"
 
@@ -65,8 +68,11 @@ def _with_messages(contents: Contents, heard: dict[tuple[str, int], bytes]) -> C
     """Add what was heard and shown, each message a few entries late, as the recorder does."""
     _add_topic(contents, BATTERY, "sensor_msgs/msg/BatteryState")
     _add_topic(contents, STATUS, "robot_controller/msg/RobotStatus")
+    _add_topic(contents, SET_MODE, "robot_controller/srv/SetMode_Event")
+    _add_topic(contents, ESTOP, "std_srvs/srv/Trigger_Event")
     messages: list[Stored] = []
     late: list[Stored] = []
+    calls = _Calls()
     mode, level, shown, due_ns = Mode.IDLE.value, nan, 0, 0
     for each in contents.messages:
         messages.append(each)
@@ -80,6 +86,7 @@ def _with_messages(contents: Contents, heard: dict[tuple[str, int], bytes]) -> C
             data = heard[topic, sequence]
             late.append(Stored(topic, data, each.log_ns, each.log_ns, sequence))
             level = values["level"] if topic == BATTERY else level
+        late += calls.of(entry.name, values, each.log_ns)
         is_change = entry.name == "ModeChanged"
         mode = values["mode"] if is_change else mode
         if is_change or entry.t_ns >= due_ns:
@@ -93,6 +100,33 @@ def _with_messages(contents: Contents, heard: dict[tuple[str, int], bytes]) -> C
     return _counted(contents)
 
 
+class _Calls:
+    """The calls of the services, as far as the journal tells of them."""
+
+    def __init__(self) -> None:
+        self._open: dict[int, str] = {}
+        self._counts = Counter[str]()
+
+    def of(self, name: str, values: dict[str, Any], log_ns: int) -> Iterator[Stored]:
+        """Yield the service event that belongs to an entry, if one does."""
+        number = values.get("request_id", 0)
+        if name == "ModeRequested" and values["source"].startswith("the ROS service "):
+            topic = f"{values['source'].removeprefix('the ROS service ')}/_service_event"
+            self._open[number] = topic
+            yield self._stored(topic, received(number, values["requested"]), log_ns)
+        elif name == "Reply" and number in self._open:
+            topic = self._open.pop(number)
+            text = values["message"]
+            if values["remedies"]:
+                text += ": release it: robotctl reset"
+            data = sent(number, values["ok"], text, values["mode"] if topic == SET_MODE else None)
+            yield self._stored(topic, data, log_ns)
+
+    def _stored(self, topic: str, data: bytes, log_ns: int) -> Stored:
+        self._counts[topic] += 1
+        return Stored(topic, data, log_ns, log_ns, self._counts[topic])
+
+
 def _add_topic(contents: Contents, topic: str, type_name: str) -> None:
     schema = Schema(id=0, name=type_name, encoding="ros2msg", data=type_name.encode())
     values = {"topic_type_hash": "", "offered_qos_profiles": ""}
@@ -104,7 +138,8 @@ def _counted(contents: Contents) -> Contents:
     """Return the contents with a ledger that counts all messages."""
     again = replace(contents)
     ledger = next(values for name, values in again.metadata if name == LEDGER_RECORD)
-    for topic, count in again.counts.items():
+    for topic in (channel.topic for channel, _ in again.types):
+        count = again.counts[topic]
         counts = dict.fromkeys(("received", "written", "queued", "dropped", "lost", "unseen"), 0)
         counts |= json.loads(ledger.get(topic, "{}"))
         ledger[topic] = json.dumps({**counts, "received": count, "written": count})

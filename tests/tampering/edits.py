@@ -132,9 +132,10 @@ def added(topic: str, data: bytes) -> Kind:
 
 
 def removed(topic: str) -> Kind:
-    """Remove a topic with its channel."""
+    """Remove a topic that has messages, with its channel."""
 
     def make(contents: Contents, random: Random) -> Contents:
+        random.choice(positions(contents, topic, anywhere))
         edited = edit(contents, topic, lambda at, each: None)
         edited.types = [each for each in contents.types if each[0].topic != topic]
         return edited

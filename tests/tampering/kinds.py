@@ -11,6 +11,7 @@ from robotctl.recording.format.journal import EntryKind, JournalEntry, decode
 from robotctl.testing.hearing import BATTERY, ODOMETRY
 from tests.support.edited_recordings import Contents, Stored
 from tests.support.heard_drives import COMMANDS, JOURNAL, STATUS
+from tests.support.service_calls import ESTOP, SET_MODE, received
 from tests.tampering.edits import (
     MOTION,
     Kind,
@@ -84,6 +85,20 @@ def numbered(message: Stored, random: Random) -> Stored:
     return replace(message, sequence=message.sequence + 5_000)
 
 
+def requested(message: Stored, random: Random) -> Stored:
+    """Request another mode."""
+    data = bytearray(message.data)
+    data[AT_REQUESTED] ^= 1
+    return replace(message, data=bytes(data))
+
+
+def granted(message: Stored, random: Random) -> Stored:
+    """Answer the opposite."""
+    data = bytearray(message.data)
+    data[AT_SUCCESS] ^= 1
+    return replace(message, data=bytes(data))
+
+
 def first_snapshot_dropped(
     entries: list[JournalEntry], random: Random
 ) -> list[JournalEntry | None]:
@@ -126,6 +141,9 @@ def decided_without_event(contents: Contents, random: Random) -> Contents:
 AT_MODE = 4 + 4 + len(b"robot\0")
 """The place of the mode in a status."""
 
+AT_REQUESTED, AT_SUCCESS = 48, 52
+"""The places of the mode in a call and of the success in a response of a service."""
+
 _LIMITS = r'"linear_mps":[0-9.]+'
 
 FOUND: Mapping[str, Kind] = {
@@ -165,6 +183,16 @@ FOUND: Mapping[str, Kind] = {
     "status: another battery level": changed(STATUS, shown_level, lambda m: m.sequence > 3),
     "status: another robot": changed(STATUS, robot, anywhere),
     "status: two swapped": swapped(STATUS, anywhere),
+    "service: a call for another mode": changed(SET_MODE, requested, lambda m: m.sequence == 1),
+    "service: a response says the opposite": changed(SET_MODE, granted, lambda m: m.sequence == 2),
+    "service: a call received late": changed(
+        ESTOP, lambda m, _: late(m), lambda m: m.sequence == 1
+    ),
+    "service: a call added": added(ESTOP, received(9, None)),
+    "service: a request added to the journal, chained anew": journal(
+        rewritten("ModeRequested", '"the ROS service /estop"', '"the ROS service /set_mode"'),
+        careful=True,
+    ),
     "journal: an entry dropped": dropped(JOURNAL),
     "journal: an entry repeated": repeated(JOURNAL),
     "journal: two entries swapped": journal(two_swapped),
@@ -226,6 +254,9 @@ ONLY_IF_CLOSED: Mapping[str, Kind] = {
     "the end cut off": cut(0.5),
     "status: one dropped": dropped(STATUS),
     "status: all removed": all_changed(STATUS, lambda m: None),
+    "service: all calls removed": all_changed(SET_MODE, lambda m: None),
+    "service: topic removed": removed(ESTOP),
+    "service: a response removed": all_changed(SET_MODE, lambda m: None if m.sequence == 2 else m),
     "ledger: a command more received": counted(COMMANDS, "received", 1),
     "ledger: a command more written": counted(COMMANDS, "written", 1),
 }
@@ -272,6 +303,10 @@ ACCEPTED: Mapping[str, tuple[Kind, str]] = {
     "status: another temperature": (
         changed(STATUS, lambda m, _: replace(m, data=m.data[:-5] + MOTION[:4] + b"\1"), anywhere),
         "it is only measured to be shown",
+    ),
+    "service: another client": (
+        all_changed(ESTOP, lambda m: replace(m, data=m.data.replace(b"\1" * 16, b"\2" * 16))),
+        "no decision depends on which client called",
     ),
     "metadata: the mode at the start changed": (
         metadata("robotctl", "mode", "MOVING"),

@@ -19,8 +19,9 @@ def after(seconds: float) -> int:
 REQUESTS: dict[str, list[Event]] = {
     "stopped": [
         drive_requested(),
-        ModeRequested(after(1.2), 2, 3, "operator"),
-        ResetRequested(after(2.4), 3, "operator"),
+        ModeRequested(after(1.2), 2, 3, "the ROS service /estop"),
+        ModeRequested(after(2.0), 3, 1, "the ROS service /set_mode"),
+        ResetRequested(after(2.4), 4, "operator"),
     ],
     "stalled": [drive_requested(), LoopStalled(after(1.5), 0.2, 3, 0, "somewhere")],
 }

@@ -1,0 +1,219 @@
+"""Checks the recorded calls of the mode services against the requests and replies of the journal.
+
+Each call that robotctl received is one request in the journal, in the same order, and each response
+that it sent says what the journal replied.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+
+from robotctl.kernel.types import Effect, Event, ModeRequested, Reply
+from robotctl.kernel.units import NS_PER_S
+from robotctl.recording import RecordingInfo
+from robotctl.recording.format.journal import TOPIC
+from robotctl.recording.read.messages import Message
+from robotctl.rerun.check_report import Report
+from robotctl.rerun.clock_changes import ClockChanges
+from robotctl.rerun.command_pairs import LATE_NS, Moments
+from robotctl.rerun.ending import Ending
+from robotctl.rerun.invariants import Invariants
+from robotctl.rerun.service_events import SERVICES, Service, read_service_event
+from robotctl.rerun.service_pairs import Asked, Call, ServicePairs
+
+END_NS = 2 * NS_PER_S
+"""How long before the end a request may lack its call: it was under way."""
+
+
+class ServiceChecks:
+    """The checks of all services that request a mode, from the first snapshot with a proof on."""
+
+    def __init__(
+        self, report: Report, info: RecordingInfo, journal_topic: str, clock: ClockChanges
+    ) -> None:
+        open_calls: dict[tuple[bytes, int], Call] = {}
+        namespace = journal_topic.removesuffix(f"/{TOPIC}")
+        self._all = [
+            _ServiceCheck(report, info, namespace, service, open_calls, clock)
+            for service in SERVICES
+        ]
+        self._is_on = False
+
+    def readers(self) -> dict[str, Callable[[Message], None]]:
+        """Return for each recorded topic what takes its messages."""
+        return {each.topic: each.message for each in self._all if each.is_recorded}
+
+    def snapshot(self, has_proof: bool, log_ns: int) -> None:
+        """Compare from this snapshot on, if it is one of this version."""
+        if has_proof and not self._is_on:
+            self._is_on = True
+            for each in self._all:
+                each.begin(log_ns)
+
+    def stop(self) -> None:
+        """Pause until the next snapshot: events are missing."""
+        self._is_on = False
+
+    def step(self, event: Event, seq: int, effects: tuple[Effect, ...], moments: Moments) -> None:
+        """Take an event with its effects; `seq` is the number of its entry."""
+        if not self._is_on:
+            return
+        if isinstance(event, ModeRequested):
+            for each in self._all:
+                each.pairs.request(event, seq, moments)
+        for effect in effects:
+            if isinstance(effect, Reply):
+                for each in self._all:
+                    each.pairs.reply(effect)
+
+    def end(
+        self, invariants: Invariants, ending: Callable[[str | None], Ending], end_ns: int
+    ) -> None:
+        """Report what differs; `ending(topic)` tells how the recording ends for a topic."""
+        if self._is_on and ending(None).is_own:
+            for each in self._all:
+                each.end(invariants, ending(each.topic), end_ns)
+
+
+class _ServiceCheck:
+    """The comparison of one service."""
+
+    def __init__(
+        self,
+        report: Report,
+        info: RecordingInfo,
+        namespace: str,
+        service: Service,
+        open_calls: dict[tuple[bytes, int], Call],
+        clock: ClockChanges,
+    ) -> None:
+        self.topic = f"{namespace}/{service.name}/_service_event"
+        types = {topic.name: topic.type_name for topic in info.topics}
+        self.is_recorded = types.get(self.topic) == service.type_name
+        self._source = f"the ROS service {namespace}/{service.name}"
+        self._open_calls = open_calls
+        self.pairs = ServicePairs(self._source, open_calls)
+        self._others = sorted(
+            topic.name
+            for topic in info.topics
+            if topic.type_name == service.type_name and topic.name != self.topic
+        )
+        self._report = report
+        self._service = service
+        self._clock = clock
+        self._begin_ns: int | None = None
+        self._newest = 0
+        self._has_one_publisher = True
+        self._unreadable = 0
+
+    def begin(self, log_ns: int) -> None:
+        """Compare from this time on [ns since the epoch]."""
+        self._open_calls.clear()
+        self.pairs = ServicePairs(self._source, self._open_calls)
+        self._begin_ns = log_ns
+
+    def message(self, message: Message) -> None:
+        """Take a message of the topic."""
+        if self._begin_ns is None:
+            return
+        self._has_one_publisher &= message.sequence > self._newest
+        self._newest = max(message.sequence, self._newest)
+        try:
+            event = read_service_event(self._service, message.data, message.publish_ns)
+        except struct.error:
+            self._unreadable += 1
+            return
+        if event is not None:
+            self.pairs.event(event, message.publish_ns)
+
+    def end(self, invariants: Invariants, ending: Ending, end_ns: int) -> None:
+        """Report what differs."""
+        pairs, report = self.pairs, self._report
+        pairs.pair(self._clock)
+        if self._unreadable:
+            report.miss(f"{self._unreadable} messages of {self.topic} cannot be read")
+        if pairs.is_full:
+            report.miss(f"of the calls on {self.topic} only the first were compared")
+            return
+        self._tell_unasked(invariants, ending)
+        self._tell_unheard(invariants, ending, end_ns)
+        self._tell_answers(invariants, ending, end_ns)
+
+    def _tell_unasked(self, invariants: Invariants, ending: Ending) -> None:
+        begin_ns = (self._begin_ns or 0) + LATE_NS
+        unasked = [call for call in self.pairs.unasked if call.publish_ns > begin_ns]
+        if not unasked:
+            return
+        text = (
+            f"{len(unasked)} calls on {self.topic} are not requests in the journal, the first is "
+            f"for mode {unasked[0].requested}"
+        )
+        if self._has_one_publisher:
+            ending.accuse(self._report, invariants, text)
+        else:
+            self._report.notes.append(f"{text}: another node serves it as well")
+
+    def _tell_unheard(self, invariants: Invariants, ending: Ending, end_ns: int) -> None:
+        report, pairs = self._report, self.pairs
+        recent = [each for each in pairs.last_unheard if end_ns - each.moments[0] <= END_NS]
+        unheard = pairs.unheard + pairs.last_unheard[: len(pairs.last_unheard) - len(recent)]
+        if ending.ledger is not None and ending.is_whole:
+            unheard += recent  # it was closed: they were recorded
+        if ending.is_clip or not ending.is_whole:
+            unheard = [each for each in unheard if not self._is_first(each)]
+        if not unheard:
+            return
+        text = (
+            f"{len(unheard)} requests of {pairs.source} are not recorded as calls, "
+            f"the first is entry {unheard[0].seq}"
+        )
+        if len(unheard) <= ending.lost:
+            report.notes.append(f"{text}: {ending.lost} were counted as lost")
+        elif not self.is_recorded and ending.is_filtered:
+            report.notes.append(f"{self.topic} was not recorded, as configured")
+        elif not pairs.calls and self._others:
+            report.notes.append(f"{text}: its name may be remapped, as {self._others[0]} is of it")
+        elif ending.ledger is None:
+            report.miss(f"{text}; it was not closed, so its losses are not known")
+        else:
+            ending.accuse(report, invariants, text)
+
+    def _is_first(self, asked: Asked) -> bool:
+        """Return whether its call may be in an earlier file."""
+        return asked.moments[1] <= (self._begin_ns or 0) + LATE_NS
+
+    def _tell_answers(self, invariants: Invariants, ending: Ending, end_ns: int) -> None:
+        report, pairs = self._report, self.pairs
+        for asked, call in pairs.pairs:
+            if text := self._difference(asked, call):
+                ending.accuse(report, invariants, f"{self.topic}: {text}")
+                return
+        unanswered = len(pairs.unanswered(end_ns))
+        alone = pairs.answers_alone if ending.is_whole and not ending.is_clip else 0
+        if unanswered + alone > ending.lost and ending.ledger is not None:
+            report.miss(
+                f"{self.topic}: of {unanswered} calls the response is not recorded, "
+                f"and of {alone} responses the call"
+            )
+
+    def _difference(self, asked: Asked, call: Call) -> str:
+        """Return how a response differs from the reply in the journal, "" if it does not."""
+        reply, answer = asked.reply, call.answer
+        if reply is None or answer is None:
+            return ""
+        name = f" --robot {self._report.robot}"
+        said, decided = answer.text.replace(name, ""), reply.message.replace(name, "")
+        rest = said.removeprefix(decided)
+        failed = rest.startswith(", but ")  # an effect before the reply failed
+        if not said.startswith(decided) or not (failed or bool(rest) is bool(reply.remedies)):
+            return f"a response says {answer.text[:80]!r}, and entry {asked.seq} got {decided!r}"
+        if answer.ok is not reply.ok and not (failed and reply.ok):
+            return f"a response says {answer.ok}, and entry {asked.seq} got {reply.ok}"
+        if answer.mode not in (None, reply.mode.value):
+            return f"a response shows mode {answer.mode}, and entry {asked.seq} got {reply.mode}"
+        if answer.publish_ns < asked.moments[1] - LATE_NS and not self._clock.is_near(
+            asked.moments[0]
+        ):
+            return f"the response to entry {asked.seq} was sent before the request"
+        return ""
