@@ -58,7 +58,10 @@ class StatusCheck:
         self._t_ns = 0
 
     def message(self, message: Message) -> None:
-        """Take a status; the last one is repeated at the beginning of each file."""
+        """Take a status; the last one is repeated at the beginning of each file and clip.
+
+        That one shows the battery level of before its journal.
+        """
         if message.sequence == self._newest and self._seen:
             return
         try:
@@ -78,7 +81,8 @@ class StatusCheck:
         if (not self._shown or self._shown[-1] != mode) and len(self._shown) < MAX_CHANGES:
             self._shown.append(mode)
         shown = _UNKNOWN if isnan(level) else _FLOAT.pack(level)
-        if shown not in self._levels:
+        is_older = self._seen == 1 and message.publish_ns < self._report.begin_log_ns
+        if shown not in self._levels and not is_older:
             self._doubtful.append(shown)
 
     def snapshot(self, snapshot: Snapshot) -> None:

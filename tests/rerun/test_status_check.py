@@ -1,0 +1,38 @@
+"""What is held against a robot status."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from robotctl.rerun.check import check_recording
+from robotctl.rerun.check_report import Verdict
+from tests.support.edited_recordings import Contents, Stored, edit, write_contents
+from tests.support.heard_drives import STATUS, heard_drive, status
+
+
+@pytest.fixture(scope="module")
+def heard(tmp_path_factory: pytest.TempPathFactory) -> Contents:
+    return heard_drive(tmp_path_factory.mktemp("heard") / "run", 3.0)
+
+
+@pytest.mark.parametrize(
+    ("earlier_ns", "verdict"), [(10_000_000_000, Verdict.SAME), (0, Verdict.INCOMPLETE)]
+)
+def test_the_status_of_before_the_journal_may_show_another_battery_level(
+    tmp_path: Path, heard: Contents, earlier_ns: int, verdict: Verdict
+) -> None:
+    """A clip and a split begin with the last status, which a battery level may follow at once."""
+
+    def another(number: int, message: Stored) -> Stored:
+        if number:
+            return message
+        mode = message.data[16]
+        return replace(
+            message, data=status(mode, 0.123), publish_ns=message.publish_ns - earlier_ns
+        )
+
+    report = check_recording(write_contents(tmp_path / "run", edit(heard, STATUS, another)))
+    assert report.verdict is verdict, report
