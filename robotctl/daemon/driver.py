@@ -25,6 +25,7 @@ from robotctl.daemon.control.latch import Latch
 from robotctl.daemon.control.pending_requests import PendingRequests
 from robotctl.daemon.control.robot_report import RobotReport
 from robotctl.daemon.control.watchdog import Watchdog
+from robotctl.daemon.diagnostics import Diagnostics
 from robotctl.daemon.drive_goals import DriveGoals
 from robotctl.daemon.host import Host, Ready, running
 from robotctl.daemon.last_zero import LastZero
@@ -146,6 +147,7 @@ class Driver:
             session.scheduling,
             host.warnings,
         )
+        self._diagnostics = Diagnostics(session, robot, self.recorder.report, self._status)
         self._inputs = Inputs(self._control, self._robot_report)
         self._odometry = OdomSubscriber(
             session, params.odometry.topic, self._take_odometry, self._inputs.odometry_source
@@ -231,6 +233,7 @@ class Driver:
         work: dict[str, Work] = {
             "control": self._tick,
             **self.recorder.work(),
+            "diagnostics": self._diagnostics.run,
             "graph watch": self._graph_watch,
             "status": self._shown.run,
         }

@@ -11,6 +11,7 @@ from robotctl.daemon.api.graph import graph_methods
 from robotctl.daemon.api.parameters import list_method
 from robotctl.daemon.api.recording import recording_methods
 from robotctl.daemon.api.status import StatusSource
+from robotctl.daemon.diagnostics import Diagnostics
 from robotctl.daemon.host import Host, Ready, running
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.errors import Refused
@@ -40,6 +41,9 @@ class Observer:
         self._status = StatusSource(
             host.options, self.recorder.report, self, host.session.scheduling, host.warnings
         )
+        self._diagnostics = Diagnostics(
+            host.session, host.options.robot, self.recorder.report, self._status
+        )
         host.supervisor.report_to(self._note)
 
     def methods(self) -> Mapping[str, Method[Any]]:
@@ -59,7 +63,11 @@ class Observer:
 
     async def run(self, server: ControlServer, notes: list[str], on_ready: Ready) -> None:
         """Record until the daemon is stopped."""
-        work = {**self.recorder.work(), "socket": server.serve}
+        work = {
+            **self.recorder.work(),
+            "diagnostics": self._diagnostics.run,
+            "socket": server.serve,
+        }
         async with running(self._host.supervisor, work):
             on_ready(self._status.summary(notes))
             _log.info("ready: observing")

@@ -19,7 +19,6 @@ from robotctl.ipc.params import MarkParams, NoParams
 from robotctl.recording import Recorder
 from robotctl.recording.write.recorder_stats import RecorderState, RecorderStats
 from robotctl.recording.write.topic_filter import TopicFilter
-from robotctl.ros.nodes.diagnostics_publisher import Diagnosis, DiagnosticsPublisher
 from robotctl.ros.tap.tap import Tap
 
 FAILURE = "the recorder failed: see robotctl logs"
@@ -78,14 +77,11 @@ def test_diagnostics_on_ros_name_the_robot_in_a_cure() -> None:
         warning="",
         topics=(),
     )
-    published: list[Diagnosis] = []
     report = RecorderReport(
         cast(Recorder, SimpleNamespace(stats=lambda: failed)),
         cast(Tap, SimpleNamespace(unrecorded=SimpleNamespace(warnings=lambda: iter(())))),
         TopicFilter((), (), ()),
-        cast(DiagnosticsPublisher, SimpleNamespace(publish=published.append)),
         list,
         "r2",
     )
-    report.sample()
-    assert [diagnosis.message for diagnosis in published] == [FAILURE_OF_R2]
+    assert report.diagnosis().message == FAILURE_OF_R2

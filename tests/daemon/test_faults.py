@@ -72,7 +72,7 @@ def commands(world: World) -> list[tuple[float, float]]:
         (Watchdog, "ping", "the control task failed"),
         (Tap, "_look", "the recorder task failed"),
         (VelocityPublisher, "count_publishers", "the graph watch task failed"),
-        (RecorderReport, "sample", "the recorder's statistics task failed"),
+        (RecorderReport, "sample", "the diagnostics task failed"),
         (ModeService, "publish", "the status task failed"),
         (Listener, "accept", "the socket task failed"),
         (Inputs, "odometry", "the callback of "),

@@ -119,12 +119,14 @@ def test_its_ledger_is_on_diagnostics(observed: Observed) -> None:
     from rclpy.serialization import deserialize_message
 
     last = deserialize_message(observed.topics["/diagnostics"][-1].data, DiagnosticArray)
-    (status,) = last.status
+    status, daemon = last.status
     assert (status.name, status.hardware_id) == ("robot: recorder", "robot")
     assert (status.level, status.message) == (b"\0", "everything is recorded")
     values = {entry.key: entry.value for entry in status.values}
     assert int(values["received"]) >= 2 * COMMANDS
     assert values["dropped"] == values["lost"] == "0"
+    assert (daemon.name, daemon.hardware_id) == ("robot: daemon", "robot")
+    assert (daemon.level, daemon.message, daemon.values) == (b"\0", "no warnings", [])
 
 
 def test_its_status_has_the_same_keys_and_no_robot(observed: Observed) -> None:

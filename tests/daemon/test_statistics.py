@@ -11,6 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robotctl.daemon.diagnostics import MAX_WARNINGS
+from robotctl.daemon.diagnostics import diagnose as diagnose_daemon
 from robotctl.daemon.recording.loss_diagnosis import MAX_TOPICS, diagnose
 from robotctl.daemon.recording.topic_rates import (
     HEAVY_BYTES_PER_S,
@@ -156,3 +158,13 @@ def test_of_too_many_topics_those_that_lack_most_are_named() -> None:
     values = diagnose(recorder(*topics), []).values
     named = [name for name in values if name.startswith("/t")]
     assert named == [f"/t{index}" for index in reversed(range(10, MAX_TOPICS + 10))]
+
+
+def test_every_warning_of_the_status_is_on_diagnostics() -> None:
+    warnings = [f"topic {number} is not recorded" for number in range(MAX_WARNINGS + 5)]
+    diagnosis = diagnose_daemon(warnings)
+    assert diagnosis.level is Level.WARN
+    assert diagnosis.message == f"topic 0 is not recorded (and {MAX_WARNINGS + 4} more)"
+    assert list(diagnosis.values.values()) == warnings[:MAX_WARNINGS]
+    assert diagnose_daemon(warnings[:1]).message == "topic 0 is not recorded"
+    assert diagnose_daemon([]).level is Level.OK

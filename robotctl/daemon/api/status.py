@@ -63,7 +63,7 @@ class StatusSource:
             "pid": os.getpid(),
             **facts,
             **self._recording.facts(),
-            "warnings": [for_robot(warning, robot) for warning in self._warnings()],
+            "warnings": self.warnings(),
             "namespace": self._options.namespace,
             "domain_id": self._options.domain_id,
             "discovery_range": discovery_range(),
@@ -71,6 +71,10 @@ class StatusSource:
             "socket": str(socket_path(self._options.robot)),
             "uptime_s": round(time.monotonic() - self._started, 3),
         }
+
+    def warnings(self) -> list[str]:
+        """Return what is wrong, or may be, one sentence each."""
+        return [for_robot(warning, self._options.robot) for warning in self._warnings()]
 
     def summary(self, notes: list[str]) -> StartSummary:
         """Return the report of a ready daemon to its starter."""

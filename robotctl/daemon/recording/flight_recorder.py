@@ -36,7 +36,6 @@ from robotctl.ros.nodes import (
     mode_service,
     rosout_publisher,
 )
-from robotctl.ros.nodes.diagnostics_publisher import DiagnosticsPublisher
 from robotctl.ros.nodes.head_publisher import HeadPublisher
 from robotctl.ros.nodes.journal_publisher import JournalPublisher
 from robotctl.ros.nodes.mark_publisher import MarkPublisher
@@ -44,8 +43,6 @@ from robotctl.ros.session import Session
 from robotctl.ros.tap.tap import Tap
 
 _log = logging.getLogger(__name__)
-
-SAMPLE_PERIOD_S = 1.0
 
 
 class FlightRecorder:
@@ -99,7 +96,6 @@ class FlightRecorder:
         self.tap = Tap(session, self._open_sink, topic_filter.records)
         for own_topic in (diagnostics_publisher.TOPIC, rosout_publisher.TOPIC):
             self.tap.subscribe_own(own_topic)
-        diagnostics = DiagnosticsPublisher(session, options.robot)
         self._marks = MarkPublisher(session)
         self._write_mark = self.tap.reserve(mark_publisher.TOPIC)
         self._events: int | None = None
@@ -114,7 +110,6 @@ class FlightRecorder:
             self._recorder,
             self.tap,
             topic_filter,
-            diagnostics,
             self._problems,
             options.robot,
         )
@@ -130,7 +125,6 @@ class FlightRecorder:
         """Return the tasks of the recorder by name."""
         return {
             "recorder": self.tap.run,
-            "recorder's statistics": self._keep_statistics,
             "black box": self._black_box.run,
             "tidier": self.tidier.run,
             "heads of the seal": self._heads.run,
@@ -211,11 +205,6 @@ class FlightRecorder:
         """Remove the recording of a start that failed."""
         stats = await asyncio.to_thread(self._recorder.close)
         await asyncio.to_thread(rmtree, stats.file.parent, ignore_errors=True)
-
-    async def _keep_statistics(self) -> None:
-        while True:
-            self.report.sample()
-            await asyncio.sleep(SAMPLE_PERIOD_S)
 
     def _problems(self) -> list[str]:
         return [*self.tidier.problems, *filter(None, [self._heads.problem])]

@@ -15,7 +15,7 @@ from robotctl.recording import Recorder
 from robotctl.recording.format.message_counts import MessageCounts
 from robotctl.recording.format.topics import by_topic
 from robotctl.recording.write.topic_filter import TopicFilter
-from robotctl.ros.nodes.diagnostics_publisher import DiagnosticsPublisher
+from robotctl.ros.nodes.diagnostics_publisher import Diagnosis
 from robotctl.ros.tap.tap import Tap
 
 _log = logging.getLogger(__name__)
@@ -31,7 +31,6 @@ class RecorderReport:
         recorder: Recorder,
         tap: Tap,
         topic_filter: TopicFilter,
-        diagnostics: DiagnosticsPublisher,
         problems: Callable[[], Sequence[str]],
         robot: str,
     ) -> None:
@@ -39,7 +38,6 @@ class RecorderReport:
         self._recorder = recorder
         self._tap = tap
         self._filter = topic_filter
-        self._diagnostics = diagnostics
         self._problems = problems
         self._robot = robot
         self._rates = RateMeter()
@@ -97,7 +95,7 @@ class RecorderReport:
         yield from self._problems()
 
     def sample(self) -> None:
-        """Update the rates, and publish the diagnosis; called once a second."""
+        """Update the rates; called once a second."""
         now_ns = time.monotonic_ns()
         stats = self._recorder.stats()
         topics = {(each.name, each.type_name): each for each in by_topic(stats.topics)}
@@ -108,8 +106,12 @@ class RecorderReport:
         if stats.no_memory and not self._logged_memory:
             self._logged_memory = True
             _log.warning("messages %s", _NO_MEMORY)
+
+    def diagnosis(self) -> Diagnosis:
+        """Return the recorder's part of /diagnostics."""
+        stats = self._recorder.stats()
         told = replace(stats, failure=for_robot(stats.failure, self._robot))
-        self._diagnostics.publish(diagnose(told, list(self.warnings())))
+        return diagnose(told, list(self.warnings()))
 
     def _heavy_warnings(self) -> Iterator[tuple[str, str]]:
         """Yield each heavy topic that can be excluded, with its warning."""

@@ -43,20 +43,20 @@ class DiagnosticsPublisher:
         self._node = session.helper()
         self._publisher = TOPIC.create_publisher(self._node)
 
-    def publish(self, diagnosis: Diagnosis) -> None:
-        """Publish a diagnosis, stamped now; characters that are not printable are escaped."""
+    def publish(self, *diagnoses: Diagnosis) -> None:
+        """Publish diagnoses, stamped now; characters that are not printable are escaped."""
         message = DiagnosticArray()
         message.header.stamp = self._node.get_clock().now().to_msg()
         message.status = [
             DiagnosticStatus(
-                level=diagnosis.level.value,
-                name=f"{self._robot}: {diagnosis.part}",
-                message=printable(diagnosis.message),
+                level=each.level.value,
+                name=f"{self._robot}: {each.part}",
+                message=printable(each.message),
                 hardware_id=self._robot,
                 values=[
-                    KeyValue(key=key, value=printable(text))
-                    for key, text in diagnosis.values.items()
+                    KeyValue(key=key, value=printable(text)) for key, text in each.values.items()
                 ],
             )
+            for each in diagnoses
         ]
         self._publisher.publish(message)
