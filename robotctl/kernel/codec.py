@@ -12,6 +12,7 @@ from dataclasses import MISSING, fields, is_dataclass
 from enum import Enum
 from functools import lru_cache
 from math import isfinite
+from operator import attrgetter
 from types import NoneType, UnionType
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -20,8 +21,7 @@ T = TypeVar("T")
 
 def to_json(value: Any) -> str:
     """Return the JSON text of a kernel dataclass, or of any value in one."""
-    kind: Any = type(value)
-    return _writer(kind)(value)
+    return _WRITERS[type(value)](value)
 
 
 def from_json(kind: Callable[..., T], text: str) -> T:
@@ -40,7 +40,17 @@ def from_json(kind: Callable[..., T], text: str) -> T:
     return value
 
 
-@lru_cache(maxsize=256)
+class _Writers(dict[Any, Callable[[Any], str]]):
+    """For each type the function that writes it, made when it is first needed."""
+
+    def __missing__(self, kind: Any) -> Callable[[Any], str]:
+        self[kind] = _writer(kind)
+        return self[kind]
+
+
+_WRITERS = _Writers()
+
+
 def _writer(kind: Any) -> Callable[[Any], str]:
     """Return the function that writes a `kind`, in half the time of `json.dumps`."""
     if kind is float:
@@ -67,9 +77,12 @@ def _write_float(value: float) -> str:
 def _fields_writer(kind: Any) -> Callable[[Any], str]:
     names = [field.name for field in fields(kind)]
     template = "{" + ",".join(f'"{name}":%s' for name in names) + "}"
+    if len(names) < 2:
+        return lambda value: template % tuple([to_json(getattr(value, name)) for name in names])
+    values_of, writers = attrgetter(*names), _WRITERS
 
     def write(value: Any) -> str:
-        return template % tuple([to_json(getattr(value, name)) for name in names])
+        return template % tuple([writers[type(each)](each) for each in values_of(value)])
 
     return write
 

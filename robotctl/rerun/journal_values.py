@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Any, get_args
 
@@ -12,6 +13,7 @@ from robotctl.config import Config, check_all
 from robotctl.errors import ConfigError, UnreadableFile
 from robotctl.kernel.codec import from_json, to_json
 from robotctl.kernel.kernel import Kernel
+from robotctl.kernel.params import KernelParams
 from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.types import Effect, Event
 from robotctl.recording.format.journal import JournalEntry
@@ -59,11 +61,19 @@ def read_snapshot(entry: JournalEntry) -> Snapshot:
         UnreadableFile: It is not a snapshot of this version.
     """
     snapshot: Snapshot = _read(_SNAPSHOT, "snapshot", entry)
-    try:
-        check_all(Config(kernel=snapshot.params))
-    except ConfigError as error:
-        raise UnreadableFile(f"journal entry {entry.seq} cannot be read: {error}") from None
+    if wrong := _wrong_in(snapshot.params):
+        raise UnreadableFile(f"journal entry {entry.seq} cannot be read: {wrong}")
     return snapshot
+
+
+@lru_cache(maxsize=4)
+def _wrong_in(params: KernelParams) -> str:
+    """Return what is not allowed in parameters, "" if they are; most snapshots have the same."""
+    try:
+        check_all(Config(kernel=params))
+    except ConfigError as error:
+        return str(error)
+    return ""
 
 
 def decide(kernel: Kernel, event: Event) -> tuple[Effect, ...]:

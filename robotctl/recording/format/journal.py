@@ -42,6 +42,10 @@ _HEAD = struct.Struct("<4sQqBxxxI")
 """Encapsulation (CDR, little endian), then seq, t_ns, kind, padding, length of name."""
 
 _LENGTH = struct.Struct("<I")
+_HEAD_BYTES, _LENGTH_BYTES = _HEAD.size, _LENGTH.size
+
+_new = tuple.__new__
+"""Makes a named tuple in a third of the time of its class."""
 
 
 def encode(entry: JournalEntry) -> bytes:
@@ -72,18 +76,18 @@ def decode(serialized: bytes) -> JournalEntry:
             raise ValueError("not little-endian CDR")
         if kind >= len(_KINDS):
             raise ValueError(f"{kind} is not a kind of entry")
-        start = _HEAD.size
-        name = serialized[start : start + name_size - 1].decode()
-        start += name_size + -name_size % 4
-        (data_size,) = _LENGTH.unpack_from(serialized, start)
-        start += _LENGTH.size
-        if max(name_size, data_size) > MAX_TEXT_BYTES:
+        name_end = _HEAD_BYTES + name_size
+        start = name_end + -name_size % 4 + _LENGTH_BYTES
+        (data_size,) = _LENGTH.unpack_from(serialized, start - _LENGTH_BYTES)
+        end = start + data_size
+        if name_size > MAX_TEXT_BYTES or data_size > MAX_TEXT_BYTES:
             raise ValueError(
                 f"its text has {max(name_size, data_size)} bytes, more than {MAX_TEXT_BYTES}"
             )
-        if len(serialized) < start + data_size:
+        if len(serialized) < end:
             raise ValueError("cut short")
-        data = serialized[start : start + data_size - 1].decode()
-        return JournalEntry(seq, t_ns, _KINDS[kind], name, data)
+        name = serialized[_HEAD_BYTES : name_end - 1].decode()
+        data = serialized[start : end - 1].decode()
+        return _new(JournalEntry, (seq, t_ns, _KINDS[kind], name, data))
     except (struct.error, ValueError) as error:
         raise UnreadableFile(f"a journal entry is damaged: {error}") from None

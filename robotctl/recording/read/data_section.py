@@ -163,7 +163,7 @@ class _Reading:
         end = offset + RECORD_HEAD.size + len(content)
         if opcode == Opcode.MESSAGE:
             channel, _, log_ns, _ = MESSAGE_FIELDS.unpack_from(content)
-            data.add_message(channel, log_ns)
+            data.add_messages(channel, 1, log_ns, log_ns)
         elif opcode == Opcode.METADATA:
             record: Metadata = parse(Metadata, content)
             data.metadata[offset] = record

@@ -27,6 +27,12 @@ RECORD_HEAD: Final = struct.Struct("<BQ")
 MESSAGE_FIELDS: Final = struct.Struct("<HIQQ")
 """The fields before a message's data: channel id, sequence, log time [ns], publish time [ns]."""
 
+_MESSAGE_HEAD: Final = struct.Struct("<BQHIQQ")
+"""RECORD_HEAD and MESSAGE_FIELDS."""
+
+RecordHead = tuple[int, int, int, int, int, int]
+"""Opcode, length of the content [bytes]; in a message also MESSAGE_FIELDS, else without meaning."""
+
 MAX_RECORD_BYTES: Final = 64 << 20
 """A larger schema, channel, metadata or index record is regarded as damage."""
 
@@ -156,21 +162,44 @@ def walk_records(data: bytes, most: int = sys.maxsize) -> Iterator[tuple[int, in
         Damaged: A record is cut off or malformed.
         BeyondLimit: There are more than `most` records.
     """
+    for position, head in walk_heads(data, most):
+        start = position + RECORD_HEAD.size
+        yield head[0], start, start + head[1]
+
+
+def walk_heads(data: bytes, most: int = sys.maxsize) -> Iterator[tuple[int, RecordHead]]:
+    """Yield position and head of each record in a chunk.
+
+    Raises:
+        Damaged: A record is cut off or malformed.
+        BeyondLimit: There are more than `most` records.
+    """
     position, size = 0, len(data)
-    unpack = RECORD_HEAD.unpack_from
+    last_message = size - _MESSAGE_HEAD.size
+    unpack, message, head_bytes = _MESSAGE_HEAD.unpack_from, Opcode.MESSAGE.value, RECORD_HEAD.size
+    least_bytes = MESSAGE_FIELDS.size
     for _ in range(most):
-        if position >= size:
+        if position <= last_message:
+            head = unpack(data, position)
+        elif position >= size:
             return
-        if position + RECORD_HEAD.size > size:
-            raise Damaged("a chunk ends in the middle of a record")
-        opcode, length = unpack(data, position)
-        position += RECORD_HEAD.size
-        end = position + length
-        if end > size or (opcode == Opcode.MESSAGE and length < MESSAGE_FIELDS.size):
+        else:
+            head = _short_head(data, position)
+        opcode, length = head[0], head[1]
+        end = position + head_bytes + length
+        if end > size or (opcode == message and length < least_bytes):
             raise Damaged("a chunk ends in the middle of a record")
         if opcode == 0:
             raise Damaged("a chunk holds zeros in the place of a record")
-        yield opcode, position, end
+        yield position, head
         position = end
     if position < size:
         raise BeyondLimit(TOO_MANY_RECORDS)
+
+
+def _short_head(data: bytes, position: int) -> RecordHead:
+    """Return the head of a record that is too near to the end for a message."""
+    if position + RECORD_HEAD.size > len(data):
+        raise Damaged("a chunk ends in the middle of a record")
+    opcode, length = RECORD_HEAD.unpack_from(data, position)
+    return opcode, length, 0, 0, 0, 0

@@ -11,10 +11,9 @@ from robotctl.recording.format.records import Chunk, place
 from robotctl.recording.read.damage import BeyondLimit, Damaged
 from robotctl.recording.read.flaws import Flaws
 from robotctl.recording.read.mcap_input import (
-    MESSAGE_FIELDS,
     RECORD_HEAD,
     InputFile,
-    walk_records,
+    walk_heads,
 )
 from robotctl.recording.read.stored_chunk import (
     ChunkRef,
@@ -63,14 +62,19 @@ class WholeChunks:
             self._skip = True
             data.bad_chunks.add(offset)
             return 0
-        times = [log_ns for entries in indexes.values() for log_ns in entries[::2]]
-        if times and (min(times), max(times)) != (ref.start_ns, ref.end_ns):
+        spans = [
+            (channel, len(entries) // 2, min(entries[::2]), max(entries[::2]))
+            for channel, entries in indexes.items()
+        ]
+        if spans and (min(span[2] for span in spans), max(span[3] for span in spans)) != (
+            ref.start_ns,
+            ref.end_ns,
+        ):
             self._flaws.add(offset, end, "a chunk holds messages of other times than it says")
         data.begin_chunk()
-        for channel, entries in indexes.items():
-            for log_ns in entries[::2]:
-                data.add_message(channel, log_ns)
-        self._entry = self._placed(ref, offset, end, empty=not times)
+        for span in spans:
+            data.add_messages(*span)
+        self._entry = self._placed(ref, offset, end, empty=not spans)
         data.chunk_indexes[offset] = self._entry
         self._expected = {channel: entries.tobytes() for channel, entries in indexes.items()}
         return count
@@ -131,11 +135,11 @@ class WholeChunks:
         """Return log time and offset of each message by channel, and the number of records."""
         data = self._data
         indexes: dict[int, array[int]] = {}
-        count = 0
-        for opcode, start, end in walk_records(content, most):
+        count, message = 0, Opcode.MESSAGE.value
+        for position, head in walk_heads(content, most):
             count += 1
-            if opcode == Opcode.MESSAGE:
-                channel, _, log_ns, _ = MESSAGE_FIELDS.unpack_from(content, start)
+            opcode, length, channel, _, log_ns, _ = head
+            if opcode == message:
                 entries = indexes.get(channel)
                 if entries is None:
                     if channel not in data.channels:
@@ -144,11 +148,12 @@ class WholeChunks:
                         )
                     entries = indexes[channel] = array("Q")
                 entries.append(log_ns)
-                entries.append(start - RECORD_HEAD.size)
+                entries.append(position)
             elif data.own:
                 raise Damaged("a chunk holds records that robotctl does not write there")
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                data.define(opcode, content[start:end], at, self._flaws)
+                start = position + RECORD_HEAD.size
+                data.define(opcode, content[start : start + length], at, self._flaws)
         return indexes, count
 
 

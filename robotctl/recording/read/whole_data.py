@@ -84,14 +84,14 @@ class WholeData:
         """Return whether there is a metadata record with one of these names."""
         return any(record.name in names for record in self.metadata.values())
 
-    def add_message(self, channel: int, log_ns: int) -> None:
-        """Count a message."""
+    def add_messages(self, channel: int, count: int, start_ns: int, end_ns: int) -> None:
+        """Count messages of a channel, with their first and last log time."""
         if self.counts:
-            self.start_ns = min(self.start_ns, log_ns)
-            self.end_ns = max(self.end_ns, log_ns)
+            self.start_ns = min(self.start_ns, start_ns)
+            self.end_ns = max(self.end_ns, end_ns)
         else:
-            self.start_ns = self.end_ns = log_ns
-        self.counts[channel] = self.counts.get(channel, 0) + 1
+            self.start_ns, self.end_ns = start_ns, end_ns
+        self.counts[channel] = self.counts.get(channel, 0) + count
 
     def begin_chunk(self) -> None:
         """Remember the counts before a chunk."""
