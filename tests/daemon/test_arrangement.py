@@ -110,7 +110,7 @@ def test_an_owner_that_is_killed_ends_in_zeros_and_the_next_one_moves_nothing(
     world.kill(owner.pid)
     until_zeros(peer)
     robot.owner(*PATIENT_OWNER)
-    until(lambda: world.robotctl("status").exit_code == 0)
+    until(lambda: world.here("status").exit_code == 0)
     assert robot.status()["mode"] == "IDLE"
     until_zeros(peer)
     assert "the owner of the mode is silent: publishing zeros" in world.role_log(
@@ -145,7 +145,7 @@ def test_a_remapped_command_topic_is_that_of_gate_and_owner(
     robot.gate(*remap, *PATIENT_GATE)
     robot.owner(*remap, *PATIENT_OWNER)
     missing = "behind the gate nothing takes /base/cmd_vel"
-    until(lambda: missing in world.robotctl("set-mode", "moving").err)
+    until(lambda: missing in world.here("set-mode", "moving").err)
 
 
 def test_standalone_moves_until_a_gate_joins(robot: Arrangement, world: World) -> None:
@@ -156,7 +156,7 @@ def test_standalone_moves_until_a_gate_joins(robot: Arrangement, world: World) -
     robot.gate()
     until(lambda: robot.status()["mode"] == "IDLE")  # whichever of its parts was found first
     missing = "behind the gate nothing takes /cmd_vel"
-    until(lambda: missing in world.robotctl("set-mode", "moving").err)
+    until(lambda: missing in world.here("set-mode", "moving").err)
 
 
 @pytest.mark.slow  # six processes; two services in namespaces: tests/executables

@@ -23,8 +23,7 @@ def test_a_base_that_takes_twist_stamped_is_driven_recorded_and_checked(world: W
     world.ok("start", "--no-sim", "--config", str(settings))
     until(
         lambda: (
-            world.robotctl("drive", "square", "--side", "0.3", "--laps", "1", "--wait").exit_code
-            == 0
+            world.here("drive", "square", "--side", "0.2", "--laps", "1", "--wait").exit_code == 0
         )
     )
     world.ok("stop")
@@ -52,4 +51,23 @@ def test_two_nodes_that_want_different_types_are_both_named(
     assert refused.exit_code == 4
     assert "some nodes take geometry_msgs/msg/Twist on cmd_vel, others" in refused.err
     assert "set command.stamped to true" in refused.err
+    world.ok("stop")
+
+
+def test_a_robot_that_wants_another_type_of_command_is_not_driven_blind(
+    world: World, new_peer: Callable[[World], Peer]
+) -> None:
+    peer, another = new_peer(world), new_peer(world)
+    peer("take_commands", kind="TwistStamped")
+    peer("measure", x=0.0)
+    settings = world.folder / "twist.yaml"
+    settings.write_text('battery.topic: ""\ncommand.stamped: false\n')
+    world.ok("start", "--no-sim", "--config", str(settings))
+    wanted = "the robot takes geometry_msgs/msg/TwistStamped on cmd_vel"
+    until(lambda: any(wanted in each for each in world.status()["warnings"]))
+    refused = world.here("drive", "square")
+    assert refused.exit_code == 4
+    assert wanted in refused.err
+    another("take_commands", kind="Twist")
+    until(lambda: world.here("set-mode", "moving").exit_code == 0)
     world.ok("stop")

@@ -35,7 +35,8 @@ def world() -> Iterator[World]:
         other("offer", topic="/two", type_name="std_msgs/msg/Header")
 
         def are_known() -> bool:
-            types = {each["name"]: each["types"] for each in made.answer("topic", "list")["topics"]}
+            topics = made.answer_here("topic", "list")["topics"]
+            types = {each["name"]: each["types"] for each in topics}
             return len(types.get("/two", ())) == 2 and "/strange" in types
 
         until(are_known)
@@ -48,7 +49,7 @@ def test_a_process_of_its_own_lists_what_the_daemon_lists(world: World, kind: st
 
     def agree() -> bool:  # a process of its own waits 3.5 s for discovery, and no longer
         own = world.answer(kind, "list", "--all", "--domain-id", str(world.domain_id))
-        seen.append((own, world.answer(kind, "list", "--all")))
+        seen.append((own, world.answer_here(kind, "list", "--all")))
         return bool(own == seen[-1][1])
 
     try:
@@ -136,7 +137,7 @@ def test_a_service_is_called_with_its_type_or_without(world: World) -> None:
 def test_what_cannot_be_done_is_a_sentence_and_an_exit_code(
     world: World, arguments: list[str], exit_code: int, said: str
 ) -> None:
-    ran = world.robotctl(*arguments)
+    ran = world.here(*arguments)
     assert (ran.exit_code, ran.out) == (exit_code, ""), ran.err
     assert said in ran.err
     assert "\x1b" not in ran.err
@@ -178,7 +179,7 @@ ROW = re.compile(
 def test_the_page_tells_type_and_qos_of_each_topic_of_the_daemon(
     world: World, topic: str, kind: str, reliability: str, durability: str
 ) -> None:
-    told = world.answer("topic", "info", topic)
+    told = world.answer_here("topic", "info", topic)
     assert told["types"] == [kind]
     (qos,) = (each["qos"] for each in told["publishers"])
     assert qos["reliability"] == reliability.replace(" ", "_")

@@ -58,11 +58,11 @@ def test_every_key_is_listed_with_its_declaration(world: World) -> None:
 def test_a_wrong_change_is_refused_by_name(
     world: World, key: str, value: str, exit_code: int, said: str
 ) -> None:
-    before = world.answer("param", "list")
-    ran = world.robotctl("param", "set", key, value)
+    before = world.answer_here("param", "list")
+    ran = world.here("param", "set", key, value)
     assert ran.exit_code == exit_code, ran
     assert said in ran.err
-    assert world.answer("param", "list") == before
+    assert world.answer_here("param", "list") == before
 
 
 def test_an_unknown_key_is_refused_by_get(world: World) -> None:

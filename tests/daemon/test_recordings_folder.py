@@ -9,7 +9,8 @@ import pytest
 
 from robotctl.config import Config
 from robotctl.daemon.recording.folder import open_recorder
-from robotctl.recording import read_info
+from robotctl.errors import Refused
+from robotctl.recording import Recorder, read_info
 from tests.support.world import World
 
 STEERING = "rec\n\x1b[2J\x1b[31mordings"
@@ -20,8 +21,8 @@ def start_and_stop(world: World, recordings: str) -> str:
     return out + world.ok("status") + world.ok("stop") + world.ok("logs")
 
 
-@pytest.mark.parametrize("recordings", ["a/b/c", "a/../b", "with space"])
-def test_a_folder_that_is_missing_is_made(world: World, recordings: str) -> None:
+def test_folders_that_are_missing_are_made(world: World) -> None:
+    recordings = "a/../b c/d"
     (world.folder / "a").mkdir()
     start_and_stop(world, recordings)
     (recorded,) = (world.folder / recordings).iterdir()
@@ -37,6 +38,16 @@ def test_a_name_that_steers_a_terminal_is_shown_escaped(world: World) -> None:
     assert "\x1b" not in world.log()
 
 
+def unexpected(told: object) -> None:
+    pytest.fail(str(told))
+
+
+def opened(recordings: Path) -> Recorder:
+    return open_recorder(
+        recordings, "robot", Config(), lambda: "IDLE", unexpected, unexpected, unexpected
+    )
+
+
 @pytest.mark.parametrize(
     ("recordings", "why"),
     [
@@ -46,18 +57,24 @@ def test_a_name_that_steers_a_terminal_is_shown_escaped(world: World) -> None:
         ("/sys/robotctl-recordings", ""),  # where not even root can make a folder
     ],
 )
-def test_where_nothing_can_be_recorded_nothing_is_started(
-    world: World, recordings: str, why: str
+def test_where_nothing_can_be_recorded_nothing_is_touched(
+    tmp_path: Path, recordings: str, why: str
 ) -> None:
+    (tmp_path / "file").write_text("somebody's")
+    (tmp_path / "dangling").symlink_to(tmp_path / "nowhere")
+    with pytest.raises(Refused, match=f"cannot record into .*{why}"):
+        opened(tmp_path / recordings)
+    assert (tmp_path / "file").read_text() == "somebody's"
+    assert not (tmp_path / "nowhere").exists()
+
+
+def test_where_nothing_can_be_recorded_nothing_is_started(world: World) -> None:
     (world.folder / "file").write_text("somebody's")
-    (world.folder / "dangling").symlink_to(world.folder / "nowhere")
-    ran = world.robotctl("start", "--observe", "--recordings", recordings)
+    ran = world.robotctl("start", "--observe", "--recordings", "file/below")
     assert ran.exit_code == 4, ran
     assert ran.err.startswith("robotctl: cannot record into ")
-    assert why in ran.err
+    assert "Not a directory" in ran.err
     assert "choose another folder (--recordings)" in ran.err
-    assert (world.folder / "file").read_text() == "somebody's"
-    assert not (world.folder / "nowhere").exists()
     assert world.processes() == {}
 
 
@@ -71,13 +88,7 @@ def test_a_link_with_the_name_of_the_new_recording_is_not_followed(
     recordings.mkdir()
     (recordings / "robot_20260101_120000").symlink_to(elsewhere)
     (recordings / "robot_20260101_120000-2").symlink_to(tmp_path / "nowhere")
-
-    def unexpected(told: object) -> None:
-        pytest.fail(str(told))
-
-    recorder = open_recorder(
-        recordings, "robot", Config(), lambda: "IDLE", unexpected, unexpected, unexpected
-    )
+    recorder = opened(recordings)
     assert recorder.close().file.parent == recordings / "robot_20260101_120000-3"
     assert list(elsewhere.iterdir()) == []
     assert not (tmp_path / "nowhere").exists()
@@ -88,7 +99,7 @@ def test_a_link_with_the_name_of_the_new_recording_is_not_followed(
 def test_a_pattern_that_names_no_topic_is_refused_and_shown_escaped(
     world: World, option: str, pattern: str
 ) -> None:
-    ran = world.robotctl("start", "--observe", option, pattern)
+    ran = world.here("start", "--observe", option, pattern)
     assert ran.exit_code == 2
     assert ran.err.startswith(f"robotctl: {option}: ")
     assert "use a topic (/scan), a glob (/camera/*) or a type" in ran.err

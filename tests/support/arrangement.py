@@ -56,7 +56,7 @@ class Arrangement:
 
     def set_mode(self, mode: str) -> bool:
         """Request a mode; return whether it was granted."""
-        return self.world.robotctl("set-mode", mode, "--robot", self.robot).exit_code == 0
+        return self.world.here("set-mode", mode, "--robot", self.robot).exit_code == 0
 
     def status(self) -> Any:
         """Return the owner's status."""

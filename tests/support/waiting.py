@@ -9,6 +9,10 @@ from typing import Final, TypeVar
 
 T = TypeVar("T")
 
+FIRST_PAUSE_S: Final = 0.005
+LONGEST_PAUSE_S: Final = 0.05
+"""Pauses between two looks grow, so that a long wait leaves the machine to what is waited for."""
+
 DEADLINE_S: Final = 60.0
 """A wait that takes this long has failed: every condition should hold far sooner."""
 
@@ -16,9 +20,11 @@ DEADLINE_S: Final = 60.0
 def until(condition: Callable[[], T]) -> T:
     """Wait for a condition, and return its first true result."""
     end = time.monotonic() + DEADLINE_S
+    pause_s = FIRST_PAUSE_S
     while not (answer := condition()):
         assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.005)
+        time.sleep(pause_s)
+        pause_s = min(1.2 * pause_s, LONGEST_PAUSE_S)
     return answer
 
 

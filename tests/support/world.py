@@ -14,15 +14,20 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 from shutil import rmtree
 from typing import Any
 
+import pytest
 from ament_index_python.packages import get_package_prefix
 
+from robotctl.cli import app
 from robotctl.domains import reserved_domain
+from robotctl.ipc.client import call
+from robotctl.ipc.method_names import STATUS
 from robotctl.recording.format.journal import JournalEntry, decode
 from robotctl.recording.keep.catalog import CLIPS_FOLDER
 from robotctl.rerun.check import check_recording
@@ -159,6 +164,21 @@ class World:
         assert "Traceback" not in err
         return Ran(process.returncode, out, err)
 
+    def here(self, *arguments: str) -> Ran:
+        """Run a command line in this process: for the many that only ask, or that are refused."""
+        out, err = StringIO(), StringIO()
+        with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
+            self._enter(patch)
+            patch.chdir(self.folder)
+            exit_code = app.run(list(arguments))
+        return Ran(exit_code, out.getvalue(), err.getvalue())
+
+    def answer_here(self, *arguments: str) -> Any:
+        """Run a command line that must succeed in this process; return its `--json` output."""
+        ran = self.here(*arguments, "--json")
+        assert ran.exit_code == 0, (arguments, ran, self.log())
+        return json.loads(ran.out)
+
     def ok(self, *arguments: str) -> str:
         """Run a command line that must succeed; return its output."""
         ran = self.robotctl(*arguments)
@@ -170,8 +190,15 @@ class World:
         return json.loads(self.ok(*arguments, "--json"))
 
     def status(self, robot: str = "robot") -> Any:
-        """Return the daemon's status."""
-        return self.answer("status", "--robot", robot)
+        """Return the daemon's status, from its socket: tests ask again and again."""
+        with pytest.MonkeyPatch.context() as patch:
+            self._enter(patch)
+            return call(robot, STATUS)
+
+    def _enter(self, patch: pytest.MonkeyPatch) -> None:
+        """Give this process the variables of this world, until the patch ends."""
+        for name in ("XDG_RUNTIME_DIR", "XDG_STATE_HOME", "ROS_DOMAIN_ID", "COLUMNS"):
+            patch.setenv(name, self.environment[name])
 
     def log(self, robot: str = "robot") -> str:
         """Return the daemon's log."""
