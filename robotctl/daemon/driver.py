@@ -8,6 +8,7 @@ from collections.abc import Coroutine, Mapping
 from typing import Any
 
 from robotctl.daemon.api.common import common_methods
+from robotctl.daemon.api.drive_shape import default_laps
 from robotctl.daemon.api.driving import DrivingMethods
 from robotctl.daemon.api.graph import graph_methods
 from robotctl.daemon.api.lease import LeaseMethods
@@ -289,7 +290,12 @@ class Driver:
         request_id = self._control.new_request_id()
         reply = await self._control.request(
             DriveRequested(
-                time.monotonic_ns(), request_id, pattern, 0, False, "robotctl start --drive"
+                time.monotonic_ns(),
+                request_id,
+                pattern,
+                default_laps(pattern.kind, wait=False),
+                False,
+                "robotctl start --drive",
             )
         )
         return self._say(reply)

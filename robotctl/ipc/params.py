@@ -15,6 +15,7 @@ from robotctl.ipc.protocol import (
     MAX_REASON,
     REASON_PATTERN,
 )
+from robotctl.kernel.course import MAX_ANGLE_RAD, MAX_CORNER_M, MIN_CORNER_M
 from robotctl.kernel.drive import MAX_LAPS
 from robotctl.kernel.patterns import (
     MAX_SIZE_M,
@@ -99,6 +100,11 @@ class DriveParams(Struct, frozen=True, forbid_unknown_fields=True):
     source: Source
     side_m: Size | None = None
     radius_m: Size | None = None
+    length_m: Size | None = None
+    corner_m: Annotated[float, Meta(ge=MIN_CORNER_M, le=MAX_CORNER_M)] | None = None
+    angle_rad: Annotated[float, Meta(ge=-MAX_ANGLE_RAD, le=MAX_ANGLE_RAD)] | None = None
+    reverse: bool = False
+    open_loop: bool = False
     laps: Annotated[int, Meta(ge=0, le=MAX_LAPS)] | None = None
     """0: drive until stopped."""
     speed_mps: Annotated[float, Meta(ge=MIN_SPEED_MPS, le=MAX_SPEED_MPS)] | None = None

@@ -3,43 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import inf, nan, sqrt
+from math import inf, pi, sqrt
 
-from robotctl.kernel.geometry import Pose
-from robotctl.kernel.params import VelocityLimits
-from robotctl.kernel.patterns import Path, Pattern, lap_of
+from robotctl.kernel.course import PLAIN, Course
+from robotctl.kernel.geometry import Pose, wrap_angle
+from robotctl.kernel.params import TrackingParams, VelocityLimits
+from robotctl.kernel.path import Path
+from robotctl.kernel.patterns import Pattern
 from robotctl.kernel.quick_init import quick_init
-from robotctl.kernel.tracking import Reference
-from robotctl.kernel.types import DriveReport
+from robotctl.kernel.reference import SETTLE_S, START, Progress, advanced, begun
+from robotctl.kernel.routes import legs_for, path_for
+from robotctl.kernel.tracking import Reference, follow_blindly, track
+from robotctl.kernel.types import DriveReport, Twist
 
 MAX_LAPS = 100_000
 
-SETTLE_S = 0.6
-"""The longest time that the reference waits at a stop for the robot to arrive."""
-
-SETTLED_M, SETTLED_RAD = 0.005, 0.01
+SETTLED_M, SETTLED_RAD = 0.02, 0.03
 """The largest distance and angle from a stop at which the robot has arrived."""
 
-SPEED_SHARE, ACCEL_SHARE = 0.9, 0.6
-"""The share of each limit that the reference uses; the rest is for lag and tracking errors."""
+LOST_RAD = 1.0
+"""A robot whose heading in a turn differs from the reference by more than this does not turn."""
 
-
-@quick_init
-@dataclass(frozen=True, slots=True)
-class Progress:
-    """How far the reference has come.
-
-    `length` is its position in segment `segment` (m, or rad in a turn) and `speed` its rate per
-    second. `settling_s` is how long it has waited at a stop. `closure_m` is the distance of the
-    robot from the origin of the drive at the end of the last lap, NaN before that.
-    """
-
-    laps: int = 0
-    segment: int = 0
-    length: float = 0.0
-    speed: float = 0.0
-    settling_s: float = 0.0
-    closure_m: float = nan
+_TURNED = Pose(0.0, 0.0, pi)
 
 
 @quick_init
@@ -62,85 +47,105 @@ class Score:
 @quick_init
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """A drive of `laps` laps (0: until stopped); its path begins at `origin` in the odom frame."""
+    """A drive of `laps` laps (0: until stopped); its path begins at `origin` in the odom frame.
+
+    In reverse the path is that of the rear: `origin` looks backwards.
+    """
 
     request_id: int
     pattern: Pattern
     laps: int
     origin: Pose
-    progress: Progress = Progress()
+    progress: Progress = START
     score: Score = Score()
+    course: Course = PLAIN
 
     @property
     def path(self) -> Path:
         """The path of one lap, in the frame of `origin`."""
-        return lap_of(self.pattern.kind, self.pattern.size_m)
+        return path_for(self.pattern, self.course, self.laps)
 
     @property
     def finished(self) -> bool:
         """Whether all laps are driven."""
         return 0 < self.laps <= self.progress.laps
 
-    def reference(self) -> Reference:
-        """Return the reference of this moment, in the odom frame."""
-        at = self.progress
-        segment = self.path.segments[at.segment]
-        pose = self.origin.compose(segment.pose_at(at.length))
-        if segment.turns:
-            return Reference(pose, 0.0, 0.0, at.speed)
-        return Reference(pose, at.speed, segment.curvature_at(at.length), 0.0)
-
-    def advance(self, dt_s: float, pose: Pose, limits: VelocityLimits) -> Drive:
-        """Return the drive after `dt_s` seconds, with the robot at `pose`."""
-        at = self.progress
-        segments = self.path.segments
+    def reference(self, lag_s: float = 0.0) -> Reference:
+        """Return the reference of this moment, in the odom frame; it moves as `lag_s` later."""
+        at, segments = self.progress, self.path.segments
         segment = segments[at.segment]
+        pose = self.origin.compose(segment.pose_at(at.length))
+        rate = at.speed + at.accel * lag_s
         if segment.turns:
-            top_speed = SPEED_SHARE * limits.angular_rps
-            accel = ACCEL_SHARE * limits.angular_accel_rps2
+            return Reference(pose, 0.0, 0.0, segment.curvature_at(at.length) * rate)
+        length = at.length + at.speed * lag_s
+        if length > segment.length:
+            following = segments[(at.segment + 1) % len(segments)]
+            if following.turns:
+                length = segment.length
+            else:
+                length, segment = min(length - segment.length, following.length), following
+        return Reference(pose, rate, segment.curvature_at(length), 0.0)
+
+    def command(self, pose: Pose, gains: TrackingParams, limits: VelocityLimits) -> Twist:
+        """Return the velocity that leads a robot at `pose` to the reference."""
+        reference = self.reference(gains.lag_s)
+        if self.course.open_loop:
+            twist = follow_blindly(reference)
         else:
-            top_speed = min(self.pattern.speed_mps, SPEED_SHARE * limits.linear_mps)
-            if segment.top_curvature:
-                top_speed = min(top_speed, SPEED_SHARE * limits.angular_rps / segment.top_curvature)
-            accel = ACCEL_SHARE * limits.linear_accel_mps2
-        is_last = at.segment == len(segments) - 1 and at.laps == self.laps - 1
-        stops = segment.stops or is_last
-        remaining = segment.length - at.length
-        speed = min(at.speed + accel * dt_s, top_speed)
-        if stops:
-            speed = min(speed, sqrt(2.0 * accel * max(remaining, 0.0)))
-        step = speed * dt_s
-        if step < remaining:
-            return self._at(
-                Progress(at.laps, at.segment, at.length + step, speed, 0.0, at.closure_m)
-            )
-        if not stops:
-            return self._next_segment(step - remaining, speed, pose)
-        settling_s = at.settling_s + dt_s
-        if settling_s < SETTLE_S and not self._arrived(segment.pose_at(segment.length), pose):
-            return self._at(
-                Progress(at.laps, at.segment, segment.length, 0.0, settling_s, at.closure_m)
-            )
-        return self._next_segment(0.0, 0.0, pose)
+            twist = track(reference, self._heading_of_travel(pose), gains, limits)
+        return Twist(-twist.linear, twist.angular) if self.course.reverse else twist
+
+    def begin_at(self, speed_mps: float, limits: VelocityLimits, dt_s: float, ticks: int) -> Drive:
+        """Return the drive with a reference that begins at `speed_mps` instead of 0."""
+        legs = legs_for(self.path, self.pattern.speed_mps, limits)
+        turns = self.path.segments[0].turns
+        return self._at(begun(speed_mps, ticks, dt_s, legs, turns=turns))
+
+    def advance(self, dt_s: float, pose: Pose, limits: VelocityLimits, ticks: int) -> Drive:
+        """Return the drive after `dt_s` seconds, with the robot at `pose`.
+
+        An acceleration builds up over `ticks` ticks.
+        """
+        if dt_s <= 0.0:
+            return self
+        before = self.progress
+        legs = legs_for(self.path, self.pattern.speed_mps, limits)
+        at, stands = advanced(before, legs, self.laps, dt_s, ticks)
+        if stands:
+            settling_s = before.settling_s + dt_s
+            if settling_s < SETTLE_S and not self._arrived(at, pose):
+                return self._at(replace(at, settling_s=settling_s))
+            at = self._after_stop(at)
+        if at.laps == before.laps:
+            return self._at(at)
+        return self._next_lap(at, pose)
 
     def from_standstill(self) -> Drive:
         """Return the drive with a reference that continues from its place at speed 0."""
-        return self._at(replace(self.progress, speed=0.0))
+        at = self.progress
+        place = Progress(at.laps, at.segment, at.length, 0.0, at.settling_s, at.closure_m)
+        return self._at(place)
 
     def measured(self, pose: Pose, moved_m: float) -> Drive:
         """Return the drive with one more sample: the robot moved by `moved_m` and is at `pose`."""
-        at, so_far = self.progress, self.score
-        path, local = self.path, self.origin.express(pose)
+        at, so_far, path = self.progress, self.score, self.path
+        local = self.origin.express(self._heading_of_travel(pose))
         cross_m = path.distance_to(local, at.segment, at.length)
-        error_m = path.segments[at.segment].pose_at(at.length).distance(local)
+        segment = path.segments[at.segment]
+        wanted = segment.pose_at(at.length)
+        error_m = wanted.distance(local)
+        lost = error_m > path.reach_m or (
+            segment.turns and abs(wrap_angle(wanted.theta - local.theta)) > LOST_RAD
+        )
         score = Score(
             so_far.samples + 1,
             so_far.squared_error_sum + cross_m * cross_m,
             max(so_far.max_error_m, cross_m),
-            error_m if error_m <= self.pattern.size_m else inf,
+            inf if lost else error_m,
             so_far.distance_m + moved_m,
         )
-        return Drive(self.request_id, self.pattern, self.laps, self.origin, at, score)
+        return Drive(self.request_id, self.pattern, self.laps, self.origin, at, score, self.course)
 
     def cross_track_m(self, pose: Pose) -> float:
         """Return the distance of a pose from the path, near the reference [m]."""
@@ -160,14 +165,41 @@ class Drive:
         )
 
     def _at(self, progress: Progress) -> Drive:
-        return Drive(self.request_id, self.pattern, self.laps, self.origin, progress, self.score)
+        return Drive(
+            self.request_id,
+            self.pattern,
+            self.laps,
+            self.origin,
+            progress,
+            self.score,
+            self.course,
+        )
 
-    def _arrived(self, target: Pose, pose: Pose) -> bool:
-        error = pose.express(self.origin.compose(target))
+    def _heading_of_travel(self, pose: Pose) -> Pose:
+        return pose.compose(_TURNED) if self.course.reverse else pose
+
+    def _arrived(self, at: Progress, pose: Pose) -> bool:
+        if self.course.open_loop:
+            return True
+        target = self.path.segments[at.segment].pose_at(at.length)
+        error = self._heading_of_travel(pose).express(self.origin.compose(target))
         return abs(error.x) < SETTLED_M and abs(error.theta) < SETTLED_RAD
 
-    def _next_segment(self, length: float, speed: float, pose: Pose) -> Drive:
-        at = self.progress
+    def _after_stop(self, at: Progress) -> Progress:
+        """Return the progress that goes on after a stop; the end of the drive stays where it is."""
         if at.segment + 1 < len(self.path.segments):
-            return self._at(Progress(at.laps, at.segment + 1, length, speed, 0.0, at.closure_m))
-        return self._at(Progress(at.laps + 1, 0, length, speed, 0.0, self.origin.distance(pose)))
+            return Progress(at.laps, at.segment + 1, closure_m=at.closure_m)
+        if at.laps + 1 == self.laps:
+            return replace(at, laps=self.laps, settling_s=0.0)
+        return Progress(at.laps + 1, closure_m=at.closure_m)
+
+    def _next_lap(self, at: Progress, pose: Pose) -> Drive:
+        """Return the drive on its next lap; that of an open path begins where the last one ends."""
+        end = self.origin if self.path.closed else self.origin.compose(self.path.end)
+        drive = self._at(replace(at, closure_m=end.distance(pose)))
+        return drive if self.path.closed or drive.finished else replace(drive, origin=end)
+
+
+def origin_of(pose: Pose, course: Course) -> Pose:
+    """Return the origin of a drive that begins at `pose`."""
+    return pose.compose(_TURNED) if course.reverse else pose

@@ -27,7 +27,6 @@ from robotctl.kernel.params import WhenIdle
 from robotctl.kernel.safety import RULE_OF, Finding, raised
 from robotctl.kernel.safety_inputs import Reading, with_reading
 from robotctl.kernel.state import State
-from robotctl.kernel.tracking import track
 from robotctl.kernel.types import (
     ZERO,
     BatteryReceived,
@@ -272,12 +271,12 @@ class Kernel(ParameterControl):
         drive, odometry = state.drive, health.odometry
         phase, stop_reason, target = state.phase, state.stop_reason, ZERO
         if phase is Phase.DRIVING and drive is not None and odometry is not None:
-            drive = drive.advance(dt_s, odometry.pose, params.limits)
+            drive = drive.advance(dt_s, odometry.pose, params.limits, self._rise_ticks())
             if drive.finished:
                 phase = Phase.STOPPING
                 stop_reason = f"drive finished: {drive.laps} lap{'' if drive.laps == 1 else 's'}"
             else:
-                target = track(drive.reference(), odometry.pose, params.tracking, params.limits)
+                target = drive.command(odometry.pose, params.tracking, params.limits)
         command = limit(state.command, target, dt_s, params.limits)
         self.state = State(
             mode=state.mode,

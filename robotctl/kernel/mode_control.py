@@ -42,6 +42,10 @@ class ModeControl:
         tick_t_ns = self.state.tick_t_ns
         return 0.0 if tick_t_ns is None else (t_ns - tick_t_ns) / NS_PER_S
 
+    def _rise_ticks(self) -> int:
+        """Return over how many ticks an acceleration builds up."""
+        return max(1, round(self.params.limits.accel_rise_s * self.params.rate_hz))
+
     def _notice_gap(self, t_ns: int) -> None:
         """Record a gap between ticks before anything else is checked.
 

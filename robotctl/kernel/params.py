@@ -21,7 +21,10 @@ sends its commands there, and a gate passes them on."""
 
 @dataclass(frozen=True, slots=True)
 class VelocityLimits:
-    """The largest velocity of a command, and the largest change of it per second."""
+    """The largest velocity of a command, and the largest change of it per second.
+
+    On a path the jerk is at most an acceleration divided by `accel_rise_s`.
+    """
 
     linear_mps: float = bounded(0.6, 0.01, 10.0, "m/s", "largest speed of a command")
     angular_rps: float = bounded(1.5, 0.01, 20.0, "rad/s", "largest turning rate of a command")
@@ -31,17 +34,23 @@ class VelocityLimits:
     angular_accel_rps2: float = bounded(
         4.0, 0.01, 60.0, "rad/s^2", "largest change of the turning rate"
     )
+    accel_rise_s: float = bounded(
+        0.08, 0.0, 0.5, "s", "time in which an acceleration builds up on a path (jerk limit)"
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class TrackingParams:
-    """The gains of the tracking law, and the largest distance from the reference."""
+    """The gains of the tracking law, the largest distance from the reference, the lag."""
 
     k_x: float = bounded(3.5, 0.0, 100.0, "1/s", "gain of the error along the path")
     k_y: float = bounded(20.0, 0.0, 1000.0, "1/m^2", "gain of the error across the path")
     k_theta: float = bounded(5.0, 0.0, 100.0, "1/s", "gain of the error in heading")
     max_error_m: float = bounded(
         0.5, 0.01, 100.0, "m", "distance from the reference at which the robot stops"
+    )
+    lag_s: float = bounded(
+        0.06, 0.0, 0.5, "s", "time that the base needs to follow a command; commands lead by it"
     )
 
 

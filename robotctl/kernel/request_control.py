@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 from robotctl.kernel.checks import stands_alone
-from robotctl.kernel.drive import MAX_LAPS, Drive, Progress
+from robotctl.kernel.course import PLAIN, Course, Frame
+from robotctl.kernel.drive import MAX_LAPS, Drive, origin_of
 from robotctl.kernel.lease_control import LeaseControl
 from robotctl.kernel.modes import REQUESTS, TRANSITIONS, Guard, Mode, Trigger
-from robotctl.kernel.patterns import Pattern
+from robotctl.kernel.patterns import SHAPES, Pattern
 from robotctl.kernel.remedies import Remedy
 from robotctl.kernel.safety import failed_start_condition, raised, remedies_to_move, uncleared
 from robotctl.kernel.types import (
@@ -21,6 +22,7 @@ from robotctl.kernel.types import (
     PublishTwist,
     ResetRequested,
 )
+from robotctl.kernel.waypoints import local_points
 
 MAX_WAITING = 64
 """The largest number of requests that wait for a ramp to end; one more is refused."""
@@ -63,7 +65,9 @@ class RequestControl(LeaseControl):
             case Guard.RAMP_DOWN:
                 self._ramp_down(request_id, reason)
             case Guard.START_CONDITIONS:
-                self._start(t_ns, request_id, self.params.pattern, 0, reason)
+                pattern = self.params.pattern
+                laps = 0 if SHAPES[pattern.kind].closed else 1
+                self._start(t_ns, request_id, pattern, PLAIN, laps, reason)
             case Guard.NONE if transition.target is not mode:
                 self._stand(trigger, reason, _OPERATOR_CAUSES.get(transition.target))
                 self._accept(request_id, f"Mode changed to {transition.target.name}")
@@ -86,7 +90,7 @@ class RequestControl(LeaseControl):
         if self._is_kept_by_another(event):
             return
         state = self.state
-        refusal = event.pattern.refusal() or _laps_refusal(event.laps)
+        refusal = event.pattern.refusal(event.course) or _laps_refusal(event.laps)
         remedies: tuple[Remedy, ...] = ()
         if not refusal:
             if TRANSITIONS[state.mode, Trigger.REQUEST_MOVING].guard is Guard.NEVER:
@@ -102,9 +106,17 @@ class RequestControl(LeaseControl):
             self._refuse(event.request_id, refusal, remedies)
             return
         reason = _told("requested", event)
-        self._start(event.t_ns, event.request_id, event.pattern, event.laps, reason)
+        self._start(event.t_ns, event.request_id, event.pattern, event.course, event.laps, reason)
 
-    def _start(self, t_ns: int, request_id: int, pattern: Pattern, laps: int, reason: str) -> None:
+    def _start(
+        self,
+        t_ns: int,
+        request_id: int,
+        pattern: Pattern,
+        course: Course,
+        laps: int,
+        reason: str,
+    ) -> None:
         self._notice_gap(t_ns)
         finding = failed_start_condition(self.state.health, self.params, t_ns)
         if finding is not None:
@@ -116,8 +128,16 @@ class RequestControl(LeaseControl):
             return
         self._end_drive("replaced by another drive")
         previous, command = self.state.mode, self.state.command
+        if course.waypoints:
+            points = local_points(course.waypoints, course.frame, odometry.pose)
+            course = replace(course, waypoints=points, frame=Frame.START)
+        drive = Drive(request_id, pattern, laps, origin_of(odometry.pose, course), course=course)
         # A drive that replaces another one begins at the present speed.
-        progress = Progress(speed=max(command.linear, 0.0))
+        speed_mps = -command.linear if course.reverse else command.linear
+        if speed_mps > 0.0:
+            drive = drive.begin_at(
+                speed_mps, self.params.limits, 1.0 / self.params.rate_hz, self._rise_ticks()
+            )
         health = self.state.health
         if health.fence_origin is None:
             health = replace(health, fence_origin=odometry.pose)
@@ -129,7 +149,7 @@ class RequestControl(LeaseControl):
             health=health,
             idle_t_ns=None,
             silent=False,
-            drive=Drive(request_id, pattern, laps, odometry.pose, progress),
+            drive=drive,
         )
         if previous is not Mode.MOVING:
             self._effects.append(ModeChanged(previous, Mode.MOVING, reason))

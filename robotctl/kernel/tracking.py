@@ -45,3 +45,9 @@ def track(reference: Reference, pose: Pose, gains: TrackingParams, limits: Veloc
         + gains.k_y * reference.linear * sinc * error.y
         + gains.k_theta * error.theta,
     )
+
+
+def follow_blindly(reference: Reference) -> Twist:
+    """Return the command that moves a perfect robot like the reference, whatever odometry says."""
+    turning = reference.turning + reference.curvature * reference.linear
+    return Twist(reference.linear, turning)

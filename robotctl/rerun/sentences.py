@@ -9,6 +9,7 @@ from robotctl.kernel.lease import LeaseLost, LeaseRequested
 from robotctl.kernel.lifecycle import LifecycleChanged
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.parameter_change import ParameterRequested
+from robotctl.kernel.patterns import named
 from robotctl.kernel.types import (
     BatteryReceived,
     CommandListenersSeen,
@@ -48,7 +49,7 @@ def sentence_of(event: Event) -> str:
         case ResetRequested():
             return f"a reset by {event.source}"
         case DriveRequested():
-            return f"a request to drive a {event.pattern.kind.value} by {event.source}"
+            return f"a request to drive {named(event.pattern, event.course)} by {event.source}"
         case ParameterRequested():
             return (
                 f"a request to change {event.key} from {event.old} to {event.new} by {event.source}"

@@ -12,6 +12,7 @@ from robotctl.kernel.lease import LeaseLost, LeaseRequested
 from robotctl.kernel.modes import REQUESTS, TRANSITIONS, Guard, Mode, Trigger
 from robotctl.kernel.parameter_change import ParameterChanged
 from robotctl.kernel.params import KernelParams
+from robotctl.kernel.patterns import named
 from robotctl.kernel.remedies import Remedy
 from robotctl.kernel.safety import RULE_OF, Rule, failed_start_condition, remedies_for, uncleared
 from robotctl.kernel.state import State
@@ -213,7 +214,8 @@ def _asked(incident: Incident) -> str:
     if before is None or before.mode is not Mode.MOVING:
         return ""
     who = before.reason.removeprefix("requested by ")
-    what = f"a {before.drive.pattern.kind.value}" if before.drive else "to move"
+    drive = before.drive
+    what = named(drive.pattern, drive.course) if drive else "to move"
     if incident.moving_since_ns is None:
         return f"{what}: {who}"
     return f"{what}: {who}, {span(incident.t_ns - incident.moving_since_ns)} before"

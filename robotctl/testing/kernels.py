@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+from robotctl.kernel.course import PLAIN, Course
 from robotctl.kernel.geometry import ORIGIN, Pose
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
@@ -89,14 +90,17 @@ class Bench:
         return self.give(ModeRequested(self.t_ns, self.new_request_id(), requested, "test"))
 
     def drive(
-        self, pattern: Pattern | None = None, laps: int = 0, *, replacing: bool = False
+        self,
+        pattern: Pattern | None = None,
+        laps: int = 0,
+        *,
+        replacing: bool = False,
+        course: Course = PLAIN,
     ) -> tuple[Effect, ...]:
         """Request a drive."""
-        return self.give(
-            DriveRequested(
-                self.t_ns, self.new_request_id(), pattern or Pattern(), laps, replacing, "test"
-            )
-        )
+        number, pattern = self.new_request_id(), pattern or Pattern()
+        event = DriveRequested(self.t_ns, number, pattern, laps, replacing, "test", course=course)
+        return self.give(event)
 
     @property
     def replies(self) -> list[Reply]:
@@ -176,23 +180,33 @@ def while_moving(bench: Bench, turns: int = 1000) -> Iterator[None]:
 
 @dataclass(frozen=True, slots=True)
 class Driven:
-    """A simulated drive: how it ended, how long it took, all events and all commands."""
+    """A simulated drive: how it ended, how long it took, all events and all commands.
+
+    `pose` is where the robot ended, by its odometry.
+    """
 
     ended: DriveEnded
     duration_s: float
     events: tuple[Event, ...]
     commands: tuple[Twist, ...]
+    pose: Pose
 
 
 def drive_simulated(
-    pattern: Pattern, *, laps: int = 1, rate_hz: float = 50.0, sim: SimParams | None = None
+    pattern: Pattern,
+    *,
+    laps: int = 1,
+    rate_hz: float = 50.0,
+    sim: SimParams | None = None,
+    course: Course = PLAIN,
+    params: KernelParams | None = None,
 ) -> Driven:
-    """Drive a simulated robot until the drive ends.
+    """Drive a simulated robot until the drive ends; `rate_hz` is that of the ticks.
 
     Raises:
         AssertionError: The drive does not end within 200 simulated seconds.
     """
-    bench = Bench(replace(KernelParams(), rate_hz=rate_hz))
+    bench = Bench(replace(params or KernelParams(), rate_hz=rate_hz))
     sim = sim or SimParams()
     robot = Robot(sim)
     begin_ns = 0
@@ -211,10 +225,11 @@ def drive_simulated(
                 robot.command(effect.twist)
             elif isinstance(effect, DriveEnded):
                 seconds = (t_ns - begin_ns) / NS_PER_S
-                return Driven(effect, seconds, tuple(bench.events), tuple(bench.commands))
+                events, commands = tuple(bench.events), tuple(bench.commands)
+                return Driven(effect, seconds, events, commands, robot.odometry)
         if not begin_ns and t_ns >= 100_000_000:
             begin_ns = t_ns
-            bench.drive(pattern, laps)
+            bench.drive(pattern, laps, course=course)
             assert bench.replies[-1].ok, bench.replies[-1]
     raise AssertionError(f"the drive did not end: {bench.state}")
 

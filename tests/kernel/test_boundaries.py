@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import nan
+from math import nan, pi
 
 import pytest
 
 from robotctl.kernel.battery import full_level
-from robotctl.kernel.drive import Progress
 from robotctl.kernel.geometry import ORIGIN, Pose
 from robotctl.kernel.health import Health, OdometrySources, SecondOdometry
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.odometry import dropped, is_repeated, may_follow, odometry_fault, source_found
 from robotctl.kernel.params import BatteryParams, BatteryScale, KernelParams, OdometryParams
+from robotctl.kernel.reference import Progress
 from robotctl.kernel.safety import uncleared
 from robotctl.kernel.state import State
 from robotctl.kernel.types import (
@@ -245,7 +245,7 @@ def test_a_drive_that_ends_tells_its_laps(laps: int, said: str) -> None:
     bench = moving(ticks=0)
     drive = bench.state.drive
     assert drive is not None
-    ended = replace(drive, laps=laps, progress=Progress(laps=laps - 1, segment=7, length=9.0))
+    ended = replace(drive, laps=laps, progress=Progress(laps=laps - 1, segment=7, length=pi / 2))
     bench.kernel.state = replace(bench.state, drive=ended)
     bench.run(40)
     (effect,) = (each for each in bench.effects if isinstance(each, DriveEnded))

@@ -10,18 +10,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robotctl.config import Config
-from robotctl.kernel.drive import Drive, Progress
+from robotctl.kernel.drive import Drive
 from robotctl.kernel.geometry import ORIGIN, Pose, wrap_angle
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.params import KernelParams, VelocityLimits
+from robotctl.kernel.params import KernelParams, TrackingParams, VelocityLimits
 from robotctl.kernel.patterns import MIN_SIZE_M, SHAPES, Pattern, PatternKind, lap_of
+from robotctl.kernel.reference import Progress
 from robotctl.kernel.tracking import Reference, track
 from robotctl.kernel.types import ZERO, DriveEnded, DriveRequested, ModeChanged, ModeRequested
 from robotctl.rerun.closed_loop import closed_loop
 from robotctl.sim.robot import SimParams
 from robotctl.testing.kernels import Driven, drive_simulated, moving, while_moving
 
+CLOSED = [kind for kind in PatternKind if SHAPES[kind].closed]
 SIZES = {kind: shape.default_size_m for kind, shape in SHAPES.items()}
 
 
@@ -39,7 +41,8 @@ def test_a_lap_closes_and_stays_near_its_path(kind: PatternKind, rate_hz: float,
     assert driven.ended.completed
     assert report.laps == 1
     assert report.closure_m <= 0.05
-    assert report.cross_track_rms_m <= 0.010
+    # A corner of 0.1 m asks all that the limits allow of a base with a lag of 80 ms.
+    assert report.cross_track_rms_m <= (0.015 if SHAPES[kind].has_corner else 0.010)
     assert report.cross_track_max_m <= 0.030
     assert isclose(report.distance_m, _lap_length_m(kind), rel_tol=0.08)
 
@@ -73,14 +76,15 @@ def test_the_robot_does_not_weave() -> None:
 
 @pytest.mark.parametrize("lag_s", [0.0, 0.2])
 @pytest.mark.parametrize("kind", PatternKind)
-def test_a_slower_or_a_quicker_robot_closes_its_lap_as_well(
+def test_a_slower_or_a_quicker_robot_closes_its_lap_if_its_lag_is_told(
     kind: PatternKind, lag_s: float
 ) -> None:
     pattern = Pattern(kind, SIZES[kind], 0.5)
-    driven = drive_simulated(pattern, sim=SimParams(lag_s=lag_s))
+    params = replace(KernelParams(), tracking=TrackingParams(lag_s=lag_s))
+    driven = drive_simulated(pattern, sim=SimParams(lag_s=lag_s), params=params)
     assert driven.ended.completed
     assert driven.ended.report.closure_m <= 0.05
-    assert driven.ended.report.cross_track_max_m <= 0.06
+    assert driven.ended.report.cross_track_max_m <= (0.07 if SHAPES[kind].has_corner else 0.06)
 
 
 @pytest.mark.parametrize("ahead_m", [0.01, 5.0])
@@ -106,15 +110,17 @@ def test_the_smallest_pattern_can_be_driven(kind: PatternKind, lag_s: float) -> 
 @pytest.mark.parametrize("kind", [PatternKind.CIRCLE, PatternKind.FIGURE_EIGHT])
 def test_the_reference_loses_nothing_from_lap_to_lap(kind: PatternKind) -> None:
     drive = Drive(1, Pattern(kind, 0.2), 0, ORIGIN, Progress(speed=0.1))
-    length = drive.path.segments[0].length
+    length = sum(segment.length for segment in drive.path.segments)
     driven_m = 0.0
     while drive.progress.laps < 3:
-        drive = drive.advance(0.02, ORIGIN, VelocityLimits())
+        drive = drive.advance(0.02, ORIGIN, VelocityLimits(), 4)
         driven_m += drive.progress.speed * 0.02
-    assert isclose(driven_m, drive.progress.laps * length + drive.progress.length, rel_tol=1e-9)
+    at = drive.progress
+    begun_m = sum(segment.length for segment in drive.path.segments[: at.segment])
+    assert isclose(driven_m, at.laps * length + begun_m + at.length, rel_tol=1e-9)
 
 
-@pytest.mark.parametrize("kind", PatternKind)
+@pytest.mark.parametrize("kind", CLOSED)
 @pytest.mark.parametrize("size_m", [0.1, 1.0, 100.0])
 def test_every_path_ends_where_it_begins(kind: PatternKind, size_m: float) -> None:
     path = lap_of(kind, size_m)
@@ -232,7 +238,7 @@ def test_a_step_longer_than_a_whole_lap_ends_the_drive() -> None:
     almost_round = Progress(length=0.628, speed=1.8)
     drive = Drive(1, Pattern(PatternKind.CIRCLE, 0.1, 10.0), 2, ORIGIN, almost_round)
     for _ in range(200):
-        drive = drive.advance(0.4, ORIGIN, limits)
+        drive = drive.advance(0.4, ORIGIN, limits, 1)
         if drive.finished:
             break
     assert drive.progress.laps == 2

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from robotctl.kernel.codec import from_json, to_json
+from robotctl.kernel.course import Course
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.lease import LeaseRequested
 from robotctl.kernel.modes import Mode
@@ -171,20 +172,27 @@ def test_an_emergency_stop_is_possible_at_any_moment(events: list[Event]) -> Non
         st.floats(0.01, 20.0),
         st.floats(0.01, 20.0),
         st.floats(0.01, 60.0),
+        st.floats(0.0, 0.5),
     ),
     st.floats(5.0, 1000.0),
     strategies.PATTERN,
     st.integers(0, 2),
     st.lists(st.integers(0, 400_000_000), min_size=20, max_size=60),
+    strategies.COURSE,
 )
 @settings(max_examples=150)
 def test_every_allowed_configuration_keeps_every_promise(
-    limits: VelocityLimits, rate_hz: float, pattern: Pattern, laps: int, gaps_ns: list[int]
+    limits: VelocityLimits,
+    rate_hz: float,
+    pattern: Pattern,
+    laps: int,
+    gaps_ns: list[int],
+    course: Course,
 ) -> None:
     params = replace(KernelParams(), limits=limits, rate_hz=rate_hz, max_tick_gap_s=5.0)
     bench = ready(params)
     auditor = Auditor(bench.state, params)
-    begin = DriveRequested(bench.t_ns, next(ids), pattern, laps, False, "test")
+    begin = DriveRequested(bench.t_ns, next(ids), pattern, laps, False, "test", course=course)
     auditor.step(bench.kernel, begin)
     for gap_ns in gaps_ns:
         drive = bench.state.drive
@@ -241,9 +249,17 @@ class AnyHistory(RuleBasedStateMachine):
     def moving_is_requested(self) -> None:
         self._give(ModeRequested(self.bench.t_ns, next(ids), 1, "test"))
 
-    @rule(pattern=strategies.PATTERN, laps=st.integers(0, 2), replacing=st.booleans())
-    def a_drive_is_requested(self, pattern: Pattern, laps: int, replacing: bool) -> None:
-        event = DriveRequested(self.bench.t_ns, next(ids), pattern, laps, replacing, "test")
+    @rule(
+        pattern=strategies.PATTERN,
+        laps=st.integers(0, 2),
+        replacing=st.booleans(),
+        course=strategies.COURSE,
+    )
+    def a_drive_is_requested(
+        self, pattern: Pattern, laps: int, replacing: bool, course: Course
+    ) -> None:
+        now = self.bench.t_ns
+        event = DriveRequested(now, next(ids), pattern, laps, replacing, "test", course=course)
         effects = self._give(event)
         if any(isinstance(effect, DriveEnded) for effect in effects):
             assert replacing

@@ -12,6 +12,7 @@ import pytest
 from robotctl import __version__
 from robotctl.cdr.motion import encode_twist
 from robotctl.errors import UnreadableFile
+from robotctl.kernel import drive as drive_module
 from robotctl.kernel import kernel as kernel_module
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.params import TrackingParams, VelocityLimits
@@ -59,7 +60,7 @@ def test_a_kernel_with_another_gain_diverges(
     ) -> Twist:
         return track(reference, pose, replace(gains, k_x=gains.k_x * 1.001), limits)
 
-    monkeypatch.setattr(kernel_module, "track", stronger)
+    monkeypatch.setattr(drive_module, "track", stronger)
     report = checked(tmp_path, drive_of_3_s)
     assert report.verdict is Verdict.DIVERGED
     assert report.divergence is not None

@@ -33,7 +33,7 @@ OTHER_RULES = f"decided by the rules of another version (0.0.9, this is {__versi
 def test_what_another_version_decides_otherwise_is_incomplete_and_not_a_fault(
     tmp_path: Path, drive_of_3_s: list[Written]
 ) -> None:
-    changed, seq = altered(drive_of_3_s, "PublishTwist", '"linear":0.32', '"linear":0.3200001')
+    changed, seq = altered(drive_of_3_s, "PublishTwist", '"linear":0.54', '"linear":0.5400001')
     report = checked(tmp_path, changed, version="0.0.9")
     assert report.violations == []
     assert (report.verdict, report.verdict.exit_code) == (Verdict.INCOMPLETE, 6)

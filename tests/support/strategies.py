@@ -7,6 +7,7 @@ from math import inf, nan
 from hypothesis import strategies as st
 
 from robotctl.config import Config, flat
+from robotctl.kernel.course import Course, Frame
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.lease import LeaseLost, LeaseRequested
 from robotctl.kernel.lifecycle import LifecycleChanged, LifecycleState
@@ -57,6 +58,16 @@ PATTERN = st.builds(
     st.one_of(st.floats(0.1, 3.0), ANY_FLOAT),
     st.one_of(st.floats(0.01, 3.0), ANY_FLOAT),
 )
+POINT = st.tuples(COORDINATE, COORDINATE)
+COURSE = st.builds(
+    Course,
+    st.one_of(st.just(0.1), st.just(0.0), st.floats(0.02, 0.5), ANY_FLOAT),
+    st.one_of(st.floats(-4.0, 4.0), ANY_FLOAT),
+    st.booleans(),
+    st.booleans(),
+    st.one_of(st.just(()), st.lists(POINT, max_size=6).map(tuple)),
+    st.sampled_from(Frame),
+)
 PARAMETER = st.one_of(st.sampled_from(sorted(kernel_leaves())), SOURCE)
 PARAMETER_TEXT = st.one_of(
     st.sampled_from(sorted({str(value) for value in flat(Config()).values()})),
@@ -92,6 +103,8 @@ def event(
             st.booleans(),
             SOURCE,
             CLIENT,
+            SOURCE,
+            COURSE,
         ),
         st.builds(LeaseRequested, t_ns, request_id, st.booleans(), CLIENT, SOURCE),
         st.builds(LeaseLost, t_ns, CLIENT),

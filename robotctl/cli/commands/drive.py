@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import partial
+from math import degrees, radians
 from typing import Annotated, Any
 
 import typer
@@ -24,6 +25,7 @@ from robotctl.errors import RobotctlError, UsageError
 from robotctl.ipc.answers import DriveAnswer
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import DRIVE
+from robotctl.kernel.course import MAX_ANGLE_RAD, MAX_CORNER_M, MIN_CORNER_M
 from robotctl.kernel.drive import MAX_LAPS
 from robotctl.kernel.patterns import (
     MAX_SIZE_M,
@@ -38,6 +40,7 @@ from robotctl.paths import DEFAULT_ROBOT
 
 app = new_app()
 
+MAX_ANGLE_DEG = float(int(degrees(MAX_ANGLE_RAD)))
 
 PATTERNS = ", ".join(kind.value for kind in PatternKind)
 
@@ -46,18 +49,35 @@ PATTERNS = ", ".join(kind.value for kind in PatternKind)
 def drive(
     pattern: Annotated[PatternKind, typer.Argument(metavar="PATTERN", help=f"One of {PATTERNS}.")],
     side: Annotated[
-        float | None, typer.Option(metavar="M", help="Side of the square, in metres.")
+        float | None, typer.Option(metavar="M", help="Side of a square, in metres.")
     ] = None,
     radius: Annotated[
         float | None,
-        typer.Option(metavar="M", help="Radius of the circle or of each loop, in metres."),
+        typer.Option(metavar="M", help="Radius of a circle, a loop or an arc, in metres."),
+    ] = None,
+    length: Annotated[
+        float | None, typer.Option(metavar="M", help="Length of the line, in metres.")
+    ] = None,
+    angle: Annotated[
+        float | None,
+        typer.Option(metavar="DEG", help="How far to turn, in degrees; to the left if positive."),
+    ] = None,
+    corner: Annotated[
+        float | None,
+        typer.Option(metavar="M", help="Radius of the corners of a rounded-square, in metres."),
     ] = None,
     laps: Annotated[
         int | None,
         typer.Option(
-            metavar="N", help="Number of laps; 0: until stopped [default: 0, or 1 with --wait]."
+            metavar="N",
+            help="Number of laps; 0: until stopped [default: 0; 1 with --wait, and where the "
+            "pattern does not end where it begins].",
         ),
     ] = None,
+    reverse: Annotated[bool, typer.Option("--reverse", help="Drive rear first.")] = False,
+    open_loop: Annotated[
+        bool, typer.Option("--open-loop", help="Do not correct by odometry, for comparison.")
+    ] = False,
     speed: Annotated[
         float | None, typer.Option(metavar="M/S", help="Speed along the path.")
     ] = None,
@@ -72,7 +92,7 @@ def drive(
     robot: Robot = DEFAULT_ROBOT,
     as_json: Json = False,
 ) -> None:
-    """Drive a square, a circle or a figure-eight.
+    """Drive a pattern: a square, a circle, a line, a turn on the spot and others.
 
     Size and speed default to the daemon's configuration. With --wait the drive ends with this
     command: Ctrl-C, SIGHUP, SIGTERM and a lost connection ramp the robot down, and a second
@@ -83,19 +103,27 @@ def drive(
       robotctl drive square
       robotctl drive square --side 2 --laps 3 --wait
       robotctl drive circle --radius 0.5 --speed 0.2 --replace
+      robotctl drive rounded-square --side 1 --corner 0.1 --wait
+      robotctl drive line --length 2 --reverse
+      robotctl drive turn --angle -90
     """
-    wanted = SHAPES[pattern].size_name
-    for name, given in ((SizeName.SIDE, side), (SizeName.RADIUS, radius)):
-        if given is not None and name is not wanted:
-            raise UsageError(f"a {pattern.value} has no {name.value}", f"use --{wanted.value}")
-    _check("--side", side, MIN_SIZE_M, MAX_SIZE_M, " m")
-    _check("--radius", radius, MIN_SIZE_M, MAX_SIZE_M, " m")
+    sizes = {SizeName.SIDE: side, SizeName.RADIUS: radius, SizeName.LENGTH: length}
+    _check_shape(pattern, sizes, corner, angle)
+    for name, size in sizes.items():
+        _check(f"--{name.value}", size, MIN_SIZE_M, MAX_SIZE_M, " m")
+    _check("--corner", corner, MIN_CORNER_M, MAX_CORNER_M, " m")
+    _check("--angle", angle, -MAX_ANGLE_DEG, MAX_ANGLE_DEG, " degrees")
     _check("--speed", speed, MIN_SPEED_MPS, MAX_SPEED_MPS, " m/s")
     _check("--laps", laps, 0, MAX_LAPS)
     params = {
         "pattern": pattern.value,
         "side_m": side,
         "radius_m": radius,
+        "length_m": length,
+        "corner_m": corner,
+        "angle_rad": None if angle is None else radians(angle),
+        "reverse": reverse,
+        "open_loop": open_loop,
         "laps": laps,
         "speed_mps": speed,
         "replace": replace,
@@ -108,6 +136,25 @@ def drive(
     if wait:
         lines += tracking_lines(answer)
     print_answer(answer, lines, as_json=as_json)
+
+
+def _check_shape(
+    pattern: PatternKind,
+    sizes: Mapping[SizeName, float | None],
+    corner: float | None,
+    angle: float | None,
+) -> None:
+    """Raise UsageError for an option that the pattern does not have."""
+    shape = SHAPES[pattern]
+    cure = f"use --{shape.size_name.value}" if shape.size_name else ""
+    given = [name for name, size in sizes.items() if size is not None]
+    unused = [name.value for name in given if name is not shape.size_name]
+    if corner is not None and not shape.has_corner:
+        unused.append("rounded corner")
+    if angle is not None and not shape.has_angle:
+        unused.append("angle")
+    if unused:
+        raise UsageError(f"a {pattern.value} has no {unused[0]}", cure)
 
 
 def _check(option: str, value: float | None, low: float, high: float, unit: str = "") -> None:

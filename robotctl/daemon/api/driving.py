@@ -8,6 +8,7 @@ from collections.abc import Callable
 from math import isfinite
 from typing import Any
 
+from robotctl.daemon.api.drive_shape import default_laps, shape_course, shape_size_m
 from robotctl.daemon.api.granted import granted
 from robotctl.daemon.control.dispatcher import Control
 from robotctl.daemon.control.robot_report import RobotReport
@@ -18,7 +19,7 @@ from robotctl.ipc.method import Method
 from robotctl.ipc.method_names import DRIVE, END_DRIVE, PATH, PREFLIGHT, RESET, SET_MODE
 from robotctl.ipc.params import DriveParams, EndDriveParams, NoParams, ResetParams, SetModeParams
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.patterns import SHAPES, Pattern, PatternKind, SizeName
+from robotctl.kernel.patterns import SHAPES, Pattern, PatternKind
 from robotctl.kernel.safety import remedies_for
 from robotctl.kernel.types import (
     DriveEnded,
@@ -111,23 +112,18 @@ class DrivingMethods:
 
     async def _drive(self, params: DriveParams) -> DriveAnswer:
         kind = params.pattern
-        sizes_m = {SizeName.SIDE: params.side_m, SizeName.RADIUS: params.radius_m}
-        wanted = SHAPES[kind].size_name
-        size_m = sizes_m.pop(wanted)
-        for other, unused_m in sizes_m.items():
-            if unused_m is not None:
-                raise UsageError(f"a {kind.value} has no {other.value}: use --{wanted.value}")
-        pattern = self.pattern(kind, size_m, params.speed_mps)
+        pattern = self.pattern(kind, shape_size_m(params), params.speed_mps)
         request_id = self._control.new_request_id()
         event = DriveRequested(
             time.monotonic_ns(),
             request_id,
             pattern,
-            int(params.wait) if params.laps is None else params.laps,
+            default_laps(kind, wait=params.wait) if params.laps is None else params.laps,
             params.replace,
             params.source,
             self._client_of(params.lease),
             params.reason,
+            shape_course(params),
         )
         end = self._control.expect_end(request_id)
         try:

@@ -9,6 +9,7 @@ from robotctl.decision_log.log import DecisionLog
 from robotctl.kernel.lease import LeaseRequested
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.parameter_change import ParameterChanged, ParameterRequested
+from robotctl.kernel.patterns import named
 from robotctl.kernel.types import (
     DriveEnded,
     DriveRequested,
@@ -111,7 +112,7 @@ def _asked(request: Request) -> str:
         case ResetRequested():
             return "reset"
         case DriveRequested():
-            return f"drive {request.pattern.kind.value}"
+            return f"drive {named(request.pattern, request.course)}"
         case LeaseRequested():
             return "take the lease" if request.take else "release the lease"
         case ParameterRequested():

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from robotctl.kernel.course import PLAIN, Course
 from robotctl.kernel.lease import LeaseLost, LeaseRequested
 from robotctl.kernel.lifecycle import LifecycleChanged
 from robotctl.kernel.parameter_change import ParameterRequested
@@ -117,7 +118,8 @@ class ResetRequested:
 class DriveRequested:
     """A request to drive `laps` laps (0: until stopped) of a pattern; it gets one `Reply`.
 
-    `client` and `reason` are as in `ModeRequested`.
+    `client` and `reason` are as in `ModeRequested`. `course` says how, and may replace the pattern
+    by waypoints.
     """
 
     t_ns: int
@@ -128,6 +130,7 @@ class DriveRequested:
     source: str
     client: int = 0
     reason: str = ""
+    course: Course = PLAIN
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,66 @@
+"""How a path is driven, and what its shape needs besides a size."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from math import isfinite, pi
+
+Point = tuple[float, float]
+
+MIN_CORNER_M, MAX_CORNER_M = 0.02, 10.0
+MIN_ANGLE_RAD, MAX_ANGLE_RAD = 0.01, 100.0
+MAX_POINTS = 2000
+MAX_COORDINATE_M = 10_000.0
+MIN_LEG_M = 0.001
+"""Points that are nearer to each other than this are one point."""
+
+
+class Frame(Enum):
+    """Where waypoints are: relative to the pose at the start, or in the frame of odometry."""
+
+    START = "start"
+    ODOM = "odom"
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """What a drive does beyond a plain pattern.
+
+    `corner_m` is the radius of the corners of a rounded square; on waypoints it is how far before
+    a corner the robot leaves the straight line, 0 to stop and turn at each point. `angle_rad` is
+    how far a turn or an arc goes, to the left if positive. `reverse` drives rear first, `open_loop`
+    without correcting by odometry. `waypoints` [m] in `frame` replace the pattern.
+    """
+
+    corner_m: float = 0.1
+    angle_rad: float = pi / 2.0
+    reverse: bool = False
+    open_loop: bool = False
+    waypoints: tuple[Point, ...] = ()
+    frame: Frame = Frame.START
+
+    def refusal(self) -> str:
+        """Return why this course cannot be driven, "" if it can."""
+        corner_m, angle_rad = self.corner_m, self.angle_rad
+        stops = corner_m == 0.0 and bool(self.waypoints)
+        if not (stops or MIN_CORNER_M <= corner_m <= MAX_CORNER_M):
+            return f"a corner of {corner_m:g} m: use {MIN_CORNER_M:g} to {MAX_CORNER_M:g} m"
+        if not MIN_ANGLE_RAD <= abs(angle_rad) <= MAX_ANGLE_RAD:
+            return f"an angle of {angle_rad:g} rad: use {MIN_ANGLE_RAD:g} to {MAX_ANGLE_RAD:g} rad"
+        return _waypoints_refusal(self.waypoints) if self.waypoints else ""
+
+
+PLAIN = Course()
+
+
+def _waypoints_refusal(points: tuple[Point, ...]) -> str:
+    if not 2 <= len(points) <= MAX_POINTS:
+        return f"a path of {len(points)} points: use 2 to {MAX_POINTS}"
+    for number, (x, y) in enumerate(points, 1):
+        if not (isfinite(x) and isfinite(y) and max(abs(x), abs(y)) <= MAX_COORDINATE_M):
+            return f"point {number} is {x:g}, {y:g}: use numbers up to {MAX_COORDINATE_M:g} m"
+    x0, y0 = points[0]
+    if all(abs(x - x0) < MIN_LEG_M and abs(y - y0) < MIN_LEG_M for x, y in points):
+        return "all points of the path are the same: use at least two places"
+    return ""

@@ -1,0 +1,104 @@
+"""How fast each segment of a path may be driven, planned ahead within the limits.
+
+Three passes over the path, as Kapania, Subosits and Gerdes (2016) describe them for cars: the speed
+that the curvature allows, then backwards the speed from which the robot can still brake, and
+forwards, while it drives, the speed that it can have reached (`reference.py`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf, sqrt
+
+from robotctl.kernel.params import VelocityLimits
+from robotctl.kernel.path import Path
+from robotctl.kernel.segments import Segment
+
+SPEED_SHARE = 0.95
+"""The share of the velocity limits that the plan uses; the rest is to catch up."""
+
+ACCEL_SHARE, GENTLE_SHARE = 0.7, 0.9
+"""The share of the acceleration limits in curves, and where the robot only drives or only turns."""
+
+JOINT_S = 0.09
+"""Where the curvature jumps, the turning rate jumps by what the robot can make up in this time."""
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """The plan for one segment, in m or rad: top speed, acceleration, and the speed at its end.
+
+    `end_speed` is 0 where the robot stops; `last_end_speed` is that of the last lap.
+    """
+
+    length: float
+    top_speed: float
+    accel: float
+    end_speed: float
+    last_end_speed: float
+
+
+def speed_plan(path: Path, speed_mps: float, limits: VelocityLimits) -> tuple[Leg, ...]:
+    """Return the plan of each segment."""
+    segments = path.segments
+    tops = [_top_speed(segment, speed_mps, limits) for segment in segments]
+    accels = [_accel(segment, limits) for segment in segments]
+    joints = [
+        _joint_speed(segment, segments[(index + 1) % len(segments)], limits)
+        for index, segment in enumerate(segments)
+    ]
+    last = _end_speeds(path, tops, accels, joints, 0.0)
+    end = 0.0 if joints[-1] == 0.0 else inf
+    for _ in range(2):  # the second round knows the speed at which the lap begins
+        laps = _end_speeds(path, tops, accels, joints, end)
+        end = _begin_speed(segments[0], tops[0], accels[0], laps[0])
+    return tuple(
+        Leg(segment.length, tops[index], accels[index], laps[index], last[index])
+        for index, segment in enumerate(segments)
+    )
+
+
+def _top_speed(segment: Segment, speed_mps: float, limits: VelocityLimits) -> float:
+    if segment.turns:
+        return SPEED_SHARE * limits.angular_rps
+    speed = min(speed_mps, SPEED_SHARE * limits.linear_mps)
+    if segment.top_curvature:
+        speed = min(speed, SPEED_SHARE * limits.angular_rps / segment.top_curvature)
+    change = abs(segment.curvature_at(segment.length) - segment.curvature_at(0.0))
+    if change:
+        accel = ACCEL_SHARE * limits.angular_accel_rps2
+        speed = min(speed, sqrt(accel * segment.length / change))
+    return speed
+
+
+def _accel(segment: Segment, limits: VelocityLimits) -> float:
+    if segment.turns:
+        return GENTLE_SHARE * limits.angular_accel_rps2
+    if not segment.top_curvature:
+        return GENTLE_SHARE * limits.linear_accel_mps2
+    turning = limits.angular_accel_rps2 / segment.top_curvature
+    return ACCEL_SHARE * min(limits.linear_accel_mps2, turning)
+
+
+def _joint_speed(before: Segment, after: Segment, limits: VelocityLimits) -> float:
+    """Return the speed at which the robot may go from one segment to the next, 0 if it stops."""
+    if before.turns or after.turns:
+        return 0.0
+    jump = abs(after.curvature_at(0.0) - before.curvature_at(before.length))
+    return JOINT_S * limits.angular_accel_rps2 / jump if jump else inf
+
+
+def _end_speeds(
+    path: Path, tops: list[float], accels: list[float], joints: list[float], end: float
+) -> list[float]:
+    """Return the speed at the end of each segment, for a lap that ends at speed `end`."""
+    speeds = [0.0] * len(tops)
+    for index in range(len(tops) - 1, -1, -1):
+        speeds[index] = min(end, joints[index] if end else 0.0, tops[index])
+        segment = path.segments[index]
+        end = _begin_speed(segment, tops[index], accels[index], speeds[index])
+    return speeds
+
+
+def _begin_speed(segment: Segment, top: float, accel: float, end: float) -> float:
+    return min(top, sqrt(end * end + 2.0 * accel * segment.length))

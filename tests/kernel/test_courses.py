@@ -1,0 +1,235 @@
+"""Lines, arcs, turns and waypoints: where they lead, how smoothly, and what is refused by name."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from math import cos, hypot, inf, isclose, nan, pi, sin
+
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from robotctl.kernel.course import MAX_POINTS, Course, Frame, Point
+from robotctl.kernel.drive import Drive
+from robotctl.kernel.geometry import ORIGIN, Pose, wrap_angle
+from robotctl.kernel.limits import limit
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.params import KernelParams, VelocityLimits
+from robotctl.kernel.patterns import Pattern, PatternKind, named, path_of
+from robotctl.kernel.speed_plan import speed_plan
+from robotctl.kernel.types import Cause, Twist
+from robotctl.kernel.waypoints import local_points, waypoint_path
+from robotctl.sim.robot import SimParams
+from robotctl.testing.kernels import Driven, drive_simulated, ready
+
+BASE = SimParams(
+    lag_s=0.04,
+    actuation_linear_factor=0.985,
+    actuation_angular_factor=1.03,
+    odometry_linear_factor=1.0,
+    odometry_angular_factor=1.0,
+)
+ZIGZAG: tuple[Point, ...] = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (2.0, 1.5), (0.0, 2.0))
+LIMITS = VelocityLimits()
+SLOW = VelocityLimits(0.25, 0.8, 0.4, 1.5)
+
+
+def driven(pattern: Pattern, course: Course = Course(), *, laps: int = 1) -> Driven:  # noqa: B008
+    result = drive_simulated(pattern, laps=laps, course=course, sim=BASE)
+    assert result.ended.completed, result.ended
+    return result
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+@pytest.mark.parametrize(
+    ("kind", "angle_rad", "end"),
+    [
+        (PatternKind.LINE, 1.0, Pose(1.0, 0.0, 0.0)),
+        (PatternKind.ARC, pi / 2, Pose(1.0, 1.0, pi / 2)),
+        (PatternKind.ARC, -pi / 2, Pose(1.0, -1.0, -pi / 2)),
+        (PatternKind.TURN, pi, Pose(0.0, 0.0, pi)),
+        (PatternKind.TURN, -pi / 2, Pose(0.0, 0.0, -pi / 2)),
+    ],
+)
+def test_an_open_pattern_ends_where_it_leads(
+    kind: PatternKind, angle_rad: float, end: Pose, reverse: bool
+) -> None:
+    course = Course(angle_rad=angle_rad, reverse=reverse)
+    result = driven(Pattern(kind, 1.0), course)
+    side = -1.0 if reverse else 1.0  # rear first, the same path lies behind the robot
+    wanted = Pose(side * end.x, side * end.y, end.theta)
+    assert result.pose.distance(wanted) <= 0.03
+    assert abs(wrap_angle(result.pose.theta - wanted.theta)) <= 0.04
+    assert all(side * command.linear >= -0.05 for command in result.commands)
+
+
+def test_laps_of_an_open_pattern_begin_where_the_last_one_ended() -> None:
+    result = driven(Pattern(PatternKind.ARC, 0.5), Course(angle_rad=pi / 2), laps=4)
+    assert result.pose.distance(ORIGIN) <= 0.03
+    assert driven(Pattern(PatternKind.LINE, 0.5), laps=3).pose.x == pytest.approx(1.5, abs=0.03)
+
+
+@pytest.mark.parametrize("corner_m", [0.0, 0.1, 0.3])
+@pytest.mark.parametrize("limits", [LIMITS, SLOW])
+def test_waypoints_are_followed_within_3_cm_and_the_limits(
+    corner_m: float, limits: VelocityLimits
+) -> None:
+    course = Course(corner_m=corner_m, waypoints=ZIGZAG)
+    params = replace(KernelParams(), limits=limits)
+    result = drive_simulated(Pattern(), course=course, sim=BASE, params=params)
+    assert result.ended.completed
+    assert result.ended.report.cross_track_rms_m <= 0.010
+    assert result.ended.report.cross_track_max_m <= 0.030
+    assert result.pose.distance(Pose(0.0, 2.0)) <= 0.03
+    for before, command in pairwise(result.commands):
+        assert limit(before, command, 0.02 + 1e-9, limits) == command
+
+
+def test_laps_of_waypoints_return_to_the_start() -> None:
+    assert driven(Pattern(), Course(waypoints=ZIGZAG), laps=2).pose.distance(ORIGIN) <= 0.03
+
+
+def test_waypoints_in_the_frame_of_odometry_are_driven_there() -> None:
+    bench = ready()
+    bench.odometry(Pose(3.0, 1.0, 1.0))
+    points = ((3.0, 1.5), (4.0, 1.5))
+    bench.drive(laps=1, course=Course(waypoints=points, frame=Frame.ODOM))
+    drive = bench.state.drive
+    assert drive is not None
+    begin, *_, end = [drive.origin.compose(pose) for pose in drive.path.outline()]
+    assert begin.distance(Pose(3.0, 1.0)) <= 1e-9
+    assert end.distance(Pose(4.0, 1.5)) <= 1e-9
+
+
+PLACES = st.lists(
+    st.tuples(st.floats(-5.0, 5.0), st.floats(-5.0, 5.0)), min_size=2, max_size=12
+).map(tuple)
+
+
+@given(points=PLACES, corner_m=st.sampled_from((0.0, 0.05, 0.2, 2.0)), again=st.booleans())
+@settings(max_examples=150)
+def test_a_path_through_any_waypoints_has_no_gap_and_no_kink(
+    points: tuple[Point, ...], corner_m: float, again: bool
+) -> None:
+    assume(not Course(waypoints=points).refusal())
+    path = waypoint_path(points, corner_m, again=again)
+    for before, after in pairwise(path.segments):
+        end, begin = before.pose_at(before.length), after.pose_at(0.0)
+        assert end.distance(begin) <= 1e-6
+        assert abs(wrap_angle(end.theta - begin.theta)) <= 1e-6
+    last = path.segments[-1].pose_at(path.segments[-1].length)
+    target = (0.0, 0.0) if again else points[-1]
+    assert hypot(last.x - target[0], last.y - target[1]) <= 0.03
+    legs = speed_plan(path, 0.5, LIMITS)
+    for leg, segment in zip(legs, path.segments, strict=True):
+        assert leg.top_speed > 0.0
+        assert 0.0 <= leg.last_end_speed <= leg.end_speed <= leg.top_speed
+        if not segment.turns:
+            assert leg.top_speed * segment.top_curvature <= LIMITS.angular_rps
+
+
+def test_a_corner_that_is_too_sharp_for_an_arc_is_turned_on_the_spot() -> None:
+    for points, turns in (
+        (((1.0, 0.0), (2.0, 0.0), (2.0, 1.0)), 0),
+        (((1.0, 0.0), (0.01, 0.001)), 1),
+        (((1.0, 0.0), (1.002, 0.002), (1.002, 1.0)), 2),
+    ):
+        path = waypoint_path(points, 0.1, again=False)
+        assert sum(segment.turns for segment in path.segments) == turns
+
+
+def test_the_plan_slows_down_before_a_bend_and_speeds_up_after_it() -> None:
+    legs = speed_plan(path_of(Pattern(PatternKind.ROUNDED_SQUARE), Course()), 0.5, LIMITS)
+    side, corner = legs[0], legs[1]
+    assert (side.top_speed, side.accel) == (0.5, 0.9)
+    assert isclose(corner.top_speed, 0.95 * 1.5 * 0.1)
+    assert isclose(side.end_speed, 0.09 * 4.0 * 0.1)  # the turning rate of the arc in 90 ms
+    assert (legs[-1].end_speed > 0.0, legs[-1].last_end_speed) == (True, 0.0)
+
+
+@pytest.mark.parametrize("ticks", [1, 2, 4, 8])
+@pytest.mark.parametrize("size_m", [0.1, 0.7, 2.0])
+def test_the_acceleration_of_the_reference_builds_up_over_the_ticks(
+    ticks: int, size_m: float
+) -> None:
+    drive = Drive(1, Pattern(PatternKind.LINE, size_m), 1, ORIGIN)
+    speeds = [0.0]
+    while not drive.finished:
+        drive = drive.advance(0.02, drive.reference().pose, LIMITS, ticks)
+        speeds.append(drive.progress.speed)
+        assert 0.0 <= drive.progress.length <= size_m
+    accels = [(after - before) / 0.02 for before, after in pairwise(speeds)]
+    assert max(map(abs, accels)) <= 1.01 * LIMITS.linear_accel_mps2
+    # At most the lead changes from full acceleration to full braking, and its part is 1 / ticks.
+    assert max(abs(b - a) for a, b in pairwise(accels)) <= 2.0 / ticks
+
+
+def test_in_open_loop_odometry_does_not_change_the_commands() -> None:
+    def commands(aside_m: float) -> list[Twist]:
+        bench = ready()
+        bench.drive(Pattern(PatternKind.CIRCLE, 0.5), 1, course=Course(open_loop=True))
+        for number in range(50):
+            bench.odometry(Pose(0.0, aside_m * number / 50.0, 0.0))
+            bench.tick()
+        return bench.commands
+
+    assert commands(0.1) == commands(0.0)
+
+
+def test_a_robot_that_does_not_turn_is_stopped() -> None:
+    bench = ready()
+    bench.drive(Pattern(PatternKind.TURN), 1)
+    bench.run(100)
+    assert (bench.state.mode, bench.state.cause) == (Mode.ERROR, Cause.TRACKING_LOST)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "course", "said"),
+    [
+        (Pattern(), Course(waypoints=((1.0, 1.0),)), "1 points"),
+        (Pattern(), Course(waypoints=((0.0, 0.0),) * (MAX_POINTS + 1)), f"2 to {MAX_POINTS}"),
+        (Pattern(), Course(waypoints=((2.0, 2.0),) * 3), "the same"),
+        (Pattern(), Course(waypoints=((0.0, 0.0), (nan, 1.0))), "point 2"),
+        (Pattern(), Course(waypoints=((0.0, -inf), (0.0, 1.0))), "point 1"),
+        (Pattern(), Course(waypoints=((0.0, 1e5), (0.0, 1.0))), "10000 m"),
+        (Pattern(), Course(corner_m=0.0), "a corner of 0 m"),
+        (Pattern(), Course(corner_m=nan), "a corner of nan m"),
+        (Pattern(), Course(angle_rad=0.0), "an angle of 0 rad"),
+        (Pattern(PatternKind.ROUNDED_SQUARE), Course(corner_m=0.6), "0.02 to 0.5 m"),
+        (Pattern(PatternKind.LINE, 0.05), Course(), "a size of 0.05 m"),
+    ],
+)
+def test_what_cannot_be_driven_is_refused_by_name(
+    pattern: Pattern, course: Course, said: str
+) -> None:
+    bench = ready()
+    bench.drive(pattern, 1, course=course)
+    assert not bench.replies[-1].ok
+    assert said in bench.replies[-1].message
+    assert bench.state.mode is Mode.IDLE
+
+
+def test_points_in_one_place_are_one_point() -> None:
+    twice = tuple(point for point in ZIGZAG for _ in range(2))
+    assert waypoint_path(twice, 0.1, again=False) == waypoint_path(ZIGZAG, 0.1, again=False)
+
+
+def test_a_motion_has_a_name() -> None:
+    assert named(Pattern(PatternKind.ARC), Course()) == "an arc"
+    assert named(Pattern(), Course(reverse=True, open_loop=True)) == (
+        "a square in reverse in open loop"
+    )
+    assert named(Pattern(), Course(waypoints=ZIGZAG)) == "a path of 5 points"
+
+
+def test_local_points_are_seen_from_the_robot() -> None:
+    ((x, y),) = local_points(((1.0, 3.0),), Frame.ODOM, Pose(1.0, 1.0, pi / 2))
+    assert x == pytest.approx(2.0)
+    assert y == pytest.approx(0.0)
+
+
+def test_a_circle_as_waypoints_is_as_fast_as_a_circle_nearly() -> None:
+    points = tuple((0.5 * sin(a), 0.5 - 0.5 * cos(a)) for a in (n * pi / 10 for n in range(21)))
+    result = driven(Pattern(), Course(waypoints=points))
+    assert result.duration_s <= 1.5 * driven(Pattern(PatternKind.CIRCLE, 0.5)).duration_s
