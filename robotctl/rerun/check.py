@@ -101,7 +101,7 @@ class _Check:
         is_own = topic == own_journal_topic(info)
         self._ends = RecordingEnds(self._recording, info, report, is_own=is_own)
         self._inputs = input_checks(report, info, topic)
-        self._status = StatusCheck(report, info, topic)
+        self._status = StatusCheck(report, info, topic, self._clock)
         self._services = ServiceChecks(report, info, topic, self._clock)
         for item in steps(self._entries(topic)):
             if isinstance(item, Gap):
@@ -161,7 +161,7 @@ class _Check:
         self._commands.snapshot(snapshot)
         self._inputs.snapshot(snapshot.proof is not None)
         self._services.snapshot(snapshot.proof is not None, self._log_ns[1])
-        self._status.snapshot(snapshot)
+        self._status.snapshot(snapshot, self._log_ns[1])
 
     def _compare_parameters(self, entry: JournalEntry) -> None:
         """Compare the parameters of the first snapshot with those in the metadata."""
@@ -200,10 +200,10 @@ class _Check:
             return
         self._inputs.step(decided.event, step.event.seq)
         kernel = self._rerun.kernel
-        level = None if kernel is None else kernel.state.health.battery_level
-        self._status.step(decided.event, effects, level)
+        health = None if kernel is None else kernel.state.health
+        moments = decided.event.t_ns, *self._log_ns
+        self._status.step(decided.event, effects, health, moments)
         if effects or not isinstance(decided.event, OdomReceived):
-            moments = decided.event.t_ns, *self._log_ns
             self._commands.step(decided.event, effects, moments)
             self._services.step(decided.event, step.event.seq, effects, moments)
         self._invariants.step(step.event.seq, decided.event, effects)
@@ -238,6 +238,7 @@ class _Check:
         self._commands.stop()
         self._inputs.stop()
         self._services.stop()
+        self._status.stop()
         if self._rerun is not None:
             self._rerun.stop()
 
@@ -258,7 +259,7 @@ class _Check:
         self._commands.end(invariants, ends.ending(command_topic(self._info, self._topic or "")))
         self._inputs.end(invariants, ends.ending, self._end_ns)
         self._services.end(invariants, ends.ending, self._end_ns)
-        self._status.end(ends.ending(self._status.topic))
+        self._status.end(ends.ending(self._status.topic), self._log_ns[1])
         report.violations, report.violation_count = invariants.violations, invariants.count
 
 

@@ -197,8 +197,9 @@ class CommandPairs:
 
     def _stall(self, event: LoopStalled, moments: Moments) -> None:
         """Count the zeros of the watchdog; withheld commands were sent as zeros."""
-        steady_ns, _, end_ns = moments
-        during = steady_ns, 0, end_ns
+        steady_ns, begin_ns, end_ns = moments
+        began_ns = max(begin_ns - round(event.stalled_s * NS_PER_S), 1) if begin_ns else 0
+        during = steady_ns, began_ns, end_ns
         left = event.withheld
         held = []
         for number, numbers in reversed(self._recent):

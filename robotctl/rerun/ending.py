@@ -24,6 +24,9 @@ class Ending:
     is_whole: bool
     """Whether all files are there: the messages after the last decision may be in the next file."""
 
+    has_begin: bool
+    """Whether the journal is there from its first entry on."""
+
     is_filtered: bool
     """Whether the configuration leaves topics out."""
 

@@ -10,9 +10,11 @@ from robotctl.kernel.units import NS_PER_S
 PATIENCE_NS = 30 * NS_PER_S
 """How long an input waits for its message, on the steady clock of the journal."""
 
-EDGE_NS = 2 * NS_PER_S
-"""How near to the end of a journal an input may lack its message: it was under way. Also how long a
-publisher may live without being found by the recorder."""
+EDGE_NS = NS_PER_S // 2
+"""How near to the end of a journal the last inputs may lack their messages: they were under way."""
+
+UNFOUND_NS = 2 * NS_PER_S
+"""How long a publisher may live without being found by the recorder."""
 
 MAX_WAITING = 5_000
 """The number of messages that may wait for their input."""
@@ -140,7 +142,7 @@ class InputPairs:
                     self._lack(sequence, each)
         for each, sequence in self._unfound:
             begin_ns, end_ns = self._lives.get(each.source, (0, 0))
-            if each.source in self._found or end_ns - begin_ns > EDGE_NS:
+            if each.source in self._found or end_ns - begin_ns > UNFOUND_NS:
                 self._count(sequence, each)
         for sequence, values in self._messages.items():
             self._unheard += [sequence] * len(values)

@@ -79,5 +79,6 @@ class RecordingEnds:
             is_clip=CLIP_RECORD in self._info.metadata,
             is_own=self.is_own,
             is_whole=self.is_whole,
+            has_begin=self._first_seq == 0,
             is_filtered=is_filtered(self._info),
         )

@@ -80,6 +80,18 @@ def all_changed(topic: str, change: Callable[[Stored], Stored | None]) -> Kind:
     return lambda contents, random: edit(contents, topic, lambda at, each: change(each))
 
 
+def last_second_dropped(topic: str) -> Kind:
+    """Drop the messages of the last second."""
+
+    def make(contents: Contents, random: Random) -> Contents:
+        end_ns = max(each.log_ns for each in contents.messages)
+        return edit(
+            contents, topic, lambda at, each: each if end_ns - each.log_ns > 10**9 else None
+        )
+
+    return make
+
+
 def repeated(topic: str, wanted: Callable[[Stored], bool] = anywhere) -> Kind:
     """Record a message twice."""
 

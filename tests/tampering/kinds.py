@@ -25,6 +25,7 @@ from tests.tampering.edits import (
     dropped,
     dropped_and_renumbered,
     journal,
+    last_second_dropped,
     metadata,
     moves,
     removed,
@@ -39,6 +40,11 @@ from tests.tampering.edits import (
 def late(message: Stored) -> Stored:
     """Send a message 2 s later."""
     return replace(message, publish_ns=message.publish_ns + 2 * 10**9)
+
+
+def early(message: Stored) -> Stored:
+    """Send a message 2 s earlier."""
+    return replace(message, publish_ns=message.publish_ns - 2 * 10**9)
 
 
 def moved(message: Stored, random: Random) -> Stored:
@@ -65,6 +71,13 @@ def mode(message: Stored, random: Random) -> Stored:
     """Show a mode that the robot never had."""
     data = bytearray(message.data)
     data[AT_MODE] = Mode.ERROR
+    return replace(message, data=bytes(data))
+
+
+def with_mode(message: Stored, shown: Mode) -> Stored:
+    """Show a mode."""
+    data = bytearray(message.data)
+    data[AT_MODE] = shown.value
     return replace(message, data=bytes(data))
 
 
@@ -160,6 +173,7 @@ FOUND: Mapping[str, Kind] = {
     "commands: two swapped": swapped(COMMANDS, moves),
     "commands: one with another number": changed(COMMANDS, numbered, moves),
     "commands: one sent late": changed(COMMANDS, lambda m, _: late(m), anywhere),
+    "commands: one sent early": changed(COMMANDS, lambda m, _: early(m), anywhere),
     "commands: all sent late": all_changed(COMMANDS, late),
     "commands: all set to zero": all_changed(COMMANDS, still),
     "commands: all that move removed": all_changed(COMMANDS, lambda m: None if moves(m) else m),
@@ -168,6 +182,7 @@ FOUND: Mapping[str, Kind] = {
     "commands: motion added": added(COMMANDS, MOTION),
     "odometry: one dropped": dropped(ODOMETRY),
     "odometry: many dropped": dropped(ODOMETRY, 100),
+    "odometry: those of the last second dropped": last_second_dropped(ODOMETRY),
     "odometry: one dropped, the others renumbered": dropped_and_renumbered(ODOMETRY),
     "odometry: one moved": changed(ODOMETRY, moved, anywhere),
     "odometry: two swapped": swapped(ODOMETRY, anywhere),
@@ -181,6 +196,16 @@ FOUND: Mapping[str, Kind] = {
     "battery: topic removed": removed(BATTERY),
     "status: another mode": changed(STATUS, mode, lambda m: m.sequence == 2),
     "status: another battery level": changed(STATUS, shown_level, lambda m: m.sequence > 3),
+    "status: the mode before at a change": changed(
+        STATUS, lambda m, _: with_mode(m, Mode.IDLE), lambda m: m.sequence == 2
+    ),
+    "status: the mode of the next change": changed(
+        STATUS, lambda m, _: with_mode(m, Mode.IDLE), lambda m: m.sequence in (3, 4)
+    ),
+    "status: one says that odometry was stale": changed(
+        STATUS, lambda m, _: replace(m, data=m.data[:-1] + b"\0"), lambda m: m.sequence > 2
+    ),
+    "status: one shown late": changed(STATUS, lambda m, _: late(m), lambda m: m.sequence == 2),
     "status: another robot": changed(STATUS, robot, anywhere),
     "status: two swapped": swapped(STATUS, anywhere),
     "service: a call for another mode": changed(SET_MODE, requested, lambda m: m.sequence == 1),
@@ -295,10 +320,6 @@ ACCEPTED: Mapping[str, tuple[Kind, str]] = {
     "status: topic removed": (
         removed(STATUS),
         "the journal holds the modes, and nothing is decided on a status",
-    ),
-    "status: one says that odometry was stale": (
-        changed(STATUS, lambda m, _: replace(m, data=m.data[:-1] + b"\0"), anywhere),
-        "whether it was fresh at that moment is not in the journal",
     ),
     "status: another temperature": (
         changed(STATUS, lambda m, _: replace(m, data=m.data[:-5] + MOTION[:4] + b"\1"), anywhere),
