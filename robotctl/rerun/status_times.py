@@ -17,7 +17,7 @@ from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.units import NS_PER_S
 from robotctl.rerun.clock_changes import ClockChanges
 from robotctl.rerun.command_pairs import Moments
-from robotctl.rerun.timeline import EDGE_NS, Timeline
+from robotctl.rerun.timeline import Timeline
 
 AGE_NS: Final = NS_PER_S // 10
 """How near to its timeout the age of odometry may count as either fresh or stale."""
@@ -83,7 +83,7 @@ class StatusTimes:
 
     def status(self, status: Status) -> None:
         """Take a status."""
-        if self._modes is not None and status.publish_ns > self._begin_ns + EDGE_NS:
+        if self._modes is not None and status.publish_ns >= self._begin_ns:
             self._statuses.append((status, status.publish_ns - self._offset_ns))
 
     def step(self, t_ns: int, log_ns: int, odometry_ns: int) -> None:

@@ -56,12 +56,12 @@ def heard_drive(
     return _with_messages(contents_of(file), kernel.messages)
 
 
-def status(mode: int, level: float, name: bytes = b"robot") -> bytes:
+def status(mode: int, level: float, name: bytes = b"robot", *, is_connected: bool = True) -> bytes:
     """Return a serialized RobotStatus."""
     head = struct.pack("<4sI", ENCAPSULATION, len(name) + 1) + name + b"\0"
     head += struct.pack("<B", mode)
     head += bytes(-len(head) % 4)
-    return head + struct.pack("<ff?", level, 40.0, True)
+    return head + struct.pack("<ff?", level, 40.0, is_connected)
 
 
 def _with_messages(contents: Contents, heard: dict[tuple[str, int], bytes]) -> Contents:
@@ -73,7 +73,7 @@ def _with_messages(contents: Contents, heard: dict[tuple[str, int], bytes]) -> C
     messages: list[Stored] = []
     late: list[Stored] = []
     calls = _Calls()
-    mode, level, shown, due_ns = Mode.IDLE.value, nan, 0, 0
+    mode, level, shown, due_ns, is_connected = Mode.IDLE.value, nan, 0, 0, False
     for each in contents.messages:
         messages.append(each)
         if each.topic != JOURNAL:
@@ -86,12 +86,13 @@ def _with_messages(contents: Contents, heard: dict[tuple[str, int], bytes]) -> C
             data = heard[topic, sequence]
             late.append(Stored(topic, data, each.log_ns, each.log_ns, sequence))
             level = values["level"] if topic == BATTERY else level
+            is_connected |= topic == ODOMETRY
         late += calls.of(entry.name, values, each.log_ns)
         is_change = entry.name == "ModeChanged"
         mode = values["mode"] if is_change else mode
         if is_change or entry.t_ns >= due_ns:
             shown, due_ns = shown + 1, entry.t_ns + NS_PER_S
-            data = status(mode, level)
+            data = status(mode, level, is_connected=is_connected)
             late.append(Stored(STATUS, data, each.log_ns, each.log_ns, shown))
         if len(late) >= 3:
             messages += late
