@@ -135,6 +135,23 @@ def _with_text(data: bytes, text: str) -> bytes:
     return data + bytes(-len(data) % 4) + _LENGTH.pack(len(content)) + content
 
 
+FRAME_AT = BODY + _STAMP.size
+"""Where the name of the frame stands in a message that begins with a header."""
+
+
+def frame_bytes(data: bytes) -> bytes:
+    """Return the serialized name of the frame of a message that begins with a header."""
+    (length,) = _LENGTH.unpack_from(data, FRAME_AT) if len(data) >= FRAME_AT + 4 else (0,)
+    return data[FRAME_AT : FRAME_AT + _LENGTH.size + length]
+
+
+def frame_id_of(data: bytes) -> str:
+    """Return the frame of a message that begins with a header, "" where it cannot be read."""
+    if data[:2] != LITTLE_ENDIAN:
+        return ""
+    return frame_bytes(data)[_LENGTH.size :].removesuffix(b"\0").decode(errors="replace")
+
+
 def _pose_offset(data: bytes) -> int:
     """Return where the pose begins in an Odometry: behind stamp and the two frame names."""
     (length,) = _LENGTH.unpack_from(data, BODY + _STAMP.size)

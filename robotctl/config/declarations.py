@@ -79,7 +79,7 @@ def _allowed(value: object, metadata: Mapping[str, Any]) -> str:
     if metadata.get("command"):
         return 'a command line; "" for none'
     if metadata.get("frame"):
-        return "the name of a frame"
+        return 'the name of a frame; "" for any' if metadata["optional"] else "the name of a frame"
     if isinstance(value, bool):
         return "true, false"
     return "a whole number" if isinstance(value, int) else "a list of topics, globs, types"

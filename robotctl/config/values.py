@@ -44,8 +44,9 @@ def checked_value(key: str, value: object, kind: Any, metadata: Mapping[str, Any
     if metadata.get("topic") and not _is_topic(value, optional=metadata["optional"]):
         none = ', or "" for none' if metadata["optional"] else ""
         raise not_allowed(key, value, f"use the name of a ROS topic, such as /a/b{none}")
-    if metadata.get("frame") and not (isinstance(value, str) and _FRAME.fullmatch(value)):
-        raise not_allowed(key, value, "use the name of a frame, such as base_link")
+    if metadata.get("frame") and not _is_frame(value, optional=metadata["optional"]):
+        none = ', or "" for any' if metadata["optional"] else ""
+        raise not_allowed(key, value, f"use the name of a frame, such as base_link{none}")
     if metadata.get("corners") and not _are_corners(value):
         raise not_allowed(key, value, "use 3 to 64 corners, such as 0,0 2,0 2,1")
     if type(value) is not kind:
@@ -90,3 +91,7 @@ def _is_topic(value: object, *, optional: bool) -> bool:
 def not_allowed(key: str, value: object, allowed: str) -> ConfigError:
     """Return the error for a value that is not allowed, with what is."""
     return ConfigError(f"{key}: {short_repr(value)} is not allowed", allowed)
+
+
+def _is_frame(value: object, *, optional: bool) -> bool:
+    return isinstance(value, str) and bool(_FRAME.fullmatch(value) or (optional and not value))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 from robotctl.daemon.host import Host
 from robotctl.daemon.waiting import until
@@ -10,6 +11,7 @@ from robotctl.kernel.params import CommandParams, Stamping
 from robotctl.kernel.types import COMMAND_TYPES, TWIST_STAMPED
 from robotctl.ros.graph import endpoints
 from robotctl.ros.messages.command_type import PLAIN, CommandType, stamped
+from robotctl.ros.messages.qos import COMMANDS
 from robotctl.ros.nodes.velocity_publisher import is_monitor
 
 PROBE_NODE = "_command_probe"
@@ -23,8 +25,10 @@ async def choose_command_type(host: Host) -> CommandType:
     """
     command = host.config.kernel.command
     if command.stamped is Stamping.AUTO and not host.alone and not host.options.sim:
-        return await _taken_type(host, command)
-    return stamped(command.frame_id) if command.stamped is Stamping.TRUE else PLAIN
+        chosen = await _taken_type(host, command)
+    else:
+        chosen = stamped(command.frame_id) if command.stamped is Stamping.TRUE else PLAIN
+    return replace(chosen, qos=COMMANDS[command.qos])
 
 
 async def _taken_type(host: Host, command: CommandParams) -> CommandType:

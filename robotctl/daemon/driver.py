@@ -14,6 +14,7 @@ from robotctl.daemon.api.graph import graph_methods
 from robotctl.daemon.api.lease import LeaseMethods
 from robotctl.daemon.api.parameters import parameter_methods
 from robotctl.daemon.api.recording import recording_methods
+from robotctl.daemon.api.simulation import simulation_methods
 from robotctl.daemon.api.status import StatusSource
 from robotctl.daemon.control.decisions import Decisions
 from robotctl.daemon.control.dispatcher import Control
@@ -29,6 +30,7 @@ from robotctl.daemon.control.watchdog import Watchdog
 from robotctl.daemon.diagnostics import Diagnostics
 from robotctl.daemon.drive_goals import DriveGoals
 from robotctl.daemon.host import Host, Ready, running
+from robotctl.daemon.input_roles import create_input_roles
 from robotctl.daemon.last_zero import LastZero
 from robotctl.daemon.lifecycle import follow_lifecycle, with_lifecycle
 from robotctl.daemon.parameters import Parameters
@@ -45,7 +47,6 @@ from robotctl.ipc.method import Method
 from robotctl.ipc.server import ControlServer
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.safety_inputs import Use
 from robotctl.kernel.state import State, latched
 from robotctl.kernel.types import (
     ZERO,
@@ -59,13 +60,11 @@ from robotctl.kernel.types import (
 from robotctl.paths import latch_path
 from robotctl.ros.executor import Ticker
 from robotctl.ros.messages.command_type import CommandType
-from robotctl.ros.nodes.battery_subscriber import BatterySubscriber
+from robotctl.ros.messages.qos import ODOMETRY
 from robotctl.ros.nodes.drive_action import DriveAction
 from robotctl.ros.nodes.journal_publisher import JournalPublisher
 from robotctl.ros.nodes.mode_service import CALLS, STATUS, ModeService
 from robotctl.ros.nodes.odom_subscriber import OdomSubscriber
-from robotctl.ros.nodes.safety_inputs import SafetyInputs
-from robotctl.ros.nodes.scan_subscriber import ScanSubscriber
 from robotctl.ros.nodes.simulated_robot import SimulatedRobot, battery_topic, odometry_topic
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher, command_topic
 from robotctl.ros.tap.subscription import LATENCY_S
@@ -151,17 +150,18 @@ class Driver:
         self._diagnostics = Diagnostics(session, robot, self.recorder.report, self._status)
         self._inputs = Inputs(self._control, self._robot_report)
         self._odometry = OdomSubscriber(
-            session, params.odometry.topic, self._take_odometry, self._inputs.odometry_source
+            session,
+            params.odometry.topic,
+            self._take_odometry,
+            self._inputs.odometry_source,
+            ODOMETRY[params.odometry.qos],
         )
-        if params.battery.topic:
-            BatterySubscriber(session, params.battery.topic, self._inputs.battery)
-        if params.scan.use is not Use.OFF:
-            ScanSubscriber(session, params.scan.topic, self._inputs.scan)
-        SafetyInputs(session, params.inputs, robot, self._inputs.safety_input)
+        create_input_roles(session, params, robot, self._inputs)
         self._modes = ModeService(session, robot, self._inputs.service_call, self._say)
         self._shown = ShownStatus(self._modes, self._control, self._robot_report)
         self._last_zero = LastZero(self._velocity, self._modes, self.recorder.received)
         follow_lifecycle(self._modes.node, self._inputs, autostart=host.config.autostart)
+        self._simulated: SimulatedRobot | None = None
         self._leases = LeaseMethods(self._control, robot)
         self._driving = DrivingMethods(
             self._control, self._robot_report, robot, self._leases.client_of
@@ -186,6 +186,7 @@ class Driver:
             **graph_methods(self.recorder.tap),
             **self._driving.table(),
             **self._leases.table(),
+            **simulation_methods(lambda: self._simulated, self._control, self.recorder.mark),
             **parameter_methods(self._parameters, self._host.options.robot),
         }
 
@@ -239,7 +240,8 @@ class Driver:
             "status": self._shown.run,
         }
         if sim:
-            work["simulated robot"] = self._simulated_robot().run
+            self._simulated = self._simulated_robot()
+            work["simulated robot"] = self._simulated.run
         return work
 
     def _simulated_robot(self) -> SimulatedRobot:

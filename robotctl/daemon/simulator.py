@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
 
 from robotctl.config import Config
 from robotctl.daemon.waiting import DISCOVERY_S, until
@@ -12,6 +13,7 @@ from robotctl.end_signals import end_signals
 from robotctl.kernel.battery import full_level
 from robotctl.kernel.params import Stamping
 from robotctl.ros.messages.command_type import PLAIN, CommandType, stamped
+from robotctl.ros.messages.qos import COMMANDS
 from robotctl.ros.nodes.simulated_robot import SimulatedRobot
 from robotctl.ros.session import Session, ros_session
 
@@ -36,7 +38,8 @@ async def simulate(
         if only_if_missing and await _has_odometry(session, topics.odometry.topic, stop):
             return
         command_type = stamped(topics.command.frame_id) if is_stamped else PLAIN
-        robot = simulated_robot(session, config, command_type)
+        offered = replace(command_type, qos=COMMANDS[topics.command.qos])
+        robot = simulated_robot(session, config, offered)
         running = asyncio.create_task(robot.run())
         on_ready()
         stopped = asyncio.create_task(stop.wait())

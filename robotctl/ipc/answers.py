@@ -248,6 +248,20 @@ class ParameterSet(TypedDict):
     new: bool | int | float | str | list[str]
 
 
+class SimSet(TypedDict):
+    """The answer of `sim_set`."""
+
+    message: str
+
+
+class SimFaulted(SimSet):
+    """The answer of `sim_fault`, once the robot stopped or the fault is over."""
+
+    mode: str
+    stopped_after_ms: float | None
+    """From the fault to the mode that commands zero, None if the robot was not stopped."""
+
+
 class NameAndTypes(TypedDict):
     """A topic or a service: its full name, and its types, which should be one."""
 

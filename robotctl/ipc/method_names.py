@@ -24,6 +24,8 @@ if TYPE_CHECKING:
         ParameterSet,
         Preflight,
         RecordStatus,
+        SimFaulted,
+        SimSet,
         Status,
         Stopped,
     )
@@ -54,6 +56,8 @@ RECORD_SPLIT: Final[MethodName[FileSplit]] = MethodName("record_split")
 MARK: Final[MethodName[Marked]] = MethodName("mark")
 PARAM_LIST: Final[MethodName[ParameterList]] = MethodName("param_list")
 PARAM_SET: Final[MethodName[ParameterSet]] = MethodName("param_set")
+SIM_SET: Final[MethodName[SimSet]] = MethodName("sim_set")
+SIM_FAULT: Final[MethodName[SimFaulted]] = MethodName("sim_fault")
 GRAPH: Final[MethodName[Graph]] = MethodName("graph")
 GRAPH_TOPIC: Final[MethodName[GraphTopic]] = MethodName("graph_topic")
 GRAPH_NODE: Final[MethodName[GraphNode]] = MethodName("graph_node")

@@ -90,6 +90,21 @@ class GraphNameParams(Struct, frozen=True, forbid_unknown_fields=True):
     name: Annotated[str, Meta(min_length=1, max_length=MAX_GRAPH_NAME)]
 
 
+class SimSetParams(Struct, frozen=True, forbid_unknown_fields=True):
+    """The parameters of `sim_set`: the battery level of the simulated robot."""
+
+    battery: Annotated[float, Meta(ge=0.0, le=1.0)]
+    source: Source
+
+
+class SimFaultParams(Struct, frozen=True, forbid_unknown_fields=True):
+    """The parameters of `sim_fault`: what goes wrong, and for how long [s]."""
+
+    fault: Annotated[str, Meta(max_length=40)]
+    for_s: Annotated[float, Meta(gt=0.0, le=60.0)]
+    source: Source
+
+
 class DriveParams(Struct, frozen=True, forbid_unknown_fields=True):
     """A pattern and its size; a value that is left out comes from the daemon's configuration.
 

@@ -91,7 +91,15 @@ def battery_unknown(health: Health, params: KernelParams, t_ns: int) -> str:
 
 
 def odometry_wrong(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Return why no odometry sample was usable for the timeout, "" if one was."""
+    """Return why no odometry sample was usable for the timeout, "" if one was.
+
+    Where `odometry.frame_id` is set, no sample in another frame is usable.
+    """
+    wanted, sources = params.odometry.frame_id, health.odometry_sources
+    if wanted:
+        for source, found in sources.frames:
+            if source == sources.followed and found != wanted:
+                return f"odometry is in the frame {found}, not in {wanted} (odometry.frame_id)"
     if not health.odometry_fault or not odometry_lost(health, params, t_ns):
         return ""
     return health.odometry_fault

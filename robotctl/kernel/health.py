@@ -30,14 +30,15 @@ class SecondOdometry:
 class OdometrySources:
     """The publishers of odometry. The robot follows one at a time; `followed` is its number.
 
-    `names` holds (number, node name) of the last publishers found. `dropped` counts the samples
-    that were not used: those of other publishers, and impossible ones.
+    `names` and `frames` hold number and node name, or frame, of the last publishers found.
+    `dropped` counts the samples that were not used: those of other publishers, and impossible ones.
     """
 
     followed: int = 0
     names: tuple[tuple[int, str], ...] = ()
     dropped: int = 0
     second: SecondOdometry | None = None
+    frames: tuple[tuple[int, str], ...] = ()
 
     def name_of(self, source: int) -> str:
         """Return the node name of a publisher, or a phrase when the name is unknown."""

@@ -63,7 +63,11 @@ def source_found(sources: OdometrySources, event: OdometrySourceFound) -> Odomet
     """Return the sources with the name that the event tells."""
     others = tuple(named for named in sources.names if named[0] != event.source)
     names = (*others, (event.source, event.name))[-MAX_NAMED_SOURCES:]
-    return replace(sources, names=names)
+    if not event.frame_id:
+        return replace(sources, names=names)
+    others = tuple(known for known in sources.frames if known[0] != event.source)
+    frames = (*others, (event.source, event.frame_id))[-MAX_NAMED_SOURCES:]
+    return replace(sources, names=names, frames=frames)
 
 
 def may_follow(health: Health, event: OdomReceived, params: OdometryParams) -> bool:

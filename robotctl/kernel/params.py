@@ -62,6 +62,21 @@ class Stamping(Enum):
     FALSE = "false"
 
 
+class CommandQos(Enum):
+    """The QoS that the command offers; a reliable subscriber does not hear BEST_EFFORT."""
+
+    RELIABLE = "reliable"
+    BEST_EFFORT = "best-effort"
+    TRANSIENT_LOCAL = "transient-local"
+
+
+class OdometryQos(Enum):
+    """The QoS that is asked of odometry; BEST_EFFORT hears every publisher."""
+
+    BEST_EFFORT = "best-effort"
+    RELIABLE = "reliable"
+
+
 class WhenIdle(Enum):
     """What is sent in IDLE: ZEROS at each tick, or nothing after a second of zeros (SILENT)."""
 
@@ -94,6 +109,7 @@ class CommandParams:
         Stamping.AUTO, "TwistStamped, Twist, or what the base takes", Change.START
     )
     frame_id: str = frame("base_link", "frame of a TwistStamped")
+    qos: CommandQos = setting(CommandQos.RELIABLE, "QoS that the command offers", Change.START)
     when_idle: WhenIdle = setting(WhenIdle.ZEROS, "what is sent in IDLE", Change.START)
     foreign: Foreign = setting(Foreign.ERROR, "what commands of others lead to", Change.START)
 
@@ -110,6 +126,8 @@ class OdometryParams:
     max_jump_rad: float = bounded(
         1.0, 0.01, 3.2, "rad", "turn between two samples that counts as one"
     )
+    frame_id: str = frame("", "frame that odometry must name", optional=True)
+    qos: OdometryQos = setting(OdometryQos.BEST_EFFORT, "QoS that is asked of it", Change.START)
 
 
 class BatteryScale(Enum):
@@ -130,6 +148,7 @@ class BatteryParams:
     clear_level: float = bounded(
         0.20, 0.0, 1.0, about="level at which a stop for the battery may be released"
     )
+    warn_level: float = bounded(0.30, 0.0, 1.0, about="level below which `status` warns")
     timeout_s: float = bounded(5.0, 0.5, 600.0, "s", "age at which the level counts as unknown")
 
 

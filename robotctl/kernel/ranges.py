@@ -45,6 +45,6 @@ def topic(default: str, about: str, *, optional: bool = False) -> Any:
     return setting(default, about, Change.START, topic=True, optional=optional)
 
 
-def frame(default: str, about: str) -> Any:
-    """Return a dataclass field for the name of a coordinate frame."""
-    return setting(default, about, Change.START, frame=True)
+def frame(default: str, about: str, *, optional: bool = False) -> Any:
+    """Return a field for the name of a coordinate frame; "" is allowed if `optional`."""
+    return setting(default, about, Change.START, frame=True, optional=optional)

@@ -9,6 +9,7 @@ from random import Random
 from robotctl.kernel.geometry import ORIGIN, Pose, wrap_angle
 from robotctl.kernel.ranges import Change, bounded, setting
 from robotctl.kernel.types import ZERO, Twist
+from robotctl.sim.faults import Faults, SimFault
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +55,8 @@ class Robot:
     """A robot that follows commands as well as its parameters allow.
 
     `truth` is its true pose and `odometry` the pose that it reports; both begin at the origin.
-    `measured` is the velocity that it reports, and `battery` its level, 0 to 1.
+    `measured` is the velocity that it reports, and `battery` its level, 0 to 1. `faults` are what
+    is wrong with it.
     """
 
     def __init__(self, params: SimParams) -> None:
@@ -67,9 +69,12 @@ class Robot:
         self.odometry: Pose = ORIGIN
         self.measured: Twist = ZERO
         self.battery = params.battery_start
+        self.faults = Faults()
 
     def command(self, twist: Twist) -> None:
         """Follow `twist` until the next command or the command timeout."""
+        if SimFault.HANG in self.faults:
+            return
         finite = isfinite(twist.linear) and isfinite(twist.angular)
         self._command = twist if finite else ZERO
         self._command_age_s = 0.0
@@ -77,8 +82,10 @@ class Robot:
     def advance(self, dt_s: float) -> None:
         """Move the robot for `dt_s` seconds."""
         params = self._params
+        self.faults.advance(dt_s)
         self._command_age_s += dt_s
-        target = self._command if self._command_age_s <= params.command_timeout_s else ZERO
+        is_driven = self._command_age_s <= params.command_timeout_s
+        target = self._command if is_driven and SimFault.BROWNOUT not in self.faults else ZERO
         lag = 1.0 - exp(-dt_s / params.lag_s) if params.lag_s else 1.0
         linear = _follow(self._wheels.linear, target.linear, lag, params.linear_accel_mps2 * dt_s)
         angular = _follow(
@@ -89,6 +96,8 @@ class Robot:
             linear * params.actuation_linear_factor * self._jitter(params.actuation_noise),
             angular * params.actuation_angular_factor * self._jitter(params.actuation_noise),
         )
+        if SimFault.SLIP in self.faults:
+            moved = ZERO
         self.measured = Twist(
             moved.linear * params.odometry_linear_factor * self._jitter(params.odometry_noise),
             moved.angular * params.odometry_angular_factor * self._jitter(params.odometry_noise),

@@ -43,3 +43,13 @@ def test_another_drive_begins_another_path() -> None:
     bench.drive(replacing=True)
     seen.drove_to(Pose(0.1, 0.0, 0.0))
     assert seen.path()["driven"] == [[0.0, 0.0], [0.1, 0.0]]
+
+
+@pytest.mark.parametrize(("level", "is_told"), [(0.31, False), (0.29, True)])
+def test_a_battery_below_30_percent_is_a_warning(level: float, is_told: bool) -> None:
+    bench = moving()
+    bench.battery(level)
+    control: Any = bench
+    bench.params = bench.kernel.params  # type: ignore[attr-defined]
+    told = [text for text in RobotReport(control).warnings() if "charge it soon" in text]
+    assert bool(told) is is_told

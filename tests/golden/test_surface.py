@@ -17,6 +17,7 @@ from robotctl.daemon.api.graph import graph_methods
 from robotctl.daemon.api.lease import LeaseMethods
 from robotctl.daemon.api.parameters import parameter_methods
 from robotctl.daemon.api.recording import recording_methods
+from robotctl.daemon.api.simulation import simulation_methods
 from robotctl.ipc.method import Method
 from robotctl.ipc.params import HelloParams
 from robotctl.ipc.protocol import PROTOCOL_VERSION
@@ -93,6 +94,7 @@ def test_each_golden_request_is_taken(line: dict[str, Any]) -> None:
         **graph_methods(nothing),
         **DrivingMethods(nothing, nothing, nothing).table(),
         **LeaseMethods(nothing).table(),
+        **simulation_methods(nothing, nothing, nothing),
     }
     params = HelloParams if line["method"] == "hello" else methods[line["method"]].params
     taken = msgspec.to_builtins(msgspec.convert(line["params"], params))

@@ -199,7 +199,7 @@ def test_what_an_older_version_did_not_write_is_unknown_or_nothing() -> None:
         '"odometry":null,"odometry_t_ns":0,"odometry_stamp_ns":0,"odometry_fault":"",'
         '"battery_level":null,"battery_t_ns":0,"foreign_publishers":[],"reported":[],'
         '"path_error_m":0.0,"tick_gap_s":0.0,'
-        '"odometry_sources":{"followed":0,"names":[],"dropped":0,"second":null},'
+        '"odometry_sources":{"followed":0,"names":[],"dropped":0,"second":null,"frames":[]},'
         '"command_topic":{"foreign_t_ns":null,"foreign_by":"","listeners":null,"other_types":[],'
         '"type_name":"geometry_msgs/msg/Twist"},'
         '"stalls":{"count":0,"last_t_ns":0,"last_s":0.0,"detail":""},"battery_in_percent":false,"inputs":[],"fence_origin":null,"scan":null,"lifecycle":"active"},'

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from robotctl.kernel.geometry import ORIGIN, Pose
 from robotctl.kernel.modes import Mode
+from robotctl.kernel.params import KernelParams
 from robotctl.kernel.types import (
     ZERO,
     Cause,
@@ -14,7 +17,7 @@ from robotctl.kernel.types import (
     OdomReceived,
 )
 from robotctl.kernel.units import NS_PER_S
-from robotctl.testing.kernels import Bench, reset, start, stopped_by
+from robotctl.testing.kernels import Bench, moving, reset, start, stopped_by
 
 FAR = Pose(10.0, 0.0, 0.0)
 TURNED = Pose(0.0, 0.0, 2.0)
@@ -129,3 +132,32 @@ def test_an_orientation_that_is_none_is_dropped_and_named() -> None:
     sample(bench, 1, Pose(0.0, 0.0, float("nan")))
     assert "no valid orientation" in bench.state.health.odometry_fault
     assert bench.state.health.odometry.pose == ORIGIN  # type: ignore[union-attr]
+
+
+def in_frame(frame: str, wanted: str) -> Bench:
+    """Return a moving kernel whose followed odometry names this frame from now on."""
+    odometry = replace(KernelParams().odometry, frame_id=wanted)
+    bench = moving(replace(KernelParams(), odometry=odometry))
+    bench.give(OdometrySourceFound(bench.t_ns, 0, "", "/base", frame))
+    return bench
+
+
+def test_odometry_of_another_frame_than_the_configured_one_stops_the_robot() -> None:
+    bench = in_frame("map", "odom")
+    assert stopped_by(bench, Cause.ODOMETRY_WRONG, Mode.ERROR)
+    assert bench.state.reason == "odometry is in the frame map, not in odom (odometry.frame_id)"
+    assert not reset(bench)
+    bench.give(OdometrySourceFound(bench.t_ns, 0, "", "/base", "odom"))
+    assert reset(bench)
+
+
+@pytest.mark.parametrize(("frame", "wanted"), [("odom", "odom"), ("r2/odom", ""), ("", "odom")])
+def test_the_configured_frame_and_one_that_is_unknown_stop_nothing(frame: str, wanted: str) -> None:
+    assert in_frame(frame, wanted).state.mode is Mode.MOVING
+
+
+def test_only_the_frame_of_the_followed_publisher_counts() -> None:
+    odometry = replace(KernelParams().odometry, frame_id="odom")
+    bench = moving(replace(KernelParams(), odometry=odometry))
+    bench.give(OdometrySourceFound(bench.t_ns, 7, "", "/other", "map"))
+    assert bench.state.mode is Mode.MOVING

@@ -38,9 +38,9 @@ class Inputs:
         if state.drive is not None and state.health.odometry is odometry:  # it was not dropped
             self._robot_report.drove_to(odometry.pose)
 
-    def odometry_source(self, source: int, gid: str, name: str) -> None:
-        """Handle the first sample of a new publisher of odometry."""
-        self._control.dispatch(OdometrySourceFound(time.monotonic_ns(), source, gid, name))
+    def odometry_source(self, source: int, gid: str, name: str, frame: str) -> None:
+        """Handle the first sample of a new publisher of odometry, or another frame of one."""
+        self._control.dispatch(OdometrySourceFound(time.monotonic_ns(), source, gid, name, frame))
 
     def battery(self, level: float, publisher: str, sequence: int) -> None:
         """Handle a battery level from 0 to 1, NaN if unknown."""

@@ -13,7 +13,7 @@ from robotctl.kernel.battery import is_level
 from robotctl.kernel.checks import FOREIGN_COMMAND_S, foreign_command, stands_alone
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.health import Health
-from robotctl.kernel.params import Foreign
+from robotctl.kernel.params import Foreign, KernelParams
 from robotctl.kernel.remedies import Remedy
 from robotctl.kernel.safety import RULE_OF, remedies_for, start_conditions
 from robotctl.kernel.types import Cause
@@ -170,8 +170,15 @@ class RobotReport:
             yield "odometry is older than its timeout"
         if stands_alone(health, self._control.params):
             yield ALONE
-        if not self._control.params.battery.topic:
+        yield from _battery_low(health, params)
+        if not params.battery.topic:
             yield "no battery topic is configured: the battery is not checked"
+
+
+def _battery_low(health: Health, params: KernelParams) -> Iterator[str]:
+    level, warn_level = health.battery_level, params.battery.warn_level
+    if params.battery.topic and is_level(level) and level < warn_level:
+        yield f"the battery is at {level:.0%}, below {warn_level:.0%}: charge it soon"
 
 
 def _recent(health: Health, now_ns: int) -> Iterator[str]:

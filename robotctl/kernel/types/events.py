@@ -43,12 +43,14 @@ class OdometrySourceFound:
     """A publisher of odometry sent its first sample, or its node name became known.
 
     `source` is its number from now on, `gid` its DDS identity, `name` its node name or "".
+    `frame_id` is the frame that its samples name, "" if unknown; a change of it is told again.
     """
 
     t_ns: int
     source: int
     gid: str
     name: str
+    frame_id: str = ""
 
 
 @dataclass(frozen=True, slots=True)

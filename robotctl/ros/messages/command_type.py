@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from geometry_msgs.msg import Twist as TwistMessage
 from geometry_msgs.msg import TwistStamped as TwistStampedMessage
+from rclpy.qos import QoSProfile
 
 from robotctl.cdr.motion import (
     StampedTwistEncoder,
@@ -18,6 +19,7 @@ from robotctl.cdr.motion import (
 )
 from robotctl.kernel.types import Twist
 from robotctl.ros.messages.classes import type_name_of
+from robotctl.ros.messages.qos import COMMAND
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +32,8 @@ class CommandType:
     message_class: Any
     encode: Callable[[Twist], bytes]
     decode: Callable[[bytes], Twist]
+    qos: QoSProfile = field(default_factory=lambda: COMMAND)
+    """What our publisher offers, and what the simulated robot asks for."""
 
     @property
     def type_name(self) -> str:

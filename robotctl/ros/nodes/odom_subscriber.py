@@ -7,9 +7,11 @@ from collections.abc import Callable
 from typing import Any
 
 from nav_msgs.msg import Odometry as OdometryMessage
+from rclpy.qos import QoSProfile
 
-from robotctl.cdr.motion import read_odometry
+from robotctl.cdr.motion import FRAME_AT, frame_bytes, frame_id_of, read_odometry
 from robotctl.kernel.types import Odometry
+from robotctl.printable import short_name
 from robotctl.ros.executor import RawTap
 from robotctl.ros.graph.publishers import publisher_names
 from robotctl.ros.messages import qos
@@ -31,15 +33,16 @@ class OdomSubscriber:
         session: Session,
         topic: str,
         on_odometry: Callable[[Odometry, int, int], None],
-        on_source: Callable[[int, str, str], None],
+        on_source: Callable[[int, str, str, str], None],
+        wanted: QoSProfile = qos.SENSOR,
     ) -> None:
         """Call `on_odometry(odometry, source, sequence)` for each message.
 
         `source` is the number of the message's publisher, counted from 1; `sequence` is the
         publisher's own number of the message. Before a publisher's first message,
-        `on_source(source, gid, name)` is called with that number, the gid in hexadecimal digits,
-        and the node's name, "" where it is not known yet. It is called again when `find_names`
-        finds the node.
+        `on_source(source, gid, name, frame)` is called with that number, the gid in hexadecimal
+        digits, and the node's name, "" where it is not known yet. It is called again when
+        `find_names` finds the node, and when the frame of its messages changes.
         """
         self._node = session.node("odom_subscriber")
         self._log = logging.getLogger(session.logger_name("odom_subscriber"))
@@ -50,6 +53,12 @@ class OdomSubscriber:
 
         self._last_source = 0
         self._last_gid: bytes | None = None
+        self._frame = b""
+        """The frame of the last message, as its bytes."""
+
+        self._told: dict[bytes, tuple[str, str]] = {}
+        """Node and frame of each publisher, as `on_source` was told last."""
+
         self._nameless: dict[bytes, int] = {}
         """Publishers without a known node, and how many more times to look for it."""
 
@@ -59,7 +68,7 @@ class OdomSubscriber:
             OdometryMessage,
             topic,
             tap,
-            qos.SENSOR,
+            wanted,
             event_callbacks=NO_SUBSCRIPTION_EVENTS,
             raw=True,
         )
@@ -76,9 +85,10 @@ class OdomSubscriber:
     def _receive(
         self, data: bytes, received_ns: int, source_ns: int, sequence: int, gid: bytes
     ) -> None:
-        if gid != self._last_gid:
-            self._last_gid = gid
+        if gid != self._last_gid or not data.startswith(self._frame, FRAME_AT):
+            self._last_gid, self._frame = gid, frame_bytes(data)
             self._sources[gid] = self._sources.pop(gid, 0) or self._number(gid)
+            self._tell(gid, frame=short_name(frame_id_of(data)))
         source = self._sources[gid]
         odometry = read_odometry(data)
         if self._log.isEnabledFor(logging.DEBUG):
@@ -86,18 +96,25 @@ class OdomSubscriber:
         self._on_odometry(odometry, source, sequence)
 
     def _number(self, gid: bytes) -> int:
-        """Return the number of a new publisher, and report it to `on_source`."""
+        """Return the number of a new publisher, and look for its node."""
         if len(self._sources) >= MAX_SOURCES:
             forgotten = next(iter(self._sources))
             del self._sources[forgotten]
             self._nameless.pop(forgotten, None)
+            self._told.pop(forgotten, None)
         self._last_source += 1
-        source = self._last_source
-        name = publisher_names(self._node, self.topic).get(gid, "")
-        if not name:
+        return self._last_source
+
+    def _tell(self, gid: bytes, frame: str) -> None:
+        """Report a new publisher, or another frame of a known one, to `on_source`."""
+        known = self._told.get(gid)
+        if known is not None and known[1] == frame:
+            return
+        name = known[0] if known else publisher_names(self._node, self.topic).get(gid, "")
+        if not name and known is None:
             self._nameless[gid] = LOOKS_FOR_NAME
-        self._on_source(source, gid.hex(), name)
-        return source
+        self._told[gid] = name, frame
+        self._on_source(self._sources[gid], gid.hex(), name, frame)
 
     def find_names(self) -> None:
         """Look for the nodes of publishers whose node was not discovered at their first message."""
@@ -107,7 +124,9 @@ class OdomSubscriber:
         for gid, looks in list(self._nameless.items()):
             name = names.get(gid, "")
             if name:
-                self._on_source(self._sources[gid], gid.hex(), name)
+                frame = self._told[gid][1]
+                self._told[gid] = name, frame
+                self._on_source(self._sources[gid], gid.hex(), name, frame)
             if name or looks <= 1:
                 del self._nameless[gid]
             else:

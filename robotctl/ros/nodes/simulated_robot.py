@@ -18,6 +18,7 @@ from robotctl.ros.messages.command_type import PLAIN, CommandType
 from robotctl.ros.messages.no_events import NO_SUBSCRIPTION_EVENTS
 from robotctl.ros.messages.own_topic import OwnTopic
 from robotctl.ros.session import Session
+from robotctl.sim.faults import SimFault
 from robotctl.sim.robot import Robot, SimParams
 
 MAX_STEP_S = 0.1
@@ -58,13 +59,14 @@ class SimulatedRobot:
         self._robot = Robot(params)
         self._decode = command_type.decode
         self._full_level = full_level
+        self._is_changed = False
         node = session.node("simulated_robot")
         tap: Any = RawTap(self._command, latency_s=0.0)
         self._subscription = node.create_subscription(
             command_type.message_class,
             command,
             tap,
-            qos.COMMAND,
+            command_type.qos,
             event_callbacks=NO_SUBSCRIPTION_EVENTS,
             raw=True,
         )
@@ -83,10 +85,28 @@ class SimulatedRobot:
             robot.advance(min((tick.t_ns - last_ns) / NS_PER_S, MAX_STEP_S))
             last_ns = tick.t_ns
             stamp_ns = wall_ns + tick.t_ns
-            self._odometry.publish(encoder.encode(robot.odometry, robot.measured, stamp_ns))
-            if self._battery is not None and tick.t_ns >= next_battery_ns:
-                next_battery_ns += NS_PER_S
-                self._battery.publish(battery_message(self._full_level * robot.battery, stamp_ns))
+            faults = robot.faults
+            if SimFault.HANG in faults:
+                continue
+            if SimFault.ODOM_LOST not in faults:
+                pose = faults.reported_pose(robot.odometry)
+                self._odometry.publish(encoder.encode(pose, robot.measured, stamp_ns))
+            if self._battery is not None and (tick.t_ns >= next_battery_ns or self._is_changed):
+                if tick.t_ns >= next_battery_ns:
+                    next_battery_ns += NS_PER_S
+                self._is_changed = False
+                level = self._full_level * faults.reported_level(robot.battery)
+                self._battery.publish(battery_message(level, stamp_ns))
+
+    def set_battery(self, level: float) -> None:
+        """Continue with this battery level, 0 to 1, and report it at once."""
+        self._robot.battery = level
+        self._is_changed = True
+
+    def begin_fault(self, fault: SimFault, for_s: float) -> None:
+        """Begin a fault; its time is that of the motion."""
+        self._robot.faults.begin(fault, for_s)
+        self._is_changed = True
 
     def _command(
         self, data: bytes, received_ns: int, source_ns: int, sequence: int, gid: bytes

@@ -42,7 +42,7 @@ def is_monitor(node_name: str) -> bool:
 
 def command_topic(name: str, command: CommandType = PLAIN) -> OwnTopic:
     """Return the declaration of the command topic of this name."""
-    return OwnTopic(name, command.message_class, qos.COMMAND)
+    return OwnTopic(name, command.message_class, command.qos)
 
 
 def publishing_line(twist: Twist) -> str:

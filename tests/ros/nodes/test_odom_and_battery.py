@@ -4,15 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Awaitable, Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
-from robotctl.kernel.types import Odometry
+from robotctl.cdr.motion import OdometryEncoder
+from robotctl.kernel.geometry import ORIGIN
+from robotctl.kernel.params import CommandQos, OdometryQos
+from robotctl.kernel.types import ZERO, Odometry
+from robotctl.printable import MAX_NAME
 from robotctl.ros.messages import qos
+from robotctl.ros.messages.command_type import PLAIN
 from robotctl.ros.nodes import odom_subscriber
 from robotctl.ros.nodes.battery_subscriber import BatterySubscriber
 from robotctl.ros.nodes.odom_subscriber import OdomSubscriber
+from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
 from robotctl.ros.session import Session
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
@@ -25,7 +32,7 @@ async def test_odometry_of_any_quality_of_service_is_taken(
     from nav_msgs.msg import Odometry as OdometryMessage
 
     measured: list[tuple[Odometry, int, int]] = []
-    sources: list[tuple[int, str, str]] = []
+    sources: list[tuple[int, str, str, str]] = []
     subscriber = OdomSubscriber(
         session,
         "odom",
@@ -39,6 +46,7 @@ async def test_odometry_of_any_quality_of_service_is_taken(
     message.pose.pose.orientation.z = math.sin(0.25)
     message.pose.pose.orientation.w = math.cos(0.25)
     message.twist.twist.linear.x = 0.3
+    message.header.frame_id = "odom"
     message.header.stamp.sec, message.header.stamp.nanosec = 2, 3
     publisher.publish(message)
     await until(lambda: measured)
@@ -50,8 +58,8 @@ async def test_odometry_of_any_quality_of_service_is_taken(
         return sources[-1][2] != ""
 
     await until(is_named)
-    assert [(number, len(gid)) for number, gid, _ in sources] == len(sources) * [(1, 32)]
-    assert sources[-1][2] == "/tested"
+    assert [(number, len(gid)) for number, gid, *_ in sources] == len(sources) * [(1, 32)]
+    assert sources[-1][2:] == ("/tested", "odom")
     assert odometry.pose.theta == pytest.approx(0.5)
     assert (odometry.pose.x, odometry.velocity.linear) == (1.5, 0.3)
     assert odometry.stamp_ns == 2_000_000_003
@@ -68,7 +76,7 @@ async def test_publishers_of_odometry_are_told_apart_and_numbered(
         session,
         "odom",
         lambda odometry, source, sequence: heard.append(source),
-        lambda source, gid, name: sources.append(source),
+        lambda source, *_: sources.append(source),
     )
     publishers = [node.create_publisher(OdometryMessage, "/r2/odom", 10) for _ in range(2)]
     turns = []
@@ -143,3 +151,52 @@ async def test_a_battery_level_is_handed_on_as_it_is_reported(
     publisher.publish(BatteryState(percentage=percentage))
     await until(lambda: levels)
     assert levels == pytest.approx([level], nan_ok=True)
+
+
+async def test_another_frame_of_a_known_publisher_is_told(session: Session) -> None:
+    told: list[tuple[int, str]] = []
+    subscriber = OdomSubscriber(
+        session,
+        "odom",
+        lambda *_: None,
+        lambda source, gid, name, frame: told.append((source, frame)),
+    )
+    for frame in ("odom", "odom", "map", "map", "x" * 1000):
+        subscriber._receive(
+            OdometryEncoder(frame, "base_link").encode(ORIGIN, ZERO, 1), 0, 0, 1, b"a"
+        )
+    assert told[:2] == [(1, "odom"), (1, "map")]
+    assert len(told) == 3
+    assert len(told[2][1]) <= MAX_NAME
+
+
+async def test_a_subscriber_that_asks_for_reliable_odometry_gets_it(
+    session: Session, node: Any, until: Until
+) -> None:
+    from nav_msgs.msg import Odometry as OdometryMessage
+
+    wanted = qos.ODOMETRY[OdometryQos.RELIABLE]
+    subscriber = OdomSubscriber(session, "odom", lambda *_: None, lambda *_: None, wanted)
+    publisher = node.create_publisher(OdometryMessage, "/r2/odom", 10)
+    await until(lambda: publisher.get_subscription_count() and subscriber.count_publishers())
+    node.destroy_publisher(publisher)
+
+
+@pytest.mark.parametrize("offered", CommandQos)
+async def test_a_base_hears_the_command_with_each_quality_of_service(
+    session: Session, executor: Any, node: Any, until: Until, offered: CommandQos
+) -> None:
+    from geometry_msgs.msg import Twist as TwistMessage
+
+    command = replace(PLAIN, qos=qos.COMMANDS[offered])
+    velocity = VelocityPublisher(session, "cmd_vel", command)
+    heard: list[Any] = []
+    node.create_subscription(
+        TwistMessage, "/r2/cmd_vel", lambda message: heard.append(message), command.qos
+    )
+
+    def is_heard() -> bool:
+        velocity.publish(ZERO)
+        return bool(heard)
+
+    await until(is_heard)

@@ -1,4 +1,4 @@
-"""sim: run only the simulated robot."""
+"""The group `sim`: without a command, it runs only the simulated robot."""
 
 from __future__ import annotations
 
@@ -12,10 +12,13 @@ from robotctl.cli.options import ConfigFile, DomainId, Namespace, Robot, new_app
 from robotctl.paths import DEFAULT_ROBOT, check_namespace, check_robot_name, namespace_of
 
 app = new_app()
+group = new_app()
+app.add_typer(group, name="sim")
 
 
-@app.command()
+@group.callback(invoke_without_command=True)
 def sim(
+    context: typer.Context,
     robot: Robot = DEFAULT_ROBOT,
     namespace: Namespace = None,
     config: ConfigFile = None,
@@ -27,13 +30,17 @@ def sim(
     """Run the simulated robot in a process of its own, until Ctrl-C.
 
     A daemon that is started afterwards finds it and drives it like a real robot. If that daemon
-    dies, the simulated robot stops by its own command timeout.
+    dies, the simulated robot stops by its own command timeout. `set` and `fault` act on the robot
+    that a daemon simulates itself (robotctl start --sim).
 
     \b
     Examples:
       robotctl sim
       robotctl sim --robot r2 --domain-id 5
+      robotctl sim fault odom-lost --for 2s
     """
+    if context.invoked_subcommand is not None:
+        return
     from robotctl import environment
 
     note = environment.prepare()

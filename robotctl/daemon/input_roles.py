@@ -1,0 +1,20 @@
+"""The roles that receive what the configuration names beside odometry: battery, scan, inputs."""
+
+from __future__ import annotations
+
+from robotctl.daemon.control.inputs import Inputs
+from robotctl.kernel.params import KernelParams
+from robotctl.kernel.safety_inputs import Use
+from robotctl.ros.nodes.battery_subscriber import BatterySubscriber
+from robotctl.ros.nodes.safety_inputs import SafetyInputs
+from robotctl.ros.nodes.scan_subscriber import ScanSubscriber
+from robotctl.ros.session import Session
+
+
+def create_input_roles(session: Session, params: KernelParams, robot: str, inputs: Inputs) -> None:
+    """Subscribe to each input that is configured, and pass it to `inputs`."""
+    if params.battery.topic:
+        BatterySubscriber(session, params.battery.topic, inputs.battery)
+    if params.scan.use is not Use.OFF:
+        ScanSubscriber(session, params.scan.topic, inputs.scan)
+    SafetyInputs(session, params.inputs, robot, inputs.safety_input)
