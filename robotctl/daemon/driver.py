@@ -38,7 +38,7 @@ from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.daemon.ros_parameters import serve_parameters
 from robotctl.daemon.shown_status import ShownStatus
 from robotctl.daemon.shutdown import stand_still
-from robotctl.daemon.simulator import simulated_robot
+from robotctl.daemon.simulator import recorded_robot
 from robotctl.daemon.supervisor import Work
 from robotctl.daemon.waiting import until
 from robotctl.errors import RobotctlError
@@ -65,7 +65,7 @@ from robotctl.ros.nodes.drive_action import DriveAction
 from robotctl.ros.nodes.journal_publisher import JournalPublisher
 from robotctl.ros.nodes.mode_service import CALLS, STATUS, ModeService
 from robotctl.ros.nodes.odom_subscriber import OdomSubscriber
-from robotctl.ros.nodes.simulated_robot import SimulatedRobot, battery_topic, odometry_topic
+from robotctl.ros.nodes.simulated_robot import SimulatedRobot
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher, command_topic
 from robotctl.ros.tap.subscription import LATENCY_S
 
@@ -240,16 +240,11 @@ class Driver:
             "status": self._shown.run,
         }
         if sim:
-            self._simulated = self._simulated_robot()
+            self._simulated = recorded_robot(
+                self._host.session, self._host.config, self._command, self.recorder.tap
+            )
             work["simulated robot"] = self._simulated.run
         return work
-
-    def _simulated_robot(self) -> SimulatedRobot:
-        params, tap = self._host.config.kernel, self.recorder.tap
-        tap.subscribe_own(odometry_topic(params.odometry.topic))
-        if params.battery.topic:
-            tap.subscribe_own(battery_topic(params.battery.topic))
-        return simulated_robot(self._host.session, self._host.config, self._command)
 
     async def _tick(self) -> None:
         async for tick in Ticker(self._host.config.kernel.rate_hz):

@@ -14,8 +14,9 @@ from robotctl.kernel.battery import full_level
 from robotctl.kernel.params import Stamping
 from robotctl.ros.messages.command_type import PLAIN, CommandType, stamped
 from robotctl.ros.messages.qos import COMMANDS
-from robotctl.ros.nodes.simulated_robot import SimulatedRobot
+from robotctl.ros.nodes.simulated_robot import SimulatedRobot, battery_topic, odometry_topic
 from robotctl.ros.session import Session, ros_session
+from robotctl.ros.tap.tap import Tap
 
 
 async def simulate(
@@ -62,6 +63,17 @@ def simulated_robot(session: Session, config: Config, command_type: CommandType)
         battery=topics.battery.topic,
         full_level=full_level(topics.battery.scale),
     )
+
+
+def recorded_robot(
+    session: Session, config: Config, command_type: CommandType, tap: Tap
+) -> SimulatedRobot:
+    """Return the robot of a daemon, whose recorder subscribes before the first message."""
+    topics = config.kernel
+    tap.subscribe_own(odometry_topic(topics.odometry.topic))
+    if topics.battery.topic:
+        tap.subscribe_own(battery_topic(topics.battery.topic))
+    return simulated_robot(session, config, command_type)
 
 
 async def _has_odometry(session: Session, topic: str, stop: asyncio.Event) -> bool:
