@@ -13,7 +13,15 @@ from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Compression, Recorder, RecorderOptions, Topic
 from robotctl.recording.seal.keyring import Keyring
 from robotctl.rerun.closed_loop import closed_loop
-from robotctl.testing.drives import BEGIN_NS, GID, ODOMETRY, drive_requested, journaled, record
+from robotctl.testing.drives import (
+    BEGIN_NS,
+    GID,
+    ODOMETRY,
+    START_NS,
+    drive_requested,
+    journaled,
+    record,
+)
 from robotctl.testing.hearing import BATTERY, HearingKernel
 
 SNAPSHOT_PERIOD_S = 10.0
@@ -28,10 +36,11 @@ _STATUS_PERIOD_NS = NS_PER_S
 
 
 class _Listener:
-    """Records what the kernel hears, and the status once a second."""
+    """Records what the kernel hears; the status once a second and in each step with a change."""
 
     def __init__(self, kernel: HearingKernel) -> None:
         self._kernel = kernel
+        self._mode = kernel.state.mode
         self._due_ns = 0
         self._shown = 0
         self._has_begun = False
@@ -45,7 +54,10 @@ class _Listener:
             channel = recorder.add_topic(_TOPICS[topic])
             recorder.write(channel, data, time_ns, time_ns, sequence, GID)
         heard.clear()
-        if time_ns >= self._due_ns:
+        state, event = self._kernel.state, self._kernel.heard
+        is_written = event is not None and time_ns > START_NS + event.t_ns
+        if is_written and (time_ns >= self._due_ns or state.mode is not self._mode):
+            self._mode = state.mode
             self._due_ns = time_ns + _STATUS_PERIOD_NS
             self._shown += 1
             channel = recorder.add_topic(_STATUS)
@@ -56,7 +68,8 @@ class _Listener:
         level = state.health.battery_level
         head = struct.pack("<4sI6sB", ENCAPSULATION, 6, b"robot\0", state.mode)
         head += bytes(-len(head) % 4)
-        return head + struct.pack("<ff?", float("nan") if level is None else level, 40.0, True)
+        shown = float("nan") if level is None else level
+        return head + struct.pack("<ff?", shown, 40.0, state.health.odometry is not None)
 
 
 def record_drive(

@@ -161,7 +161,7 @@ class _Check:
         self._commands.snapshot(snapshot)
         self._inputs.snapshot(snapshot.proof is not None)
         self._services.snapshot(snapshot.proof is not None, self._log_ns[1])
-        self._status.snapshot(snapshot, self._log_ns[1])
+        self._status.snapshot(snapshot, entry.t_ns, self._log_ns[1])
 
     def _compare_parameters(self, entry: JournalEntry) -> None:
         """Compare the parameters of the first snapshot with those in the metadata."""

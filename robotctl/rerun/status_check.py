@@ -71,13 +71,13 @@ class StatusCheck:
             self._blame(f"one of {name[:40]!r}")
         self._times.status(Status(mode, level, is_connected, message.publish_ns))
 
-    def snapshot(self, snapshot: Snapshot, log_ns: int) -> None:
-        """Continue from a snapshot that was recorded at `log_ns` since the epoch."""
+    def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
+        """Continue from a snapshot, with its time by the steady clock and since the epoch."""
         if snapshot.proof is None:
             return
         if not self.is_on:
             self.is_on, self._begin_ns = True, log_ns
-        self._times.snapshot(snapshot, log_ns)
+        self._times.snapshot(snapshot, t_ns, log_ns)
 
     def step(
         self, event: Event, effects: tuple[Effect, ...], health: Health | None, moments: Moments

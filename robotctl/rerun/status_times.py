@@ -62,8 +62,9 @@ class StatusTimes:
         self._timeouts_ns: tuple[int, int] | None = None
         """The shortest and the longest timeout of odometry."""
 
-    def snapshot(self, snapshot: Snapshot, wall_ns: int) -> None:
-        """Continue from a snapshot, which was written at a time since the epoch."""
+    def snapshot(self, snapshot: Snapshot, t_ns: int, wall_ns: int) -> None:
+        """Continue from a snapshot, with its time by the steady clock and since the epoch."""
+        self._offset_ns = wall_ns - t_ns
         state = snapshot.state
         timeout_ns = round(snapshot.params.odometry.timeout_s * NS_PER_S)
         shortest, longest = self._timeouts_ns or (timeout_ns, timeout_ns)
