@@ -3,9 +3,21 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+
+import pytest
 
 from tests.support.waiting import DEADLINE_S, until
-from tests.support.world import World
+from tests.support.world import World, new_world
+
+
+@pytest.fixture(scope="module")
+def shared() -> Iterator[World]:
+    """A world with one daemon, whose robot stands in IDLE between the tests."""
+    with new_world() as made:
+        made.ok("start", "--sim")
+        yield made
+        made.ok("stop")
 
 
 def test_a_killed_waiting_client_ends_its_drive_and_the_next_client_sees_the_end(
@@ -25,12 +37,11 @@ def test_a_killed_waiting_client_ends_its_drive_and_the_next_client_sees_the_end
     assert "the drive ended after 0 laps: requested by the daemon's end" in err
 
 
-def test_a_waited_drive_that_a_fault_ends_is_an_error(world: World) -> None:
-    world.ok("start", "--sim")
+def test_a_waited_drive_that_a_fault_ends_is_an_error(shared: World) -> None:
     for options in ((), ("--json",)):
-        drive = world.spawn("drive", "square", "--wait", *options)
-        until(lambda: world.status()["velocity"]["linear"] > 0.1)
-        world.ok("estop")
+        drive = shared.spawn("drive", "square", "--wait", *options)
+        until(lambda: shared.status()["velocity"]["linear"] > 0.1)
+        shared.ok("estop")
         out, err = drive.communicate(timeout=DEADLINE_S)
         assert drive.returncode == 4
         assert "the drive ended after 0 laps: requested by robotctl estop" in err
@@ -40,8 +51,7 @@ def test_a_waited_drive_that_a_fault_ends_is_an_error(world: World) -> None:
             assert found["distance_m"] > 0.0
         else:
             assert "driven      0 laps, 0." in out
-        world.ok("reset")
-    world.ok("stop")
+        shared.ok("reset")
 
 
 def test_the_cures_of_a_named_robot_work_when_they_are_pasted(world: World) -> None:
@@ -73,11 +83,11 @@ def test_why_answers_while_the_daemon_runs_and_names_its_evidence(world: World) 
     assert report["commands"] > 0
 
 
-def test_a_drive_while_moving_is_refused_unless_it_replaces(world: World) -> None:
-    world.ok("start", "--sim", "--drive", "circle")
-    refused = world.robotctl("drive", "square")
+def test_a_drive_while_moving_is_refused_unless_it_replaces(shared: World) -> None:
+    shared.ok("drive", "circle", "--laps", "0")
+    refused = shared.robotctl("drive", "square")
     assert refused.exit_code == 4
     assert "--replace" in refused.err
-    world.ok("drive", "square", "--replace")
-    assert world.status()["mode"] == "MOVING"
-    world.ok("stop")
+    shared.ok("drive", "square", "--replace")
+    assert shared.status()["mode"] == "MOVING"
+    shared.ok("set-mode", "idle")

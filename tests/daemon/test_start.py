@@ -14,6 +14,9 @@ from tests.support.waiting import DEADLINE_S, until
 from tests.support.world import ROBOTCTL, Peer, World
 
 
+SLOW = pytest.mark.slow  # a daemon each; how descriptors are counted: tests/test_processes.py
+
+
 def pid_of(world: World, robot: str = "robot") -> int:
     return int(world.status(robot)["pid"])
 
@@ -88,7 +91,7 @@ def test_a_daemon_whose_socket_and_lock_are_removed_is_found_again_and_keeps_its
     assert len(list(world.recordings.iterdir())) == 1
 
 
-@pytest.mark.parametrize("closed", ["<&-", "<&- >&- 2>&-"])
+@pytest.mark.parametrize("closed", [pytest.param("<&-", marks=SLOW), "<&- >&- 2>&-"])
 def test_a_start_with_closed_streams_starts_as_any_other(world: World, closed: str) -> None:
     command = f"{ROBOTCTL} start --sim --config {world.patient} {closed}"
     started = subprocess.run(
@@ -102,7 +105,7 @@ def test_a_start_with_closed_streams_starts_as_any_other(world: World, closed: s
     world.ok("stop")
 
 
-@pytest.mark.parametrize("closed", ["<&- 2>&-", "<&- >&- 2>&-"])
+@pytest.mark.parametrize("closed", ["<&- 2>&-", pytest.param("<&- >&- 2>&-", marks=SLOW)])
 def test_a_daemon_in_the_foreground_with_closed_streams_writes_into_no_file_of_ours(
     world: World, closed: str
 ) -> None:
