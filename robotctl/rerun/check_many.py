@@ -1,4 +1,4 @@
-"""Checks many recordings, with one process per processor."""
+"""Checks recordings, with one process per processor: for each recording, or for its pieces."""
 
 from __future__ import annotations
 
@@ -31,7 +31,9 @@ def check_recordings(
 ) -> list[dict[str, Any]]:
     """Return the reports as `Report.as_object` makes them, in the order of `paths`."""
     if len(paths) == 1:
-        return [check_recording(paths[0], on_progress, all_bytes=all_bytes).as_object()]
+        helpers = len(os.sched_getaffinity(0)) - 1
+        report = check_recording(paths[0], on_progress, all_bytes=all_bytes, processes=helpers)
+        return [report.as_object()]
     count = min(len(os.sched_getaffinity(0)), len(paths))
     waiting = deque(range(len(paths)))
     shares = [0.0] * len(paths)

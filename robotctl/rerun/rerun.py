@@ -15,7 +15,14 @@ from robotctl.kernel.types import Decision, Effect, Event
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.rerun.comparison import DECISION_NAMES, Comparison
 from robotctl.rerun.journal_steps import Gap, Step, steps
-from robotctl.rerun.journal_values import KERNEL_FAILURES, read_event, read_snapshot, text_of
+from robotctl.rerun.journal_values import (
+    KERNEL_FAILURES,
+    read_effect,
+    read_event,
+    read_snapshot,
+    text_of,
+)
+from robotctl.rerun.measured import Followed, Measured
 
 MAX_SHAPES = 4096
 """The number of entry shapes that are remembered: a source may be any text."""
@@ -46,6 +53,15 @@ class Divergence:
         return f"entry {self.seq}, after {self.event.partition(' ')[0]}: {differs}"
 
 
+class ConfirmedPiece(NamedTuple):
+    """A piece of a journal, from a snapshot to the next, that a kernel decides as it is recorded.
+
+    `unused` are the numbers of the entries whose odometry the kernel did not take as new.
+    """
+
+    unused: frozenset[int]
+
+
 class Decided(NamedTuple):
     """The result of one step; `effects` is None without a kernel and after a divergence."""
 
@@ -63,13 +79,39 @@ class Rerun:
     def __init__(self, comparison: Comparison) -> None:
         self.comparison = comparison
         self.kernel: Kernel | None = None
+        self._followed: Followed | None = None
+        """Set while the steps are those that were re-run elsewhere."""
+
         self._event: JournalEntry | None = None
         self._same_version = comparison.same_version
         self._shapes: set[bytes] = set()
 
     def stop(self) -> None:
         """Pause until the next snapshot: events are missing."""
-        self.kernel = None
+        self._set_kernel(None)
+
+    def trust(self, piece: ConfirmedPiece | None) -> None:
+        """Take the recorded steps of a piece, and the snapshot that ends it, as decided."""
+        if piece is not None and self.kernel is not None:
+            kernel = self.kernel
+            scale = kernel.params.battery.scale
+            self._followed = Followed.of(kernel.state.health, scale, piece.unused)
+
+    @property
+    def is_trusting(self) -> bool:
+        """Whether the present steps were re-run elsewhere."""
+        return self._followed is not None
+
+    @property
+    def measured(self) -> Measured | None:
+        """What is measured after the last step; None without a kernel."""
+        if self._followed is not None:
+            return self._followed
+        return None if self.kernel is None else self.kernel.state.health
+
+    def _set_kernel(self, kernel: Kernel | None) -> None:
+        self.kernel = kernel
+        self._followed = None
 
     def snapshot(self, entry: JournalEntry) -> tuple[Snapshot, Divergence | None]:
         """Continue from a recorded snapshot; return it, and how the kernel differs from it.
@@ -78,7 +120,10 @@ class Rerun:
             UnreadableFile: The entry is not a snapshot of this version.
         """
         snapshot = read_snapshot(entry)
-        kernel, self.kernel = self.kernel, snapshot.kernel()
+        kernel, was_trusting = self.kernel, self.is_trusting
+        self._set_kernel(snapshot.kernel())
+        if was_trusting:
+            return snapshot, None
         mine = replace(snapshot, params=kernel.params, state=kernel.state) if kernel else snapshot
         if self.comparison.same(entry.data, mine):
             return snapshot, None  # compared as texts, because nan is not equal to nan
@@ -97,6 +142,9 @@ class Rerun:
         event = read_event(entry)
         if kernel is None:
             return Decided(event)
+        if self._followed is not None:
+            self._followed.step(entry.seq, event)
+            return Decided(event, tuple(map(read_effect, step.effects)))
         self._event = entry
         before = kernel.state
         if not self._is_untouched(entry, event):
@@ -106,7 +154,7 @@ class Rerun:
             decided = mine = kernel.step(event)
         except KERNEL_FAILURES as error:
             found = self._divergence(theirs[0] if theirs else None, None, before)
-            self.kernel = None
+            self._set_kernel(None)
             return Decided(event, None, replace(found, decided=f"{type(error).__name__} {error}"))
         if not self._same_version:
             theirs = [effect for effect in theirs if effect.name in DECISION_NAMES]
@@ -143,7 +191,7 @@ class Rerun:
     def _diverged(
         self, event: Event, recorded: JournalEntry | None, mine: Any, before: State
     ) -> Decided:
-        self.kernel = None
+        self._set_kernel(None)
         return Decided(event, None, self._divergence(recorded, mine, before))
 
     def _divergence(

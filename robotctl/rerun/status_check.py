@@ -6,7 +6,6 @@ import struct
 from math import inf
 
 from robotctl.cdr.reader import CdrReader
-from robotctl.kernel.health import Health
 from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.types import BatteryReceived, Effect, Event, ModeChanged
 from robotctl.kernel.units import NS_PER_S
@@ -16,6 +15,7 @@ from robotctl.rerun.check_report import Report
 from robotctl.rerun.clock_changes import ClockChanges
 from robotctl.rerun.command_pairs import Moments
 from robotctl.rerun.ending import Ending
+from robotctl.rerun.measured import Measured
 from robotctl.rerun.own_topics import full_name
 from robotctl.rerun.status_times import Status, StatusTimes
 
@@ -80,13 +80,13 @@ class StatusCheck:
         self._times.snapshot(snapshot, t_ns, log_ns)
 
     def step(
-        self, event: Event, effects: tuple[Effect, ...], health: Health | None, moments: Moments
+        self, event: Event, effects: tuple[Effect, ...], measured: Measured | None, moments: Moments
     ) -> None:
-        """Take an event with its effects, and the health after it if it is known."""
-        if health is not None:
-            self._times.step(event.t_ns, moments[1], health.odometry_t_ns)
+        """Take an event with its effects, and what is measured after it, if known."""
+        if measured is not None:
+            self._times.step(event.t_ns, moments[1], measured.odometry_t_ns)
             if isinstance(event, BatteryReceived):
-                self._times.level(health.battery_level, moments)
+                self._times.level(measured.battery_level, moments)
         for effect in effects:
             if isinstance(effect, ModeChanged):
                 self._times.mode(effect.mode, moments)

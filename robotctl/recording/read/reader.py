@@ -28,6 +28,7 @@ from robotctl.recording.read.merge import in_order_written, merge
 from robotctl.recording.read.messages import ALWAYS, Message, OpenFile, Window
 from robotctl.recording.read.read_limits import ReadLimits
 from robotctl.recording.read.source import Source
+from robotctl.recording.read.spots import Spot, messages_from, spots_of
 
 
 def read_info(path: Path) -> RecordingInfo:
@@ -184,13 +185,22 @@ class Recording:
         topics: Collection[str] | None,
         on_missing: Callable[[str], None],
         on_progress: Callable[[int, int], None] = lambda done, total: None,
+        on_place: Callable[[Spot], None] = lambda spot: None,
     ) -> Iterator[Message]:
         """Yield messages as `messages` does, in file order: log times step back if the clock was
         set.
 
-        `on_progress` gets bytes done and in total.
+        `on_progress` gets bytes done and in total, and `on_place` each place before its messages.
         """
-        return in_order_written(self._files, topics, on_missing, on_progress)
+        return in_order_written(self._files, topics, on_missing, on_progress, on_place)
+
+    def spots(self, topic: str) -> list[tuple[Spot, int]]:
+        """Return the places that may hold messages of a topic, with their bytes, in file order."""
+        return spots_of(self._files, topic)
+
+    def messages_from(self, topic: str, begin: Spot) -> Iterator[tuple[Spot, Message | None]]:
+        """Yield the messages of a topic in file order from a place on; None for what is lost."""
+        return messages_from(self._files, topic, begin)
 
     def _open(self, path: Path, *, only: bool, on_progress: Callable[[int, int], None]) -> None:
         try:

@@ -1,0 +1,135 @@
+"""Re-runs pieces of a journal, from one snapshot to the next, apart from the rest of a check.
+
+A piece is confirmed if its entries follow each other, if a kernel that begins with its snapshot
+decides exactly what is recorded and arrives at the next snapshot, and if it breaks no invariant. A
+check need not re-run it, then: it takes the recorded decisions. It re-runs each other piece itself,
+so that its report does not depend on how the recording was cut.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from robotctl.errors import UnreadableFile
+from robotctl.kernel.types import OdomReceived
+from robotctl.recording import Recording
+from robotctl.recording.format.journal import EntryKind, JournalEntry
+from robotctl.recording.read.journal_reader import EntryDecoder
+from robotctl.recording.read.spots import Spot
+from robotctl.rerun.comparison import Comparison
+from robotctl.rerun.invariants import Invariants
+from robotctl.rerun.journal_steps import Step
+from robotctl.rerun.journal_values import read_snapshot
+from robotctl.rerun.rerun import ConfirmedPiece, Rerun
+
+MAX_UNUSED = 1000
+"""A piece with more odometry that the kernel did not take as new is left to the check."""
+
+
+class Position(NamedTuple):
+    """Where a journal entry stands: its place, and its number among the entries there."""
+
+    file: int
+    offset: int
+    number: int
+
+
+def confirmed_pieces(
+    recording: Recording, topic: str, version: str, begin: Spot, end: Spot | None
+) -> dict[Position, ConfirmedPiece]:
+    """Return the confirmed pieces that begin from `begin` on and before `end`, by their begin."""
+    found: dict[Position, ConfirmedPiece] = {}
+    decoder = EntryDecoder(recording)
+    piece: _Piece | None = None
+    start = position = Position(*begin, -1)
+    for spot, message in recording.messages_from(topic, begin):
+        number = position.number + 1 if spot == position[:2] else 0
+        position = Position(*spot, number)
+        is_beyond = end is not None and spot >= end
+        try:
+            entry = None if message is None else decoder.decode(message.data)
+            if entry is None:
+                piece = None
+            elif entry.kind is EntryKind.SNAPSHOT:
+                if piece is not None and piece.ends_with(entry):
+                    found[start] = piece.confirmed()
+                piece = None if is_beyond else _Piece(version, entry)
+                start = position
+            elif piece is not None and not piece.add(entry):
+                piece = None
+        except UnreadableFile:
+            piece = None
+        if is_beyond and piece is None:
+            break
+    return found
+
+
+class _Piece:
+    """A piece whose entries are taken one by one."""
+
+    def __init__(self, version: str, snapshot: JournalEntry) -> None:
+        """Begin with a snapshot.
+
+        Raises:
+            UnreadableFile: It cannot be read.
+        """
+        comparison = Comparison(version, read_snapshot(snapshot).made_by)
+        self._rerun = Rerun(comparison)
+        self._invariants = Invariants()
+        begun, divergence = self._rerun.snapshot(snapshot)
+        self._invariants.snapshot(begun)
+        self._is_right = comparison.is_exact and divergence is None
+        self._seq = snapshot.seq
+        self._step: Step | None = None
+        self._unused: set[int] = set()
+
+    def confirmed(self) -> ConfirmedPiece:
+        """Return what a check must know of it, after it has ended."""
+        return ConfirmedPiece(frozenset(self._unused))
+
+    def add(self, entry: JournalEntry) -> bool:
+        """Take an event or an effect; return whether the piece is right so far.
+
+        Raises:
+            UnreadableFile: It cannot be read.
+        """
+        self._follow(entry)
+        if entry.kind is EntryKind.EVENT:
+            self._take_step()
+            self._step = Step(entry)
+        elif self._step is None:
+            self._is_right = False
+        else:
+            self._step.effects.append(entry)
+        return self._is_right
+
+    def ends_with(self, snapshot: JournalEntry) -> bool:
+        """Return whether the piece is right up to the snapshot that ends it.
+
+        Raises:
+            UnreadableFile: It cannot be read.
+        """
+        self._follow(snapshot)
+        self._take_step()
+        return (
+            self._is_right
+            and self._rerun.snapshot(snapshot)[1] is None
+            and not self._invariants.count
+        )
+
+    def _follow(self, entry: JournalEntry) -> None:
+        self._is_right = self._is_right and entry.seq == self._seq + 1
+        self._seq = entry.seq
+
+    def _take_step(self) -> None:
+        step, self._step = self._step, None
+        if step is None or not self._is_right:
+            return
+        event, effects, _ = self._rerun.step(step)
+        measured = self._rerun.measured
+        if effects is None or measured is None or len(self._unused) > MAX_UNUSED:
+            self._is_right = False
+            return
+        self._invariants.step(step.event.seq, event, effects)
+        if isinstance(event, OdomReceived) and measured.odometry_t_ns != event.t_ns:
+            self._unused.add(step.event.seq)

@@ -1,0 +1,164 @@
+"""Processes that re-run the pieces of a recording ahead of the check that goes through it."""
+
+from __future__ import annotations
+
+import json
+from bisect import bisect_right
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from types import TracebackType
+from typing import Final, Self
+
+from robotctl import __version__
+from robotctl.processes import Child, program, start
+from robotctl.recording import Recording
+from robotctl.recording.read.journal_reader import journal_topic
+from robotctl.recording.read.spots import Spot
+from robotctl.rerun.piece import Position
+from robotctl.rerun.rerun import ConfirmedPiece
+
+WORKER: Final = program("robotctl.rerun.piece_process")
+
+JOB_BYTES: Final = 1 << 20
+"""A job is about this much of the recording [bytes], decompressed: 80 ms of work."""
+
+LEAST_BYTES: Final = 8 * JOB_BYTES
+"""A shorter recording is checked before another process has started."""
+
+PATIENCE_S: Final = 20.0
+"""How long a process may take for a job that the check waits for; then it counts as stopped."""
+
+_AHEAD = 2
+"""How many jobs a process is given at once, so that it never waits for the next one."""
+
+_OWN_OF_FIVE = 5
+"""With one process the check re-runs one job of five itself: the rest of its work is less."""
+
+
+class PiecePool:
+    """The processes, and what they have confirmed. Use it in a `with` block.
+
+    A process that ends or stands still costs speed alone: the check re-runs what it was given.
+    """
+
+    def __init__(
+        self,
+        task: dict[str, str],
+        places: Sequence[tuple[Spot, int]],
+        processes: int,
+    ) -> None:
+        """Share the `places` of the journal, each with its bytes, among so many processes."""
+        self._begins = cut_places(places, JOB_BYTES)
+        self._waiting = [
+            number
+            for number in range(1, len(self._begins))
+            if processes > 1 or number % _OWN_OF_FIVE
+        ]
+        self._waiting.reverse()
+        self._confirmed: dict[int, dict[Position, ConfirmedPiece]] = {}
+        self._given: dict[Child, list[int]] = {}
+        for _ in range(min(processes, len(self._waiting))):
+            child = start(WORKER, with_stdin=True)
+            self._given[child] = []
+            self._send(child, task)
+            self._give(child)
+
+    def __enter__(self) -> Self:
+        """Return the pool."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """End the processes."""
+        for child in list(self._given):
+            self._drop(child)
+
+    def confirmed(self, position: Position) -> ConfirmedPiece | None:
+        """Return the piece that begins at this position, None if it is not confirmed.
+
+        Waits for the process that was given it; what none was given is left to the caller.
+        """
+        for child in list(self._given):
+            self._receive(child, 0.0)
+        job = bisect_right(self._begins, Spot(position.file, position.offset)) - 1
+        if job in self._waiting:
+            self._waiting.remove(job)
+        while job not in self._confirmed:
+            worker = next((each for each, jobs in self._given.items() if job in jobs), None)
+            if worker is None:
+                return None
+            self._receive(worker, PATIENCE_S)
+        return self._confirmed[job].get(position)
+
+    def _receive(self, child: Child, seconds: float) -> None:
+        """Take what a process has reported; drop it if it ended, or is silent for so long."""
+        try:
+            reports = child.receive(seconds)
+        except TimeoutError:
+            if seconds:
+                self._drop(child)
+            return
+        except (EOFError, ValueError):
+            self._drop(child)
+            return
+        for report in reports:
+            self._given[child].remove(report["job"])
+            self._confirmed[report["job"]] = {
+                Position(*position): ConfirmedPiece(frozenset(unused))
+                for position, unused in report["confirmed"]
+            }
+        self._give(child)
+
+    def _give(self, child: Child) -> None:
+        while child in self._given and self._waiting and len(self._given[child]) < _AHEAD:
+            job = self._waiting.pop()
+            self._given[child].append(job)
+            end = self._begins[job + 1] if job + 1 < len(self._begins) else None
+            self._send(child, {"job": job, "begin": self._begins[job], "end": end})
+
+    def _send(self, child: Child, line: object) -> None:
+        try:
+            child.send(f"{json.dumps(line)}\n".encode())
+        except BrokenPipeError:
+            self._drop(child)
+
+    def _drop(self, child: Child) -> None:
+        del self._given[child]
+        with suppress(ProcessLookupError):
+            child.kill()
+        child.close()
+
+
+@contextmanager
+def pool_for(recording: Recording, version: str, processes: int) -> Iterator[PiecePool | None]:
+    """Start so many processes for a recording, or none if it is too short for them.
+
+    Only recordings of this version are re-run in pieces: others need more than yes or no.
+    """
+    topic = journal_topic(recording.info())
+    if not processes or topic is None or version != __version__ or recording.is_live:
+        yield None
+        return
+    places = recording.spots(topic)
+    if sum(size for _, size in places) < LEAST_BYTES:
+        yield None
+        return
+    task = {"path": str(recording.path), "topic": topic, "version": version}
+    with PiecePool(task, places, processes) as pool:
+        yield pool
+
+
+def cut_places(places: Sequence[tuple[Spot, int]], job_bytes: int) -> list[Spot]:
+    """Return where each job begins."""
+    begins: list[Spot] = []
+    size = job_bytes
+    for spot, length in places:
+        if size >= job_bytes:
+            begins.append(spot)
+            size = 0
+        size += length
+    return begins

@@ -1,0 +1,38 @@
+"""`python -m robotctl.rerun.piece_process --report-fd N`: re-runs pieces of one recording.
+
+Each line is JSON. On stdin: first {"path", "topic", "version"}, then {"job", "begin", "end"} with
+places of the recording; on descriptor N {"job", "confirmed"} for each. The process ends when stdin
+is closed, so it does not outlive its parent.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+from robotctl.processes import report_fd, send_report
+from robotctl.recording import Recording
+from robotctl.recording.read.spots import Spot
+from robotctl.rerun.piece import confirmed_pieces
+
+
+def main() -> None:
+    """Re-run pieces until stdin is closed."""
+    descriptor = report_fd(sys.argv)
+    task = json.loads(sys.stdin.readline())
+    with Recording(Path(task["path"])) as recording:
+        for line in sys.stdin:
+            job = json.loads(line)
+            begin, end = Spot(*job["begin"]), job["end"]
+            confirmed = confirmed_pieces(
+                recording, task["topic"], task["version"], begin, end and Spot(*end)
+            )
+            told = [[position, sorted(piece.unused)] for position, piece in confirmed.items()]
+            send_report(descriptor, {"job": job["job"], "confirmed": told})
+
+
+if __name__ == "__main__":
+    with suppress(BrokenPipeError):  # the parent process has ended
+        main()

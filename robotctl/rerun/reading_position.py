@@ -1,0 +1,33 @@
+"""Where in a recording the journal is being read, as another process would find it."""
+
+from __future__ import annotations
+
+from robotctl.recording.read.spots import Spot
+from robotctl.rerun.piece import Position
+
+
+class ReadingPosition:
+    """The position of the last journal entry, as long as all entries followed each other."""
+
+    def __init__(self) -> None:
+        self._spot = Spot(0, 0)
+        self._number = -1
+        self._seq: int | None = None
+        self._in_order = True
+
+    def enter(self, spot: Spot) -> None:
+        """Note that the next entries stand in this place."""
+        self._spot = spot
+        self._number = -1
+
+    def entry(self, seq: int) -> None:
+        """Note an entry."""
+        self._number += 1
+        if self._seq is not None and seq != self._seq + 1:
+            self._in_order = False  # entries may be held back from now on
+        self._seq = seq
+
+    @property
+    def position(self) -> Position | None:
+        """The position of the last entry; None if it may not be the one that is looked at."""
+        return Position(*self._spot, self._number) if self._in_order else None

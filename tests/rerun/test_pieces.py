@@ -1,0 +1,155 @@
+"""The report of a check does not depend on how the recording was cut, or who re-ran its pieces."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from itertools import cycle, islice
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import psutil
+import pytest
+
+from robotctl.kernel.geometry import Pose
+from robotctl.kernel.types import Event, Odometry, OdomReceived, Twist
+from robotctl.kernel.units import NS_PER_S
+from robotctl.processes import start
+from robotctl.recording import Recording
+from robotctl.recording.read.journal_reader import journal_topic
+from robotctl.rerun import check as check_module
+from robotctl.rerun import piece_pool
+from robotctl.rerun.check import check_recording
+from robotctl.rerun.check_report import Verdict
+from robotctl.rerun.piece import Position, confirmed_pieces
+from robotctl.rerun.piece_pool import PiecePool, cut_places
+from robotctl.rerun.rerun import ConfirmedPiece
+from robotctl.testing.drives import BEGIN_NS, drive_requested
+from tests.support.edited_recordings import Contents, write_contents
+from tests.support.heard_drives import heard_drive
+from tests.tampering.kinds import FOUND, ONLY_IF_CLOSED
+
+EDITS = 60
+
+
+class Pieces:
+    """What a pool would confirm, re-run in this process; some pieces are left to the check."""
+
+    def __init__(self, recording: Recording, version: str, random: Random) -> None:
+        topic = journal_topic(recording.info())
+        assert topic is not None
+        begins = cut_places(recording.spots(topic), random.choice((1, 1 << 15, 1 << 20)))
+        self._found = {
+            position: piece
+            for begin, end in zip(begins, [*begins[1:], None], strict=True)
+            if random.random() < 0.8
+            for position, piece in confirmed_pieces(recording, topic, version, begin, end).items()
+        }
+        self.count = 0
+        self.unused = sum(len(piece.unused) for piece in self._found.values())
+
+    def confirmed(self, position: Position) -> ConfirmedPiece | None:
+        self.count += position in self._found
+        return self._found.get(position)
+
+
+@pytest.fixture(scope="module")
+def honest(tmp_path_factory: pytest.TempPathFactory) -> Contents:
+    folder = tmp_path_factory.mktemp("honest")
+    wrong = Odometry(Pose(0.0, 90.0, 0.0), Twist(), 0)  # a jump, which the kernel does not use
+    requests: list[Event] = [drive_requested(), OdomReceived(BEGIN_NS + NS_PER_S + 5, wrong)]
+    snapshots_s = (0.0, 0.8, 1.6, 2.4, 3.2)
+    return heard_drive(folder / "run", 3.6, requests=requests, snapshots_s=snapshots_s)
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory, honest: Contents) -> Path:
+    return write_contents(tmp_path_factory.mktemp("written") / "run", honest)
+
+
+def told(path: Path, **options: Any) -> dict[str, Any]:
+    """Return the report without the time that the check took."""
+    report = check_recording(path, **options).as_object()
+    del report["took_s"]
+    return report
+
+
+def test_an_edited_recording_has_the_same_report_in_pieces(
+    tmp_path: Path, honest: Contents, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    random, confirmed, unused = Random(5), 0, 0
+    kinds = [*FOUND.items(), *ONLY_IF_CLOSED.items(), ("honest", lambda contents, _: contents)]
+    random.shuffle(kinds)
+    for number, (name, kind) in enumerate(islice(cycle(kinds), EDITS)):
+        try:
+            edited = kind(honest, random)
+        except IndexError:
+            continue  # this recording has no such place
+        path = write_contents(tmp_path / str(number) / "run", edited)
+        whole = told(path)
+        pools: list[Pieces] = []
+
+        @contextmanager
+        def in_pieces(
+            recording: Recording, version: str, processes: int, pools: list[Pieces] = pools
+        ) -> Iterator[Pieces | None]:
+            if journal_topic(recording.info()) is not None:
+                pools.append(Pieces(recording, version, random))
+            yield pools[0] if pools else None
+
+        with monkeypatch.context() as patch:
+            patch.setattr(check_module, "pool_for", in_pieces)
+            assert told(path) == whole, name
+        confirmed += sum(pool.count for pool in pools)
+        unused += sum(pool.unused for pool in pools)
+    assert confirmed > EDITS
+    assert unused > 0
+
+
+def test_processes_confirm_the_pieces_of_an_honest_recording(
+    recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    confirmed = small_jobs(monkeypatch)
+    report = told(recording, processes=2)
+    assert report["verdict"] == Verdict.SAME
+    assert report == told(recording)
+    assert sum(confirmed) > 0
+    assert not psutil.Process().children()
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_process_that_is_killed_or_stopped_changes_nothing(
+    recording: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
+) -> None:
+    monkeypatch.setattr(piece_pool, "PATIENCE_S", 0.2)
+    confirmed = small_jobs(monkeypatch, lambda child: os.kill(child, number))
+    assert told(recording, processes=2) == told(recording)
+    assert sum(confirmed) == 0
+    assert not psutil.Process().children()
+
+
+def small_jobs(
+    monkeypatch: pytest.MonkeyPatch, at_start: Callable[[int], None] = lambda child: None
+) -> list[bool]:
+    """Cut recordings of any size at every place; return what the pool answers."""
+    answers: list[bool] = []
+    confirmed = PiecePool.confirmed
+
+    def answer(pool: PiecePool, position: Position) -> ConfirmedPiece | None:
+        piece = confirmed(pool, position)
+        answers.append(piece is not None)
+        return piece
+
+    def begin(*arguments: Any, **options: Any) -> Any:
+        child = start(*arguments, **options)
+        at_start(child.pid)
+        return child
+
+    monkeypatch.setattr(piece_pool, "LEAST_BYTES", 0)
+    monkeypatch.setattr(piece_pool, "JOB_BYTES", 1)
+    monkeypatch.setattr(PiecePool, "confirmed", answer)
+    monkeypatch.setattr(piece_pool, "start", begin)
+    return answers
