@@ -15,7 +15,13 @@ from robotctl.ipc.protocol import (
     MAX_REASON,
     REASON_PATTERN,
 )
-from robotctl.kernel.course import MAX_ANGLE_RAD, MAX_CORNER_M, MIN_CORNER_M
+from robotctl.kernel.course import (
+    MAX_ANGLE_RAD,
+    MAX_CORNER_M,
+    MAX_POINTS,
+    MIN_CORNER_M,
+    Frame,
+)
 from robotctl.kernel.drive import MAX_LAPS
 from robotctl.kernel.patterns import (
     MAX_SIZE_M,
@@ -122,6 +128,24 @@ class DriveParams(Struct, frozen=True, forbid_unknown_fields=True):
     open_loop: bool = False
     laps: Annotated[int, Meta(ge=0, le=MAX_LAPS)] | None = None
     """0: drive until stopped."""
+    speed_mps: Annotated[float, Meta(ge=MIN_SPEED_MPS, le=MAX_SPEED_MPS)] | None = None
+    replace: bool = False
+    wait: bool = False
+    reason: Reason = ""
+    lease: Token | None = None
+
+
+class DrivePathParams(Struct, frozen=True, forbid_unknown_fields=True):
+    """Waypoints [m] in `frame`; a value that is left out comes from the daemon's configuration."""
+
+    points: Annotated[list[tuple[float, float]], Meta(min_length=2, max_length=MAX_POINTS)]
+    source: Source
+    frame: Frame = Frame.START
+    corner_m: Annotated[float, Meta(ge=0.0, le=MAX_CORNER_M)] | None = None
+    reverse: bool = False
+    open_loop: bool = False
+    laps: Annotated[int, Meta(ge=0, le=MAX_LAPS)] | None = None
+    """0: drive until stopped; 1 if left out."""
     speed_mps: Annotated[float, Meta(ge=MIN_SPEED_MPS, le=MAX_SPEED_MPS)] | None = None
     replace: bool = False
     wait: bool = False

@@ -13,7 +13,8 @@ import pytest
 
 from robotctl.daemon.api.driving import DrivingMethods
 from robotctl.errors import Refused, UsageError
-from robotctl.ipc.params import DriveParams, EndDriveParams
+from robotctl.ipc.params import DriveParams, DrivePathParams, EndDriveParams
+from robotctl.kernel.course import Course, Frame
 from robotctl.kernel.drive import Drive
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.modes import Mode
@@ -166,3 +167,37 @@ async def test_ending_a_drive_releases_no_stop(mode: Mode) -> None:
     answer: Any = await end(EndDriveParams(source="test"))
     assert answer == {"message": f"The robot stands, in {mode.name}", "mode": mode.name}
     assert control.asked == []
+
+
+class ListeningControl(FakeControl):
+    """Keeps the last event."""
+
+    event: Any = None
+
+    async def request(self, event: Any) -> Reply:
+        self.event = event
+        return await super().request(event)
+
+
+async def test_a_path_becomes_a_request_to_drive_its_points_once() -> None:
+    control: Any = ListeningControl(ENDED, Mode.MOVING)
+    motion: Any = None
+    drive = DrivingMethods(control, motion).table()["drive_path"].handler
+    points = [(0.0, 0.0), (1.0, 2.0)]
+    await drive(DrivePathParams(points, "test", Frame.ODOM, corner_m=0.0, reverse=True))
+    event = control.event
+    assert (event.laps, event.pattern.speed_mps) == (1, 0.5)
+    assert event.course == Course(
+        corner_m=0.0, reverse=True, waypoints=tuple(points), frame=Frame.ODOM
+    )
+
+
+async def test_an_open_pattern_is_driven_once_and_a_closed_one_until_stopped() -> None:
+    control: Any = ListeningControl(ENDED, Mode.MOVING)
+    motion: Any = None
+    drive = DrivingMethods(control, motion).table()["drive"].handler
+    for kind, laps in ((PatternKind.LINE, 1), (PatternKind.SQUARE, 0)):
+        await drive(DriveParams(pattern=kind, source="test"))
+        assert control.event.laps == laps
+    await drive(DriveParams(pattern=PatternKind.ARC, source="test", angle_rad=-1.0))
+    assert control.event.course == Course(angle_rad=-1.0)

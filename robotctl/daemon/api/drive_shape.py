@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from robotctl.errors import UsageError
-from robotctl.ipc.params import DriveParams
+from robotctl.ipc.params import DriveParams, DrivePathParams
 from robotctl.kernel.course import PLAIN, Course
 from robotctl.kernel.patterns import SHAPES, PatternKind, SizeName
 
@@ -49,4 +49,15 @@ def shape_course(params: DriveParams) -> Course:
         angle_rad=PLAIN.angle_rad if params.angle_rad is None else params.angle_rad,
         reverse=params.reverse,
         open_loop=params.open_loop,
+    )
+
+
+def path_course(params: DrivePathParams) -> Course:
+    """Return how waypoints are driven."""
+    return Course(
+        corner_m=PLAIN.corner_m if params.corner_m is None else params.corner_m,
+        reverse=params.reverse,
+        open_loop=params.open_loop,
+        waypoints=tuple(params.points),
+        frame=params.frame,
     )

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from math import isfinite
 from typing import Any
 
-from robotctl.daemon.api.drive_shape import default_laps, shape_course, shape_size_m
+from robotctl.daemon.api.drive_shape import default_laps, path_course, shape_course, shape_size_m
 from robotctl.daemon.api.granted import granted
 from robotctl.daemon.control.dispatcher import Control
 from robotctl.daemon.control.robot_report import RobotReport
@@ -16,8 +16,16 @@ from robotctl.errors import Refused, UsageError
 from robotctl.ipc.advice import advice
 from robotctl.ipc.answers import DriveAnswer, DrivenPath, ModeAnswer, Preflight
 from robotctl.ipc.method import Method
-from robotctl.ipc.method_names import DRIVE, END_DRIVE, PATH, PREFLIGHT, RESET, SET_MODE
-from robotctl.ipc.params import DriveParams, EndDriveParams, NoParams, ResetParams, SetModeParams
+from robotctl.ipc.method_names import DRIVE, DRIVE_PATH, END_DRIVE, PATH, PREFLIGHT, RESET, SET_MODE
+from robotctl.ipc.params import (
+    DriveParams,
+    DrivePathParams,
+    EndDriveParams,
+    NoParams,
+    ResetParams,
+    SetModeParams,
+)
+from robotctl.kernel.course import Course
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.patterns import SHAPES, Pattern, PatternKind
 from robotctl.kernel.safety import remedies_for
@@ -58,6 +66,7 @@ class DrivingMethods:
             SET_MODE: Method(SetModeParams, self._set_mode, MODE_DEADLINE_S),
             RESET: Method(ResetParams, self._reset, MODE_DEADLINE_S),
             DRIVE: Method(DriveParams, self._drive, None),
+            DRIVE_PATH: Method(DrivePathParams, self._drive_path, None),
             END_DRIVE: Method(EndDriveParams, self._end_drive, None),
         }
 
@@ -113,17 +122,29 @@ class DrivingMethods:
     async def _drive(self, params: DriveParams) -> DriveAnswer:
         kind = params.pattern
         pattern = self.pattern(kind, shape_size_m(params), params.speed_mps)
+        laps = default_laps(kind, wait=params.wait) if params.laps is None else params.laps
+        return await self._run(params, pattern, laps, shape_course(params))
+
+    async def _drive_path(self, params: DrivePathParams) -> DriveAnswer:
+        pattern = self.pattern(None, None, params.speed_mps)
+        laps = 1 if params.laps is None else params.laps
+        return await self._run(params, pattern, laps, path_course(params))
+
+    async def _run(
+        self, params: DriveParams | DrivePathParams, pattern: Pattern, laps: int, course: Course
+    ) -> DriveAnswer:
+        """Request a drive, and wait for its end if the parameters say so."""
         request_id = self._control.new_request_id()
         event = DriveRequested(
             time.monotonic_ns(),
             request_id,
             pattern,
-            default_laps(kind, wait=params.wait) if params.laps is None else params.laps,
+            laps,
             params.replace,
             params.source,
             self._client_of(params.lease),
             params.reason,
-            shape_course(params),
+            course,
         )
         end = self._control.expect_end(request_id)
         try:

@@ -1,31 +1,23 @@
-"""drive: drive a pattern of a given size."""
+"""The options of `robotctl drive`, and what they request."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 from math import degrees, radians
 from typing import Annotated, Any
 
 import typer
 
-from robotctl.cli.commands.watch import polled_until, show
+from robotctl.cli.commands.drive.running import drive_and_wait, tracking_lines
+from robotctl.cli.commands.drive.waypoint_file import read_waypoints
 from robotctl.cli.options import Json, Reason, Robot, new_app
 from robotctl.cli.support.answer import print_answer
-from robotctl.cli.support.background import Background
-from robotctl.cli.support.interrupted_drive import (
-    CLOSING_SIGNALS,
-    stop_drive,
-    wait_while_stdout_open,
-)
 from robotctl.cli.support.quick_actions import asked_by, lease_of_shell
-from robotctl.cli.support.signals import interrupted_by
-from robotctl.cli.terminal.text import is_terminal, number, printable
-from robotctl.errors import RobotctlError, UsageError
-from robotctl.ipc.answers import DriveAnswer
+from robotctl.cli.terminal.text import printable
+from robotctl.errors import UsageError
 from robotctl.ipc.client import call
-from robotctl.ipc.method_names import DRIVE
-from robotctl.kernel.course import MAX_ANGLE_RAD, MAX_CORNER_M, MIN_CORNER_M
+from robotctl.ipc.method_names import DRIVE, DRIVE_PATH
+from robotctl.kernel.course import MAX_ANGLE_RAD, MAX_CORNER_M, MIN_CORNER_M, Frame
 from robotctl.kernel.drive import MAX_LAPS
 from robotctl.kernel.patterns import (
     MAX_SIZE_M,
@@ -44,10 +36,22 @@ MAX_ANGLE_DEG = float(int(degrees(MAX_ANGLE_RAD)))
 
 PATTERNS = ", ".join(kind.value for kind in PatternKind)
 
+PATH = "path"
+MOTIONS = [*(kind.value for kind in PatternKind), PATH]
+
 
 @app.command()
 def drive(
-    pattern: Annotated[PatternKind, typer.Argument(metavar="PATTERN", help=f"One of {PATTERNS}.")],
+    motion: Annotated[
+        str, typer.Argument(metavar="PATTERN", help=f"One of {PATTERNS}; or {PATH}, with a FILE.")
+    ] = "",
+    file: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[FILE]",
+            help="Of a path: CSV with the header x,y, YAML, or a recording; last: the newest one.",
+        ),
+    ] = None,
     side: Annotated[
         float | None, typer.Option(metavar="M", help="Side of a square, in metres.")
     ] = None,
@@ -64,7 +68,11 @@ def drive(
     ] = None,
     corner: Annotated[
         float | None,
-        typer.Option(metavar="M", help="Radius of the corners of a rounded-square, in metres."),
+        typer.Option(
+            metavar="M",
+            help="Radius of the corners of a rounded-square; on a path, how far before a corner "
+            "its arc begins, 0 to stop and turn at each point. In metres.",
+        ),
     ] = None,
     laps: Annotated[
         int | None,
@@ -75,6 +83,9 @@ def drive(
         ),
     ] = None,
     reverse: Annotated[bool, typer.Option("--reverse", help="Drive rear first.")] = False,
+    frame: Annotated[
+        Frame, typer.Option(help="Where the points of a path are: start is the present pose.")
+    ] = Frame.START,
     open_loop: Annotated[
         bool, typer.Option("--open-loop", help="Do not correct by odometry, for comparison.")
     ] = False,
@@ -92,7 +103,7 @@ def drive(
     robot: Robot = DEFAULT_ROBOT,
     as_json: Json = False,
 ) -> None:
-    """Drive a pattern: a square, a circle, a line, a turn on the spot and others.
+    """Drive a pattern, such as a square, a line or a turn on the spot, or a path.
 
     Size and speed default to the daemon's configuration. With --wait the drive ends with this
     command: Ctrl-C, SIGHUP, SIGTERM and a lost connection ramp the robot down, and a second
@@ -106,22 +117,19 @@ def drive(
       robotctl drive rounded-square --side 1 --corner 0.1 --wait
       robotctl drive line --length 2 --reverse
       robotctl drive turn --angle -90
+      robotctl drive path points.csv --wait
+      robotctl drive path last --speed 0.3
     """
-    sizes = {SizeName.SIDE: side, SizeName.RADIUS: radius, SizeName.LENGTH: length}
-    _check_shape(pattern, sizes, corner, angle)
-    for name, size in sizes.items():
-        _check(f"--{name.value}", size, MIN_SIZE_M, MAX_SIZE_M, " m")
-    _check("--corner", corner, MIN_CORNER_M, MAX_CORNER_M, " m")
-    _check("--angle", angle, -MAX_ANGLE_DEG, MAX_ANGLE_DEG, " degrees")
+    if motion not in MOTIONS:
+        wrong = (
+            f"{motion!r} is not one of" if motion else "Missing argument 'PATTERN'. Choose from:"
+        )
+        raise UsageError(f"{wrong} {', '.join(MOTIONS)}")
     _check("--speed", speed, MIN_SPEED_MPS, MAX_SPEED_MPS, " m/s")
     _check("--laps", laps, 0, MAX_LAPS)
-    params = {
-        "pattern": pattern.value,
-        "side_m": side,
-        "radius_m": radius,
-        "length_m": length,
+    sizes = {SizeName.SIDE: side, SizeName.RADIUS: radius, SizeName.LENGTH: length}
+    params: dict[str, Any] = {
         "corner_m": corner,
-        "angle_rad": None if angle is None else radians(angle),
         "reverse": reverse,
         "open_loop": open_loop,
         "laps": laps,
@@ -131,11 +139,69 @@ def drive(
         **asked_by("drive", reason),
         **lease_of_shell(),
     }
-    answer = _drive_and_wait(robot, params, as_json=as_json) if wait else call(robot, DRIVE, params)
+    if motion == PATH:
+        method = DRIVE_PATH
+        params |= _path_params(file, frame, sizes, angle)
+        _check("--corner", corner, 0.0, MAX_CORNER_M, " m")
+    else:
+        method = DRIVE
+        params |= _pattern_params(PatternKind(motion), file, frame, sizes, corner, angle)
+    if wait:
+        answer = drive_and_wait(robot, method, params, as_json=as_json)
+    else:
+        answer = call(robot, method, params)
     lines = [printable(answer.get("message", "done"))]
     if wait:
         lines += tracking_lines(answer)
     print_answer(answer, lines, as_json=as_json)
+
+
+def _path_params(
+    file: str | None, frame: Frame, sizes: Mapping[SizeName, float | None], angle: float | None
+) -> dict[str, Any]:
+    """Return what a path takes beyond every drive.
+
+    Raises:
+        UsageError: There is no file, or an option does not fit a path.
+        UnreadableFile: The file holds no path.
+    """
+    if file is None:
+        raise UsageError("a path needs a FILE", "use CSV with the header x,y, YAML, or a recording")
+    for name, given in (*((name.value, size) for name, size in sizes.items()), ("angle", angle)):
+        if given is not None:
+            raise UsageError(f"a path has no {name}")
+    return {"points": read_waypoints(file, frame), "frame": frame.value}
+
+
+def _pattern_params(
+    pattern: PatternKind,
+    file: str | None,
+    frame: Frame,
+    sizes: Mapping[SizeName, float | None],
+    corner: float | None,
+    angle: float | None,
+) -> dict[str, Any]:
+    """Return what a pattern takes beyond every drive.
+
+    Raises:
+        UsageError: An option does not fit the pattern.
+    """
+    if file is not None:
+        raise UsageError(f"a {pattern.value} has no file", "use robotctl drive path FILE")
+    if frame is not Frame.START:
+        raise UsageError("a pattern begins at the robot", "use --frame with robotctl drive path")
+    _check_shape(pattern, sizes, corner, angle)
+    for name, size in sizes.items():
+        _check(f"--{name.value}", size, MIN_SIZE_M, MAX_SIZE_M, " m")
+    _check("--corner", corner, MIN_CORNER_M, MAX_CORNER_M, " m")
+    _check("--angle", angle, -MAX_ANGLE_DEG, MAX_ANGLE_DEG, " degrees")
+    return {
+        "pattern": pattern.value,
+        "side_m": sizes[SizeName.SIDE],
+        "radius_m": sizes[SizeName.RADIUS],
+        "length_m": sizes[SizeName.LENGTH],
+        "angle_rad": None if angle is None else radians(angle),
+    }
 
 
 def _check_shape(
@@ -161,48 +227,3 @@ def _check(option: str, value: float | None, low: float, high: float, unit: str 
     """Raise UsageError for a value out of range; the daemon's own limits may be lower."""
     if value is not None and not low <= value <= high:  # NaN is refused, too
         raise UsageError(f"{option} {value:g}", f"use {low:g} to {high:g}{unit}")
-
-
-def _drive_and_wait(robot: str, params: dict[str, Any], *, as_json: bool) -> DriveAnswer:
-    """Show the live view until the drive ends, and return the daemon's answer.
-
-    For a drive that was stopped, the numbers are printed as well before the error is raised.
-
-    Raises:
-        Interrupted: Ctrl-C or a signal ended the drive; the robot stands.
-        RobotctlError: The drive was refused, or ended by a fault.
-    """
-    with interrupted_by(CLOSING_SIGNALS):
-        driving: Background[DriveAnswer] = Background(
-            partial(call, robot, DRIVE, params, deadline_s=None)
-        )
-        try:
-            driving.start()  # inside the `try`: an interrupt may come after the request was sent
-            if is_terminal() and not as_json:
-                show(polled_until(driving, robot))
-            else:
-                wait_while_stdout_open(driving)
-            return driving.result()
-        except KeyboardInterrupt:
-            error: RobotctlError = stop_drive(robot, driving)
-        except RobotctlError as refused:
-            error = refused
-    if error.answer and not as_json:
-        print_answer(dict(error.answer), tracking_lines(error.answer), as_json=False, error=error)
-    raise error
-
-
-def tracking_lines(result: Mapping[str, Any]) -> list[str]:
-    """Return the lines on distance and tracking error, from the result of a finished drive."""
-    rms, worst, closure, distance = (
-        number(result.get(key), ".3f")
-        for key in ("cross_track_rms_m", "cross_track_max_m", "closure_m", "distance_m")
-    )
-    laps = result.get("laps")
-    lines = [
-        f"  driven      {laps} {'lap' if laps == 1 else 'laps'}, {distance} m",
-        f"  off track   {rms} m RMS, {worst} m at most",
-    ]
-    if laps:  # no closure before the first lap is complete
-        lines.append(f"  closure     {closure} m between start and end")
-    return lines

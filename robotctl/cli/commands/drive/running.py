@@ -1,0 +1,69 @@
+"""Wait for the end of a drive, which ends with its command."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+from robotctl.cli.commands.watch import polled_until, show
+from robotctl.cli.support.answer import print_answer
+from robotctl.cli.support.background import Background
+from robotctl.cli.support.interrupted_drive import (
+    CLOSING_SIGNALS,
+    stop_drive,
+    wait_while_stdout_open,
+)
+from robotctl.cli.support.signals import interrupted_by
+from robotctl.cli.terminal.text import is_terminal, number
+from robotctl.errors import RobotctlError
+from robotctl.ipc.answers import DriveAnswer
+from robotctl.ipc.client import call
+from robotctl.ipc.method_names import MethodName
+
+
+def drive_and_wait(
+    robot: str, method: MethodName[DriveAnswer], params: dict[str, Any], *, as_json: bool
+) -> DriveAnswer:
+    """Show the live view until the drive ends, and return the daemon's answer.
+
+    For a drive that was stopped, the numbers are printed as well before the error is raised.
+
+    Raises:
+        Interrupted: Ctrl-C or a signal ended the drive; the robot stands.
+        RobotctlError: The drive was refused, or ended by a fault.
+    """
+    with interrupted_by(CLOSING_SIGNALS):
+        driving: Background[DriveAnswer] = Background(
+            partial(call, robot, method, params, deadline_s=None)
+        )
+        try:
+            driving.start()  # inside the `try`: an interrupt may come after the request was sent
+            if is_terminal() and not as_json:
+                show(polled_until(driving, robot))
+            else:
+                wait_while_stdout_open(driving)
+            return driving.result()
+        except KeyboardInterrupt:
+            error: RobotctlError = stop_drive(robot, driving)
+        except RobotctlError as refused:
+            error = refused
+    if error.answer and not as_json:
+        print_answer(dict(error.answer), tracking_lines(error.answer), as_json=False, error=error)
+    raise error
+
+
+def tracking_lines(result: Mapping[str, Any]) -> list[str]:
+    """Return the lines on distance and tracking error, from the result of a finished drive."""
+    rms, worst, closure, distance = (
+        number(result.get(key), ".3f")
+        for key in ("cross_track_rms_m", "cross_track_max_m", "closure_m", "distance_m")
+    )
+    laps = result.get("laps")
+    lines = [
+        f"  driven      {laps} {'lap' if laps == 1 else 'laps'}, {distance} m",
+        f"  off track   {rms} m RMS, {worst} m at most",
+    ]
+    if laps:  # no closure before the first lap is complete
+        lines.append(f"  closure     {closure} m between start and end")
+    return lines
