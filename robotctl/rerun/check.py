@@ -24,6 +24,7 @@ from robotctl.rerun.comparison import Comparison
 from robotctl.rerun.input_check import input_checks
 from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.journal_chain import JournalChain
+from robotctl.rerun.journal_format import other_field
 from robotctl.rerun.journal_steps import Gap, Step, steps
 from robotctl.rerun.journal_values import read_effect, read_event, read_snapshot
 from robotctl.rerun.piece_pool import PiecePool, pool_for
@@ -153,10 +154,13 @@ class _Check:
     def _snapshot(self, entry: JournalEntry) -> None:
         report = self._report
         try:
+            if self._rerun is None:
+                self._compare_format(entry)
             self._compare_vocabulary(entry)
             if self._rerun is None:
                 report.made_by = read_snapshot(entry).made_by
-                comparison = Comparison(report.version, report.made_by)
+                version = report.version if report.same_version else report.other_version
+                comparison = Comparison(version, report.made_by)
                 report.bitwise = comparison.is_exact
                 report.notes += comparison.notes()
                 self._rerun = Rerun(comparison)
@@ -175,6 +179,15 @@ class _Check:
         self._inputs.snapshot(snapshot.proof is not None)
         self._services.snapshot(snapshot.proof is not None, self._log_ns[1])
         self._status.snapshot(snapshot, entry.t_ns, self._log_ns[1])
+
+    def _compare_format(self, entry: JournalEntry) -> None:
+        """Look for fields of another version in the first snapshot."""
+        if self._report.same_version and (field := other_field(entry)):
+            self._report.has_other_format = True
+            self._report.miss(
+                f"written by another version that calls itself {self._report.version}: "
+                f"its state {field}"
+            )
 
     def _compare_parameters(self, entry: JournalEntry) -> None:
         """Compare the parameters of the first snapshot with those in the metadata."""

@@ -72,12 +72,20 @@ class Report:
     missing: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     seal: str = ""
+    has_other_format: bool = False
+    """Whether its journal has other fields than those of the version that it names."""
+
     _other_rules: bool = field(default=False, init=False)
 
     @property
     def same_version(self) -> bool:
         """Whether this version made the recording: only then is a difference an error."""
-        return self.version == __version__
+        return self.version == __version__ and not self.has_other_format
+
+    @property
+    def other_version(self) -> str:
+        """The name of the version that made the recording, where it is not this one."""
+        return f"{self.version} with other fields" if self.has_other_format else self.version
 
     @property
     def verdict(self) -> Verdict:
@@ -98,7 +106,7 @@ class Report:
             self.miss(difference)
             return
         self._other_rules = True
-        theirs = self.version or "unknown"
+        theirs = self.other_version or "unknown"
         self.miss(
             f"decided by the rules of another version ({theirs}, this is {__version__}): "
             f"{difference}"

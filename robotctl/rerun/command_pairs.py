@@ -35,6 +35,9 @@ TAIL_NS = 2 * NS_PER_S
 LATE_NS = NS_PER_S // 2
 """How far the time of a command may lie outside of its step."""
 
+LAST_ZEROS = 2
+"""How many zeros a daemon that fails may send after the kernel's last command."""
+
 SEND_FAILED = f"{PublishTwist.__name__} failed"
 """How the fault of a command that could not be sent begins."""
 
@@ -71,6 +74,9 @@ class CommandPairs:
         """Whether the journal tells that commands could not be sent."""
 
         self.is_counting = False
+        self._has_ended = False
+        """Whether a snapshot counts zeros that only the end of the daemon sends."""
+
         self._number = 0
         """The number of the last command that the journal accounts for."""
 
@@ -140,6 +146,11 @@ class CommandPairs:
     def resume(self, proof: Proof) -> None:
         """Continue from a snapshot, with the number of commands that it tells."""
         differs = proof.commands & MAX_SEQUENCE != self._number
+        if self.is_counting and 0 < (proof.commands - self._number) & MAX_SEQUENCE <= LAST_ZEROS:
+            self._has_ended = True
+            while proof.commands & MAX_SEQUENCE != self._number:
+                self._decide(STILL, (self._t_ns, 0, 0))
+            return
         self.resumed += self.is_counting and differs
         if not self.is_counting or differs:
             self._forget()
@@ -163,6 +174,9 @@ class CommandPairs:
         if not self.is_counting:
             return
         self._t_ns = event.t_ns
+        if self._has_ended:
+            self.resumed += 1
+            self._has_ended = False
         if isinstance(event, LoopStalled):
             self._stall(event, moments)
         elif isinstance(event, Tick):

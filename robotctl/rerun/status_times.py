@@ -15,7 +15,7 @@ from robotctl.kernel.battery import is_level
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.units import NS_PER_S
-from robotctl.rerun.clock_changes import ClockChanges
+from robotctl.rerun.clock_changes import CLOCK_NS, EXCUSES_NS, ClockChanges
 from robotctl.rerun.command_pairs import Moments
 from robotctl.rerun.timeline import Timeline
 
@@ -50,8 +50,12 @@ class StatusTimes:
         self._clock = clock
         self._modes: Timeline[int] | None = None
         self._levels = Timeline(_UNKNOWN)
-        self._statuses: deque[tuple[Status, int]] = deque(maxlen=MAX_WAITING)
-        """Each with its time by the steady clock."""
+        self._statuses: deque[tuple[Status, int, int]] = deque(maxlen=MAX_WAITING)
+        """Each with its time by the steady clock, and that of the event before it in the file."""
+
+        self._mode = Mode.IDLE.value
+        self._level = _UNKNOWN
+        self._t_ns = self._wall_ns = 0
 
         self._begin_ns = self._offset_ns = 0
         self._due_ns: float = inf
@@ -64,15 +68,14 @@ class StatusTimes:
 
     def snapshot(self, snapshot: Snapshot, t_ns: int, wall_ns: int) -> None:
         """Continue from a snapshot, with its time by the steady clock and since the epoch."""
-        self._offset_ns = wall_ns - t_ns
+        self._move_to(t_ns, wall_ns)
         state = snapshot.state
         timeout_ns = round(snapshot.params.odometry.timeout_s * NS_PER_S)
         shortest, longest = self._timeouts_ns or (timeout_ns, timeout_ns)
         self._timeouts_ns = min(shortest, timeout_ns), max(longest, timeout_ns)
         if self._modes is None:
-            self._begin_ns = wall_ns
-            self._modes = Timeline(state.mode.value)
-            self._levels = Timeline(_packed(state.health.battery_level))
+            self._mode, self._level = state.mode.value, _packed(state.health.battery_level)
+            self._begin(wall_ns)
             self._odometry_ns = state.health.odometry_t_ns
         self._settle(wall_ns - NS_PER_S)
 
@@ -82,14 +85,29 @@ class StatusTimes:
         self._statuses.clear()
         self._without.clear()
 
+    def _begin(self, wall_ns: int) -> None:
+        """Compare from a time since the epoch on."""
+        self._begin_ns = wall_ns
+        self._modes, self._levels = Timeline(self._mode), Timeline(self._level)
+
+    def _move_to(self, t_ns: int, wall_ns: int) -> None:
+        """Take a moment by both clocks; begin again where the wall clock was set."""
+        offset_ns, self._offset_ns = self._offset_ns, wall_ns - t_ns
+        if self._modes is not None and abs(self._offset_ns - offset_ns) > CLOCK_NS:
+            self._settle(self._wall_ns - EXCUSES_NS)
+            self._statuses.clear()
+            self._begin(wall_ns)
+        self._t_ns, self._wall_ns = t_ns, wall_ns
+
     def status(self, status: Status) -> None:
         """Take a status."""
         if self._modes is not None and status.publish_ns >= self._begin_ns:
-            self._statuses.append((status, status.publish_ns - self._offset_ns))
+            steady_ns = status.publish_ns - self._offset_ns
+            self._statuses.append((status, steady_ns, self._t_ns))
 
     def step(self, t_ns: int, log_ns: int, odometry_ns: int) -> None:
         """Take the time of an event by both clocks, and when new odometry last came."""
-        self._offset_ns = log_ns - t_ns
+        self._move_to(t_ns, log_ns)
         if odometry_ns != self._odometry_ns:
             if odometry_ns - self._odometry_ns > AGE_NS:
                 self._without.append((self._odometry_ns, odometry_ns))
@@ -97,12 +115,14 @@ class StatusTimes:
 
     def mode(self, mode: Mode, moments: Moments) -> None:
         """Take the mode after a step."""
+        self._mode = mode.value
         if self._modes is not None:
-            self._modes.change(mode.value, moments)
+            self._modes.change(self._mode, moments)
 
     def level(self, level: float | None, moments: Moments) -> None:
         """Take the battery level after a step."""
-        self._levels.change(_packed(level), moments)
+        self._level = _packed(level)
+        self._levels.change(self._level, moments)
 
     def end(self, due_ns: float) -> None:
         """Judge what is left; changes need a status only before `due_ns` since the epoch."""
@@ -117,10 +137,10 @@ class StatusTimes:
 
     def _judge(self, until_ns: float) -> None:
         while self._statuses and self._statuses[0][0].publish_ns < until_ns:
-            status, steady_ns = self._statuses.popleft()
+            status, steady_ns, seen_ns = self._statuses.popleft()
             self._forget(status.publish_ns)
             text = self._difference(status, steady_ns)
-            if text and not self._clock.is_near(steady_ns):
+            if text and not any(map(self._clock.is_near, (steady_ns, seen_ns))):
                 self.wrong += 1
                 self.example = self.example or text
 

@@ -96,6 +96,29 @@ def test_a_field_that_another_version_did_not_have_takes_its_default(
     assert checked(tmp_path / "ours", changed).verdict is Verdict.DIVERGED
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "how"),
+    [
+        ('"mode":', '"mood":1,"mode":', "has state.mood"),
+        (',"waiting":[]', "", "lacks state.waiting"),
+    ],
+)
+def test_a_journal_with_other_fields_is_of_another_version_and_not_diverged(
+    tmp_path: Path, drive_of_3_s: list[Written], old: str, new: str, how: str
+) -> None:
+    changed = [
+        each._replace(data=each.data.replace(old, new, 1))
+        if isinstance(each, JournalEntry) and each.kind is EntryKind.SNAPSHOT
+        else each
+        for each in drive_of_3_s
+    ]
+    report = checked(tmp_path, rechained(changed))
+    assert report.verdict is Verdict.INCOMPLETE
+    written = f"written by another version that calls itself {__version__}: its state {how}"
+    assert report.missing[0] == written
+    assert report.violations == []
+
+
 @pytest.mark.parametrize("version", [__version__, "0.0.9"])
 def test_an_entry_that_is_nested_too_deeply_is_named(
     tmp_path: Path, drive_of_3_s: list[Written], version: str

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -10,10 +11,11 @@ import pytest
 
 from robotctl.cdr.motion import encode_twist
 from robotctl.kernel.types import ForeignCommandHeard, LoopStalled, ModeRequested, Twist
+from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Report, Verdict
 from robotctl.testing.drives import BEGIN_NS, Written, drive, drive_requested
-from tests.support.checked_drives import altered, checked
+from tests.support.checked_drives import altered, checked, rechained
 from tests.support.edited_recordings import Contents, edit, recorded, write_contents
 
 COMMANDS = "/cmd_vel"
@@ -184,3 +186,24 @@ def test_the_zeros_of_a_stall_are_explained(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("zeros", "withheld"), [(2, 1), (3, 0), (4, 1)])
 def test_zeros_that_no_stall_counts_are_found(tmp_path: Path, zeros: int, withheld: int) -> None:
     assert stalled(tmp_path, zeros, withheld).verdict is not Verdict.SAME
+
+
+def counting_one_more(written: list[Written], snapshot: int) -> list[Written]:
+    """Return the recording with one more command counted by a snapshot, and that zero before it."""
+    at = [n for n, each in enumerate(written) if isinstance(each, JournalEntry)]
+    at = [n for n in at if written[n].kind is EntryKind.SNAPSHOT]  # type: ignore[union-attr]
+    entry = written[at[snapshot]]
+    assert isinstance(entry, JournalEntry)
+    data = re.sub(r'"commands":(\d+)', lambda found: f'"commands":{int(found[1]) + 1}', entry.data)
+    return rechained(
+        [*written[: at[snapshot]], Twist(), entry._replace(data=data), *written[at[snapshot] + 1 :]]
+    )
+
+
+def test_the_last_zero_of_a_daemon_that_failed_is_explained_by_the_last_snapshot_alone(
+    tmp_path: Path,
+) -> None:
+    written = drive(3.0, snapshots_s=(0.0, 2.0))
+    ended = checked(tmp_path / "ended", counting_one_more(written, -1))
+    assert (ended.verdict, ended.missing) == (Verdict.SAME, [])
+    assert checked(tmp_path / "amid", counting_one_more(written, 1)).verdict is not Verdict.SAME

@@ -36,3 +36,21 @@ def test_the_status_of_before_the_journal_may_show_another_battery_level(
 
     report = check_recording(write_contents(tmp_path / "run", edit(heard, STATUS, another)))
     assert report.verdict is verdict, report
+
+
+@pytest.mark.parametrize("set_s", [-3600, -1, 1, 3600])
+def test_a_wall_clock_that_is_set_is_held_against_no_status(
+    tmp_path: Path, heard: Contents, set_s: int
+) -> None:
+    middle_ns = heard.messages[len(heard.messages) // 2].log_ns
+    edited = heard.copy()
+    edited.messages = [
+        replace(
+            each,
+            log_ns=each.log_ns + set_s * 10**9 * (each.log_ns >= middle_ns),
+            publish_ns=each.publish_ns + set_s * 10**9 * (each.log_ns >= middle_ns),
+        )
+        for each in heard.messages
+    ]
+    report = check_recording(write_contents(tmp_path / "run", edited))
+    assert (report.verdict, report.missing) == (Verdict.SAME, [])
