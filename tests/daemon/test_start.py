@@ -13,7 +13,6 @@ import pytest
 from tests.support.waiting import DEADLINE_S, until
 from tests.support.world import ROBOTCTL, Peer, World
 
-
 SLOW = pytest.mark.slow  # a daemon each; how descriptors are counted: tests/test_processes.py
 
 
