@@ -167,9 +167,8 @@ def main() -> None:
     for name, (pattern, course) in PATHS.items():
         for loop, how in (("closed", course), ("open", replace(course, open_loop=True))):
             laps[f"{name} {loop}"] = [drive(pattern, how, seed) for seed in range(given.seeds)]
-    print(
-        f"{'worst of the seeds [m]':24} {'RMS':>7} {'max':>7}  {'true':>6} {'max':>7}  {'lap [s]':>7}"
-    )
+    head = f"{'RMS':>7} {'max':>7}  {'true':>6} {'max':>7}  {'lap [s]':>7}"
+    print(f"{'worst of the seeds [m]':24} {head}")
     for name, each in laps.items():
         worst = [max(getattr(lap, field) for lap in each) for field in _FIGURES]
         ended = "" if all(lap.completed for lap in each) else "  stopped: too far from its path"
