@@ -61,6 +61,7 @@ from robotctl.paths import latch_path
 from robotctl.ros.executor import Ticker
 from robotctl.ros.messages.command_type import CommandType
 from robotctl.ros.messages.qos import ODOMETRY
+from robotctl.ros.nodes.command_lock import CommandLock
 from robotctl.ros.nodes.drive_action import DriveAction
 from robotctl.ros.nodes.journal_publisher import JournalPublisher
 from robotctl.ros.nodes.mode_service import CALLS, STATUS, ModeService
@@ -156,9 +157,10 @@ class Driver:
             self._inputs.odometry_source,
             ODOMETRY[params.odometry.qos],
         )
-        create_input_roles(session, params, robot, self._inputs)
+        create_input_roles(session, params, robot, self._inputs, command)
         self._modes = ModeService(session, robot, self._inputs.service_call, self._say)
-        self._shown = ShownStatus(self._modes, self._control, self._robot_report)
+        lock = CommandLock(self._modes.node, params.command.lock_topic)
+        self._shown = ShownStatus(self._modes, self._control, self._robot_report, lock)
         self._last_zero = LastZero(self._velocity, self._modes, self.recorder.received)
         follow_lifecycle(self._modes.node, self._inputs, autostart=host.config.autostart)
         self._simulated: SimulatedRobot | None = None
@@ -284,18 +286,10 @@ class Driver:
 
     async def _begin_drive(self) -> str:
         pattern = self._driving.pattern(self._host.options.drive)
-        request_id = self._control.new_request_id()
-        reply = await self._control.request(
-            DriveRequested(
-                time.monotonic_ns(),
-                request_id,
-                pattern,
-                default_laps(pattern.kind, wait=False),
-                False,
-                "robotctl start --drive",
-            )
-        )
-        return self._say(reply)
+        laps = default_laps(pattern.kind, wait=False)
+        now, request_id = time.monotonic_ns(), self._control.new_request_id()
+        event = DriveRequested(now, request_id, pattern, laps, False, "robotctl start --drive")
+        return self._say(await self._control.request(event))
 
     def _say(self, reply: Reply) -> str:
         return advice(reply.message, reply.remedies, self._host.options.robot).sentence

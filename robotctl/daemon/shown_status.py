@@ -9,21 +9,26 @@ from robotctl.daemon.control.dispatcher import Control
 from robotctl.daemon.control.robot_report import RobotReport
 from robotctl.kernel.battery import is_level
 from robotctl.kernel.modes import Mode
+from robotctl.ros.nodes.command_lock import CommandLock
 from robotctl.ros.nodes.mode_service import ModeService, Shown
 
 SHOW_PERIOD_S = 1.0
 
 
 class ShownStatus:
-    """Publishes the mode, the battery level and whether odometry is fresh."""
+    """Publishes the mode, the battery level, whether odometry is fresh, and the lock for others."""
 
-    def __init__(self, modes: ModeService, control: Control, report: RobotReport) -> None:
+    def __init__(
+        self, modes: ModeService, control: Control, report: RobotReport, lock: CommandLock
+    ) -> None:
+        self._lock = lock
         self._modes = modes
         self._control = control
         self._report = report
 
     def show(self, mode: Mode) -> None:
         """Publish now."""
+        self._lock.show(mode)
         level = self._control.state.health.battery_level
         self._modes.publish(
             Shown(mode, level if is_level(level) else nan, self._report.is_connected())

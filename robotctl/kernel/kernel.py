@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import inf
 from typing import assert_never
 
-from robotctl.kernel.battery import counts_in_percent, level_of
-from robotctl.kernel.health import Health, Scan, Stalls
+from robotctl.kernel.guard import Guarded
+from robotctl.kernel.health import Health
+from robotctl.kernel.knowledge import Knowledge
 from robotctl.kernel.lease import LeaseLost, LeaseRequested
 from robotctl.kernel.lifecycle import LifecycleChanged
 from robotctl.kernel.limits import limit, within
 from robotctl.kernel.modes import Mode, Trigger
-from robotctl.kernel.obstacles import distance_ahead, farthest_m
+from robotctl.kernel.obstacles import farthest_m
 from robotctl.kernel.odometry import (
     dropped,
     is_finite,
@@ -22,15 +22,13 @@ from robotctl.kernel.odometry import (
     source_found,
 )
 from robotctl.kernel.parameter_change import ParameterRequested
-from robotctl.kernel.parameter_control import ParameterControl
 from robotctl.kernel.params import WhenIdle
-from robotctl.kernel.safety import RULE_OF, Finding, raised
+from robotctl.kernel.safety import raised
 from robotctl.kernel.safety_inputs import Reading, with_reading
 from robotctl.kernel.state import State
 from robotctl.kernel.types import (
     ZERO,
     BatteryReceived,
-    Cause,
     CommandListenersSeen,
     CommandPublishersSeen,
     DriveRequested,
@@ -39,6 +37,7 @@ from robotctl.kernel.types import (
     FaultCleared,
     FaultReported,
     ForeignCommandHeard,
+    GuardedCommandReceived,
     LoopStalled,
     ModeRequested,
     OdometrySourceFound,
@@ -56,7 +55,7 @@ SILENT_AFTER_NS = NS_PER_S
 """So long zeros are sent in IDLE before silence, where that is configured."""
 
 
-class Kernel(ParameterControl):
+class Kernel(Knowledge):
     """The kernel: it decides mode and command, and each step replaces `state` as a whole."""
 
     def step(self, event: Event) -> tuple[Effect, ...]:
@@ -111,6 +110,10 @@ class Kernel(ParameterControl):
                 self._request_lease(event)
             case LeaseLost():
                 self._lose_lease(event)
+            case GuardedCommandReceived():
+                if self.state.guarded is not None:
+                    guarded = Guarded(event.twist, event.t_ns)
+                    self.state = replace(self.state, guarded=guarded)
             case LoopStalled():
                 self._stalled(event)
             case FaultReported():
@@ -185,53 +188,9 @@ class Kernel(ParameterControl):
             idle_t_ns=state.idle_t_ns,
             silent=state.silent,
             lease=state.lease,
+            guarded=state.guarded,
         )
         self._raise_fault(event.t_ns)
-
-    def _robot_joined(self, how: str) -> None:
-        """Leave a MOVING without a robot: the robot that joins must stand."""
-        if self.state.mode is Mode.MOVING and self.state.drive is None:
-            self._stand(Trigger.STANDSTILL, f"a robot joined ({how}): ask again to move it", None)
-
-    def _battery(self, event: BatteryReceived) -> None:
-        before, scale = self.state.health.battery_in_percent, self.params.battery.scale
-        in_percent = counts_in_percent(event.level, before, scale)
-        self._learn(
-            event.t_ns,
-            battery_level=level_of(event.level, in_percent),
-            battery_t_ns=event.t_ns,
-            battery_in_percent=in_percent,
-        )
-
-    def _looked_ahead(self, t_ns: int, sectors: tuple[float, ...]) -> Scan:
-        """Return a scan with the distance to what is in the path of the present command."""
-        ahead_m = distance_ahead(sectors, self.state.command, self.params.scan, self._reach_m())
-        return Scan(t_ns, sectors, min(sectors, default=inf), ahead_m)
-
-    def _reach_m(self) -> float:
-        """Return how far ahead of the robot nothing may be: stop and braking distance."""
-        speed_mps, params = self.state.command.linear, self.params
-        braking_m = speed_mps * speed_mps / (2.0 * params.limits.linear_accel_mps2)
-        return params.scan.stop_distance_m + braking_m
-
-    def _stalled(self, event: LoopStalled) -> None:
-        """Continue from the zeros of the watchdog; raise a fault if the stall was too long."""
-        state, limit_s = self.state, self.params.max_tick_gap_s
-        stalls = Stalls(state.health.stalls.count + 1, event.t_ns, event.stalled_s, event.detail)
-        drive = None if state.drive is None else state.drive.from_standstill()
-        health = replace(state.health, stalls=stalls)
-        self.state = replace(state, command=ZERO, tick_t_ns=event.t_ns, health=health, drive=drive)
-        if state.mode is Mode.MOVING and not event.stalled_s <= limit_s:
-            detail = f"the control loop stalled for {event.stalled_s:.2f} s ({event.detail})"
-            self._stop_for(Finding(RULE_OF[Cause.LOOP_STALLED], detail))
-
-    def _learn(self, t_ns: int, **changes: object) -> None:
-        self._notice_gap(t_ns)
-        self.state = replace(self.state, health=replace(self.state.health, **changes))  # type: ignore[arg-type]
-        self._raise_fault(t_ns)
-
-    def _reported_without(self, cause: Cause) -> tuple[tuple[Cause, str], ...]:
-        return tuple(entry for entry in self.state.health.reported if entry[0] is not cause)
 
     # The tick
 
@@ -278,6 +237,10 @@ class Kernel(ParameterControl):
             else:
                 target = drive.command(odometry.pose, params.tracking, params.limits)
         command = limit(state.command, target, dt_s, params.limits)
+        guarded = state.guarded
+        if guarded is not None and phase is Phase.DRIVING:
+            wanted = guarded.wanted(t_ns, params.guard_timeout_s)
+            command = ZERO if wanted is None else limit(state.command, wanted, dt_s, params.limits)
         self.state = State(
             mode=state.mode,
             phase=phase,
@@ -290,6 +253,7 @@ class Kernel(ParameterControl):
             stop_reason=stop_reason,
             waiting=state.waiting,
             lease=state.lease,
+            guarded=guarded,
         )
         if phase is Phase.STOPPING and command == ZERO:
             self._stand(Trigger.STANDSTILL, stop_reason, None)

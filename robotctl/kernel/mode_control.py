@@ -86,6 +86,7 @@ class ModeControl:
             waiting=(),
             idle_t_ns=None,
             silent=False,
+            guarded=None,
         )
         self._effects.append(ModeChanged(previous, target, reason, cause))
         self._end_drive(reason, cause, completed=completed and target is Mode.IDLE)

@@ -93,6 +93,9 @@ def conflict(params: KernelParams) -> Conflict | None:
             topics[f"inputs.{kind.value}.topic"] = wanted.topic
     if params.scan.use is not Use.OFF:
         topics["scan.topic"] = params.scan.topic
+    if params.guard:
+        topics["guard_topic"] = params.guard_topic
+    topics["command.lock_topic"] = params.command.lock_topic
     for key, name in topics.items():
         other = taken.setdefault(name.removeprefix("/"), key)
         if name and other != key:

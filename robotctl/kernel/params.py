@@ -111,6 +111,13 @@ class CommandParams:
     frame_id: str = frame("base_link", "frame of a TwistStamped")
     qos: CommandQos = setting(CommandQos.RELIABLE, "QoS that the command offers", Change.START)
     when_idle: WhenIdle = setting(WhenIdle.ZEROS, "what is sent in IDLE", Change.START)
+    lock_topic: str = setting(
+        "",
+        "std_msgs/Bool, true in ERROR and EMERGENCY_STOP",
+        Change.START,
+        topic=True,
+        optional=True,
+    )
     foreign: Foreign = setting(Foreign.ERROR, "what commands of others lead to", Change.START)
 
 
@@ -156,6 +163,8 @@ class BatteryParams:
 class KernelParams:
     """All parameters of `Kernel.step`.
 
+    With `guard`, a request for MOVING lets another node steer through `guard_topic`.
+
     `standalone` switches off the start conditions that need a robot while there is none at all:
     no odometry, and nobody takes the command. The robot that joins later switches them on.
     """
@@ -173,4 +182,9 @@ class KernelParams:
     fence: FenceParams = field(default_factory=FenceParams)
     scan: ScanParams = field(default_factory=ScanParams)
     inputs: SafetyInputParams = field(default_factory=SafetyInputParams)
+    guard: bool = setting(False, "MOVING limits the velocities that others want", Change.START)
+    guard_topic: str = topic("cmd_vel_nav", "topic of the velocities that others want")
+    guard_timeout_s: float = bounded(
+        0.25, 0.02, 2.0, "s", "silence of it after which the command is zero", Change.START
+    )
     standalone: bool = setting(False, "MOVING is granted without any robot", Change.START)

@@ -7,6 +7,7 @@ from dataclasses import replace
 from robotctl.kernel.checks import stands_alone
 from robotctl.kernel.course import PLAIN, Course, Frame
 from robotctl.kernel.drive import MAX_LAPS, Drive, origin_of
+from robotctl.kernel.guard import Guarded
 from robotctl.kernel.lease_control import LeaseControl
 from robotctl.kernel.modes import REQUESTS, TRANSITIONS, Guard, Mode, Trigger
 from robotctl.kernel.patterns import SHAPES, Pattern
@@ -64,6 +65,8 @@ class RequestControl(LeaseControl):
                 self._release(t_ns, request_id, trigger, reason)
             case Guard.RAMP_DOWN:
                 self._ramp_down(request_id, reason)
+            case Guard.START_CONDITIONS if self.params.guard:
+                self._start_guarded(t_ns, request_id, reason)
             case Guard.START_CONDITIONS:
                 pattern = self.params.pattern
                 laps = 0 if SHAPES[pattern.kind].closed else 1
@@ -138,9 +141,18 @@ class RequestControl(LeaseControl):
             drive = drive.begin_at(
                 speed_mps, self.params.limits, 1.0 / self.params.rate_hz, self._rise_ticks()
             )
+        self._set_moving(reason, drive, None)
+        if previous is not Mode.MOVING:
+            self._effects.append(ModeChanged(previous, Mode.MOVING, reason))
+            self._accept(request_id, "Mode changed to MOVING")
+        else:
+            self._accept(request_id, "Drive replaced: mode is MOVING")
+
+    def _set_moving(self, reason: str, drive: Drive | None, guarded: Guarded | None) -> None:
+        """Begin a motion; the fence stands around the place of the first one."""
         health = self.state.health
-        if health.fence_origin is None:
-            health = replace(health, fence_origin=odometry.pose)
+        if health.fence_origin is None and health.odometry is not None:
+            health = replace(health, fence_origin=health.odometry.pose)
         self.state = replace(
             self.state,
             mode=Mode.MOVING,
@@ -150,12 +162,22 @@ class RequestControl(LeaseControl):
             idle_t_ns=None,
             silent=False,
             drive=drive,
+            guarded=guarded,
         )
-        if previous is not Mode.MOVING:
-            self._effects.append(ModeChanged(previous, Mode.MOVING, reason))
-            self._accept(request_id, "Mode changed to MOVING")
+
+    def _start_guarded(self, t_ns: int, request_id: int, reason: str) -> None:
+        """Change to MOVING with the velocities that another node wants."""
+        self._notice_gap(t_ns)
+        finding = failed_start_condition(self.state.health, self.params, t_ns)
+        if finding is not None:
+            self._refuse(request_id, finding.detail, finding.remedies)
+        elif self.state.health.odometry is None:
+            self._start_alone(request_id, reason)
         else:
-            self._accept(request_id, "Drive replaced: mode is MOVING")
+            reason = f"{reason}, guarding {self.params.guard_topic}"
+            self._set_moving(reason, None, Guarded())
+            self._effects.append(ModeChanged(Mode.IDLE, Mode.MOVING, reason))
+            self._accept(request_id, f"Mode changed to MOVING: guarding {self.params.guard_topic}")
 
     def _start_alone(self, request_id: int, reason: str) -> None:
         """Change to MOVING without a robot: nothing but zeros is commanded."""

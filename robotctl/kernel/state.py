@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from robotctl.kernel.drive import Drive
+from robotctl.kernel.guard import Guarded
 from robotctl.kernel.health import UNKNOWN, Health
 from robotctl.kernel.lease import Lease
 from robotctl.kernel.modes import Mode
@@ -22,6 +23,7 @@ class State:
     that are answered at the end of the ramp. `tick_t_ns` is the time of the last tick, and
     `idle_t_ns` that of the first tick since the mode is IDLE. While `silent`, no command is sent.
     `lease` names who alone may start motion, None if everybody may.
+    `guarded` holds the motion that another node steers.
     """
 
     mode: Mode = Mode.IDLE
@@ -37,6 +39,7 @@ class State:
     idle_t_ns: int | None = None
     silent: bool = False
     lease: Lease | None = None
+    guarded: Guarded | None = None
 
 
 def latched(reason: str, cause: Cause = Cause.OPERATOR_STOP) -> State:

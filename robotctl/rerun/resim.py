@@ -24,6 +24,7 @@ from robotctl.kernel.types import (
     DriveReport,
     DriveRequested,
     Event,
+    GuardedCommandReceived,
     ModeRequested,
     ResetRequested,
 )
@@ -52,6 +53,7 @@ _REPEATED = (
     ParameterRequested,
     LeaseRequested,
     LeaseLost,
+    GuardedCommandReceived,
 )
 _REQUESTS = frozenset(kind.__name__ for kind in _REPEATED)
 
@@ -144,7 +146,7 @@ def _take(run: Run, entry: JournalEntry) -> None:
         request = read_event(entry)
         assert isinstance(request, _REPEATED)
         if len(run.requests) <= MAX_REQUESTS:
-            if isinstance(request, LeaseLost):  # no id, and those of requests are positive
+            if isinstance(request, LeaseLost | GuardedCommandReceived):  # without an id
                 run.requests[-1 - len(run.requests)] = request
             else:
                 run.requests[request.request_id] = request

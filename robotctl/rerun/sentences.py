@@ -19,6 +19,7 @@ from robotctl.kernel.types import (
     FaultCleared,
     FaultReported,
     ForeignCommandHeard,
+    GuardedCommandReceived,
     LoopStalled,
     ModeRequested,
     OdometrySourceFound,
@@ -54,6 +55,9 @@ def sentence_of(event: Event) -> str:
             return (
                 f"a request to change {event.key} from {event.old} to {event.new} by {event.source}"
             )
+        case GuardedCommandReceived():
+            twist = event.twist
+            return f"a wanted velocity of {twist.linear:.2f} m/s, {twist.angular:.2f} rad/s"
         case LeaseRequested():
             return f"a request to {'take' if event.take else 'release'} the lease by {event.source}"
         case LeaseLost():

@@ -203,7 +203,7 @@ def test_what_an_older_version_did_not_write_is_unknown_or_nothing() -> None:
         '"command_topic":{"foreign_t_ns":null,"foreign_by":"","listeners":null,"other_types":[],'
         '"type_name":"geometry_msgs/msg/Twist"},'
         '"stalls":{"count":0,"last_t_ns":0,"last_s":0.0,"detail":""},"battery_in_percent":false,"inputs":[],"fence_origin":null,"scan":null,"lifecycle":"active"},'
-        '"drive":null,"stop_reason":"","waiting":[],"idle_t_ns":null,"silent":false,"lease":null}'
+        '"drive":null,"stop_reason":"","waiting":[],"idle_t_ns":null,"silent":false,"lease":null,"guarded":null}'
     )
     drive = '{"request_id":1,"pattern":{},"laps":0,"origin":{}}'
     assert to_json(from_json(Drive, drive)) == (

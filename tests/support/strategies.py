@@ -25,6 +25,7 @@ from robotctl.kernel.types import (
     FaultCleared,
     FaultReported,
     ForeignCommandHeard,
+    GuardedCommandReceived,
     LoopStalled,
     ModeRequested,
     Odometry,
@@ -108,6 +109,7 @@ def event(
         ),
         st.builds(LeaseRequested, t_ns, request_id, st.booleans(), CLIENT, SOURCE),
         st.builds(LeaseLost, t_ns, CLIENT),
+        st.builds(GuardedCommandReceived, t_ns, TWIST),
         st.builds(
             ParameterRequested, t_ns, request_id, PARAMETER, PARAMETER_TEXT, PARAMETER_TEXT, SOURCE
         ),

@@ -14,6 +14,7 @@ from robotctl.kernel.types import (
     BatteryReceived,
     Cause,
     FaultReported,
+    GuardedCommandReceived,
     ModeRequested,
     Odometry,
     OdometrySourceFound,
@@ -21,6 +22,7 @@ from robotctl.kernel.types import (
     Reply,
     SafetyInputReceived,
     ScanReceived,
+    Twist,
 )
 
 
@@ -53,6 +55,11 @@ class Inputs:
     def scan(self, sectors: tuple[float, ...]) -> None:
         """Handle a laser scan: the nearest ranges by direction, () if it is unreadable."""
         self._control.dispatch(ScanReceived(time.monotonic_ns(), sectors))
+
+    def guarded_command(self, twist: Twist) -> None:
+        """Handle a velocity that another node wants; it counts while the robot is guarded."""
+        if self._control.state.guarded is not None:
+            self._control.dispatch(GuardedCommandReceived(time.monotonic_ns(), twist))
 
     def lifecycle(self, state: LifecycleState, source: str) -> None:
         """Handle a transition of the node that gates motion; one that is not active ramps down."""

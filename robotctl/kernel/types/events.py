@@ -13,7 +13,7 @@ from robotctl.kernel.lifecycle import LifecycleChanged
 from robotctl.kernel.parameter_change import ParameterRequested
 from robotctl.kernel.patterns import Pattern
 from robotctl.kernel.safety_inputs import SafetyInput
-from robotctl.kernel.types.values import TWIST, Cause, Odometry
+from robotctl.kernel.types.values import TWIST, Cause, Odometry, Twist
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,6 +165,14 @@ class CommandListenersSeen:
 
 
 @dataclass(frozen=True, slots=True)
+class GuardedCommandReceived:
+    """Another node wants this velocity while the robot is guarded; it may be anything, also NaN."""
+
+    t_ns: int
+    twist: Twist
+
+
+@dataclass(frozen=True, slots=True)
 class LoopStalled:
     """The control loop stalled for `stalled_s` seconds, and the watchdog sent zeros meanwhile.
 
@@ -209,6 +217,7 @@ Event = (
     | ParameterRequested
     | LeaseRequested
     | LeaseLost
+    | GuardedCommandReceived
     | OdometrySourceFound
     | CommandPublishersSeen
     | ForeignCommandHeard

@@ -1,0 +1,65 @@
+"""The part of the kernel that takes what it learns into its state."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import inf
+
+from robotctl.kernel.battery import counts_in_percent, level_of
+from robotctl.kernel.health import Scan, Stalls
+from robotctl.kernel.modes import Mode, Trigger
+from robotctl.kernel.obstacles import distance_ahead
+from robotctl.kernel.parameter_control import ParameterControl
+from robotctl.kernel.safety import RULE_OF, Finding
+from robotctl.kernel.types import ZERO, BatteryReceived, Cause, LoopStalled
+
+
+class Knowledge(ParameterControl):
+    """What was learned about robot, battery, scan and loop; a fault among it is raised at once."""
+
+    def _robot_joined(self, how: str) -> None:
+        """Leave a MOVING without a robot: the robot that joins must stand."""
+        state = self.state
+        is_alone = state.drive is None and state.guarded is None
+        if state.mode is Mode.MOVING and is_alone:
+            self._stand(Trigger.STANDSTILL, f"a robot joined ({how}): ask again to move it", None)
+
+    def _battery(self, event: BatteryReceived) -> None:
+        before, scale = self.state.health.battery_in_percent, self.params.battery.scale
+        in_percent = counts_in_percent(event.level, before, scale)
+        self._learn(
+            event.t_ns,
+            battery_level=level_of(event.level, in_percent),
+            battery_t_ns=event.t_ns,
+            battery_in_percent=in_percent,
+        )
+
+    def _looked_ahead(self, t_ns: int, sectors: tuple[float, ...]) -> Scan:
+        """Return a scan with the distance to what is in the path of the present command."""
+        ahead_m = distance_ahead(sectors, self.state.command, self.params.scan, self._reach_m())
+        return Scan(t_ns, sectors, min(sectors, default=inf), ahead_m)
+
+    def _reach_m(self) -> float:
+        """Return how far ahead of the robot nothing may be: stop and braking distance."""
+        speed_mps, params = self.state.command.linear, self.params
+        braking_m = speed_mps * speed_mps / (2.0 * params.limits.linear_accel_mps2)
+        return params.scan.stop_distance_m + braking_m
+
+    def _stalled(self, event: LoopStalled) -> None:
+        """Continue from the zeros of the watchdog; raise a fault if the stall was too long."""
+        state, limit_s = self.state, self.params.max_tick_gap_s
+        stalls = Stalls(state.health.stalls.count + 1, event.t_ns, event.stalled_s, event.detail)
+        drive = None if state.drive is None else state.drive.from_standstill()
+        health = replace(state.health, stalls=stalls)
+        self.state = replace(state, command=ZERO, tick_t_ns=event.t_ns, health=health, drive=drive)
+        if state.mode is Mode.MOVING and not event.stalled_s <= limit_s:
+            detail = f"the control loop stalled for {event.stalled_s:.2f} s ({event.detail})"
+            self._stop_for(Finding(RULE_OF[Cause.LOOP_STALLED], detail))
+
+    def _learn(self, t_ns: int, **changes: object) -> None:
+        self._notice_gap(t_ns)
+        self.state = replace(self.state, health=replace(self.state.health, **changes))  # type: ignore[arg-type]
+        self._raise_fault(t_ns)
+
+    def _reported_without(self, cause: Cause) -> tuple[tuple[Cause, str], ...]:
+        return tuple(entry for entry in self.state.health.reported if entry[0] is not cause)
