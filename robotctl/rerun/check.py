@@ -30,7 +30,7 @@ from robotctl.rerun.journal_values import read_effect, read_event, read_snapshot
 from robotctl.rerun.piece_pool import PiecePool, pool_for
 from robotctl.rerun.reading_position import ReadingPosition
 from robotctl.rerun.recorded_parameters import differing_parameters
-from robotctl.rerun.recording_ends import RecordingEnds
+from robotctl.rerun.recording_ends import RecordingEnds, is_beginning
 from robotctl.rerun.rerun import Divergence, Rerun
 from robotctl.rerun.service_check import ServiceChecks
 from robotctl.rerun.status_check import StatusCheck
@@ -164,7 +164,7 @@ class _Check:
                 report.bitwise = comparison.is_exact
                 report.notes += comparison.notes()
                 self._rerun = Rerun(comparison)
-                self._compare_parameters(entry)
+                self._compare_beginning(entry)
             snapshot, divergence = self._rerun.snapshot(entry)
         except UnreadableFile as error:
             self._interrupt_at(error)
@@ -189,10 +189,13 @@ class _Check:
                 f"its state {field}"
             )
 
-    def _compare_parameters(self, entry: JournalEntry) -> None:
-        """Compare the parameters of the first snapshot with those in the metadata."""
+    def _compare_beginning(self, entry: JournalEntry) -> None:
+        """Compare the first snapshot with what a kernel begins with."""
         if entry.seq == 0 and self._report.same_version and self._ends.is_own:
-            for sentence in differing_parameters(self._info, read_snapshot(entry).params):
+            snapshot = read_snapshot(entry)
+            if not is_beginning(snapshot):
+                self._report.miss("its journal begins later than its kernel: the first are missing")
+            for sentence in differing_parameters(self._info, snapshot.params):
                 self._report.miss(sentence)
 
     def _check_chain(self, entry: JournalEntry, proof: Proof | None) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from robotctl.kernel.snapshot import Proof
+from robotctl.kernel.snapshot import Proof, Snapshot
 from robotctl.recording import Recording, RecordingInfo
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.format.ledger_record import read_ledger
@@ -82,3 +82,11 @@ class RecordingEnds:
             has_begin=self._first_seq == 0,
             is_filtered=is_filtered(self._info),
         )
+
+
+def is_beginning(snapshot: Snapshot) -> bool:
+    """Return whether a kernel has done nothing before this snapshot."""
+    state, proof = snapshot.state, snapshot.proof
+    has_heard = state.health.odometry is not None or state.health.battery_level is not None
+    has_run = state.tick_t_ns is not None or state.drive is not None or has_heard
+    return not has_run and (proof is None or proof == Proof(commands=0, journal_crc=0))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from random import Random
 
@@ -118,6 +118,21 @@ def first_snapshot_dropped(
     return [None, *entries[1:]]
 
 
+def first_part_dropped(entries: list[JournalEntry], random: Random) -> list[JournalEntry | None]:
+    snapshots = [at for at, each in enumerate(entries) if each.kind is EntryKind.SNAPSHOT]
+    first = random.choice(snapshots[1:])
+    return [*[None] * first, *entries[first:]]
+
+
+def rare_dropped(entries: list[JournalEntry], random: Random) -> Sequence[JournalEntry | None]:
+    rare = {
+        each.name
+        for each in entries
+        if each.kind is EntryKind.EVENT and each.name not in ("Tick", "OdomReceived")
+    }
+    return without(random.choice(sorted(rare)))(entries, random)
+
+
 def last_dropped(entries: list[JournalEntry], random: Random) -> list[JournalEntry | None]:
     count = random.choice((1, 2, 5, 40))
     return [*entries[:-count], *[None] * count]
@@ -227,6 +242,11 @@ FOUND: Mapping[str, Kind] = {
     "journal: the first snapshot dropped, chained anew": journal(
         first_snapshot_dropped, careful=True
     ),
+    "journal: all before a later snapshot dropped, chained anew": journal(
+        first_part_dropped, careful=True
+    ),
+    "journal: an event of rare kind dropped": journal(rare_dropped),
+    "journal: an event of rare kind dropped, chained anew": journal(rare_dropped, careful=True),
     "journal: a tick dropped": journal(without("Tick")),
     "journal: odometry dropped": journal(without("OdomReceived")),
     "journal: a battery level dropped": journal(without("BatteryReceived")),
