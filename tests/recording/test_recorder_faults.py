@@ -414,7 +414,7 @@ def test_after_a_power_cut_all_that_was_synced_is_readable(
     buffer.make_indexes(1)
     crashed = tmp_path / "crashed.mcap"
     number = synced = 0
-    for _ in range(100):
+    for _ in range(60):
         count = dice.choice([1, 5, 30])
         pack(buffer, range(number + 1, number + count + 1))
         number += count
@@ -424,7 +424,7 @@ def test_after_a_power_cut_all_that_was_synced_is_readable(
         if dice.random() < 0.25:
             writer.sync()
             synced = number
-        for _ in range(10):
+        for _ in range(17):
             crashed.write_bytes(disks[0].after_power_cut(dice))
             missing: list[str] = []
             found = [m.data for m in read_messages(crashed, on_missing=missing.append)]

@@ -35,7 +35,7 @@ from robotctl.testing.faults import PAGE, FailingFile
 from tests.support.recordings import numbered, read_strictly
 from tests.support.sealed import keyring
 
-COMMITS = 12
+COMMITS = 8
 LARGE = 40_000
 
 
