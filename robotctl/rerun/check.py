@@ -13,7 +13,12 @@ from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording, RecordingInfo
 from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.recording.format.metadata_names import INFO_RECORD, OWN_LIBRARY
-from robotctl.recording.read.journal_reader import EntryDecoder, journal_topic, own_journal_topic
+from robotctl.recording.read.journal_reader import (
+    EntryDecoder,
+    journal_topic,
+    journal_topics,
+    own_journal_topic,
+)
 from robotctl.recording.read.source import Source
 from robotctl.rerun.bytes_check import check_bytes
 from robotctl.rerun.check_report import Report
@@ -24,17 +29,17 @@ from robotctl.rerun.comparison import Comparison
 from robotctl.rerun.input_check import input_checks
 from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.journal_chain import JournalChain
-from robotctl.rerun.journal_format import other_field
+from robotctl.rerun.journal_format import JournalFormat
 from robotctl.rerun.journal_steps import Gap, Step, steps
 from robotctl.rerun.journal_values import read_effect, read_event, read_snapshot
 from robotctl.rerun.piece_pool import PiecePool, pool_for
 from robotctl.rerun.reading_position import ReadingPosition
 from robotctl.rerun.recorded_parameters import differing_parameters
 from robotctl.rerun.recording_ends import RecordingEnds, is_beginning
+from robotctl.rerun.recording_groups import FileGroup, file_groups
 from robotctl.rerun.rerun import Divergence, Rerun
 from robotctl.rerun.service_check import ServiceChecks
 from robotctl.rerun.status_check import StatusCheck
-from robotctl.rerun.vocabulary import Vocabulary
 
 Progress = Callable[[int, int], None]
 """Called with the bytes that are done and the bytes in total."""
@@ -57,13 +62,26 @@ def check_recording(
     """
     report = Report(path)
     began = time.perf_counter()
+    others: list[FileGroup] = []
     try:
-        with Recording(path, source=source) as recording:
+        files: list[Path] = []
+        if source is None:
+            (_, files), *others = file_groups(path)
+        if source or others:
+            processes = 0
+        with Recording(path, source=source, files=files if others else ()) as recording:
             check = _Check(recording, report, on_progress)
-            with pool_for(recording, report.version, 0 if source else processes) as pool:
+            with pool_for(recording, report.version, processes) as pool:
                 check.run(pool)
     except UnreadableFile as error:
         report.miss(str(error))
+    for group in others:
+        for file in group.files:
+            found = check_recording(file)
+            report.miss(
+                f"{file.name} is of another recording, of robot {found.robot or '(unknown)'}: "
+                f"checked on its own, it is {found.verdict}"
+            )
     if source is None:
         check_bytes(path, report, all_bytes=all_bytes)
     else:
@@ -84,7 +102,7 @@ class _Check:
         self._clock = ClockChanges()
         self._commands = CommandCheck(report, self._clock)
         self._chain = JournalChain()
-        self._vocabulary: Vocabulary | None = Vocabulary()
+        self._format = JournalFormat(report)
         self._rerun: Rerun | None = None
         self._before_snapshot = 0
         self._end_ns = 0
@@ -108,6 +126,8 @@ class _Check:
         topic = self._topic = journal_topic(info)
         if topic is None:
             raise UnreadableFile("it holds no journal of robotctl: there are no decisions to check")
+        for other in sorted(journal_topics(info) - {topic}):
+            report.notes.append(f"the journal {other} of another robot was not checked")
         is_own = topic == own_journal_topic(info)
         self._ends = RecordingEnds(self._recording, info, report, is_own=is_own)
         self._inputs = input_checks(report, info, topic)
@@ -155,8 +175,8 @@ class _Check:
         report = self._report
         try:
             if self._rerun is None:
-                self._compare_format(entry)
-            self._compare_vocabulary(entry)
+                self._format.begin(entry)
+            self._format.compare(entry)
             if self._rerun is None:
                 report.made_by = read_snapshot(entry).made_by
                 version = report.version if report.same_version else report.other_version
@@ -179,15 +199,6 @@ class _Check:
         self._inputs.snapshot(snapshot.proof is not None)
         self._services.snapshot(snapshot.proof is not None, self._log_ns[1])
         self._status.snapshot(snapshot, entry.t_ns, self._log_ns[1])
-
-    def _compare_format(self, entry: JournalEntry) -> None:
-        """Look for fields of another version in the first snapshot."""
-        if self._report.same_version and (field := other_field(entry)):
-            self._report.has_other_format = True
-            self._report.miss(
-                f"written by another version that calls itself {self._report.version}: "
-                f"its state {field}"
-            )
 
     def _compare_beginning(self, entry: JournalEntry) -> None:
         """Compare the first snapshot with what a kernel begins with."""
@@ -218,7 +229,7 @@ class _Check:
                         read_event(step.event), tuple(map(read_effect, step.effects)), (0, 0, 0)
                     )
                 return
-            self._compare_vocabulary(step.event, *step.effects)
+            self._format.compare(step.event, *step.effects)
             decided = self._rerun.step(step)
             effects = decided.effects
             if effects is None:
@@ -245,16 +256,6 @@ class _Check:
         report.divergence = divergence
         if not report.same_version:
             report.miss_other_rules(divergence.sentence())
-
-    def _compare_vocabulary(self, *entries: JournalEntry) -> None:
-        """Report the first field of another version that this version does not know."""
-        if self._vocabulary is None or self._report.same_version:
-            return
-        for entry in entries:
-            if field := self._vocabulary.unknown_field(entry):
-                self._report.miss_other_rules(f"entry {entry.seq}: {field!r} is not known")
-                self._vocabulary = None
-                return
 
     def _interrupt_at(self, error: UnreadableFile) -> None:
         """Report an entry that this version cannot read, and pause until the next snapshot."""

@@ -8,7 +8,44 @@ from typing import Any
 
 from robotctl.kernel.codec import to_json
 from robotctl.recording.format.journal import JournalEntry
+from robotctl.rerun.check_report import Report
 from robotctl.rerun.journal_values import read_snapshot
+from robotctl.rerun.vocabulary import Vocabulary
+
+
+class JournalFormat:
+    """The comparison of the fields of a journal with those of this version."""
+
+    def __init__(self, report: Report) -> None:
+        self._report = report
+        self._vocabulary: Vocabulary | None = Vocabulary()
+
+    def begin(self, entry: JournalEntry) -> None:
+        """Look for fields of another version in the first snapshot.
+
+        Raises:
+            UnreadableFile: The entry is not a snapshot of this version.
+        """
+        report = self._report
+        if report.same_version and (field := other_field(entry)):
+            report.has_other_format = True
+            report.miss(
+                f"written by another version that calls itself {report.version}: its state {field}"
+            )
+
+    def compare(self, *entries: JournalEntry) -> None:
+        """Report the first field of another version that this version does not know.
+
+        Raises:
+            UnreadableFile: An entry is not of this version.
+        """
+        if self._vocabulary is None or self._report.same_version:
+            return
+        for entry in entries:
+            if field := self._vocabulary.unknown_field(entry):
+                self._report.miss_other_rules(f"entry {entry.seq}: {field!r} is not known")
+                self._vocabulary = None
+                return
 
 
 def other_field(entry: JournalEntry) -> str:

@@ -69,11 +69,15 @@ def journal_topic(info: RecordingInfo) -> str | None:
 
     Journals of other robots in the same ROS domain may have been recorded as well.
     """
-    own = own_journal_topic(info)
-    found = {topic.name for topic in info.topics if topic.type_name == TYPE_NAME}
+    own, found = own_journal_topic(info), journal_topics(info)
     if own in found:
         return own
     return found.pop() if len(found) == 1 else None
+
+
+def journal_topics(info: RecordingInfo) -> set[str]:
+    """Return the topics with a journal, of any robot."""
+    return {topic.name for topic in info.topics if topic.type_name == TYPE_NAME}
 
 
 def own_journal_topic(info: RecordingInfo) -> str:

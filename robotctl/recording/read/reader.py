@@ -6,7 +6,7 @@ A file without a valid summary is scanned. Parts that cannot be read are always 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Self
 
@@ -72,10 +72,12 @@ class Recording:
         path: Path,
         on_progress: Callable[[int, int], None] = lambda done, total: None,
         source: Source | None = None,
+        files: Sequence[Path] = (),
     ) -> None:
         """Open `path`; `on_progress` gets bytes done and in total while files are scanned.
 
-        With `source`, one MCAP file is read from there, and `path` is only its name.
+        With `source`, one MCAP file is read from there, and `path` is only its name. Of a folder
+        only `files` are read, if given.
 
         Raises:
             UnreadableFile: Nothing can be read.
@@ -85,7 +87,7 @@ class Recording:
         self._files: list[OpenFile] = []
         self.missing: list[str] = []
         text = "" if source else metadata_text(path)
-        paths = [path] if source else recording_files(path)
+        paths = [path] if source else list(files) or recording_files(path)
         all_files = False
         if paths != [path]:
             absent = absent_files(text, paths)
