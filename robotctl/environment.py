@@ -19,7 +19,7 @@ RMW = "rmw_fastrtps_cpp"
 _PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 """The variables in which Fast DDS 2 and 3 look for a profiles file."""
 
-_RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 
 _NOTE = "_ROBOTCTL_ENVIRONMENT_NOTE"
 _WHEELS_GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
@@ -105,9 +105,9 @@ def _limit_discovery() -> None:
     warning in every process.
     """
     if os.environ.pop("ROS_LOCALHOST_ONLY", "") == "1":
-        os.environ[_RANGE] = "LOCALHOST"
+        os.environ[RANGE] = "LOCALHOST"
         os.environ.pop("ROS_STATIC_PEERS", None)
-    os.environ.setdefault(_RANGE, "LOCALHOST")
+    os.environ.setdefault(RANGE, "LOCALHOST")
 
 
 def _has_own_rclpy() -> bool:

@@ -11,6 +11,9 @@ import sys
 
 from robotctl.streams import open_standard_streams
 
+LOOKS = (["topic"], ["node"], ["service"])
+"""The groups of commands that look at ROS."""
+
 
 def main() -> None:
     """Run the command line of this process, and exit."""
@@ -36,9 +39,7 @@ def run(arguments: list[str]) -> int:
         if command is not None:
             command()
         else:
-            from robotctl.cli.registry import dispatch
-
-            dispatch(arguments or ["--help"])
+            _parse_and_run(arguments or ["--help"])
         sys.stdout.flush()
     except BrokenPipeError:  # the reader of our output has closed it
         from robotctl.cli.support.failure import drop_output
@@ -51,6 +52,22 @@ def run(arguments: list[str]) -> int:
 
         return report(error, as_json=as_json)
     return 0
+
+
+def _parse_and_run(arguments: list[str]) -> None:
+    """Run a command line through the option parser, with a process for a look at ROS."""
+    if arguments[:1] not in LOOKS:
+        from robotctl.cli.registry import dispatch
+
+        dispatch(arguments)
+        return
+    from robotctl.cli.support.look_process import look_processes
+
+    with look_processes(arguments):
+        from robotctl.cli.registry import dispatch
+
+        dispatch(arguments)
+        sys.stdout.flush()  # the answer is there before the process has left ROS
 
 
 def _wants_json(arguments: list[str]) -> bool:

@@ -44,6 +44,18 @@ def test_everybody_is_known_in_full_when_the_wait_ends(domain_id: int, others: N
         assert "others" in node.get_node_names()
 
 
+def test_who_is_alone_on_this_machine_has_nothing_to_wait_for(
+    domain_id: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with Membership(domain_id) as membership:
+        discovery = Discovery(membership.node, domain_id)
+        assert discovery.is_alone()
+        with Membership(domain_id):
+            assert not discovery.is_alone()
+        monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
+        assert not discovery.is_alone()
+
+
 def test_where_others_may_be_on_other_machines_all_the_time_is_taken(
     domain_id: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

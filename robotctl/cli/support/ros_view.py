@@ -11,24 +11,21 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
+from robotctl.cli.support.look_process import END_S, leave, look_process
 from robotctl.domains import requested_domain
+from robotctl.environment import RANGE
 from robotctl.errors import NoDaemon, RobotctlError, UsageError, error_for_exit_code
 from robotctl.ipc.answers import Graph, GraphNode, GraphTopic
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import GRAPH, GRAPH_NODE, GRAPH_TOPIC, STATUS
 from robotctl.ipc.protocol import MAX_GRAPH_NAME
 from robotctl.paths import namespace_of
-from robotctl.processes import Child, program, start
+from robotctl.processes import Child
 from robotctl.unknown_name import only_type, unknown_name
-
-LOOK = program("robotctl.ros.looks")
 
 ANSWER_S = 30.0
 """How long the process may take for an answer: it waits up to 3.5 s for discovery, and a busy
 machine starts it slowly."""
-
-END_S = 10.0
-"""How long it may take to leave the domain."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,13 +123,15 @@ class RosView:
         except (EOFError, TimeoutError):
             raise RobotctlError("the process that looks at ROS did not answer") from None
         finally:
-            child.close(END_S)
+            leave(child)
 
     def _start(self, look: str, **request: Any) -> Child:
         from json import dumps
 
-        child = start(LOOK, with_stdin=True)
-        line = dumps({"look": look, "domain_id": self.domain_id, **request})
+        child = look_process()
+        discovery = os.environ.get(RANGE)  # it may have been started before this was known
+        given = {"look": look, "domain_id": self.domain_id, "range": discovery, **request}
+        line = dumps(given)
         with suppress(BrokenPipeError):  # it has ended; the first receive notices
             child.send(f"{line}\n".encode())
         return child
@@ -195,7 +194,7 @@ def ros_view(robot: str, domain_id: int | None) -> RosView:
         except NoDaemon:
             pass
         else:
-            os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", status["discovery_range"])
+            os.environ.setdefault(RANGE, status["discovery_range"])
             return RosView(robot, status["namespace"], status["domain_id"], through_daemon=True)
     domain = requested_domain(domain_id) or 0
     return RosView(robot, namespace_of(robot), domain, through_daemon=False)

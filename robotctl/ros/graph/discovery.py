@@ -50,6 +50,13 @@ class Discovery:
                 return
             stopped.wait(_POLL_S)
 
+    def is_alone(self) -> bool:
+        """Return whether there is no other process in the domain: nothing is to be discovered.
+
+        False where processes may be on other machines.
+        """
+        return is_on_this_machine_only() and participants_here(self._domain_id) == 1
+
     def is_complete(self, quiet_s: float) -> bool:
         """Look at the graph; return whether all processes are discovered and quiet, as in `wait`.
 

@@ -79,7 +79,9 @@ class Visitor:
         while not is_known():
             if time.monotonic() > until_s:
                 return False
-            if not expected and self._discovery.is_complete(QUIET_S):
+            if not expected and (
+                self._discovery.is_alone() or self._discovery.is_complete(QUIET_S)
+            ):
                 return is_known()
             if readable_within(STDIN, _POLL_S):
                 raise asyncio.CancelledError

@@ -1,0 +1,81 @@
+"""The process that looks at ROS for a command: started early, and left to end on its own.
+
+It imports rclpy while the command's own process imports the option parser, and leaves the domain
+while the user reads the answer.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Final
+
+from robotctl.paths import DEFAULT_ROBOT, ROBOT_VARIABLE, socket_path
+from robotctl.processes import Child, program, start
+
+LOOK: Final = program("robotctl.ros.looks")
+
+END_S: Final = 10.0
+"""How long it may take to leave the domain."""
+
+_ALWAYS: Final = {
+    ("service", "call"): "call",
+    ("topic", "echo"): "listen",
+    ("topic", "hz"): "listen",
+}
+"""The commands that look through a process of their own even where a daemon runs: their looks."""
+
+_WITHOUT_DAEMON: Final = (
+    *(("topic", "list"), ("topic", "info"), ("service", "list")),
+    *(("node", "list"), ("node", "info")),
+)
+
+_OTHERWISE: Final = ("--file", "--help", "-h")
+"""Options with which these commands do not look at ROS."""
+
+_early: list[Child] = []
+"""The process that was started early, until it is used."""
+
+_leaving: list[Child] = []
+"""Processes that were asked to end."""
+
+
+@contextmanager
+def look_processes(arguments: Sequence[str]) -> Iterator[None]:
+    """Start the process if the command line seems to need it; at the end, wait for all to leave."""
+    command = tuple(arguments[:2])
+    needed = command in _ALWAYS or (command in _WITHOUT_DAEMON and not _may_have_daemon(arguments))
+    if needed and not any(word.partition("=")[0] in _OTHERWISE for word in arguments):
+        kind = [_ALWAYS[command]] if command in _ALWAYS else []
+        _early.append(start([*LOOK, *kind], with_stdin=True))
+    try:
+        yield
+    finally:
+        while _early:  # it was not asked for anything, and has joined no domain
+            _early[-1].kill()
+            _early.pop().close(END_S)
+        while _leaving:
+            _leaving.pop().close(END_S)
+
+
+def look_process() -> Child:
+    """Return a process that has not been asked for anything yet; the caller closes it."""
+    return _early.pop() if _early else start(LOOK, with_stdin=True)
+
+
+def leave(child: Child) -> None:
+    """Ask a process to end; the end of `look_processes` waits for it."""
+    child.close_stdin()
+    _leaving.append(child)
+
+
+def _may_have_daemon(arguments: Sequence[str]) -> bool:
+    """Return whether a daemon may answer; a wrong guess costs time only."""
+    options = {word.partition("=")[0] for word in arguments}
+    if "--domain-id" in options:
+        return False
+    return (
+        "--robot" in options
+        or socket_path(os.environ.get(ROBOT_VARIABLE) or DEFAULT_ROBOT).exists()
+    )

@@ -1,0 +1,103 @@
+"""A look at ROS starts before the option parser does, and its answer does not wait for its end."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robotctl.cli.support import look_process
+from robotctl.cli.support.look_process import look_processes
+from robotctl.cli.support.ros_view import RosView
+from robotctl.paths import socket_path
+
+LINGERING = """
+import os, sys
+asked = sys.stdin.readline()
+os.write(3, asked.encode())
+sys.stdin.read()
+os.read(os.open(sys.argv[1], os.O_RDONLY), 1)
+"""
+"""Reports what it was asked for; ends when it is told to by a FIFO."""
+
+
+class Started:
+    """Children that are never started."""
+
+    def __init__(self) -> None:
+        self.commands: list[Any] = []
+        self.killed = 0
+
+    def __call__(self, command: Any, **_: object) -> Any:
+        self.commands.append(list(command)[len(look_process.LOOK) :])
+        return self
+
+    def kill(self) -> None:
+        self.killed += 1
+
+    def close(self, _: float) -> None:
+        assert self.killed
+
+
+@pytest.fixture
+def started(monkeypatch: pytest.MonkeyPatch) -> Iterator[Started]:
+    made = Started()
+    monkeypatch.setattr(look_process, "start", made)
+    yield made
+    assert made.killed == len(made.commands)
+
+
+@pytest.mark.parametrize(
+    ("line", "kinds"),
+    [
+        ("service call /set_mode", [["call"]]),
+        ("topic echo /odom x --once", [["listen"]]),
+        ("topic hz --robot r2 /odom", [["listen"]]),
+        ("topic list", [[]]),
+        ("node info /mode_service --json", [[]]),
+        ("service list --robot r2", []),
+        ("service list --robot r2 --domain-id=5", [[]]),
+        ("topic list --file last", []),
+        ("topic echo --file=last /odom", []),
+        ("topic echo --help", []),
+        ("topic", []),
+        ("topic sing", []),
+    ],
+)
+def test_the_process_starts_early_where_the_line_needs_it(
+    started: Started, line: str, kinds: list[list[str]]
+) -> None:
+    with look_processes(line.split()):
+        assert started.commands == kinds
+
+
+def test_where_a_daemon_answers_no_process_is_started_for_a_list(started: Started) -> None:
+    socket = socket_path("robot")
+    socket.parent.mkdir(parents=True)
+    socket.touch()
+    with look_processes(["topic", "list"]):
+        assert started.commands == []
+    with look_processes(["topic", "list", "--domain-id", "3"]):
+        assert started.commands == [[]]
+
+
+def test_an_answer_comes_before_the_process_has_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program, fifo = tmp_path / "look.py", tmp_path / "fifo"
+    program.write_text(LINGERING)
+    os.mkfifo(fifo)
+    monkeypatch.setattr(look_process, "LOOK", (sys.executable, str(program), str(fifo)))
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
+    with look_processes(["topic", "list", "--domain-id", "7"]):
+        answer: Any = RosView("robot", "", 7, through_daemon=False).names()
+        assert answer == {"look": "names", "domain_id": 7, "range": "SUBNET"}
+        (child,) = look_process._leaving
+        assert child.wait(0.0) is None
+        with fifo.open("w") as end:
+            end.write("x")
+    assert child.wait(0.0) == 0
