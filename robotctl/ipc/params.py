@@ -18,8 +18,10 @@ from robotctl.ipc.protocol import (
 from robotctl.kernel.course import (
     MAX_ANGLE_RAD,
     MAX_CORNER_M,
+    MAX_HELD_S,
     MAX_POINTS,
     MIN_CORNER_M,
+    MIN_HELD_S,
     Frame,
 )
 from robotctl.kernel.drive import MAX_LAPS
@@ -39,6 +41,9 @@ Reason = Annotated[str, Meta(max_length=MAX_REASON, pattern=REASON_PATTERN)]
 
 Token = Annotated[str, Meta(min_length=16, max_length=64)]
 """The token of a lease."""
+
+MAX_TURNING_RPS = 20.0
+"""The largest value of `limits.angular_rps`."""
 
 Size = Annotated[float, Meta(ge=MIN_SIZE_M, le=MAX_SIZE_M)]
 
@@ -147,6 +152,19 @@ class DrivePathParams(Struct, frozen=True, forbid_unknown_fields=True):
     laps: Annotated[int, Meta(ge=0, le=MAX_LAPS)] | None = None
     """0: drive until stopped; 1 if left out."""
     speed_mps: Annotated[float, Meta(ge=MIN_SPEED_MPS, le=MAX_SPEED_MPS)] | None = None
+    replace: bool = False
+    wait: bool = False
+    reason: Reason = ""
+    lease: Token | None = None
+
+
+class DriveVelocityParams(Struct, frozen=True, forbid_unknown_fields=True):
+    """A velocity to command for a time; the robot then ramps down."""
+
+    linear_mps: Annotated[float, Meta(ge=-MAX_SPEED_MPS, le=MAX_SPEED_MPS)]
+    angular_rps: Annotated[float, Meta(ge=-MAX_TURNING_RPS, le=MAX_TURNING_RPS)]
+    for_s: Annotated[float, Meta(ge=MIN_HELD_S, le=MAX_HELD_S)]
+    source: Source
     replace: bool = False
     wait: bool = False
     reason: Reason = ""

@@ -11,6 +11,7 @@ Point = tuple[float, float]
 MIN_CORNER_M, MAX_CORNER_M = 0.02, 10.0
 MIN_ANGLE_RAD, MAX_ANGLE_RAD = 0.01, 100.0
 MAX_POINTS = 2000
+MIN_HELD_S, MAX_HELD_S = 0.02, 600.0
 MAX_COORDINATE_M = 10_000.0
 MIN_LEG_M = 0.001
 """Points that are nearer to each other than this are one point."""
@@ -24,13 +25,31 @@ class Frame(Enum):
 
 
 @dataclass(frozen=True, slots=True)
+class Held:
+    """A velocity that is commanded for `for_s` seconds."""
+
+    linear_mps: float
+    angular_rps: float
+    for_s: float
+
+    def refusal(self) -> str:
+        """Return why this velocity cannot be commanded, "" if it can."""
+        if not (isfinite(self.linear_mps) and isfinite(self.angular_rps)):
+            return f"a velocity of {self.linear_mps:g} m/s, {self.angular_rps:g} rad/s: use numbers"
+        if not MIN_HELD_S <= self.for_s <= MAX_HELD_S:
+            return f"a velocity for {self.for_s:g} s: use {MIN_HELD_S:g} to {MAX_HELD_S:g} s"
+        return ""
+
+
+@dataclass(frozen=True, slots=True)
 class Course:
     """What a drive does beyond a plain pattern.
 
     `corner_m` is the radius of the corners of a rounded square; on waypoints it is how far before
     a corner the robot leaves the straight line, 0 to stop and turn at each point. `angle_rad` is
     how far a turn or an arc goes, to the left if positive. `reverse` drives rear first, `open_loop`
-    without correcting by odometry. `waypoints` [m] in `frame` replace the pattern.
+    without correcting by odometry. `waypoints` [m] in `frame` replace the pattern. A `held`
+    velocity replaces both.
     """
 
     corner_m: float = 0.1
@@ -39,10 +58,13 @@ class Course:
     open_loop: bool = False
     waypoints: tuple[Point, ...] = ()
     frame: Frame = Frame.START
+    held: Held | None = None
 
     def refusal(self) -> str:
         """Return why this course cannot be driven, "" if it can."""
         corner_m, angle_rad = self.corner_m, self.angle_rad
+        if self.held is not None:
+            return self.held.refusal()
         stops = corner_m == 0.0 and bool(self.waypoints)
         if not (stops or MIN_CORNER_M <= corner_m <= MAX_CORNER_M):
             return f"a corner of {corner_m:g} m: use {MIN_CORNER_M:g} to {MAX_CORNER_M:g} m"

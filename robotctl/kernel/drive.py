@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from math import inf, pi, sqrt
 
-from robotctl.kernel.course import PLAIN, Course
+from robotctl.kernel.course import PLAIN, Course, Held
 from robotctl.kernel.geometry import Pose, wrap_angle
 from robotctl.kernel.params import TrackingParams, VelocityLimits
 from robotctl.kernel.path import Path
@@ -70,9 +70,20 @@ class Drive:
         """Whether all laps are driven."""
         return 0 < self.laps <= self.progress.laps
 
+    def ending(self) -> str:
+        """Return why a finished drive ends."""
+        if self.course.held is not None:
+            return f"drive finished: {self.course.held.for_s:g} s"
+        return f"drive finished: {self.laps} lap{'' if self.laps == 1 else 's'}"
+
     def reference(self, lag_s: float = 0.0) -> Reference:
-        """Return the reference of this moment, in the odom frame; it moves as `lag_s` later."""
+        """Return the reference of this moment, in the odom frame; it moves as `lag_s` later.
+
+        A held velocity has no reference but the origin.
+        """
         at, segments = self.progress, self.path.segments
+        if not segments:
+            return Reference(self.origin, 0.0, 0.0, 0.0)
         segment = segments[at.segment]
         pose = self.origin.compose(segment.pose_at(at.length))
         rate = at.speed + at.accel * lag_s
@@ -89,6 +100,8 @@ class Drive:
 
     def command(self, pose: Pose, gains: TrackingParams, limits: VelocityLimits) -> Twist:
         """Return the velocity that leads a robot at `pose` to the reference."""
+        if self.course.held is not None:
+            return Twist(self.course.held.linear_mps, self.course.held.angular_rps)
         reference = self.reference(gains.lag_s)
         if self.course.open_loop:
             twist = follow_blindly(reference)
@@ -109,6 +122,8 @@ class Drive:
         """
         if dt_s <= 0.0:
             return self
+        if self.course.held is not None:
+            return self._held_for(dt_s, self.course.held)
         before = self.progress
         legs = legs_for(self.path, self.pattern.speed_mps, limits)
         at, stands = advanced(before, legs, self.laps, dt_s, ticks)
@@ -130,6 +145,8 @@ class Drive:
     def measured(self, pose: Pose, moved_m: float) -> Drive:
         """Return the drive with one more sample: the robot moved by `moved_m` and is at `pose`."""
         at, so_far, path = self.progress, self.score, self.path
+        if not path.segments:
+            return self._scored(replace(so_far, distance_m=so_far.distance_m + moved_m))
         local = self.origin.express(self._heading_of_travel(pose))
         cross_m = path.distance_to(local, at.segment, at.length)
         segment = path.segments[at.segment]
@@ -145,11 +162,13 @@ class Drive:
             inf if lost else error_m,
             so_far.distance_m + moved_m,
         )
-        return Drive(self.request_id, self.pattern, self.laps, self.origin, at, score, self.course)
+        return self._scored(score)
 
     def cross_track_m(self, pose: Pose) -> float:
         """Return the distance of a pose from the path, near the reference [m]."""
         at = self.progress
+        if not self.path.segments:
+            return 0.0
         return self.path.distance_to(self.origin.express(pose), at.segment, at.length)
 
     def report(self) -> DriveReport:
@@ -175,6 +194,17 @@ class Drive:
             self.course,
         )
 
+    def _scored(self, score: Score) -> Drive:
+        return Drive(
+            self.request_id,
+            self.pattern,
+            self.laps,
+            self.origin,
+            self.progress,
+            score,
+            self.course,
+        )
+
     def _heading_of_travel(self, pose: Pose) -> Pose:
         return pose.compose(_TURNED) if self.course.reverse else pose
 
@@ -184,6 +214,11 @@ class Drive:
         target = self.path.segments[at.segment].pose_at(at.length)
         error = self._heading_of_travel(pose).express(self.origin.compose(target))
         return abs(error.x) < SETTLED_M and abs(error.theta) < SETTLED_RAD
+
+    def _held_for(self, dt_s: float, held: Held) -> Drive:
+        """Return the drive after a velocity was held; `length` of its progress is in seconds."""
+        held_s = self.progress.length + dt_s
+        return self._at(replace(self.progress, length=held_s, laps=int(held_s >= held.for_s)))
 
     def _after_stop(self, at: Progress) -> Progress:
         """Return the progress that goes on after a stop; the end of the drive stays where it is."""

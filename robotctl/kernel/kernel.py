@@ -232,8 +232,7 @@ class Kernel(Knowledge):
         if phase is Phase.DRIVING and drive is not None and odometry is not None:
             drive = drive.advance(dt_s, odometry.pose, params.limits, self._rise_ticks())
             if drive.finished:
-                phase = Phase.STOPPING
-                stop_reason = f"drive finished: {drive.laps} lap{'' if drive.laps == 1 else 's'}"
+                phase, stop_reason = Phase.STOPPING, drive.ending()
             else:
                 target = drive.command(odometry.pose, params.tracking, params.limits)
         command = limit(state.command, target, dt_s, params.limits)

@@ -16,7 +16,8 @@ class Path:
     """The segments of one lap, each beginning where the one before ends.
 
     `reach_m` is the size of the path: a robot that is further from its reference than this does not
-    follow it. A path is `closed` if it ends at the pose where it begins.
+    follow it. A path is `closed` if it ends at the pose where it begins. That of a held velocity
+    has no segments.
     """
 
     segments: tuple[Segment, ...]
@@ -51,7 +52,7 @@ class Path:
         """Return the corners of the lap and poses along its curves, to draw it."""
         curves = sum(1 for segment in self.segments if _bends(segment))
         pieces_of_curve = max(1, pieces_per_curve // max(1, curves))
-        poses = [self.segments[0].pose_at(0.0)]
+        poses = [segment.pose_at(0.0) for segment in self.segments[:1]] or [ORIGIN]
         for segment in self.segments:
             pieces = pieces_of_curve if _bends(segment) else 1
             poses += [segment.pose_at(segment.length * (i + 1) / pieces) for i in range(pieces)]

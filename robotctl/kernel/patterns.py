@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from functools import lru_cache
-from math import pi, tau
+from math import inf, pi, tau
 from types import MappingProxyType
 
 from robotctl.kernel.course import MIN_CORNER_M, PLAIN, Course
@@ -160,6 +160,9 @@ SHAPES: Mapping[PatternKind, Shape] = MappingProxyType(
 
 def named(pattern: Pattern, course: Course) -> str:
     """Return what is driven, with its article: "a square", "an arc in reverse"."""
+    if course.held is not None:
+        held = course.held
+        return f"{held.linear_mps:g} m/s and {held.angular_rps:g} rad/s for {held.for_s:g} s"
     if course.waypoints:
         what = f"a path of {len(course.waypoints)} points"
     else:
@@ -172,6 +175,8 @@ def named(pattern: Pattern, course: Course) -> str:
 @lru_cache(maxsize=16)
 def path_of(pattern: Pattern, course: Course, *, again: bool = True) -> Path:
     """Return one lap; with `again` a lap of waypoints returns to its start."""
+    if course.held is not None:
+        return Path((), inf, closed=False)
     if course.waypoints:
         return waypoint_path(course.waypoints, course.corner_m, again=again)
     return SHAPES[pattern.kind].lap(pattern.size_m, course)

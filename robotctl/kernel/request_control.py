@@ -130,6 +130,8 @@ class RequestControl(LeaseControl):
             self._start_alone(request_id, reason)
             return
         self._end_drive("replaced by another drive")
+        if course.held is not None:
+            laps = 1
         previous, command = self.state.mode, self.state.command
         if course.waypoints:
             points = local_points(course.waypoints, course.frame, odometry.pose)
@@ -137,7 +139,7 @@ class RequestControl(LeaseControl):
         drive = Drive(request_id, pattern, laps, origin_of(odometry.pose, course), course=course)
         # A drive that replaces another one begins at the present speed.
         speed_mps = -command.linear if course.reverse else command.linear
-        if speed_mps > 0.0:
+        if speed_mps > 0.0 and drive.path.segments:
             drive = drive.begin_at(
                 speed_mps, self.params.limits, 1.0 / self.params.rate_hz, self._rise_ticks()
             )

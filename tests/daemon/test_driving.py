@@ -13,8 +13,13 @@ import pytest
 
 from robotctl.daemon.api.driving import DrivingMethods
 from robotctl.errors import Refused, UsageError
-from robotctl.ipc.params import DriveParams, DrivePathParams, EndDriveParams
-from robotctl.kernel.course import Course, Frame
+from robotctl.ipc.params import (
+    DriveParams,
+    DrivePathParams,
+    DriveVelocityParams,
+    EndDriveParams,
+)
+from robotctl.kernel.course import Course, Frame, Held
 from robotctl.kernel.drive import Drive
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.modes import Mode
@@ -201,3 +206,14 @@ async def test_an_open_pattern_is_driven_once_and_a_closed_one_until_stopped() -
         assert control.event.laps == laps
     await drive(DriveParams(pattern=PatternKind.ARC, source="test", angle_rad=-1.0))
     assert control.event.course == Course(angle_rad=-1.0)
+
+
+async def test_a_velocity_becomes_a_request_and_is_refused_above_the_limits() -> None:
+    control: Any = ListeningControl(ENDED, Mode.MOVING)
+    motion: Any = None
+    drive = DrivingMethods(control, motion).table()["drive_velocity"].handler
+    await drive(DriveVelocityParams(0.2, -0.5, 2.0, "test"))
+    assert control.event.course == Course(held=Held(0.2, -0.5, 2.0))
+    for linear_mps, angular_rps in ((-0.7, 0.0), (0.0, 1.6)):
+        with pytest.raises(UsageError, match=r"is above limits\.(linear|angular)"):
+            await drive(DriveVelocityParams(linear_mps, angular_rps, 2.0, "test"))

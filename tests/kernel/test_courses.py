@@ -10,7 +10,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from robotctl.kernel.course import MAX_POINTS, Course, Frame, Point
+from robotctl.kernel.course import MAX_POINTS, Course, Frame, Held, Point
 from robotctl.kernel.drive import Drive
 from robotctl.kernel.geometry import ORIGIN, Pose, wrap_angle
 from robotctl.kernel.limits import limit
@@ -233,3 +233,34 @@ def test_a_circle_as_waypoints_is_as_fast_as_a_circle_nearly() -> None:
     points = tuple((0.5 * sin(a), 0.5 - 0.5 * cos(a)) for a in (n * pi / 10 for n in range(21)))
     result = driven(Pattern(), Course(waypoints=points))
     assert result.duration_s <= 1.5 * driven(Pattern(PatternKind.CIRCLE, 0.5)).duration_s
+
+
+@pytest.mark.parametrize("velocity", [Twist(0.3, 0.0), Twist(-0.2, 0.5), Twist(0.0, -1.0)])
+def test_a_velocity_is_held_for_its_time_within_the_limits_and_ramps_down(velocity: Twist) -> None:
+    result = driven(Pattern(), Course(held=Held(velocity.linear, velocity.angular, 2.0)))
+    assert result.ended.reason == "drive finished: 2 s"
+    ramp_s = max(abs(velocity.linear) / 1.0, abs(velocity.angular) / 4.0)
+    assert isclose(result.duration_s, 2.0 + ramp_s, abs_tol=0.06)
+    assert result.commands[-1] == Twist()
+    assert result.commands.count(velocity) > 70
+    for before, command in pairwise(result.commands):
+        assert limit(before, command, 0.02 + 1e-9, LIMITS) == command
+    assert result.ended.report.cross_track_max_m == 0.0
+    assert (result.ended.report.distance_m > 0.1) is (velocity.linear != 0.0)
+
+
+def test_a_velocity_above_the_limits_is_bounded_and_one_without_an_end_ends() -> None:
+    bench = ready()
+    bench.drive(laps=0, course=Course(held=Held(9.0, 0.0, 1.0)))
+    bench.run(200)
+    assert max(command.linear for command in bench.commands) == LIMITS.linear_mps
+    assert bench.state.mode is Mode.IDLE
+
+
+@pytest.mark.parametrize(
+    "held", [Held(nan, 0.0, 1.0), Held(0.1, inf, 1.0), Held(0.0, 0.0, nan), Held(0.1, 0.0, 0.01)]
+)
+def test_a_velocity_that_is_no_number_is_refused(held: Held) -> None:
+    bench = ready()
+    bench.drive(course=Course(held=held))
+    assert not bench.replies[-1].ok

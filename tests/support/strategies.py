@@ -7,7 +7,7 @@ from math import inf, nan
 from hypothesis import strategies as st
 
 from robotctl.config import Config, flat
-from robotctl.kernel.course import Course, Frame
+from robotctl.kernel.course import Course, Frame, Held
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.lease import LeaseLost, LeaseRequested
 from robotctl.kernel.lifecycle import LifecycleChanged, LifecycleState
@@ -68,6 +68,11 @@ COURSE = st.builds(
     st.booleans(),
     st.one_of(st.just(()), st.lists(POINT, max_size=6).map(tuple)),
     st.sampled_from(Frame),
+    st.one_of(
+        st.none(),
+        st.none(),
+        st.builds(Held, COORDINATE, COORDINATE, st.one_of(st.floats(0.02, 2.0), ANY_FLOAT)),
+    ),
 )
 PARAMETER = st.one_of(st.sampled_from(sorted(kernel_leaves())), SOURCE)
 PARAMETER_TEXT = st.one_of(

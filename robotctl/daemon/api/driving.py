@@ -16,16 +16,26 @@ from robotctl.errors import Refused, UsageError
 from robotctl.ipc.advice import advice
 from robotctl.ipc.answers import DriveAnswer, DrivenPath, ModeAnswer, Preflight
 from robotctl.ipc.method import Method
-from robotctl.ipc.method_names import DRIVE, DRIVE_PATH, END_DRIVE, PATH, PREFLIGHT, RESET, SET_MODE
+from robotctl.ipc.method_names import (
+    DRIVE,
+    DRIVE_PATH,
+    DRIVE_VELOCITY,
+    END_DRIVE,
+    PATH,
+    PREFLIGHT,
+    RESET,
+    SET_MODE,
+)
 from robotctl.ipc.params import (
     DriveParams,
     DrivePathParams,
+    DriveVelocityParams,
     EndDriveParams,
     NoParams,
     ResetParams,
     SetModeParams,
 )
-from robotctl.kernel.course import Course
+from robotctl.kernel.course import Course, Held
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.patterns import SHAPES, Pattern, PatternKind
 from robotctl.kernel.safety import remedies_for
@@ -66,6 +76,7 @@ class DrivingMethods:
             SET_MODE: Method(SetModeParams, self._set_mode, MODE_DEADLINE_S),
             RESET: Method(ResetParams, self._reset, MODE_DEADLINE_S),
             DRIVE: Method(DriveParams, self._drive, None),
+            DRIVE_VELOCITY: Method(DriveVelocityParams, self._drive_velocity, None),
             DRIVE_PATH: Method(DrivePathParams, self._drive_path, None),
             END_DRIVE: Method(EndDriveParams, self._end_drive, None),
         }
@@ -130,8 +141,24 @@ class DrivingMethods:
         laps = 1 if params.laps is None else params.laps
         return await self._run(params, pattern, laps, path_course(params))
 
+    async def _drive_velocity(self, params: DriveVelocityParams) -> DriveAnswer:
+        limit_rps = self._control.params.limits.angular_rps
+        self._check_speed(abs(params.linear_mps))
+        if abs(params.angular_rps) > limit_rps:
+            raise UsageError(
+                f"{params.angular_rps:g} rad/s is above limits.angular_rps, {limit_rps:g} rad/s",
+                f"use at most {limit_rps:g}",
+            )
+        held = Held(params.linear_mps, params.angular_rps, params.for_s)
+        course = Course(held=held)
+        return await self._run(params, self.pattern(None), 1, course)
+
     async def _run(
-        self, params: DriveParams | DrivePathParams, pattern: Pattern, laps: int, course: Course
+        self,
+        params: DriveParams | DrivePathParams | DriveVelocityParams,
+        pattern: Pattern,
+        laps: int,
+        course: Course,
     ) -> DriveAnswer:
         """Request a drive, and wait for its end if the parameters say so."""
         request_id = self._control.new_request_id()

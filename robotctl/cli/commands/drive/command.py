@@ -2,21 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from math import degrees, radians
 from typing import Annotated, Any
 
 import typer
 
+from robotctl.cli.commands.drive.motions import (
+    FOLLOWED,
+    PATH,
+    PATTERNS,
+    VELOCITY,
+    checked_values,
+    cure_of,
+    options_of,
+    path_params,
+    refuse_options,
+    velocity_params,
+)
 from robotctl.cli.commands.drive.running import drive_and_wait, tracking_lines
-from robotctl.cli.commands.drive.waypoint_file import read_waypoints
 from robotctl.cli.options import Json, Reason, Robot, new_app
 from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.quick_actions import asked_by, lease_of_shell
 from robotctl.cli.terminal.text import printable
 from robotctl.errors import UsageError
 from robotctl.ipc.client import call
-from robotctl.ipc.method_names import DRIVE, DRIVE_PATH
+from robotctl.ipc.method_names import DRIVE, DRIVE_PATH, DRIVE_VELOCITY
 from robotctl.kernel.course import MAX_ANGLE_RAD, MAX_CORNER_M, MIN_CORNER_M, Frame
 from robotctl.kernel.drive import MAX_LAPS
 from robotctl.kernel.patterns import (
@@ -24,7 +34,6 @@ from robotctl.kernel.patterns import (
     MAX_SPEED_MPS,
     MIN_SIZE_M,
     MIN_SPEED_MPS,
-    SHAPES,
     PatternKind,
     SizeName,
 )
@@ -34,23 +43,22 @@ app = new_app()
 
 MAX_ANGLE_DEG = float(int(degrees(MAX_ANGLE_RAD)))
 
-PATTERNS = ", ".join(kind.value for kind in PatternKind)
 
-PATH = "path"
-MOTIONS = [*(kind.value for kind in PatternKind), PATH]
-
-
-@app.command()
+@app.command(context_settings={"ignore_unknown_options": True})
 def drive(
     motion: Annotated[
-        str, typer.Argument(metavar="PATTERN", help=f"One of {PATTERNS}; or {PATH}, with a FILE.")
+        str, typer.Argument(metavar="PATTERN", help=f"One of {PATTERNS}; or {PATH}, {VELOCITY}.")
     ] = "",
-    file: Annotated[
-        str | None,
+    given: Annotated[
+        list[str] | None,
         typer.Argument(
-            metavar="[FILE]",
-            help="Of a path: CSV with the header x,y, YAML, or a recording; last: the newest one.",
+            metavar="[FILE | V W]",
+            help="Of a path: CSV with the header x,y, YAML, or a recording; last: the newest one. "
+            "Of a velocity: forward in m/s, to the left in rad/s.",
         ),
+    ] = None,
+    duration: Annotated[
+        str | None, typer.Option("--for", metavar="S", help="How long to command a velocity, 2s.")
     ] = None,
     side: Annotated[
         float | None, typer.Option(metavar="M", help="Side of a square, in metres.")
@@ -119,33 +127,54 @@ def drive(
       robotctl drive turn --angle -90
       robotctl drive path points.csv --wait
       robotctl drive path last --speed 0.3
+      robotctl drive velocity 0.2 -0.5 --for 2s
     """
-    if motion not in MOTIONS:
-        wrong = (
-            f"{motion!r} is not one of" if motion else "Missing argument 'PATTERN'. Choose from:"
-        )
-        raise UsageError(f"{wrong} {', '.join(MOTIONS)}")
+    values = checked_values(motion, given)
     _check("--speed", speed, MIN_SPEED_MPS, MAX_SPEED_MPS, " m/s")
     _check("--laps", laps, 0, MAX_LAPS)
     sizes = {SizeName.SIDE: side, SizeName.RADIUS: radius, SizeName.LENGTH: length}
-    params: dict[str, Any] = {
-        "corner_m": corner,
-        "reverse": reverse,
-        "open_loop": open_loop,
+    options: dict[str, float | str | bool | None] = {
+        **{name.value: size for name, size in sizes.items()},
+        "corner": corner,
+        "angle": angle,
+        "for": duration,
+        "frame": None if frame is Frame.START else frame.value,
         "laps": laps,
-        "speed_mps": speed,
+        "speed": speed,
+        "reverse": reverse or None,
+        "open-loop": open_loop or None,
+    }
+    params: dict[str, Any] = {
         "replace": replace,
         "wait": wait,
         **asked_by("drive", reason),
         **lease_of_shell(),
     }
-    if motion == PATH:
-        method = DRIVE_PATH
-        params |= _path_params(file, frame, sizes, angle)
+    followed = {
+        "corner_m": corner,
+        "reverse": reverse,
+        "open_loop": open_loop,
+        "laps": laps,
+        "speed_mps": speed,
+    }
+    method = DRIVE
+    if motion == VELOCITY:
+        refuse_options("a velocity", options, allowed={"for"})
+        method, params = DRIVE_VELOCITY, params | velocity_params(values, duration)
+    elif motion == PATH:
+        refuse_options("a path", options, allowed=FOLLOWED | {"corner", "frame"})
         _check("--corner", corner, 0.0, MAX_CORNER_M, " m")
+        method, params = DRIVE_PATH, params | followed | path_params(values, frame)
     else:
-        method = DRIVE
-        params |= _pattern_params(PatternKind(motion), file, frame, sizes, corner, angle)
+        pattern = PatternKind(motion)
+        refuse_options(f"a {motion}", options, allowed=options_of(pattern), cure=cure_of(pattern))
+        for name, size in sizes.items():
+            _check(f"--{name.value}", size, MIN_SIZE_M, MAX_SIZE_M, " m")
+        _check("--corner", corner, MIN_CORNER_M, MAX_CORNER_M, " m")
+        _check("--angle", angle, -MAX_ANGLE_DEG, MAX_ANGLE_DEG, " degrees")
+        params |= followed
+        params |= {"pattern": motion, "side_m": side, "radius_m": radius, "length_m": length}
+        params["angle_rad"] = None if angle is None else radians(angle)
     if wait:
         answer = drive_and_wait(robot, method, params, as_json=as_json)
     else:
@@ -154,73 +183,6 @@ def drive(
     if wait:
         lines += tracking_lines(answer)
     print_answer(answer, lines, as_json=as_json)
-
-
-def _path_params(
-    file: str | None, frame: Frame, sizes: Mapping[SizeName, float | None], angle: float | None
-) -> dict[str, Any]:
-    """Return what a path takes beyond every drive.
-
-    Raises:
-        UsageError: There is no file, or an option does not fit a path.
-        UnreadableFile: The file holds no path.
-    """
-    if file is None:
-        raise UsageError("a path needs a FILE", "use CSV with the header x,y, YAML, or a recording")
-    for name, given in (*((name.value, size) for name, size in sizes.items()), ("angle", angle)):
-        if given is not None:
-            raise UsageError(f"a path has no {name}")
-    return {"points": read_waypoints(file, frame), "frame": frame.value}
-
-
-def _pattern_params(
-    pattern: PatternKind,
-    file: str | None,
-    frame: Frame,
-    sizes: Mapping[SizeName, float | None],
-    corner: float | None,
-    angle: float | None,
-) -> dict[str, Any]:
-    """Return what a pattern takes beyond every drive.
-
-    Raises:
-        UsageError: An option does not fit the pattern.
-    """
-    if file is not None:
-        raise UsageError(f"a {pattern.value} has no file", "use robotctl drive path FILE")
-    if frame is not Frame.START:
-        raise UsageError("a pattern begins at the robot", "use --frame with robotctl drive path")
-    _check_shape(pattern, sizes, corner, angle)
-    for name, size in sizes.items():
-        _check(f"--{name.value}", size, MIN_SIZE_M, MAX_SIZE_M, " m")
-    _check("--corner", corner, MIN_CORNER_M, MAX_CORNER_M, " m")
-    _check("--angle", angle, -MAX_ANGLE_DEG, MAX_ANGLE_DEG, " degrees")
-    return {
-        "pattern": pattern.value,
-        "side_m": sizes[SizeName.SIDE],
-        "radius_m": sizes[SizeName.RADIUS],
-        "length_m": sizes[SizeName.LENGTH],
-        "angle_rad": None if angle is None else radians(angle),
-    }
-
-
-def _check_shape(
-    pattern: PatternKind,
-    sizes: Mapping[SizeName, float | None],
-    corner: float | None,
-    angle: float | None,
-) -> None:
-    """Raise UsageError for an option that the pattern does not have."""
-    shape = SHAPES[pattern]
-    cure = f"use --{shape.size_name.value}" if shape.size_name else ""
-    given = [name for name, size in sizes.items() if size is not None]
-    unused = [name.value for name in given if name is not shape.size_name]
-    if corner is not None and not shape.has_corner:
-        unused.append("rounded corner")
-    if angle is not None and not shape.has_angle:
-        unused.append("angle")
-    if unused:
-        raise UsageError(f"a {pattern.value} has no {unused[0]}", cure)
 
 
 def _check(option: str, value: float | None, low: float, high: float, unit: str = "") -> None:

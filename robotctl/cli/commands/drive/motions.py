@@ -1,0 +1,101 @@
+"""What `robotctl drive` can be asked for, and which options belong to which motion."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
+
+from robotctl.cli.commands.drive.waypoint_file import read_waypoints
+from robotctl.cli.terminal.text import printable
+from robotctl.errors import UsageError
+from robotctl.kernel.course import MAX_HELD_S, MIN_HELD_S, Frame
+from robotctl.kernel.patterns import SHAPES, PatternKind
+
+PATTERNS = ", ".join(kind.value for kind in PatternKind)
+PATH, VELOCITY = "path", "velocity"
+MOTIONS = [*(kind.value for kind in PatternKind), PATH, VELOCITY]
+
+FOLLOWED = frozenset({"laps", "speed", "reverse", "open-loop"})
+"""The options of every motion that follows a path."""
+
+_SHOWN = {"corner": "rounded corner"}
+
+
+def checked_values(motion: str, given: Sequence[str] | None) -> list[str]:
+    """Return what is given after the motion.
+
+    Raises:
+        UsageError: There is no such motion, or too much or too little is given.
+    """
+    if motion not in MOTIONS:
+        shown = f"{printable(motion)!r} is not one of"
+        wrong = shown if motion else "Missing argument 'PATTERN'. Choose from:"
+        raise UsageError(f"{wrong} {', '.join(MOTIONS)}")
+    values = list(given or ())
+    for value in values:
+        if value.startswith("-") and not _is_number(value):
+            raise UsageError(f"No such option: {printable(value)}")
+    if motion == VELOCITY:
+        if len(values) != 2 or not all(map(_is_number, values)):
+            raise UsageError("a velocity is two numbers", "such as robotctl drive velocity 0.2 0")
+    elif motion == PATH and len(values) != 1:
+        cure = "use CSV with the header x,y, YAML, or a recording"
+        raise UsageError("a path needs a FILE" if not values else "a path has one FILE", cure)
+    elif motion != PATH and values:
+        raise UsageError(f"a {motion} has no file", "use robotctl drive path FILE")
+    return values
+
+
+def options_of(pattern: PatternKind) -> frozenset[str]:
+    """Return the options that fit a pattern."""
+    shape = SHAPES[pattern]
+    size = {shape.size_name.value} if shape.size_name else set()
+    corner = {"corner"} if shape.has_corner else set()
+    return FOLLOWED | size | corner | ({"angle"} if shape.has_angle else set())
+
+
+def cure_of(pattern: PatternKind) -> str:
+    """Return which size a pattern has, "" if it has none."""
+    name = SHAPES[pattern].size_name
+    return f"use --{name.value}" if name else ""
+
+
+def refuse_options(
+    what: str, options: Mapping[str, object], *, allowed: Collection[str], cure: str = ""
+) -> None:
+    """Raise UsageError for an option that is given and does not fit."""
+    for name, value in options.items():
+        if value is not None and name not in allowed:
+            raise UsageError(f"{what} has no {_SHOWN.get(name, name)}", cure)
+
+
+def path_params(values: Sequence[str], frame: Frame) -> dict[str, Any]:
+    """Return what a path takes beyond every drive.
+
+    Raises:
+        UsageError: There is no such file.
+        UnreadableFile: The file holds no path.
+    """
+    return {"points": read_waypoints(values[0], frame), "frame": frame.value}
+
+
+def velocity_params(values: Sequence[str], duration: str | None) -> dict[str, Any]:
+    """Return what a velocity takes beyond every drive.
+
+    Raises:
+        UsageError: There is no duration, or it is not allowed.
+    """
+    seconds = (duration or "").removesuffix("s")
+    for_s = float(seconds) if _is_number(seconds) else 0.0
+    if not MIN_HELD_S <= for_s <= MAX_HELD_S:
+        text = f"--for {printable(duration)}" if duration else "a velocity needs --for"
+        raise UsageError(text, f"use {MIN_HELD_S:g} to {MAX_HELD_S:g} s, such as --for 2s")
+    linear_mps, angular_rps = map(float, values)
+    return {"linear_mps": linear_mps, "angular_rps": angular_rps, "for_s": for_s}
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return abs(float(text)) < float("inf")
+    except ValueError:
+        return False
