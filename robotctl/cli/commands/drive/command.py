@@ -23,7 +23,7 @@ from robotctl.cli.commands.drive.running import drive_and_wait, tracking_lines
 from robotctl.cli.options import Json, Reason, Robot, new_app
 from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.quick_actions import asked_by, lease_of_shell
-from robotctl.cli.terminal.text import printable
+from robotctl.cli.terminal.text import number, printable
 from robotctl.errors import UsageError
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import DRIVE, DRIVE_PATH, DRIVE_VELOCITY
@@ -180,7 +180,9 @@ def drive(
     else:
         answer = call(robot, method, params)
     lines = [printable(answer.get("message", "done"))]
-    if wait:
+    if wait and motion == VELOCITY:
+        lines.append(f"  driven      {number(answer.get('distance_m'), '.3f')} m")
+    elif wait:
         lines += tracking_lines(answer)
     print_answer(answer, lines, as_json=as_json)
 
