@@ -29,11 +29,12 @@ class Started:
     """Children that are never started."""
 
     def __init__(self) -> None:
-        self.commands: list[Any] = []
+        self.count = 0
         self.killed = 0
 
-    def __call__(self, command: Any, **_: object) -> Any:
-        self.commands.append(list(command)[len(look_process.LOOK) :])
+    def __call__(self, command: object, **_: object) -> Any:
+        assert command is look_process.LOOK
+        self.count += 1
         return self
 
     def kill(self) -> None:
@@ -48,31 +49,31 @@ def started(monkeypatch: pytest.MonkeyPatch) -> Iterator[Started]:
     made = Started()
     monkeypatch.setattr(look_process, "start", made)
     yield made
-    assert made.killed == len(made.commands)
+    assert made.killed == made.count
 
 
 @pytest.mark.parametrize(
-    ("line", "kinds"),
+    ("line", "count"),
     [
-        ("service call /set_mode", [["call"]]),
-        ("topic echo /odom x --once", [["listen"]]),
-        ("topic hz --robot r2 /odom", [["listen"]]),
-        ("topic list", [[]]),
-        ("node info /mode_service --json", [[]]),
-        ("service list --robot r2", []),
-        ("service list --robot r2 --domain-id=5", [[]]),
-        ("topic list --file last", []),
-        ("topic echo --file=last /odom", []),
-        ("topic echo --help", []),
-        ("topic", []),
-        ("topic sing", []),
+        ("service call /set_mode", 1),
+        ("topic echo /odom x --once", 1),
+        ("topic hz --robot r2 /odom", 1),
+        ("topic list", 1),
+        ("node info /mode_service --json", 1),
+        ("service list --robot r2", 0),
+        ("service list --robot r2 --domain-id=5", 1),
+        ("topic list --file last", 0),
+        ("topic echo --file=last /odom", 0),
+        ("topic echo --help", 0),
+        ("topic", 0),
+        ("topic sing", 0),
     ],
 )
 def test_the_process_starts_early_where_the_line_needs_it(
-    started: Started, line: str, kinds: list[list[str]]
+    started: Started, line: str, count: int
 ) -> None:
     with look_processes(line.split()):
-        assert started.commands == kinds
+        assert started.count == count
 
 
 def test_where_a_daemon_answers_no_process_is_started_for_a_list(started: Started) -> None:
@@ -80,9 +81,9 @@ def test_where_a_daemon_answers_no_process_is_started_for_a_list(started: Starte
     socket.parent.mkdir(parents=True)
     socket.touch()
     with look_processes(["topic", "list"]):
-        assert started.commands == []
+        assert started.count == 0
     with look_processes(["topic", "list", "--domain-id", "3"]):
-        assert started.commands == [[]]
+        assert started.count == 1
 
 
 def test_an_answer_comes_before_the_process_has_left(

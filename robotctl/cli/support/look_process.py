@@ -19,12 +19,8 @@ LOOK: Final = program("robotctl.ros.looks")
 END_S: Final = 10.0
 """How long it may take to leave the domain."""
 
-_ALWAYS: Final = {
-    ("service", "call"): "call",
-    ("topic", "echo"): "listen",
-    ("topic", "hz"): "listen",
-}
-"""The commands that look through a process of their own even where a daemon runs: their looks."""
+_ALWAYS: Final = (("service", "call"), ("topic", "echo"), ("topic", "hz"))
+"""The commands that look through a process of their own even where a daemon runs."""
 
 _WITHOUT_DAEMON: Final = (
     *(("topic", "list"), ("topic", "info"), ("service", "list")),
@@ -47,8 +43,7 @@ def look_processes(arguments: Sequence[str]) -> Iterator[None]:
     command = tuple(arguments[:2])
     needed = command in _ALWAYS or (command in _WITHOUT_DAEMON and not _may_have_daemon(arguments))
     if needed and not any(word.partition("=")[0] in _OTHERWISE for word in arguments):
-        kind = [_ALWAYS[command]] if command in _ALWAYS else []
-        _early.append(start([*LOOK, *kind], with_stdin=True))
+        _early.append(look_process())
     try:
         yield
     finally:

@@ -1,8 +1,7 @@
-"""`python -m robotctl.ros.looks [KIND] --report-fd N`: do what the first line on stdin asks.
+"""`python -m robotctl.ros.looks --report-fd N`: do what the first line on stdin asks.
 
 The line is a JSON object with the name of a look (`names`, `topic`, `node`, `listen`, `call`), the
-domain, its discovery range (null for that of the environment), and what the look takes. KIND is
-`listen` or `call` where that is known before the line is, so that its imports do not wait. The
+domain, its discovery range (null for that of the environment), and what the look takes. The
 reports are the answers; a failure is {"error", "exit_code"} with details of the error. The process
 ends with its stdin, so it does not outlive its parent.
 """
@@ -15,14 +14,10 @@ import os
 import sys
 from contextlib import suppress
 from functools import partial
-from importlib import import_module
-from typing import Final
 
 from robotctl import environment
 from robotctl.errors import RobotctlError
 from robotctl.processes import report_fd, send_report
-
-KINDS: Final = ("listen", "call")
 
 
 def main(arguments: list[str]) -> int:
@@ -31,11 +26,9 @@ def main(arguments: list[str]) -> int:
     send = partial(send_report, report_fd(arguments))
     with suppress(BrokenPipeError, asyncio.CancelledError):  # nothing waits for the answer any more
         try:
-            # Imported after environment.prepare(), because it imports rclpy.
+            # After environment.prepare(), because it imports rclpy; before the wait for the line.
             from robotctl.ros.looks.look import look
 
-            if arguments[0] in KINDS:
-                import_module(f"robotctl.ros.looks.{arguments[0]}")
             line = _first_line()
             if not line:
                 return 0
