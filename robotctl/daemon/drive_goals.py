@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 from robotctl.daemon.api.driving import DrivingMethods
 from robotctl.daemon.control.dispatcher import Control
@@ -45,9 +46,16 @@ class RequestedDrive:
 class DriveGoals:
     """Turns goals into requests."""
 
-    def __init__(self, control: Control, driving: DrivingMethods) -> None:
+    def __init__(
+        self,
+        control: Control,
+        driving: DrivingMethods,
+        is_remote: Callable[[], bool] = lambda: False,
+    ) -> None:
+        """`is_remote()` returns whether the present goal may come from another host."""
         self._control = control
         self._driving = driving
+        self._is_remote = is_remote
 
     def begin(self, goal: Goal, source: str) -> RequestedDrive:
         """Request the drive of a goal now.
@@ -70,6 +78,7 @@ class DriveGoals:
             goal.laps,
             goal.replace,
             source,
+            remote=self._is_remote(),
         )
         return RequestedDrive(self._control, self._driving, event)
 

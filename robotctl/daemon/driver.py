@@ -35,6 +35,7 @@ from robotctl.daemon.last_zero import LastZero
 from robotctl.daemon.lifecycle import follow_lifecycle, with_lifecycle
 from robotctl.daemon.parameters import Parameters
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
+from robotctl.daemon.remote_requests import RemoteRequests
 from robotctl.daemon.ros_parameters import serve_parameters
 from robotctl.daemon.shown_status import ShownStatus
 from robotctl.daemon.shutdown import stand_still
@@ -149,7 +150,8 @@ class Driver:
             host.warnings,
         )
         self._diagnostics = Diagnostics(session, robot, self.recorder.report, self._status)
-        self._inputs = Inputs(self._control, self._robot_report)
+        remote = RemoteRequests(self._velocity.gid)
+        self._inputs = Inputs(self._control, self._robot_report, remote.is_remote)
         self._odometry = OdomSubscriber(
             session,
             params.odometry.topic,
@@ -168,7 +170,7 @@ class Driver:
         self._driving = DrivingMethods(
             self._control, self._robot_report, robot, self._leases.client_of
         )
-        goals = DriveGoals(self._control, self._driving)
+        goals = DriveGoals(self._control, self._driving, remote.is_remote)
         session.last.callback(DriveAction(self._modes.node, goals.begin, self._say).close)
 
     def _make_velocity(self) -> VelocityPublisher:

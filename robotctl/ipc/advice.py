@@ -111,6 +111,8 @@ def cure_of(remedy: Remedy, robot: str) -> str:
                 "start the robot's base before robotctl, and check command.topic and "
                 "command.stamped"
             )
+        case Remedy.ASK_HERE:
+            return "ask on the robot's own computer, or start with remote_motion: true"
         case Remedy.WAIT_FOR_LEASE:
             idle = command_for(robot, "set-mode idle")
             return f"wait until it is released; {idle} and {command_for(robot, 'estop')} still stop"

@@ -163,6 +163,7 @@ class BatteryParams:
 class KernelParams:
     """All parameters of `Kernel.step`.
 
+    Without `remote_motion`, a request of another host starts no motion.
     With `guard`, a request for MOVING lets another node steer through `guard_topic`.
 
     `standalone` switches off the start conditions that need a robot while there is none at all:
@@ -186,5 +187,8 @@ class KernelParams:
     guard_topic: str = topic("cmd_vel_nav", "topic of the velocities that others want")
     guard_timeout_s: float = bounded(
         0.25, 0.02, 2.0, "s", "silence of it after which the command is zero", Change.START
+    )
+    remote_motion: bool = setting(
+        False, "nodes of other hosts may start motion over ROS", Change.START
     )
     standalone: bool = setting(False, "MOVING is granted without any robot", Change.START)

@@ -39,6 +39,7 @@ class Remedy(Enum):
     START_BASE = "start the base"
     START_GATE = "start the gate"
     ACTIVATE = "activate the node"
+    ASK_HERE = "ask on this host"
     WAIT_FOR_LEASE = "wait for the lease"
     SET_COMMAND_TYPE = "set the command's type"
 

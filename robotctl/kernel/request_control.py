@@ -47,7 +47,7 @@ class RequestControl(LeaseControl):
         except ValueError:
             self._refuse(event.request_id, f"{event.requested} is not a mode: use {VALID_MODES}")
             return
-        if requested is Mode.MOVING and self._is_kept_by_another(event):
+        if requested is Mode.MOVING and self._may_not_move(event):
             return
         self._decide(event.t_ns, event.request_id, REQUESTS[requested], _told("requested", event))
 
@@ -77,6 +77,14 @@ class RequestControl(LeaseControl):
             case Guard.NONE:
                 self._stay(request_id, trigger)
 
+    def _may_not_move(self, event: ModeRequested | DriveRequested) -> bool:
+        """Refuse motion that another host or another than the holder of the lease asks for."""
+        if event.remote and not self.params.remote_motion:
+            refusal = f"{event.source} was called from another host, or may have been"
+            self._refuse(event.request_id, refusal, (Remedy.ASK_HERE,))
+            return True
+        return self._is_kept_by_another(event)
+
     def _stay(self, request_id: int, trigger: Trigger) -> None:
         state = self.state
         if state.phase is Phase.STOPPING:
@@ -90,7 +98,7 @@ class RequestControl(LeaseControl):
             self._accept(request_id, f"Mode is already {state.mode.name}")
 
     def _request_drive(self, event: DriveRequested) -> None:
-        if self._is_kept_by_another(event):
+        if self._may_not_move(event):
             return
         state = self.state
         refusal = event.pattern.refusal(event.course) or _laps_refusal(event.laps)

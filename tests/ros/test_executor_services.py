@@ -9,10 +9,14 @@ from typing import Any
 import pytest
 from rclpy.client import Client
 from rclpy.node import Node
+from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
+from robotctl.daemon.remote_requests import HOST
 from robotctl.ros import AsyncioExecutor
+from robotctl.ros.executor import requester
 from robotctl.ros.executor.sources.services import ServiceSource
+from robotctl.ros.graph.publishers import gid_of
 from tests.support.waiting import DEADLINE_S
 
 Peer = Callable[..., Awaitable[Any]]
@@ -134,3 +138,22 @@ def test_requests_that_cannot_be_read_hide_none_that_stands_behind(unreadable: i
     source.announced = unreadable + 1
     assert source.take() == ("stop", "header")
     assert source.take() is None
+
+
+async def test_a_handler_knows_its_client_and_that_it_is_of_this_host(
+    executor: AsyncioExecutor, node: Node, peer: Peer, topic: str
+) -> None:
+    seen: list[bytes | None] = []
+
+    def answer(request: Any, response: Any) -> Any:
+        seen.append(requester())
+        return response
+
+    node.create_service(SetBool, topic, answer)
+    await peer("call", service=topic, data=True)
+    (gid,) = seen
+    assert gid is not None
+    own = gid_of(node.create_publisher(String, f"{topic}_own", 1))
+    assert gid[HOST] == own[HOST]
+    assert gid[:12] != own[:12]
+    assert requester() is None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections.abc import Callable
 
 from robotctl.daemon.control.dispatcher import Control
 from robotctl.daemon.control.robot_report import RobotReport
@@ -29,7 +30,14 @@ from robotctl.kernel.types import (
 class Inputs:
     """The inputs; each method is called in the loop's thread."""
 
-    def __init__(self, control: Control, robot_report: RobotReport) -> None:
+    def __init__(
+        self,
+        control: Control,
+        robot_report: RobotReport,
+        is_remote: Callable[[], bool] = lambda: False,
+    ) -> None:
+        """`is_remote()` returns whether the present request may come from another host."""
+        self._is_remote = is_remote
         self._control = control
         self._robot_report = robot_report
 
@@ -74,7 +82,9 @@ class Inputs:
         """Dispatch the mode request of a ROS node; return the future of its reply."""
         request_id = self._control.new_request_id()
         return self._control.begin(
-            ModeRequested(time.monotonic_ns(), request_id, requested, source)
+            ModeRequested(
+                time.monotonic_ns(), request_id, requested, source, remote=self._is_remote()
+            )
         )
 
     def recorder_failed(self, detail: str) -> None:

@@ -95,7 +95,7 @@ class ModeRequested:
     """A request for a mode by its number, valid or not; it gets one `Reply`.
 
     `client` is the number of the client that may hold the lease, 0 for one without an identity.
-    `reason` is what the client says about it.
+    `reason` is what the client says about it. `remote` means that it may come from another host.
     """
 
     t_ns: int
@@ -104,6 +104,7 @@ class ModeRequested:
     source: str
     client: int = 0
     reason: str = ""
+    remote: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,8 +121,8 @@ class ResetRequested:
 class DriveRequested:
     """A request to drive `laps` laps (0: until stopped) of a pattern; it gets one `Reply`.
 
-    `client` and `reason` are as in `ModeRequested`. `course` says how, and may replace the pattern
-    by waypoints.
+    `client`, `reason` and `remote` are as in `ModeRequested`. `course` says how,
+    and may replace the pattern by waypoints.
     """
 
     t_ns: int
@@ -133,6 +134,7 @@ class DriveRequested:
     client: int = 0
     reason: str = ""
     course: Course = PLAIN
+    remote: bool = False
 
 
 @dataclass(frozen=True, slots=True)

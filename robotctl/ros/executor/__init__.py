@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from robotctl.ros.executor.errors import RclCallFailed, UnsupportedPlatform
     from robotctl.ros.executor.executor import AsyncioExecutor
+    from robotctl.ros.executor.present_request import requester
     from robotctl.ros.executor.raw_tap import UNKNOWN_GID, RawTap, SerializedData, Sink, ViewSink
     from robotctl.ros.executor.runtime import ExceptionHandler
     from robotctl.ros.executor.ticker import Tick, Ticker
@@ -29,6 +30,7 @@ __all__ = [
     "Ticker",
     "UnsupportedPlatform",
     "ViewSink",
+    "requester",
 ]
 
 _MODULES = {
@@ -43,6 +45,7 @@ _MODULES = {
     "Ticker": "ticker",
     "UnsupportedPlatform": "errors",
     "ViewSink": "raw_tap",
+    "requester": "present_request",
 }
 
 

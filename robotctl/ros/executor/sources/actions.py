@@ -17,6 +17,7 @@ from rclpy.node import Node
 
 from robotctl.ros.executor.announcements import Announcement
 from robotctl.ros.executor.futures import ImmediateCallbacks, fail_pending
+from robotctl.ros.executor.present_request import request_of
 from robotctl.ros.executor.replies import Replies, readers_of
 from robotctl.ros.executor.runtime import Runtime
 from robotctl.ros.executor.sources.source import EventFdSource
@@ -103,7 +104,13 @@ class ActionServerSource(_ActionSource):
 
     def deliver(self, item: Any) -> Coroutine[Any, Any, Any] | None:
         self._schedule_expiry_check()
-        return super().deliver(item)
+        goal = item.get("goal")
+        execution = self._execute(item)
+        return execution if goal is None else self._for_client(goal[0], execution)
+
+    async def _for_client(self, header: Any, execution: Coroutine[Any, Any, Any]) -> None:
+        with request_of(header):
+            await execution
 
     def _take(self, *, expired: bool) -> Any:
         server = self.entity

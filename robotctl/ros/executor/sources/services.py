@@ -14,6 +14,7 @@ from rclpy.service import Service
 
 from robotctl.ros.executor.announcements import Announcement
 from robotctl.ros.executor.futures import ImmediateCallbacks, callbacks_at_once, fail_pending
+from robotctl.ros.executor.present_request import request_of
 from robotctl.ros.executor.replies import Replies, is_taken, readers_of
 from robotctl.ros.executor.runtime import Runtime
 from robotctl.ros.executor.sources.source import EventFdSource, TakeFailed
@@ -48,7 +49,8 @@ class ServiceSource(EventFdSource):
     def deliver(self, item: Any) -> Coroutine[Any, Any, Any] | None:
         request, header = item
         service = self.entity
-        response = service.callback(request, service.srv_type.Response())
+        with request_of(header):
+            response = service.callback(request, service.srv_type.Response())
         if isinstance(response, CoroutineType):
             return self._answer(response, header)
         self._send(response, header)
