@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 from math import cos, nan, sin
+from typing import NamedTuple
 
 from robotctl.cdr.reader import BODY, ENCAPSULATION, LITTLE_ENDIAN, CdrReader
 from robotctl.kernel.geometry import Pose, yaw_of
@@ -20,12 +21,39 @@ _LENGTH = struct.Struct("<I")
 _POSE = struct.Struct("<7d")
 _VELOCITY = struct.Struct("<6d")
 _COVARIANCES = 36
-_POSE_AND_TWIST = struct.Struct("<7d288x6d")
-"""Position, orientation (x y z w), skipped 36 covariances, linear and angular velocity."""
+_SAMPLE = struct.Struct("<2d8x4d288xd32xd")
+"""Position x y, orientation x y z w, linear velocity x, angular velocity z; the rest is skipped."""
 
 
 UNREADABLE = Odometry(Pose(nan, nan, nan), Twist(nan, nan), 0)
 """Replaces a message that cannot be read: the kernel drops it because it is not finite."""
+
+
+class Sample(NamedTuple):
+    """The numbers of an odometry sample: [m], [rad], [m/s], [rad/s], [ns]."""
+
+    x: float
+    y: float
+    theta: float
+    linear: float
+    angular: float
+    stamp_ns: int
+
+
+def sample_of(odometry: Odometry) -> Sample:
+    """Return the numbers of what the kernel got."""
+    pose, velocity = odometry.pose, odometry.velocity
+    return Sample(
+        pose.x, pose.y, pose.theta, velocity.linear, velocity.angular, odometry.stamp_ns
+    )
+
+
+def read_sample(data: bytes) -> Sample:
+    """Return the numbers of what the kernel gets of these bytes."""
+    try:
+        return Sample(*_decode(data))
+    except Exception:  # noqa: BLE001 - the bytes may be anything
+        return sample_of(UNREADABLE)
 
 
 def read_odometry(data: bytes) -> Odometry:
@@ -42,17 +70,21 @@ def decode_odometry(data: bytes) -> Odometry:
     Raises:
         struct.error: The message is cut short, or not in plain CDR.
     """
+    x, y, theta, linear, angular, stamp_ns = _decode(data)
+    return Odometry(Pose(x, y, theta), Twist(linear, angular), stamp_ns)
+
+
+def _decode(data: bytes) -> tuple[float, float, float, float, float, int]:
+    """Return the numbers of a Sample.
+
+    Raises:
+        struct.error: The message is cut short, or not in plain CDR.
+    """
     if data[:2] != LITTLE_ENDIAN:
         return _read_odometry(CdrReader(data))
     seconds, nanoseconds = _STAMP.unpack_from(data, BODY)
-    x, y, _, qx, qy, qz, qw, linear, _, _, _, _, angular = _POSE_AND_TWIST.unpack_from(
-        data, _pose_offset(data)
-    )
-    return Odometry(
-        Pose(x, y, yaw_of(qx, qy, qz, qw)),
-        Twist(linear, angular),
-        seconds * NS_PER_S + nanoseconds,
-    )
+    x, y, qx, qy, qz, qw, linear, angular = _SAMPLE.unpack_from(data, _pose_offset(data))
+    return x, y, yaw_of(qx, qy, qz, qw), linear, angular, seconds * NS_PER_S + nanoseconds
 
 
 def decode_twist(data: bytes) -> Twist:
@@ -110,7 +142,7 @@ class OdometryEncoder:
         """Encode odometry of `child_frame_id` in `frame_id`, with covariances 0: unknown."""
         head = _with_text(_header(frame_id), child_frame_id)
         self._pose = _pose_offset(head)
-        self._twist = self._pose + _POSE_AND_TWIST.size - _VELOCITY.size
+        self._twist = self._pose + _POSE.size + 8 * _COVARIANCES
         end = self._twist + _VELOCITY.size + 8 * _COVARIANCES
         self._buffer = bytearray(head.ljust(end, b"\0"))
 
@@ -162,15 +194,11 @@ def _pose_offset(data: bytes) -> int:
     return BODY + end + -end % 8
 
 
-def _read_odometry(message: CdrReader) -> Odometry:
+def _read_odometry(message: CdrReader) -> tuple[float, float, float, float, float, int]:
     (seconds,), (nanoseconds,) = message.take("i"), message.take("I")
     message.text()
     message.text()
     x, y, _, qx, qy, qz, qw = message.take("d", 7)
     message.take("d", _COVARIANCES)
     linear, _, _, _, _, angular = message.take("d", 6)
-    return Odometry(
-        Pose(x, y, yaw_of(qx, qy, qz, qw)),
-        Twist(linear, angular),
-        seconds * NS_PER_S + nanoseconds,
-    )
+    return x, y, yaw_of(qx, qy, qz, qw), linear, angular, seconds * NS_PER_S + nanoseconds

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from robotctl.cdr.battery import read_battery_level
-from robotctl.cdr.motion import read_odometry
+from robotctl.cdr.motion import read_sample, sample_of
 from robotctl.kernel.types import BatteryReceived, Event, OdomReceived
 from robotctl.recording import RecordingInfo
 from robotctl.recording.format.metadata_names import INFO_RECORD
@@ -50,7 +50,7 @@ class InputCheck:
             return
         sequence = event.sequence & MAX_SEQUENCE
         if isinstance(event, OdomReceived):
-            found = Input(event.t_ns, event.source, event.odometry, seq)
+            found = Input(event.t_ns, event.source, sample_of(event.odometry), seq)
         else:
             found = Input(event.t_ns, event.publisher, event.level, seq)
         self._pairs.received(sequence, found)
@@ -106,7 +106,7 @@ def input_checks(report: Report, info: RecordingInfo, journal_topic: str) -> Inp
     """Return the checks of the inputs of a recording."""
     return Inputs(
         InputCheck(
-            report, "odometry", _topic(info, journal_topic, "odometry", "odom"), read_odometry
+            report, "odometry", _topic(info, journal_topic, "odometry", "odom"), read_sample
         ),
         InputCheck(
             report,
