@@ -43,9 +43,7 @@ class Sample(NamedTuple):
 def sample_of(odometry: Odometry) -> Sample:
     """Return the numbers of what the kernel got."""
     pose, velocity = odometry.pose, odometry.velocity
-    return Sample(
-        pose.x, pose.y, pose.theta, velocity.linear, velocity.angular, odometry.stamp_ns
-    )
+    return Sample(pose.x, pose.y, pose.theta, velocity.linear, velocity.angular, odometry.stamp_ns)
 
 
 def read_sample(data: bytes) -> Sample:
