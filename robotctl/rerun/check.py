@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 from robotctl.errors import UnreadableFile
 from robotctl.kernel.snapshot import Proof
-from robotctl.kernel.types import OdomReceived
+from robotctl.kernel.types import Effect, Event, OdomReceived
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording, RecordingInfo
-from robotctl.recording.format.journal import EntryKind, JournalEntry
+from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.format.metadata_names import INFO_RECORD, OWN_LIBRARY
 from robotctl.recording.read.journal_reader import (
-    EntryDecoder,
     journal_topic,
     journal_topics,
     own_journal_topic,
 )
+from robotctl.recording.read.messages import Message
 from robotctl.recording.read.source import Source
 from robotctl.rerun.bytes_check import check_bytes
+from robotctl.rerun.check_reading import CheckReading, Item, LogTimes, Readers
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.clock_changes import ClockChanges
 from robotctl.rerun.command_bytes import command_topic
@@ -28,16 +29,15 @@ from robotctl.rerun.command_check import CommandCheck
 from robotctl.rerun.comparison import Comparison
 from robotctl.rerun.input_check import input_checks
 from robotctl.rerun.invariants import Invariants
-from robotctl.rerun.journal_chain import JournalChain
 from robotctl.rerun.journal_format import JournalFormat
-from robotctl.rerun.journal_steps import Gap, Step, steps
+from robotctl.rerun.journal_steps import Gap, Step
 from robotctl.rerun.journal_values import read_effect, read_event, read_snapshot
+from robotctl.rerun.measured import Measured
 from robotctl.rerun.piece_pool import PiecePool, pool_for
-from robotctl.rerun.reading_position import ReadingPosition
 from robotctl.rerun.recorded_parameters import differing_parameters
 from robotctl.rerun.recording_ends import RecordingEnds, is_beginning
 from robotctl.rerun.recording_groups import FileGroup, file_groups
-from robotctl.rerun.rerun import Divergence, Rerun
+from robotctl.rerun.rerun import Agreed, Divergence, Rerun
 from robotctl.rerun.service_check import ServiceChecks
 from robotctl.rerun.status_check import StatusCheck
 
@@ -101,17 +101,14 @@ class _Check:
         self._invariants = Invariants()
         self._clock = ClockChanges()
         self._commands = CommandCheck(report, self._clock)
-        self._chain = JournalChain()
         self._format = JournalFormat(report)
         self._rerun: Rerun | None = None
         self._before_snapshot = 0
-        self._end_ns = 0
-        self._reading = ReadingPosition()
         self._pool: PiecePool | None = None
         report.robot = self._info.metadata.get(INFO_RECORD, {}).get("robot", "")
         report.version = _version(self._info)
         self._log_ns = (0, 0)
-        """When the last two events were recorded, in nanoseconds since the epoch."""
+        """When the last two events before the present item were recorded, since the epoch [ns]."""
 
     def run(self, pool: PiecePool | None) -> None:
         """Fill the report; `pool` re-runs pieces of the recording meanwhile.
@@ -133,43 +130,32 @@ class _Check:
         self._inputs = input_checks(report, info, topic)
         self._status = StatusCheck(report, info, topic, self._clock)
         self._services = ServiceChecks(report, info, topic, self._clock)
-        for item in steps(self._entries(topic)):
-            if isinstance(item, Gap):
-                report.miss(item.text)
-                self._stop()
-            elif isinstance(item, Step):
-                self._step(item)
-            else:
-                self._snapshot(item)
-        self._end()
-
-    def _entries(self, topic: str) -> Iterator[JournalEntry]:
-        """Yield the journal entries; hand the other messages to their checks."""
-        report = self._report
-        commands = command_topic(self._info, topic)
+        self._reading = CheckReading(self._recording, report, self._ends, self._on_progress)
         readers = self._inputs.readers() | self._services.readers()
+        commands = command_topic(info, topic)
         if commands is not None:
             readers[commands] = self._commands.message
         if self._status.topic is not None:
             readers[self._status.topic] = self._status.message
-        messages = self._recording.in_order_written(
-            {topic, *readers}, report.miss, self._on_progress, self._reading.enter
-        )
-        decoder = EntryDecoder(self._recording)
-        for message in messages:
-            if message.topic == topic:
-                entry = decoder.decode(message.data)
-                if not report.begin_log_ns:
-                    report.begin_ns, report.begin_log_ns = entry.t_ns, message.log_ns
-                self._end_ns = entry.t_ns
-                self._reading.entry(entry.seq)
-                self._ends.entry(entry.seq)
-                self._chain.add(entry.seq, message.data)
-                if entry.kind is not EntryKind.EFFECT:
-                    self._log_ns = self._log_ns[1], message.log_ns
-                yield entry
+        for batch in self._reading.batches(topic, readers):
+            self._take(batch, readers)
+        self._end()
+
+    def _take(self, batch: list[tuple[Item, LogTimes]], readers: Readers) -> None:
+        """Look at what was read."""
+        rerun = self._rerun
+        taken = [item for item, _ in batch if isinstance(item, Step)]
+        agreed = iter(() if rerun is None else rerun.ahead(taken))
+        for item, self._log_ns in batch:
+            if isinstance(item, Step):
+                self._step(item, next(agreed, None))
+            elif isinstance(item, Message):
+                readers[item.topic](item)
+            elif isinstance(item, Gap):
+                self._report.miss(item.text)
+                self._stop()
             else:
-                readers[message.topic](message)
+                self._snapshot(item)
 
     def _snapshot(self, entry: JournalEntry) -> None:
         report = self._report
@@ -190,7 +176,7 @@ class _Check:
             self._interrupt_at(error)
             return
         self._note(divergence)
-        position = self._reading.position
+        position = self._reading.position.position
         if self._pool is not None and position is not None:
             self._rerun.trust(self._pool.confirmed(position))
         self._check_chain(entry, snapshot.proof)
@@ -210,14 +196,14 @@ class _Check:
                 self._report.miss(sentence)
 
     def _check_chain(self, entry: JournalEntry, proof: Proof | None) -> None:
-        is_whole = self._chain.is_whole(entry, proof)
+        is_whole = self._reading.chain.is_whole(entry, proof)
         before = self._ends.snapshot(entry, proof)
         if not is_whole:
             self._invariants.violate(
                 f"the journal was changed between its entries {before} and {entry.seq}"
             )
 
-    def _step(self, step: Step) -> None:
+    def _step(self, step: Step, agreed: Agreed | None) -> None:
         report = self._report
         report.events += 1
         report.effects += len(step.effects)
@@ -229,25 +215,35 @@ class _Check:
                         read_event(step.event), tuple(map(read_effect, step.effects)), (0, 0, 0)
                     )
                 return
-            self._format.compare(step.event, *step.effects)
-            decided = self._rerun.step(step)
-            effects = decided.effects
-            if effects is None:
-                self._note(decided.divergence)
-                effects = tuple(map(read_effect, step.effects))
+            event, effects, measured = agreed or self._decided(self._rerun, step)
         except UnreadableFile as error:
             self._interrupt_at(error)
             return
-        self._inputs.step(decided.event, step.event.seq)
-        moments = decided.event.t_ns, *self._log_ns
-        self._status.step(decided.event, effects, self._rerun.measured, moments)
-        if effects or not isinstance(decided.event, OdomReceived):
-            self._commands.step(decided.event, effects, moments)
-            self._services.step(decided.event, step.event.seq, effects, moments)
+        self._inputs.step(event, step.event.seq)
+        moments = event.t_ns, *self._log_ns
+        self._status.step(event, effects, measured, moments)
+        if effects or not isinstance(event, OdomReceived):
+            self._commands.step(event, effects, moments)
+            self._services.step(event, step.event.seq, effects, moments)
         if self._rerun.is_trusting:
-            self._invariants.pass_over(step.event.seq, decided.event, effects)
+            self._invariants.pass_over(step.event.seq, event, effects)
         else:
-            self._invariants.step(step.event.seq, decided.event, effects)
+            self._invariants.step(step.event.seq, event, effects)
+
+    def _decided(
+        self, rerun: Rerun, step: Step
+    ) -> tuple[Event, tuple[Effect, ...], Measured | None]:
+        """Decide on one step; return event, effects, and what is measured after them.
+
+        Raises:
+            UnreadableFile: An entry cannot be read.
+        """
+        self._format.compare(step.event, *step.effects)
+        event, effects, divergence = rerun.step(step)
+        if effects is None:
+            self._note(divergence)
+            effects = tuple(map(read_effect, step.effects))
+        return event, effects, rerun.measured
 
     def _note(self, divergence: Divergence | None) -> None:
         report = self._report
@@ -275,7 +271,7 @@ class _Check:
 
     def _end(self) -> None:
         report, invariants = self._report, self._invariants
-        report.duration_s = (self._end_ns - report.begin_ns) / NS_PER_S
+        report.duration_s = (self._reading.end_ns - report.begin_ns) / NS_PER_S
         if self._rerun is None:
             report.miss("its journal holds no snapshot of the kernel to begin from")
             return
@@ -288,8 +284,8 @@ class _Check:
         ends = self._ends
         ends.read_ledger(invariants)
         self._commands.end(invariants, ends.ending(command_topic(self._info, self._topic or "")))
-        self._inputs.end(invariants, ends.ending, self._end_ns)
-        self._services.end(invariants, ends.ending, self._end_ns)
+        self._inputs.end(invariants, ends.ending, self._reading.end_ns)
+        self._services.end(invariants, ends.ending, self._reading.end_ns)
         self._status.end(ends.ending(self._status.topic), self._log_ns[1])
         report.violations, report.violation_count = invariants.violations, invariants.count
 

@@ -26,6 +26,10 @@ MAX_UNUSED = 1000
 """A piece with more odometry that the kernel did not take as new is left to the check."""
 
 
+MAX_STEPS = 512
+"""How many steps are re-run at once."""
+
+
 class Position(NamedTuple):
     """Where a journal entry stands: its place, and its number among the entries there."""
 
@@ -80,7 +84,7 @@ class _Piece:
         self._invariants.snapshot(begun)
         self._is_right = comparison.is_exact and divergence is None
         self._seq = snapshot.seq
-        self._step: Step | None = None
+        self._steps: list[Step] = []
         self._unused: set[int] = set()
 
     def confirmed(self) -> ConfirmedPiece:
@@ -88,19 +92,16 @@ class _Piece:
         return ConfirmedPiece(frozenset(self._unused))
 
     def add(self, entry: JournalEntry) -> bool:
-        """Take an event or an effect; return whether the piece is right so far.
-
-        Raises:
-            UnreadableFile: It cannot be read.
-        """
+        """Take an event or an effect; return whether the piece is right so far."""
         self._follow(entry)
         if entry.kind is EntryKind.EVENT:
-            self._take_step()
-            self._step = Step(entry)
-        elif self._step is None:
-            self._is_right = False
+            if len(self._steps) >= MAX_STEPS:
+                self._take_steps()
+            self._steps.append(Step(entry))
+        elif self._steps:
+            self._steps[-1].effects.append(entry)
         else:
-            self._step.effects.append(entry)
+            self._is_right = False
         return self._is_right
 
     def ends_with(self, snapshot: JournalEntry) -> bool:
@@ -110,7 +111,7 @@ class _Piece:
             UnreadableFile: It cannot be read.
         """
         self._follow(snapshot)
-        self._take_step()
+        self._take_steps()
         return (
             self._is_right
             and self._rerun.snapshot(snapshot)[1] is None
@@ -121,15 +122,12 @@ class _Piece:
         self._is_right = self._is_right and entry.seq == self._seq + 1
         self._seq = entry.seq
 
-    def _take_step(self) -> None:
-        step, self._step = self._step, None
-        if step is None or not self._is_right:
-            return
-        event, effects, _ = self._rerun.step(step)
-        measured = self._rerun.measured
-        if effects is None or measured is None or len(self._unused) > MAX_UNUSED:
-            self._is_right = False
-            return
-        self._invariants.step(step.event.seq, event, effects)
-        if isinstance(event, OdomReceived) and measured.odometry_t_ns != event.t_ns:
-            self._unused.add(step.event.seq)
+    def _take_steps(self) -> None:
+        steps, self._steps = self._steps, []
+        agreed = self._rerun.ahead(steps) if self._is_right else []
+        is_whole = len(agreed) == len(steps) and len(self._unused) <= MAX_UNUSED
+        self._is_right = self._is_right and is_whole
+        for step, (event, effects, health) in zip(steps, agreed, strict=False):
+            self._invariants.step(step.event.seq, event, effects)
+            if isinstance(event, OdomReceived) and health.odometry_t_ns != event.t_ns:
+                self._unused.add(step.event.seq)

