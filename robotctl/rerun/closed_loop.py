@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 
-from robotctl.kernel.battery import full_level
+from robotctl.kernel.battery import full_level, is_level
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.types import (
     BatteryReceived,
@@ -23,21 +24,37 @@ TICK_AFTER_ODOMETRY_NS = 1_000_000
 """Ticks follow odometry by this time: tracking is best with fresh odometry."""
 
 
+@dataclass(frozen=True, slots=True)
+class Start:
+    """How the robot begins, where the kernel does not know it yet: odometry, and battery 0..1."""
+
+    odometry: Odometry | None = None
+    battery: float | None = None
+
+
 def closed_loop(
-    kernel: Kernel, sim: SimParams, requests: Iterable[Event], begin_ns: int
+    kernel: Kernel,
+    sim: SimParams,
+    requests: Iterable[Event],
+    begin_ns: int,
+    start: Start = Start(),
 ) -> Iterator[tuple[Event, tuple[Effect, ...]]]:
     """Yield every event with its effects from `begin_ns` (steady) on, without end.
 
-    `requests` are ordered by time, and each is taken at its `t_ns`. The robot begins at the pose of
-    the kernel's last odometry.
+    `requests` are ordered by time, and each is taken at its `t_ns`. The robot begins with pose,
+    velocity and battery level as the kernel knows them, or else with those of `start`.
 
     Raises:
         UnreadableFile: The kernel cannot continue from its state.
     """
     robot = Robot(sim)
     health = kernel.state.health
-    if health.odometry is not None:
-        robot.truth = robot.odometry = health.odometry.pose
+    known = health.odometry or start.odometry
+    if known is not None:
+        robot.resume(known.pose, known.velocity, kernel.state.command)
+    level = health.battery_level if is_level(health.battery_level) else start.battery
+    if is_level(level):
+        robot.battery = min(level, 1.0)
     stamp_ns = health.odometry_stamp_ns - begin_ns
     source = health.odometry_sources.followed
     full = 100.0 if health.battery_in_percent else full_level(kernel.params.battery.scale)

@@ -155,9 +155,11 @@ class _Search:
             self._consider(step, kind)
 
     def _snapshot(self, entry: JournalEntry) -> None:
-        self._snapshot_seq = entry.seq
+        state = read_snapshot(entry).state
+        if self._snapshot_seq is None or state.phase is not Phase.STOPPING:
+            self._snapshot_seq = entry.seq  # else the begin of the ramp would stay unknown
         if self._mode is None:
-            self._mode = read_snapshot(entry).state.mode
+            self._mode = state.mode
 
     def _consider(self, step: Step, kind: IncidentKind) -> None:
         """Keep the incident if it is later, or nearer to the wanted time, than the one before."""

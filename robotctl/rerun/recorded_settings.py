@@ -48,6 +48,11 @@ def check_scope(settings: Settings, *, closed_loop: bool) -> None:
     """
     for key in settings:
         section = key.partition(".")[0]
+        if key == "rate_hz" and not closed_loop:
+            raise UsageError(
+                "--what-if rate_hz: the ticks stay as recorded; with --resim the kernel ticks at "
+                "that rate"
+            )
         if section == "kernel" or section not in _SECTIONS or (closed_loop and section == "sim"):
             continue
         hint = "; with --resim it changes the simulated robot" if section == "sim" else ""

@@ -6,8 +6,7 @@ Time is virtual, so no scheduler has an influence: two runs differ only by their
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from math import isfinite
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,68 +14,23 @@ from robotctl.config import Config, flat
 from robotctl.errors import UnreadableFile
 from robotctl.kernel.health import CommandTopic
 from robotctl.kernel.kernel import Kernel
-from robotctl.kernel.lease import LeaseLost, LeaseRequested
-from robotctl.kernel.parameter_change import ParameterRequested
 from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.state import State
-from robotctl.kernel.types import (
-    DriveEnded,
-    DriveReport,
-    DriveRequested,
-    Event,
-    GuardedCommandReceived,
-    ModeRequested,
-    ResetRequested,
-)
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording
-from robotctl.recording.format.journal import EntryKind, JournalEntry
+from robotctl.recording.format.journal import EntryKind
 from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.journal_reader import read_journal
 from robotctl.rerun.closed_loop import closed_loop
-from robotctl.rerun.journal_values import read_effect, read_event, read_snapshot
+from robotctl.rerun.journal_values import read_snapshot
 from robotctl.rerun.recorded_settings import Settings, changed, simulated
-
-MAX_REQUESTS = 100_000
-"""The largest number of requests that are repeated; the result says if there were more."""
+from robotctl.rerun.simulated_run import MAX_REQUESTS, Run, figures
 
 MAX_SPAN_NS = 7 * 86_400 * NS_PER_S
 """The longest recording that is simulated."""
 
 LONGEST = 10
 """A drive that continues at the end is simulated for at most this many times the recording."""
-
-_REPEATED = (
-    ModeRequested,
-    ResetRequested,
-    DriveRequested,
-    ParameterRequested,
-    LeaseRequested,
-    LeaseLost,
-    GuardedCommandReceived,
-)
-_REQUESTS = frozenset(kind.__name__ for kind in _REPEATED)
-
-
-@dataclass(slots=True)
-class Run:
-    """The requests of a run, and the results of its drives by the id of their request."""
-
-    begin_ns: int = 0
-    end_ns: int = 0
-    requests: dict[int, Event] = field(default_factory=dict)
-    drives: dict[int, dict[str, Any]] = field(default_factory=dict)
-
-    def end_drive(self, ended: DriveEnded, t_ns: int) -> None:
-        """Keep the result of a drive; a drive that began before the recording has no duration."""
-        request = self.requests.get(ended.request_id)
-        duration_s = (t_ns - request.t_ns) / NS_PER_S if request else None
-        self.drives[ended.request_id] = {
-            "duration_s": duration_s,
-            "completed": ended.completed,
-            "reason": ended.reason,
-            **_figures(ended.report),
-        }
 
 
 def resimulate(
@@ -105,7 +59,7 @@ def resimulate(
             if entry.kind is EntryKind.SNAPSHOT and snapshot is None:
                 snapshot, recorded.begin_ns = read_snapshot(entry), entry.t_ns
             elif snapshot is not None:
-                _take(recorded, entry)
+                recorded.take(entry, snapshot.params.battery.scale)
     if snapshot is None:
         raise UnreadableFile(f"{path}: its journal holds no snapshot of the kernel to begin from")
     if not 0 <= recorded.end_ns - recorded.begin_ns <= MAX_SPAN_NS:
@@ -118,6 +72,13 @@ def resimulate(
     other = changed(config, settings)
     again = _simulate(config, snapshot.state, recorded, on_progress)
     what_if = _simulate(other, snapshot.state, recorded, on_progress) if settings else None
+    runs = (("recorded", recorded), ("simulated", again), ("what_if", what_if))
+    asked = {
+        request_id
+        for _, run in runs
+        if run is not None
+        for request_id in run.drives.keys() | run.refused_drives()
+    }
     return {
         "path": str(path),
         "duration_s": (recorded.end_ns - recorded.begin_ns) / NS_PER_S,
@@ -127,33 +88,26 @@ def resimulate(
         "drives": [
             {
                 "request_id": request_id,
-                "recorded": recorded.drives.get(request_id),
-                "simulated": again.drives.get(request_id),
-                "what_if": what_if.drives.get(request_id) if what_if else None,
+                **{side: None if run is None else run.drives.get(request_id) for side, run in runs},
+                "no_drive": {
+                    side: _no_drive(run, recorded, request_id)
+                    for side, run in runs
+                    if run is not None and request_id not in run.drives
+                },
             }
-            for request_id in sorted(
-                recorded.drives.keys()
-                | again.drives.keys()
-                | (what_if.drives.keys() if what_if else set())
-            )
+            for request_id in sorted(asked)
         ],
         "missing": missing,
     }
 
 
-def _take(run: Run, entry: JournalEntry) -> None:
-    if entry.kind is EntryKind.EVENT and entry.name in _REQUESTS:
-        request = read_event(entry)
-        assert isinstance(request, _REPEATED)
-        if len(run.requests) <= MAX_REQUESTS:
-            if isinstance(request, LeaseLost | GuardedCommandReceived):  # without an id
-                run.requests[-1 - len(run.requests)] = request
-            else:
-                run.requests[request.request_id] = request
-    elif entry.kind is EntryKind.EFFECT and entry.name == DriveEnded.__name__:
-        ended = read_effect(entry)
-        assert isinstance(ended, DriveEnded)
-        run.end_drive(ended, entry.t_ns)
+def _no_drive(run: Run, recorded: Run, request_id: int) -> str:
+    """Return why a run has no such drive."""
+    if request_id in run.refused:
+        return f"refused: {run.refused[request_id]}"
+    if request_id in recorded.refused:
+        return "refused in the recording, and not asked again"
+    return "it was not requested while the robot stood ready"
 
 
 def _simulate(
@@ -161,7 +115,7 @@ def _simulate(
 ) -> Run:
     """Repeat the requests with a simulated robot until recording and drive have ended.
 
-    Other nodes of the recording are left out.
+    Other nodes of the recording are left out, and requests that were refused in it.
     """
     alone = replace(state.health, foreign_publishers=(), command_topic=CommandTopic())
     kernel = Kernel(config.kernel, replace(state, health=alone))
@@ -169,11 +123,11 @@ def _simulate(
     last_ns = begin_ns + LONGEST * (end_ns - begin_ns)
     run = Run(begin_ns, end_ns, recorded.requests)
     told = 0
-    asked = list(recorded.requests.values())[:MAX_REQUESTS]
-    for event, effects in closed_loop(kernel, config.sim, asked, begin_ns):
+    asked = [event for each, event in recorded.requests.items() if each not in recorded.refused]
+    loop = closed_loop(kernel, config.sim, asked[:MAX_REQUESTS], begin_ns, recorded.start)
+    for event, effects in loop:
         for effect in effects:
-            if isinstance(effect, DriveEnded):
-                run.end_drive(effect, event.t_ns)
+            run.effect(effect, event.t_ns)
         drive = kernel.state.drive
         if event.t_ns > end_ns and (drive is None or not drive.laps or event.t_ns > last_ns):
             break
@@ -186,17 +140,6 @@ def _simulate(
             "duration_s": None,
             "completed": False,
             "reason": "under way at the end",
-            **_figures(drive.report()),
+            **figures(drive.report()),
         }
     return run
-
-
-def _figures(report: DriveReport) -> dict[str, Any]:
-    """Return the figures of a drive as JSON values, None for a figure that is unknown."""
-    return {
-        "laps": report.laps,
-        "distance_m": report.distance_m,
-        "cross_track_rms_m": report.cross_track_rms_m,
-        "cross_track_max_m": report.cross_track_max_m,
-        "closure_m": report.closure_m if isfinite(report.closure_m) else None,
-    }

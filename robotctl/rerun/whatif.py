@@ -96,6 +96,15 @@ class _Side:
     kernel: Kernel | None = None
     in_mode_ns: dict[Mode, int] = field(default_factory=lambda: dict.fromkeys(Mode, 0))
     answers: dict[int, Reply] = field(default_factory=dict)
+    refusal: str = ""
+    """The last request that was refused, as its answer says."""
+
+    @property
+    def no_drive(self) -> str:
+        """Why the robot never moved, "" if it did."""
+        if self.in_mode_ns[Mode.MOVING]:
+            return ""
+        return f"refused: {self.refusal}" if self.refusal else "no motion was requested"
 
     def step(self, kernel: Kernel, event: Event, elapsed_ns: int) -> tuple[Effect, ...]:
         self.in_mode_ns[kernel.state.mode] += elapsed_ns
@@ -103,6 +112,8 @@ class _Side:
         for effect in effects:
             if isinstance(effect, Reply):
                 self.answers[effect.request_id] = effect
+                if not effect.ok:
+                    self.refusal = effect.message
         return effects
 
 
@@ -187,6 +198,7 @@ class _TwoKernels:
             },
             "mode_differs_s": self._apart_ns / NS_PER_S,
             "first_difference": self._first,
+            "no_drive": {"recorded": self._recorded.no_drive, "what_if": self._other.no_drive},
             "answers": self._answers,
             "answer_count": self._answer_count,
         }

@@ -20,9 +20,11 @@ from robotctl.kernel.types import (
     Cause,
     DriveEnded,
     DriveRequested,
+    Event,
     LatchEmergencyStop,
     ModeChanged,
     ModeRequested,
+    Phase,
     PublishTwist,
     ReleaseEmergencyStop,
     Reply,
@@ -97,7 +99,7 @@ def rule_of(incident: Incident) -> Rule | None:
 
 def _what(incident: Incident) -> str:
     if incident.kind is IncidentKind.KILL:
-        return "killed while MOVING: the recording ends there, without a stop"
+        return "the daemon was killed while MOVING: the recording ends there, without a stop"
     for effect in incident.effects:
         if isinstance(effect, ModeChanged):
             return f"{effect.previous.name} -> {effect.mode.name}: {effect.reason}"
@@ -127,6 +129,9 @@ def _came_in(incident: Incident) -> str:
             "nothing that was recorded: the process was killed, the machine lost power, "
             "or the disk took no more"
         )
+    before = incident.before
+    if incident.ramp is None and before is not None and before.phase is Phase.STOPPING:
+        return f"{before.stop_reason}: the ramp began before this recording"
     if incident.ramp is None:
         return sentence_of(incident.event)
     t_ns, event = incident.ramp
@@ -191,15 +196,27 @@ def _table_rule(incident: Incident, before: State) -> str:
         case LeaseLost() | LeaseRequested():
             return "the lease: motion ends with it"
         case _:
-            return "the drive was over" if incident.kind is IncidentKind.STOP else ""
+            drive = before.drive if incident.kind is IncidentKind.STOP else None
+            return "the drive was over" if drive is not None and drive.finished else ""
     mode = Mode.MOVING if incident.ramp else before.mode
     transition = TRANSITIONS[mode, trigger]
     if transition.guard is Guard.NEVER:
         return f"the table of modes: {trigger.value} is refused in {mode.name}"
+    if incident.kind is IncidentKind.REFUSAL:
+        return _other_refusal(event, before)
     condition = "" if transition.guard is Guard.NONE else f", {transition.guard.value}"
     return (
         f"the table of modes: {trigger.value} in {mode.name}: {transition.target.name}{condition}"
     )
+
+
+def _other_refusal(event: Event, before: State) -> str:
+    """Return the rule of a refusal that neither the safety table nor the table of modes decided."""
+    if before.phase is Phase.STOPPING:
+        return "while the robot ramps down, nothing starts"
+    if isinstance(event, DriveRequested) and before.mode is Mode.MOVING and not event.replace:
+        return "one drive at a time: a second one must replace the first"
+    return ""
 
 
 def _measures(rule: Rule, params: KernelParams) -> str:

@@ -71,6 +71,17 @@ class Robot:
         self.battery = params.battery_start
         self.faults = Faults()
 
+    def resume(self, pose: Pose, measured: Twist, command: Twist) -> None:
+        """Begin at a pose, with the velocity that odometry reports there, under a command."""
+        params = self._params
+        self.truth = self.odometry = pose
+        self.measured = measured
+        self._command = command
+        self._wheels = Twist(
+            measured.linear / (params.actuation_linear_factor * params.odometry_linear_factor),
+            measured.angular / (params.actuation_angular_factor * params.odometry_angular_factor),
+        )
+
     def command(self, twist: Twist) -> None:
         """Follow `twist` until the next command or the command timeout."""
         if SimFault.HANG in self.faults:

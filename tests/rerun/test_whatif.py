@@ -9,6 +9,7 @@ import pytest
 
 from robotctl.config import Config, with_setting
 from robotctl.errors import ConfigError, UnreadableFile, UsageError
+from robotctl.kernel.lifecycle import LifecycleChanged, LifecycleState
 from robotctl.kernel.types import (
     CommandListenersSeen,
     CommandPublishersSeen,
@@ -89,6 +90,8 @@ def test_a_key_that_changes_nothing_is_refused() -> None:
         check_scope({"sim.lag_s": "0.2"}, closed_loop=False)
     with pytest.raises(UsageError, match=r"no decision depends on it$"):
         check_scope({"recording.compression": "none"}, closed_loop=True)
+    with pytest.raises(UsageError, match="the ticks stay as recorded; with --resim"):
+        check_scope({"rate_hz": "100"}, closed_loop=False)
     check_scope({"sim.lag_s": "0.2", "rate_hz": "100"}, closed_loop=True)
 
 
@@ -161,3 +164,43 @@ def test_nothing_to_begin_from_is_said(tmp_path: Path) -> None:
     for compare in (what_if, resimulate):
         with pytest.raises(UnreadableFile, match="holds no snapshot"):
             compare(folder, {}, silent)
+
+
+def test_a_simulation_begins_with_the_recorded_battery(tmp_path: Path) -> None:
+    config = with_setting(Config(), "sim.battery_start", 0.1)
+    folder = record(tmp_path / "run", drive(2.0, config=config))  # noted: full at the start
+    (one,) = resimulate(folder, {}, silent)["drives"]
+    assert (one["recorded"], one["simulated"]) == (None, None)
+    assert one["no_drive"]["recorded"].startswith("refused: the battery is at 10%")
+    assert one["no_drive"]["simulated"] == "refused in the recording, and not asked again"
+
+
+def test_a_simulation_begins_with_the_recorded_speed(tmp_path: Path) -> None:
+    written = drive(8.0, snapshots_s=(4.0,))
+    kinds = [getattr(each, "name", "") for each in written]
+    folder = record(tmp_path / "run", written[kinds.index("Snapshot") :])
+    (one,) = resimulate(folder, {}, silent)["drives"]
+    assert one["simulated"]["cross_track_max_m"] < 0.05
+
+
+def test_a_simulation_follows_the_lifecycle(tmp_path: Path) -> None:
+    events: list[Event] = [
+        LifecycleChanged(BEGIN_NS + 50_000_000, LifecycleState.INACTIVE, "a node"),
+        LifecycleChanged(BEGIN_NS + 900_000_000, LifecycleState.ACTIVE, "a node"),
+        drive_requested(1.0),
+    ]
+    written = drive(3.0, requests=[events[0], drive_requested(0.5)])
+    (one,) = resimulate(record(tmp_path / "inactive", written), {}, silent)["drives"]
+    assert one["no_drive"]["recorded"].startswith("refused: ")
+    (one,) = resimulate(record(tmp_path / "active", drive(3.0, requests=events)), {}, silent)[
+        "drives"
+    ]
+    assert one["simulated"]["reason"] == "under way at the end"
+
+
+def test_without_a_drive_the_reason_is_said(tmp_path: Path) -> None:
+    folder = record(tmp_path / "run", drive(1.0, requests=[]))
+    assert if_set(folder, "tracking.k_y=8")["no_drive"]["recorded"] == "no motion was requested"
+    refused = ModeRequested(BEGIN_NS + 500_000_000, 1, 7, "operator")
+    folder = record(tmp_path / "refused", drive(1.0, requests=[refused]))
+    assert if_set(folder, "tracking.k_y=8")["no_drive"]["recorded"].startswith("refused: 7 is")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
@@ -121,6 +121,32 @@ def test_the_chain_of_a_stop_is_told(tmp_path: Path, name: str) -> None:
     assert 0 <= found.zero_ns - found.log_ns < 1_000_000
 
 
+RAMP = drive(
+    3.0,
+    requests=[drive_requested(), ModeRequested(at(2.0), 2, 0, "operator")],
+    snapshots_s=(0.0, 2.2),
+)
+
+
+def test_a_ramp_with_a_snapshot_in_it_is_told_from_its_begin(tmp_path: Path) -> None:
+    told = explain(incident(record(tmp_path / "run", RAMP)))
+    assert told.came_in == "a request for IDLE by operator, 501 ms before the robot stood"
+    assert told.rule == "the table of modes: request idle in MOVING: IDLE, after ramping down"
+
+
+def test_a_ramp_that_began_in_an_earlier_file_is_told_as_such(tmp_path: Path) -> None:
+    snapshots = [at for at, each in enumerate(RAMP) if getattr(each, "name", "") == "Snapshot"]
+    told = explain(incident(record(tmp_path / "run", RAMP[snapshots[1] :])))
+    assert told.came_in == "requested by operator: the ramp began before this recording"
+
+
+def test_a_second_drive_is_refused_by_its_own_rule(tmp_path: Path) -> None:
+    again = replace(drive_requested(1.5), request_id=2)
+    found = incident(record(tmp_path / "run", drive(2.0, requests=[drive_requested(), again])))
+    assert found.kind is IncidentKind.REFUSAL
+    assert explain(found).rule == "one drive at a time: a second one must replace the first"
+
+
 def test_a_refusal_names_the_condition_and_its_rule(tmp_path: Path) -> None:
     refused = ModeRequested(at(-0.1), 1, 1, "operator")
     found = incident(record(tmp_path / "run", drive(0.5, requests=[refused])))
@@ -199,7 +225,7 @@ def test_a_recording_that_ends_by_a_kill_in_moving_says_so(tmp_path: Path) -> No
     found = incident(record(tmp_path / "run", killed))
     assert found.kind is IncidentKind.KILL
     told = explain(found)
-    assert told.what.startswith("killed while MOVING")
+    assert told.what.startswith("the daemon was killed while MOVING")
     assert told.asked == "a square: operator, 1.9 s before"
     assert "from where it should be" in told.known
     assert told.went_out == ("no zero velocity: the robot stops by its own command timeout",)

@@ -59,8 +59,8 @@ def why(
         str | None,
         typer.Argument(
             metavar="[FILE]",
-            help="An MCAP file, a recording's folder or name, or `last` [default: the current "
-            "recording, or the last one, or an earlier one].",
+            help="An MCAP file, a recording's folder or name, a folder of them, or `last` "
+            "[default: the current recording, or the last one, or an earlier one].",
         ),
     ] = None,
     at: Annotated[
@@ -100,6 +100,8 @@ def _recordings_to_search(
     file: str | None, robot: str | None, folder: Path | None, missing: list[str]
 ) -> list[Path]:
     """Let a running daemon commit, then return the recordings to search, newest first."""
+    if file not in (None, LAST) and _holds_recordings(Path(file)):
+        folder, file = Path(file), LAST
     newest = asked = None
     if file is None and folder is None:
         asked = robot or DEFAULT_ROBOT
@@ -115,6 +117,11 @@ def _recordings_to_search(
     if newest not in paths:
         return [newest]
     return paths[paths.index(newest) :][:MAX_RECORDINGS]
+
+
+def _holds_recordings(path: Path) -> bool:
+    """Return whether a path is a folder of recordings, and not a recording."""
+    return not any(path.glob("*.mcap")) and any(path.glob("*/*.mcap"))
 
 
 def _committed(robot: str, missing: list[str]) -> Path | None:

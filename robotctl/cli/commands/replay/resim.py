@@ -48,7 +48,7 @@ def resim_lines(found: dict[str, Any]) -> Iterator[str]:
     if found["settings"]:
         yield from settings_lines(found["settings"])
     if not found["drives"]:
-        yield "  no drive"
+        yield "  no such drive: no motion was requested"
     for drive in found["drives"]:
         yield ""
         yield table_row(f"drive {drive['request_id']}", [_SIDES[side] for side in sides])
@@ -60,5 +60,6 @@ def resim_lines(found: dict[str, Any]) -> Iterator[str]:
                 )
         for side in sides:
             ended = drive[side]
-            yield from row(f"  {_SIDES[side]:11}", ended["reason"] if ended else "no such drive")
+            told = ended["reason"] if ended else f"no such drive: {drive['no_drive'][side]}"
+            yield from row(f"  {_SIDES[side]:11}", told)
     yield from missing_lines(found)

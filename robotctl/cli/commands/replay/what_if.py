@@ -45,6 +45,9 @@ def what_if_lines(found: dict[str, Any]) -> Iterator[str]:
             yield table_row(
                 f"in {mode}", [f"{seconds[side]:.2f} s" for side in ("recorded", "what_if")]
             )
+    for side, label in (("recorded", "recorded"), ("what_if", "what if")):
+        if found["no_drive"][side]:
+            yield from row(f"  {label:11}", f"no such drive: {found['no_drive'][side]}")
     yield ""
     yield table_row("difference of commands", ["RMS", "at most", "at"])
     for key, label in (("linear_mps", "linear [m/s]"), ("angular_rps", "angular [rad/s]")):
