@@ -35,6 +35,7 @@ def test_the_last_recording_is_meant_where_none_is_named(cli: Cli, stopped: list
     assert ran.exit_code == 0
     assert "moving is refused in EMERGENCY_STOP" in " ".join(ran.out.split())
     assert ran.out == cli("why", "last").out == cli("why", str(FOLDER)).out
+    assert ran.out == cli("why", str(FOLDER.parent)).out
 
 
 @pytest.mark.usefixtures("wide_terminal")

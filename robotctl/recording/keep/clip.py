@@ -10,6 +10,8 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from mcap.records import Channel, Schema
+
 from robotctl.errors import Refused
 from robotctl.recording.disk.access import share_like
 from robotctl.recording.disk.new_file import new_file
@@ -45,6 +47,9 @@ _OF_THE_WHOLE = (METADATA_RECORD, LEDGER_RECORD, RECOVERY_RECORD, EVENT_RECORD, 
 
 _OF_EACH_FILE = (INFO_RECORD, SOFTWARE_RECORD, FOXGLOVE_RECORD)
 """Metadata that each file of the recording repeats."""
+
+Lose = Callable[[str], None]
+"""Gets a sentence about what cannot be read."""
 
 Progress = Callable[[int, int], None]
 """Gets nanoseconds of the recording done, and in total."""
@@ -104,6 +109,39 @@ def cut_clip(
     return Clip(target, moment, start_ns, end_ns, copy.message_count, tuple(copy.lost))
 
 
+def clip_messages(recording: Recording, window: Window, lose: Lose) -> Iterator[Message]:
+    """Yield what a clip of `window` (ns, both ends included) holds, in its order.
+
+    `lose` gets a sentence about each part that cannot be read.
+    """
+    yield from _before(recording, window[0], lose)
+    yield from _within(recording, window, lose)
+
+
+def _before(recording: Recording, start_ns: int, lose: Lose) -> Iterator[Message]:
+    """Yield the journal since its last snapshot, then latched messages with the start time."""
+    yield from since_snapshot(recording, start_ns, lose)
+    topics = [_topic(*each) for each in recording.channels().items()]
+    latched = {topic.name: MAX_LATCHED for topic in topics if topic.latched}
+    for message in recording.last_before(start_ns, latched, lose):
+        yield message._replace(log_ns=start_ns)
+
+
+def _within(recording: Recording, window: Window, lose: Lose) -> Iterator[Message]:
+    return recording.messages(None, lose, window)
+
+
+def _topic(key: tuple[str, str], found: tuple[Channel, Schema | None]) -> Topic:
+    channel, _ = found
+    return Topic(
+        name=channel.topic,
+        type_name=key[1],
+        type_hash=channel.metadata.get("topic_type_hash", ""),
+        offered_qos=channel.metadata.get("offered_qos_profiles", ""),
+        encoding=channel.message_encoding,
+    )
+
+
 class _ClipWriter:
     def __init__(
         self, recording: Recording, moment: Moment, window: Window, on_progress: Progress
@@ -133,9 +171,9 @@ class _ClipWriter:
             if self._window[0] <= event.log_ns <= self._window[1]:
                 mcap.add_metadata(EVENT_RECORD, event.values())
         self._add_channels(mcap)
-        self._write(mcap, self._before())
+        self._write(mcap, _before(self._recording, self._window[0], self._lose))
         before = self.message_count
-        self._write(mcap, self._within())
+        self._write(mcap, self._told(_within(self._recording, self._window, self._lose)))
         if self.message_count == before:
             raise Refused(f"{self._recording.path} has no messages in that time range")
         mcap.add_metadata(CLIP_RECORD, self._about())
@@ -162,27 +200,11 @@ class _ClipWriter:
                 mcap.add_schema(replace(schema, id=number + 1))
             schema_id = 0 if schema is None else number + 1
             mcap.add_channel(replace(channel, id=number, schema_id=schema_id))
-            self._topics.append(
-                Topic(
-                    name=channel.topic,
-                    type_name=key[1],
-                    type_hash=channel.metadata.get("topic_type_hash", ""),
-                    offered_qos=channel.metadata.get("offered_qos_profiles", ""),
-                    encoding=channel.message_encoding,
-                )
-            )
+            self._topics.append(_topic(key, (channel, schema)))
 
-    def _before(self) -> Iterator[Message]:
-        """Yield the journal since its last snapshot, then latched messages with the start time."""
-        start_ns = self._window[0]
-        yield from since_snapshot(self._recording, start_ns, self._lose)
-        latched = {topic.name: MAX_LATCHED for topic in self._topics if topic.latched}
-        for message in self._recording.last_before(start_ns, latched, self._lose):
-            yield message._replace(log_ns=start_ns)
-
-    def _within(self) -> Iterator[Message]:
+    def _told(self, messages: Iterable[Message]) -> Iterator[Message]:
         start_ns, end_ns = self._window
-        for message in self._recording.messages(None, self._lose, self._window):
+        for message in messages:
             yield message
             self._on_progress(message.log_ns - start_ns, end_ns - start_ns)
 

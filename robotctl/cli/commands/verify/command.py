@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from robotctl.cli.commands.verify.clip import verify_clip
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.recording_paths import RecordedBy
@@ -32,6 +33,13 @@ def verify(
         str,
         typer.Option(metavar="HEX", help="A head that is known: it must be in what is verified."),
     ] = "",
+    source: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="The recording that a clip was cut from: the clip must hold the same messages.",
+        ),
+    ] = None,
     robot: RecordedBy = None,
     as_json: Json = False,
 ) -> None:
@@ -45,7 +53,13 @@ def verify(
       robotctl verify last
       robotctl verify recordings
       robotctl verify robot_0.mcap --head $(ssh robot robotctl key head)
+      robotctl verify stop.mcap --source recordings/robot_20260101_120000
     """
+    if source is not None:
+        if len(files) != 1 or head:
+            raise UsageError("--source takes one clip, and no --head")
+        verify_clip(files[0], source, as_json=as_json)
+        return
     from robotctl.cli.commands.replay.select_recordings import select_recordings
     from robotctl.cli.commands.verify.report import (
         recording_lines,
