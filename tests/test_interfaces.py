@@ -144,8 +144,10 @@ def test_the_package_names_what_it_imports_and_what_pip_alone_installs() -> None
 
 
 ROSDEP_KEYS = {"python3-numpy", "python3-pil", "python3-pytest", "python3-yaml"}
-"""Keys of rosdep (rosdep/python.yaml in github.com/ros/rosdistro). The test knows this list only: of
-them python3-yaml was looked up in a copy of that file, and no test asks rosdep."""
+"""Keys of rosdep (rosdep/python.yaml in github.com/ros/rosdistro).
+
+The test knows this list only, and no test asks rosdep; python3-yaml was looked up in a copy of it.
+"""
 
 ROS_PACKAGES = {
     *("action_msgs", "ament_cmake", "ament_cmake_pytest", "ament_cmake_python"),
