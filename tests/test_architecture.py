@@ -25,6 +25,7 @@ PROTOCOL_MAY = {
     "paths",
     "trust",
     "ipc.answers",
+    "ipc.drive_answers",
     "ipc.method_names",
     "ipc.protocol",
     "ipc.peer",
@@ -160,7 +161,15 @@ def test_only_the_ros_package_imports_ros() -> None:
 
 
 @pytest.mark.parametrize(
-    "module", ["ipc.protocol", "ipc.answers", "ipc.method_names", "ipc.client", "ipc.peer"]
+    "module",
+    [
+        "ipc.protocol",
+        "ipc.answers",
+        "ipc.drive_answers",
+        "ipc.method_names",
+        "ipc.client",
+        "ipc.peer",
+    ],
 )
 def test_the_client_needs_only_the_standard_library(module: str) -> None:
     path = ROOT.joinpath(*module.split(".")).with_suffix(".py")

@@ -94,6 +94,7 @@ class Observer:
             "lease": None,
             "stalls": None,
             "odometry_dropped": None,
+            "drive": None,
         }
 
     def remedies(self) -> tuple[Remedy, ...]:

@@ -8,6 +8,11 @@ from __future__ import annotations
 
 from typing import TypedDict
 
+from robotctl.ipc.drive_answers import DriveAnswer as DriveAnswer
+from robotctl.ipc.drive_answers import DriveFacts as DriveFacts
+from robotctl.ipc.drive_answers import DrivenPath as DrivenPath
+from robotctl.ipc.drive_answers import ModeAnswer as ModeAnswer
+
 
 class Hello(TypedDict):
     """The first answer on each connection."""
@@ -51,6 +56,8 @@ class RobotFacts(TypedDict):
     """The holder of the lease, None if there is none."""
     stalls: int | None
     odometry_dropped: int | None
+    drive: DriveFacts | None
+    """The drive that is going on, None if there is none."""
 
 
 class CountsAnswer(TypedDict):
@@ -149,33 +156,6 @@ class Stopped(TypedDict):
     """The answer of `stop`."""
 
     message: str
-
-
-class DrivenPath(TypedDict):
-    """The answer of `path`: points of the present or last drive, in the odometry frame [m]."""
-
-    reference: list[list[float]]
-    driven: list[list[float]]
-
-
-class ModeAnswer(TypedDict):
-    """The answer of `set_mode`, `reset`, `end_drive`, and of a `drive` that is not waited for."""
-
-    message: str
-    mode: str
-
-
-class DriveAnswer(ModeAnswer, total=False):
-    """The answer of `drive`; the figures are there when the call waited for the end of the drive.
-
-    They are those of `kernel.types.DriveReport`; None stands for an unknown value.
-    """
-
-    laps: int
-    distance_m: float | None
-    cross_track_rms_m: float | None
-    cross_track_max_m: float | None
-    closure_m: float | None
 
 
 class LeaseAnswer(TypedDict):

@@ -15,6 +15,7 @@ from robotctl.kernel.reference import SETTLE_S, START, Progress, advanced, begun
 from robotctl.kernel.routes import legs_for, path_for
 from robotctl.kernel.tracking import Reference, follow_blindly, track
 from robotctl.kernel.types import DriveReport, Twist
+from robotctl.kernel.units import NS_PER_S
 
 MAX_LAPS = 100_000
 
@@ -42,6 +43,8 @@ class Score:
     max_error_m: float = 0.0
     error_m: float = 0.0
     distance_m: float = 0.0
+    squared_heading_sum: float = 0.0
+    max_heading_rad: float = 0.0
 
 
 @quick_init
@@ -49,7 +52,8 @@ class Score:
 class Drive:
     """A drive of `laps` laps (0: until stopped); its path begins at `origin` in the odom frame.
 
-    In reverse the path is that of the rear: `origin` looks backwards.
+    It began at `begin_t_ns` (steady). In reverse the path is that of the rear: `origin` looks
+    backwards.
     """
 
     request_id: int
@@ -59,6 +63,7 @@ class Drive:
     progress: Progress = START
     score: Score = Score()
     course: Course = PLAIN
+    begin_t_ns: int = 0
 
     @property
     def path(self) -> Path:
@@ -152,15 +157,16 @@ class Drive:
         segment = path.segments[at.segment]
         wanted = segment.pose_at(at.length)
         error_m = wanted.distance(local)
-        lost = error_m > path.reach_m or (
-            segment.turns and abs(wrap_angle(wanted.theta - local.theta)) > LOST_RAD
-        )
+        heading_rad = abs(wrap_angle(wanted.theta - local.theta))
+        lost = error_m > path.reach_m or (segment.turns and heading_rad > LOST_RAD)
         score = Score(
             so_far.samples + 1,
             so_far.squared_error_sum + cross_m * cross_m,
             max(so_far.max_error_m, cross_m),
             inf if lost else error_m,
             so_far.distance_m + moved_m,
+            so_far.squared_heading_sum + heading_rad * heading_rad,
+            max(so_far.max_heading_rad, heading_rad),
         )
         return self._scored(score)
 
@@ -171,16 +177,18 @@ class Drive:
             return 0.0
         return self.path.distance_to(self.origin.express(pose), at.segment, at.length)
 
-    def report(self) -> DriveReport:
-        """Return how well the path was followed so far."""
-        score = self.score
-        mean_square = score.squared_error_sum / score.samples if score.samples else 0.0
+    def report(self, t_ns: int) -> DriveReport:
+        """Return how well the path was followed until `t_ns`."""
+        score, count = self.score, max(self.score.samples, 1)
         return DriveReport(
             self.progress.laps,
             score.distance_m,
-            sqrt(mean_square),
+            sqrt(score.squared_error_sum / count),
             score.max_error_m,
             self.progress.closure_m,
+            sqrt(score.squared_heading_sum / count),
+            score.max_heading_rad,
+            (t_ns - self.begin_t_ns) / NS_PER_S,
         )
 
     def _at(self, progress: Progress) -> Drive:
@@ -192,6 +200,7 @@ class Drive:
             progress,
             self.score,
             self.course,
+            self.begin_t_ns,
         )
 
     def _scored(self, score: Score) -> Drive:
@@ -203,6 +212,7 @@ class Drive:
             self.progress,
             score,
             self.course,
+            self.begin_t_ns,
         )
 
     def _heading_of_travel(self, pose: Pose) -> Pose:

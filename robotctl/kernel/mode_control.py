@@ -103,8 +103,9 @@ class ModeControl:
         state = self.state
         if state.drive is None:
             return
+        t_ns = state.drive.begin_t_ns if state.tick_t_ns is None else state.tick_t_ns
         self._effects.append(
-            DriveEnded(state.drive.request_id, completed, reason, state.drive.report(), cause)
+            DriveEnded(state.drive.request_id, completed, reason, state.drive.report(t_ns), cause)
         )
         health = replace(state.health, path_error_m=0.0)
         self.state = replace(state, drive=None, health=health, stop_reason="")

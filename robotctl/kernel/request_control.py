@@ -144,7 +144,8 @@ class RequestControl(LeaseControl):
         if course.waypoints:
             points = local_points(course.waypoints, course.frame, odometry.pose)
             course = replace(course, waypoints=points, frame=Frame.START)
-        drive = Drive(request_id, pattern, laps, origin_of(odometry.pose, course), course=course)
+        origin = origin_of(odometry.pose, course)
+        drive = Drive(request_id, pattern, laps, origin, course=course, begin_t_ns=t_ns)
         # A drive that replaces another one begins at the present speed.
         speed_mps = -command.linear if course.reverse else command.linear
         if speed_mps > 0.0 and drive.path.segments:

@@ -140,6 +140,6 @@ def _simulate(
             "duration_s": None,
             "completed": False,
             "reason": "under way at the end",
-            **figures(drive.report()),
+            **figures(drive.report(kernel.state.tick_t_ns or drive.begin_t_ns)),
         }
     return run

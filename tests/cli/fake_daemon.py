@@ -39,6 +39,20 @@ START_FAILURES = {
 }
 
 
+DRIVE = {
+    "what": "a square",
+    "lap": 1,
+    "laps": 2,
+    "distance_m": 0.4,
+    "duration_s": 1.5,
+    "cross_track_m": 0.001,
+    "cross_track_rms_m": 0.002,
+    "cross_track_max_m": 0.003,
+    "heading_rms_rad": 0.01,
+    "heading_max_rad": 0.02,
+}
+
+
 class FakeDaemon:
     def __init__(self, options: argparse.Namespace) -> None:
         self.options = options
@@ -68,6 +82,7 @@ class FakeDaemon:
             "namespace": "",
             "stalls": 0,
             "odometry_dropped": 0,
+            "drive": DRIVE if self.mode == 1 else None,
             "topics": [
                 {"name": "/odom", "type": "nav_msgs/msg/Odometry", "count": 20, "rate": 50.0}
             ],
@@ -121,6 +136,9 @@ class FakeDaemon:
                 "cross_track_rms_m": 0.008,
                 "cross_track_max_m": 0.021,
                 "closure_m": 0.012,
+                "heading_rms_rad": 0.02,
+                "heading_max_rad": 0.05,
+                "duration_s": 17.3,
             }
         return answer
 

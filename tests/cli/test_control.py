@@ -136,13 +136,23 @@ def test_drive_wait_ends_with_the_tracking_numbers(daemon: None, cli: Callable[.
     ran = cli("drive", "square", "--wait")
     assert ran.out.splitlines() == [
         "Drive finished",
-        "  driven      1 lap, 4.000 m",
+        "  driven      1 lap, 4.000 m in 17.3 s",
         "  off track   0.008 m RMS, 0.021 m at most",
-        "  closure     0.012 m between start and end",
+        "  heading     0.020 rad RMS, 0.050 rad at most",
+        "  closure     0.012 m from where the lap ends",
     ]
     answer = json.loads(cli("drive", "square", "--wait", "--json").out)
     numbers = {"laps", "distance_m", "cross_track_rms_m", "cross_track_max_m", "closure_m"}
     assert answer.keys() >= numbers
+
+
+def test_status_tells_the_errors_of_a_drive_that_goes_on(
+    daemon: None, cli: Callable[..., Any]
+) -> None:
+    assert "off track" not in cli("status").out
+    cli("drive", "square")
+    told = " ".join(cli("status").out.split())
+    assert "a square, lap 1 of 2: off track 0.001 m, 0.002 m RMS, 0.003 m at most" in told
 
 
 def test_a_size_outside_the_limits_is_named(daemon: None, cli: Callable[..., Any]) -> None:

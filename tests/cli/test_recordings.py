@@ -64,6 +64,7 @@ def test_the_list_for_machines_has_every_fact(library: Path, cli: Cli) -> None:
         "size_bytes": first["size_bytes"],
         "files": 1,
         "laps": 0,
+        "cross_track_max_m": None,
         "worst": "estop",
         "readable": True,
         "damage": [],

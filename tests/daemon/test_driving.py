@@ -28,7 +28,9 @@ from robotctl.kernel.patterns import Pattern, PatternKind
 from robotctl.kernel.state import State
 from robotctl.kernel.types import DriveEnded, DriveReport, ModeRequested, Reply
 
-ENDED = DriveEnded(1, True, "drive finished: 1 lap", DriveReport(1, 4.0, 0.01, 0.02, 0.005))
+ENDED = DriveEnded(
+    1, True, "drive finished: 1 lap", DriveReport(1, 4.0, 0.01, 0.02, 0.005, 0.03, 0.06, 9.5)
+)
 
 
 class FakeControl:
@@ -75,6 +77,9 @@ async def test_a_drive_that_ended_early_is_refused_and_gives_its_numbers() -> No
         "cross_track_rms_m": 0.01,
         "cross_track_max_m": 0.02,
         "closure_m": 0.005,
+        "heading_rms_rad": 0.03,
+        "heading_max_rad": 0.06,
+        "duration_s": 9.5,
     }
 
 
@@ -83,7 +88,7 @@ async def test_an_unknown_figure_of_a_drive_is_null() -> None:
     ended = replace(ENDED, completed=False, reason="stopped", report=report)
     with pytest.raises(Refused) as refused:
         await wait_for(ended, Mode.IDLE, laps=2)
-    assert json.dumps(refused.value.answer, allow_nan=False).count("null") == 3
+    assert json.dumps(refused.value.answer, allow_nan=False).count("null") == 6
 
 
 @pytest.mark.parametrize("mode", [Mode.ERROR, Mode.EMERGENCY_STOP])

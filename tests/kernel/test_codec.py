@@ -211,9 +211,9 @@ def test_what_an_older_version_did_not_write_is_unknown_or_nothing() -> None:
         '"origin":{"x":0.0,"y":0.0,"theta":0.0},'
         '"progress":{"laps":0,"segment":0,"length":0.0,"speed":0.0,"settling_s":0.0,'
         '"closure_m":"nan","ahead":0.0,"lead_speed":0.0,"rates":[],"accel":0.0},"score":{"samples":0,"squared_error_sum":0.0,"max_error_m":0.0,'
-        '"error_m":0.0,"distance_m":0.0},"course":{"corner_m":0.1,"angle_rad":1.5707963267948966,'
+        '"error_m":0.0,"distance_m":0.0,"squared_heading_sum":0.0,"max_heading_rad":0.0},"course":{"corner_m":0.1,"angle_rad":1.5707963267948966,'
         '"reverse":false,"open_loop":false,"waypoints":[],"frame":"start",'
-        '"held":null}}'
+        '"held":null},"begin_t_ns":0}'
     )
     sample = Odometry(ORIGIN, ZERO, 1)
     text = '{"t_ns":7,"odometry":{"pose":{},"velocity":{},"stamp_ns":1}}'

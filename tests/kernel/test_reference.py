@@ -187,12 +187,12 @@ def test_a_drive_from_standstill_keeps_its_place() -> None:
 def test_the_score_sums_up_the_distances_from_the_path() -> None:
     origin = Pose(2.0, 1.0, 0.5)
     scored = replace(drive(SQUARE, Progress(length=0.5)), origin=origin)
-    assert scored.report().cross_track_rms_m == 0.0
+    assert scored.report(0).cross_track_rms_m == 0.0
     for beside_m, behind_m in ((0.03, 0.0), (-0.04, 0.3), (0.0, 0.0)):
         pose = origin.compose(Pose(0.5 - behind_m, beside_m, 0.0))
         scored = scored.measured(pose, 0.25)
         assert isclose(scored.score.error_m, sqrt(beside_m**2 + behind_m**2), abs_tol=1e-9)
-    report = scored.report()
+    report = scored.report(0)
     assert report.distance_m == 0.75
     assert isclose(report.cross_track_max_m, 0.04)
     assert isclose(report.cross_track_rms_m, sqrt((0.03**2 + 0.04**2) / 3))
@@ -206,6 +206,16 @@ def test_a_robot_further_away_than_the_pattern_is_large_is_infinitely_far(
 ) -> None:
     pattern = Pattern(PatternKind.SQUARE, 0.5)
     assert drive(pattern).measured(Pose(-away_m, 0.0, 0.0), 0.0).score.error_m == told_m
+
+
+def test_the_report_tells_the_heading_error_and_the_duration() -> None:
+    scored = replace(drive(SQUARE, Progress(length=0.5)), begin_t_ns=1_000_000_000)
+    for theta in (0.03, -0.04, 0.0):
+        scored = scored.measured(Pose(0.5, 0.0, theta), 0.0)
+    report = scored.report(3_500_000_000)
+    assert isclose(report.heading_rms_rad, sqrt((0.03**2 + 0.04**2) / 3))
+    assert isclose(report.heading_max_rad, 0.04)
+    assert report.duration_s == 2.5
 
 
 # Distances and outlines

@@ -20,7 +20,7 @@ EVENTS = (
     RecordedEvent(EventKind.MARK, START_NS, "door \x1b[2J open"),
     RecordedEvent(EventKind.EMERGENCY_STOP, START_NS + 1, "requested"),
     RecordedEvent(EventKind.ERROR, START_NS + 2, ""),
-    RecordedEvent(EventKind.DRIVE_ENDED, START_NS + 3, "drive finished: 2 laps", 2),
+    RecordedEvent(EventKind.DRIVE_ENDED, START_NS + 3, "drive finished: 2 laps", 2, 0.021),
 )
 
 
@@ -67,6 +67,7 @@ def test_events_without_end_go_on_in_another_file(
         {"log_ns": "soon"},
         {"laps": "1e9"},
         {"laps": str(10**9)},
+        {"cross_track_max_m": "nan"},
     ],
 )
 def test_what_is_no_event_of_ours_is_passed_over(damage: dict[str, str]) -> None:

@@ -156,6 +156,7 @@ def _as_object(each: ListedRecording) -> dict[str, Any]:
         "size_bytes": each.size_bytes,
         "files": each.files,
         "laps": each.laps,
+        "cross_track_max_m": each.cross_track_max_m,
         "worst": None if each.worst is None else each.worst.value,
         "readable": each.readable,
         "damage": list(each.damage),
@@ -192,6 +193,8 @@ def _remarks(each: ListedRecording) -> Iterator[str]:
         yield "live"
     if each.kept:
         yield "kept"
+    if each.cross_track_max_m is not None:
+        yield f"{each.cross_track_max_m:.3f} m off track"
     if each.clips:
         yield f"{len(each.clips)} clip{'s' * (len(each.clips) > 1)}"
     if not each.readable:

@@ -56,6 +56,9 @@ def status_rows(status: Status) -> Iterator[tuple[str, str]]:
         yield "pose", pose_text(status)
         yield "velocity", velocity_text(status)
         yield "battery", battery_text(status)
+        drive = status.get("drive")
+        if drive:
+            yield "drive", drive_text(drive)
         if status.get("lease"):
             yield "lease", printable(status["lease"])
         yield "simulator", "yes" if status.get("sim") else "no"
@@ -81,6 +84,17 @@ def pose_text(status: Mapping[str, Any]) -> str:
         return "unknown (no odometry yet)"
     x, y, theta = (number(pose.get(key), "+.3f") for key in ("x", "y", "theta"))
     return f"x {x} m   y {y} m   theta {theta} rad"
+
+
+def drive_text(drive: Mapping[str, Any]) -> str:
+    """Return what is driven, and how far off its path the robot is."""
+    now, rms, worst = (
+        number(drive.get(key), ".3f")
+        for key in ("cross_track_m", "cross_track_rms_m", "cross_track_max_m")
+    )
+    laps = f" of {drive['laps']}" if drive.get("laps") else ""
+    lap = f"{printable(drive.get('what'))}, lap {drive.get('lap')}{laps}"
+    return f"{lap}: off track {now} m, {rms} m RMS, {worst} m at most"
 
 
 def velocity_text(status: Mapping[str, Any]) -> str:

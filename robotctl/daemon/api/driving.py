@@ -234,6 +234,9 @@ def _drive_answer(ended: DriveEnded, mode: Mode) -> DriveAnswer:
         "cross_track_rms_m": _known(report.cross_track_rms_m),
         "cross_track_max_m": _known(report.cross_track_max_m),
         "closure_m": _known(report.closure_m),
+        "heading_rms_rad": _known(report.heading_rms_rad),
+        "heading_max_rad": _known(report.heading_max_rad),
+        "duration_s": _known(report.duration_s),
     }
 
 

@@ -6,6 +6,7 @@ import logging
 import time
 from collections.abc import Callable
 from functools import partial
+from math import isfinite
 from typing import assert_never
 
 from robotctl.daemon.control.latch import Latch
@@ -83,9 +84,15 @@ class Effects:
                     self._latch.when_settled(partial(self._answer, effect))
             case DriveEnded():
                 _log.info("drive ended: %s", self._with_cure(effect))
-                laps = effect.report.laps
+                report, now_ns = effect.report, time.time_ns()
                 self._note(
-                    RecordedEvent(EventKind.DRIVE_ENDED, time.time_ns(), effect.reason, laps)
+                    RecordedEvent(
+                        EventKind.DRIVE_ENDED,
+                        now_ns,
+                        effect.reason,
+                        report.laps,
+                        report.cross_track_max_m if isfinite(report.cross_track_max_m) else None,
+                    )
                 )
                 self._requests.end_drive(effect)
             case _:

@@ -7,15 +7,17 @@ from collections.abc import Iterator
 
 from robotctl.daemon.control.dispatcher import Control
 from robotctl.ipc.advice import advice
-from robotctl.ipc.answers import ConditionAnswer, DrivenPath, Preflight, RobotFacts
+from robotctl.ipc.answers import ConditionAnswer, DriveFacts, DrivenPath, Preflight, RobotFacts
 from robotctl.ipc.conditions import condition_of
 from robotctl.kernel.battery import is_level
 from robotctl.kernel.checks import FOREIGN_COMMAND_S, foreign_command, stands_alone
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.health import Health
 from robotctl.kernel.params import Foreign, KernelParams
+from robotctl.kernel.patterns import named
 from robotctl.kernel.remedies import Remedy
 from robotctl.kernel.safety import RULE_OF, remedies_for, start_conditions
+from robotctl.kernel.state import State
 from robotctl.kernel.types import Cause
 from robotctl.kernel.units import NS_PER_S
 
@@ -130,6 +132,7 @@ class RobotReport:
             "lease": None if state.lease is None else state.lease.source,
             "stalls": state.health.stalls.count,
             "odometry_dropped": state.health.odometry_sources.dropped,
+            "drive": _drive_facts(state),
         }
 
     def preflight(self, robot: str) -> Preflight:
@@ -179,6 +182,25 @@ def _battery_low(health: Health, params: KernelParams) -> Iterator[str]:
     level, warn_level = health.battery_level, params.battery.warn_level
     if params.battery.topic and is_level(level) and level < warn_level:
         yield f"the battery is at {level:.0%}, below {warn_level:.0%}: charge it soon"
+
+
+def _drive_facts(state: State) -> DriveFacts | None:
+    drive, odometry = state.drive, state.health.odometry
+    if drive is None or odometry is None:
+        return None
+    report = drive.report(state.tick_t_ns or drive.begin_t_ns)
+    return {
+        "what": named(drive.pattern, drive.course),
+        "lap": report.laps + 1,
+        "laps": drive.laps,
+        "distance_m": report.distance_m,
+        "duration_s": report.duration_s,
+        "cross_track_m": drive.cross_track_m(odometry.pose),
+        "cross_track_rms_m": report.cross_track_rms_m,
+        "cross_track_max_m": report.cross_track_max_m,
+        "heading_rms_rad": report.heading_rms_rad,
+        "heading_max_rad": report.heading_max_rad,
+    }
 
 
 def _recent(health: Health, now_ns: int) -> Iterator[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import nan
 
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.parameter_change import ParameterChanged
@@ -57,8 +58,9 @@ class Reply:
 class DriveReport:
     """How well a drive followed its path, by odometry.
 
-    `closure_m` is the distance between the start of the drive and the end of its last complete
-    lap, NaN before one is complete.
+    `closure_m` is the distance between the end of the path and the robot at the end of its last
+    complete lap, NaN before one is complete. The heading is held against that of the reference.
+    Older versions did not tell the last three, NaN.
     """
 
     laps: int
@@ -66,6 +68,9 @@ class DriveReport:
     cross_track_rms_m: float
     cross_track_max_m: float
     closure_m: float
+    heading_rms_rad: float = nan
+    heading_max_rad: float = nan
+    duration_s: float = nan
 
 
 @dataclass(frozen=True, slots=True)

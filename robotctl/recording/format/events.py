@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from math import isfinite
 from typing import Self
 
 from mcap.records import Metadata
@@ -22,18 +23,24 @@ MAX_LAPS = 1_000_000
 
 @dataclass(frozen=True, slots=True)
 class RecordedEvent:
-    """One event; `log_ns` since the epoch, `laps` of the drive that ended."""
+    """One event; `log_ns` since the epoch.
+
+    Of a drive that ended: its `laps`, and how far it was off its path at most, None if not known.
+    """
 
     kind: EventKind
     log_ns: int
     text: str
     laps: int = 0
+    cross_track_max_m: float | None = None
 
     def values(self) -> Mapping[str, str]:
         """Return the event as the metadata of a file holds it."""
         values = {"kind": self.kind.value, "log_ns": str(self.log_ns), "text": self.text}
         if self.kind is EventKind.DRIVE_ENDED:
             values["laps"] = str(self.laps)
+            if self.cross_track_max_m is not None:
+                values["cross_track_max_m"] = repr(self.cross_track_max_m)
         return values
 
     @classmethod
@@ -47,7 +54,10 @@ class RecordedEvent:
         log_ns, laps = int(values["log_ns"]), int(values.get("laps", 0))
         if not (0 <= log_ns <= MAX_TIME_NS and 0 <= laps <= MAX_LAPS):
             raise ValueError("a number is out of range")
-        return cls(EventKind(values["kind"]), log_ns, values["text"], laps)
+        off_m = float(values["cross_track_max_m"]) if "cross_track_max_m" in values else None
+        if off_m is not None and not isfinite(off_m):
+            raise ValueError("a distance is not finite")
+        return cls(EventKind(values["kind"]), log_ns, values["text"], laps, off_m)
 
 
 def events_in(metadata: Iterable[Metadata]) -> list[RecordedEvent]:

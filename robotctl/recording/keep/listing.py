@@ -59,6 +59,14 @@ class ListedRecording:
         return sum(event.laps for event in self.events)
 
     @property
+    def cross_track_max_m(self) -> float | None:
+        """How far the robot was off the path of a drive at most, None if that is not known."""
+        known_m = [
+            event.cross_track_max_m for event in self.events if event.cross_track_max_m is not None
+        ]
+        return max(known_m, default=None)
+
+    @property
     def worst(self) -> EventKind | None:
         """The gravest event; None without an emergency stop or error."""
         kinds = {event.kind for event in self.events}

@@ -60,10 +60,19 @@ def tracking_lines(result: Mapping[str, Any]) -> list[str]:
         for key in ("cross_track_rms_m", "cross_track_max_m", "closure_m", "distance_m")
     )
     laps = result.get("laps")
+    heading_rms, heading_worst, seconds = (
+        number(result.get(key), form)
+        for key, form in (
+            ("heading_rms_rad", ".3f"),
+            ("heading_max_rad", ".3f"),
+            ("duration_s", ".1f"),
+        )
+    )
     lines = [
-        f"  driven      {laps} {'lap' if laps == 1 else 'laps'}, {distance} m",
+        f"  driven      {laps} {'lap' if laps == 1 else 'laps'}, {distance} m in {seconds} s",
         f"  off track   {rms} m RMS, {worst} m at most",
+        f"  heading     {heading_rms} rad RMS, {heading_worst} rad at most",
     ]
     if laps:  # no closure before the first lap is complete
-        lines.append(f"  closure     {closure} m between start and end")
+        lines.append(f"  closure     {closure} m from where the lap ends")
     return lines
