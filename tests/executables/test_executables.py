@@ -85,10 +85,15 @@ class Running:
         return code
 
     def close(self) -> None:
-        """End it if it runs."""
+        """End it if it runs; killed, it would leave shared memory behind."""
         if self._process.poll() is None:
-            self._process.kill()
-            self._process.wait()
+            self._process.terminate()
+            try:
+                self._process.wait(timeout=DEADLINE_S)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
+                raise
 
 
 Start = Callable[..., Running]
