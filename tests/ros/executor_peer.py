@@ -203,8 +203,13 @@ class Peer:
             cancel_callback=lambda _: CancelResponse.ACCEPT,
         )
 
-    def run_goal(self, action: str, value: int, cancel_after: int | None = None) -> dict[str, Any]:
-        """Send a goal, cancel it after some feedback if wanted, and return its result."""
+    def run_goal(
+        self, action: str, value: int, cancel_after: int | None = None, feedbacks: int = 0
+    ) -> dict[str, Any]:
+        """Send a goal, cancel it after some feedback if wanted, and return its result.
+
+        The result may overtake feedback: at least `feedbacks` are waited for.
+        """
         client = ActionClient(self.node, Count, action, callback_group=self.group)
         assert client.wait_for_server(DEADLINE_S)
         feedback: list[int] = []
@@ -225,6 +230,7 @@ class Peer:
             report["succeeded"] = result.result().status == GoalStatus.STATUS_SUCCEEDED
             report["canceled"] = result.result().status == GoalStatus.STATUS_CANCELED
             report["result"] = result.result().result.value
+            until(lambda: len(feedback) >= feedbacks)
         client.destroy()
         return report
 

@@ -41,7 +41,7 @@ async def test_an_action_server_runs_a_goal_of_the_other_process(
     relative = topic.removeprefix("/")
     assert relative != topic
     server = ActionServer(node, count, relative, execute)
-    report = await peer("run_goal", action=topic, value=5)
+    report = await peer("run_goal", action=topic, value=5, feedbacks=5)
     server.destroy()
     assert report == {
         "accepted": True,
