@@ -39,3 +39,11 @@ def nearest_by_sector(data: bytes) -> tuple[float, ...]:
     nearest = np.full(SECTORS, inf)
     np.minimum.at(nearest, sectors, distances)
     return tuple(round(float(each), 3) for each in nearest)
+
+
+def read_sectors(data: bytes) -> tuple[float, ...]:
+    """Return the nearest range in each sector, () for an unreadable message."""
+    try:
+        return nearest_by_sector(data)
+    except struct.error:
+        return ()

@@ -7,7 +7,8 @@ from typing import Any
 
 from robotctl.cdr.battery import read_battery_level
 from robotctl.cdr.motion import read_sample, sample_of
-from robotctl.kernel.types import BatteryReceived, Event, OdomReceived
+from robotctl.kernel.safety_inputs import Use
+from robotctl.kernel.types import BatteryReceived, Event, OdomReceived, ScanReceived
 from robotctl.recording import RecordingInfo
 from robotctl.recording.format.metadata_names import INFO_RECORD
 from robotctl.recording.format.records import MAX_SEQUENCE
@@ -44,15 +45,17 @@ class InputCheck:
         if self.is_on:
             self._pairs.message(message.sequence, self._read(message.data))
 
-    def received(self, event: OdomReceived | BatteryReceived, seq: int) -> None:
+    def received(self, event: OdomReceived | BatteryReceived | ScanReceived, seq: int) -> None:
         """Take an input; `seq` is the number of its entry."""
         if not self.is_on:
             return
         sequence = event.sequence & MAX_SEQUENCE
         if isinstance(event, OdomReceived):
             found = Input(event.t_ns, event.source, sample_of(event.odometry), seq)
-        else:
+        elif isinstance(event, BatteryReceived):
             found = Input(event.t_ns, event.publisher, event.level, seq)
+        else:
+            found = Input(event.t_ns, event.publisher, event.sectors, seq)
         self._pairs.received(sequence, found)
 
     def snapshot(self, has_proof: bool) -> None:
@@ -114,16 +117,18 @@ def input_checks(report: Report, info: RecordingInfo, journal_topic: str) -> Inp
             _topic(info, journal_topic, "battery", "battery_state"),
             read_battery_level,
         ),
+        InputCheck(report, "the scan", _scan_topic(info, journal_topic), _read_sectors),
     )
 
 
 class Inputs:
     """The checks of all inputs that are compared."""
 
-    def __init__(self, odometry: InputCheck, battery: InputCheck) -> None:
+    def __init__(self, odometry: InputCheck, battery: InputCheck, scan: InputCheck) -> None:
         self._odometry = odometry
         self._battery = battery
-        self._all = odometry, battery
+        self._scan = scan
+        self._all = odometry, battery, scan
 
     def readers(self) -> dict[str, Callable[[Message], None]]:
         """Return for each recorded topic what takes its messages."""
@@ -135,6 +140,8 @@ class Inputs:
             self._odometry.received(event, seq)
         elif isinstance(event, BatteryReceived):
             self._battery.received(event, seq)
+        elif isinstance(event, ScanReceived) and event.sequence:  # 0: before it was told
+            self._scan.received(event, seq)
 
     def snapshot(self, has_proof: bool) -> None:
         """Take a snapshot."""
@@ -157,7 +164,20 @@ class Inputs:
 _TYPES: Mapping[str, str] = {
     "odometry": "nav_msgs/msg/Odometry",
     "battery": "sensor_msgs/msg/BatteryState",
+    "scan": "sensor_msgs/msg/LaserScan",
 }
+
+
+def _read_sectors(data: bytes) -> Any:
+    from robotctl.cdr.scan import read_sectors  # here: it loads numpy
+
+    return read_sectors(data)
+
+
+def _scan_topic(info: RecordingInfo, journal_topic: str) -> str | None:
+    """Return the topic of the scan where the kernel takes it: reading each scan costs time."""
+    use = info.metadata.get(INFO_RECORD, {}).get("parameter.scan.use", Use.OFF.value)
+    return None if use == Use.OFF.value else _topic(info, journal_topic, "scan", "scan")
 
 
 def _topic(info: RecordingInfo, journal_topic: str, kind: str, default: str) -> str | None:

@@ -4,18 +4,31 @@ from __future__ import annotations
 
 import struct
 from dataclasses import replace
+from math import pi, tau
 
 from robotctl.cdr.battery import read_battery_level
 from robotctl.cdr.motion import OdometryEncoder, read_odometry
 from robotctl.cdr.reader import ENCAPSULATION
+from robotctl.cdr.scan import read_sectors
 from robotctl.config import Config
 from robotctl.kernel.kernel import Kernel
-from robotctl.kernel.types import BatteryReceived, Effect, Event, OdomReceived
+from robotctl.kernel.types import BatteryReceived, Effect, Event, OdomReceived, ScanReceived
 
-ODOMETRY, BATTERY = "/odom", "/battery_state"
+ODOMETRY, BATTERY, SCAN = "/odom", "/battery_state", "/scan"
 
 _BATTERY = struct.Struct("<4siII1s3x7f")
 """A BatteryState with an empty frame name, as far as the level."""
+
+
+_SCAN = struct.Struct("<4siII1s3x7fI64fI")
+"""A LaserScan of 64 rays with an empty frame name."""
+
+
+def _scan(sectors: tuple[float, ...]) -> bytes:
+    """Return a LaserScan with a ray in the middle of each sector."""
+    step = tau / len(sectors)
+    head = (-pi + step / 2.0, pi, step, 0.0, 0.0, 0.05, 100.0)
+    return _SCAN.pack(ENCAPSULATION, 0, 0, 1, b"\0", *head, len(sectors), *sectors, 0)
 
 
 class HearingKernel(Kernel):
@@ -31,7 +44,7 @@ class HearingKernel(Kernel):
         self.heard: Event | None = None
         self.messages: dict[tuple[str, int], bytes] = {}
         self._odometry_encoder = OdometryEncoder("odom", "base_link")
-        self._odometry_count = self._battery_count = 0
+        self._odometry_count = self._battery_count = self._scan_count = 0
 
     def step(self, event: Event) -> tuple[Effect, ...]:
         """Decide on what is left of an event after it went over the wire."""
@@ -49,5 +62,9 @@ class HearingKernel(Kernel):
             self.messages[BATTERY, self._battery_count] = data
             level = read_battery_level(data)
             event = BatteryReceived(event.t_ns, level, "ba77e7", self._battery_count)
+        elif isinstance(event, ScanReceived):
+            self._scan_count += 1
+            data = self.messages[SCAN, self._scan_count] = _scan(event.sectors)
+            event = ScanReceived(event.t_ns, read_sectors(data), "5ca7", self._scan_count)
         self.heard = event
         return super().step(event)

@@ -22,7 +22,7 @@ from robotctl.recording.format.journal import decode
 from robotctl.recording.format.metadata_names import LEDGER_RECORD
 from robotctl.rerun.closed_loop import closed_loop
 from robotctl.testing.drives import BEGIN_NS, drive_requested, journaled, record
-from robotctl.testing.hearing import BATTERY, ODOMETRY, HearingKernel
+from robotctl.testing.hearing import BATTERY, ODOMETRY, SCAN, HearingKernel
 from tests.support.edited_recordings import Contents, Stored, contents_of
 from tests.support.service_calls import ESTOP, SET_MODE, received, sent
 
@@ -67,6 +67,8 @@ def status(mode: int, level: float, name: bytes = b"robot", *, is_connected: boo
 def _with_messages(contents: Contents, heard: dict[tuple[str, int], bytes]) -> Contents:
     """Add what was heard and shown, each message a few entries late, as the recorder does."""
     _add_topic(contents, BATTERY, "sensor_msgs/msg/BatteryState")
+    if (SCAN, 1) in heard:
+        _add_topic(contents, SCAN, "sensor_msgs/msg/LaserScan")
     _add_topic(contents, STATUS, "robot_controller/msg/RobotStatus")
     _add_topic(contents, SET_MODE, "robot_controller/srv/SetMode_Event")
     _add_topic(contents, ESTOP, "std_srvs/srv/Trigger_Event")
@@ -80,7 +82,9 @@ def _with_messages(contents: Contents, heard: dict[tuple[str, int], bytes]) -> C
             continue
         entry = decode(each.data)
         values = json.loads(entry.data)
-        topic = {"OdomReceived": ODOMETRY, "BatteryReceived": BATTERY}.get(entry.name)
+        topic = {"OdomReceived": ODOMETRY, "BatteryReceived": BATTERY, "ScanReceived": SCAN}.get(
+            entry.name
+        )
         if topic is not None:
             sequence = values["sequence"]
             data = heard[topic, sequence]

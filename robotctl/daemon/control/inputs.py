@@ -60,9 +60,9 @@ class Inputs:
         """Handle a message of a safety input."""
         self._control.dispatch(SafetyInputReceived(time.monotonic_ns(), kind, value, detail))
 
-    def scan(self, sectors: tuple[float, ...]) -> None:
+    def scan(self, sectors: tuple[float, ...], publisher: str, sequence: int) -> None:
         """Handle a laser scan: the nearest ranges by direction, () if it is unreadable."""
-        self._control.dispatch(ScanReceived(time.monotonic_ns(), sectors))
+        self._control.dispatch(ScanReceived(time.monotonic_ns(), sectors, publisher, sequence))
 
     def guarded_command(self, twist: Twist) -> None:
         """Handle a velocity that another node wants; it counts while the robot is guarded."""

@@ -83,11 +83,14 @@ class SafetyInputReceived:
 class ScanReceived:
     """A laser scan: the nearest range in each direction [m], from behind to the left, by sectors.
 
-    inf where nothing is, () if the message is unreadable (`cdr.scan`).
+    inf where nothing is, () if the message is unreadable (`cdr.scan`). `publisher` and `sequence`
+    are as in `BatteryReceived`.
     """
 
     t_ns: int
     sectors: tuple[float, ...]
+    publisher: str = ""
+    sequence: int = 0
 
 
 @dataclass(frozen=True, slots=True)
