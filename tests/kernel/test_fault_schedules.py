@@ -55,6 +55,7 @@ def recovered(fed: CheckedKernel) -> bool:
 def follow(seed: int) -> Iterator[str]:
     """Follow a schedule of faults, requests and resets; yield what must not be."""
     random, fed = Random(seed), CheckedKernel()
+    fed.request(Mode.MOVING)  # now the fence has its place
     causes = sorted(PROVOKED, key=lambda cause: cause.value)
     for _ in range(FAULTS_OF_A_SCHEDULE):
         present: dict[str, Cause] = {}
