@@ -27,6 +27,9 @@ from robotctl.testing.hearing import BATTERY, HearingKernel
 SNAPSHOT_PERIOD_S = 10.0
 """As often as a daemon writes one."""
 
+CHUNK_BYTES = 35_000
+"""About as much as a daemon at 100 Hz commits each 250 ms."""
+
 _TOPICS = {
     ODOMETRY.name: ODOMETRY,
     BATTERY: Topic(BATTERY, "sensor_msgs/msg/BatteryState"),
@@ -87,7 +90,11 @@ def record_drive(
     keys = folder.with_name(f"{folder.name} keys")
     keys.mkdir(mode=0o700)
     options = RecorderOptions(
-        compression=compression, split_bytes=1 << 40, split_s=1e9, sealer=Keyring(keys, "robot")
+        compression=compression,
+        chunk_bytes=CHUNK_BYTES,
+        split_bytes=1 << 40,
+        split_s=1e9,
+        sealer=Keyring(keys, "robot"),
     )
     requests = [drive_requested()] if moving else []
     snapshots_ns = range(
