@@ -4,10 +4,11 @@
     python benchmarks/check.py --rounds 1 --gigabyte 1   memory over a file of 1 GB: minutes
 
 The recordings are made here, by the recorder's own writer, sealed: journal, velocity commands,
-odometry, battery and status of a simulated drive at 100 Hz, a snapshot every 10 s. One is MOVING all
-the time, which costs most, one stands. CPU time is that of the process, so that other people's work
-counts little; the time of many recordings, and of one on two cores, is that of the clock on the
-wall. The kernel's own steps are measured beside it, on the same events: they cannot be left out.
+odometry, battery and status of a simulated drive at 100 Hz, a snapshot every 10 s. One is MOVING
+all the time, which costs most, one stands. CPU time is that of the process, so that other people's
+work counts little; the time of many recordings, and of one on two cores, is that of the clock on
+the wall. The kernel's own steps are measured beside it, on the same events: they cannot be left
+out.
 """
 
 from __future__ import annotations

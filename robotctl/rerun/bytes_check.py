@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -17,24 +18,53 @@ ALL_BYTES_BELOW: Final = 100_000_000
 _KEY_DIGITS = 16
 
 
-def check_bytes(path: Path, report: Report, *, all_bytes: bool) -> None:
+@dataclass(frozen=True, slots=True)
+class BytesFound:
+    """What reading every byte has found: a sentence for each flaw, and the seal in one line."""
+
+    flaws: list[str]
+    seal: str
+
+
+def read_bytes(path: Path) -> BytesFound | None:
+    """Read every byte of a recording; None if it cannot be read at all."""
+    try:
+        found = verify_recording(path)
+    except (OSError, UnreadableFile):
+        return None
+    return BytesFound([*found.whole.unreadable, *found.whole.wrong], _seal_line(found))
+
+
+def is_small(path: Path) -> bool:
+    """Return whether every byte of a recording is read in any case.
+
+    Raises:
+        OSError, UnreadableFile: There is no recording.
+    """
+    return sum(file.stat().st_size for file in recording_files(path)) < ALL_BYTES_BELOW
+
+
+def check_bytes(
+    path: Path, report: Report, *, all_bytes: bool, found: BytesFound | None = None
+) -> None:
     """Read every byte of the recording `path`, if it is small or `all_bytes` is set.
 
     What is wrong is noted as missing from the check: it cannot tell what was recorded there. The
-    seal is told, and changes no verdict.
+    seal is told, and changes no verdict. `found` is given if another process has read the bytes.
     """
     try:
-        size = sum(file.stat().st_size for file in recording_files(path))
-        if size >= ALL_BYTES_BELOW and not all_bytes:
+        if not all_bytes and not is_small(path):
             report.notes.append("not every byte was read: --all-bytes reads them all")
             return
-        found = verify_recording(path)
     except (OSError, UnreadableFile):
         return  # the check has told why
-    for sentence in (*found.whole.unreadable, *found.whole.wrong):
+    found = found or read_bytes(path)
+    if found is None:
+        return
+    for sentence in found.flaws:
         if sentence not in report.missing:
             report.miss(sentence)
-    report.seal = _seal_line(found)
+    report.seal = found.seal
 
 
 def _seal_line(found: VerifiedRecording) -> str:

@@ -20,7 +20,7 @@ from robotctl.recording.read.journal_reader import (
 )
 from robotctl.recording.read.messages import Message
 from robotctl.recording.read.source import Source
-from robotctl.rerun.bytes_check import check_bytes
+from robotctl.rerun.bytes_check import BytesFound, check_bytes
 from robotctl.rerun.check_reading import CheckReading, Item, LogTimes, Readers
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.clock_changes import ClockChanges
@@ -63,6 +63,7 @@ def check_recording(
     report = Report(path)
     began = time.perf_counter()
     others: list[FileGroup] = []
+    found: BytesFound | None = None
     try:
         files: list[Path] = []
         if source is None:
@@ -73,17 +74,18 @@ def check_recording(
             check = _Check(recording, report, on_progress)
             with pool_for(recording, report.version, processes) as pool:
                 check.run(pool)
+                found = None if pool is None else pool.bytes_found()
     except UnreadableFile as error:
         report.miss(str(error))
     for group in others:
         for file in group.files:
-            found = check_recording(file)
+            other = check_recording(file)
             report.miss(
-                f"{file.name} is of another recording, of robot {found.robot or '(unknown)'}: "
-                f"checked on its own, it is {found.verdict}"
+                f"{file.name} is of another recording, of robot {other.robot or '(unknown)'}: "
+                f"checked on its own, it is {other.verdict}"
             )
     if source is None:
-        check_bytes(path, report, all_bytes=all_bytes)
+        check_bytes(path, report, all_bytes=all_bytes, found=found)
     else:
         report.notes.append("not every byte was read, only what the check needs")
     report.took_s = time.perf_counter() - began

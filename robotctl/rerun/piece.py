@@ -26,6 +26,9 @@ MAX_UNUSED = 1000
 """A piece with more odometry that the kernel did not take as new is left to the check."""
 
 
+BYTES = -1
+"""The number of the job that reads every byte of a recording, instead of pieces."""
+
 MAX_STEPS = 512
 """How many steps are re-run at once."""
 

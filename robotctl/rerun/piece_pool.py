@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -14,7 +15,8 @@ from robotctl.processes import Child, program, start
 from robotctl.recording import Recording
 from robotctl.recording.read.journal_reader import journal_topic
 from robotctl.recording.read.spots import Spot
-from robotctl.rerun.piece import Position
+from robotctl.rerun.bytes_check import BytesFound, is_small
+from robotctl.rerun.piece import BYTES, Position
 from robotctl.rerun.rerun import ConfirmedPiece
 
 WORKER: Final = program("robotctl.rerun.piece_process")
@@ -25,14 +27,17 @@ JOB_BYTES: Final = 1 << 20
 LEAST_BYTES: Final = 8 * JOB_BYTES
 """A shorter recording is checked before another process has started."""
 
-PATIENCE_S: Final = 20.0
-"""How long a process may take for a job that the check waits for; then it counts as stopped."""
+PATIENCE_S: Final = 0.2
+"""How long the check waits for a job; then it does the work itself, which takes no longer."""
+
+BYTES_PATIENCE_S: Final = 2.0
+"""The same for the process that reads every byte; it began with that."""
 
 _AHEAD = 2
 """How many jobs a process is given at once, so that it never waits for the next one."""
 
-_OWN_OF_FIVE = 5
-"""With one process the check re-runs one job of five itself: the rest of its work is less."""
+_OWN_OF = 6
+"""With one process the check re-runs one job of so many itself: the rest of its work is less."""
 
 
 class PiecePool:
@@ -46,21 +51,28 @@ class PiecePool:
         task: dict[str, str],
         places: Sequence[tuple[Spot, int]],
         processes: int,
+        *,
+        reads_bytes: bool,
     ) -> None:
-        """Share the `places` of the journal, each with its bytes, among so many processes."""
+        """Share the `places` of the journal, each with its bytes, among so many processes.
+
+        With `reads_bytes` the first one reads every byte of the recording before.
+        """
         self._begins = cut_places(places, JOB_BYTES)
         self._waiting = [
-            number
-            for number in range(1, len(self._begins))
-            if processes > 1 or number % _OWN_OF_FIVE
+            number for number in range(1, len(self._begins)) if processes > 1 or number % _OWN_OF
         ]
         self._waiting.reverse()
         self._confirmed: dict[int, dict[Position, ConfirmedPiece]] = {}
+        self._bytes: BytesFound | None = None
         self._given: dict[Child, list[int]] = {}
-        for _ in range(min(processes, len(self._waiting))):
+        for number in range(min(processes, len(self._waiting))):
             child = start(WORKER, with_stdin=True)
             self._given[child] = []
             self._send(child, task)
+            if reads_bytes and not number and child in self._given:
+                self._given[child].append(BYTES)
+                self._send(child, {"job": BYTES})
             self._give(child)
 
     def __enter__(self) -> Self:
@@ -80,40 +92,55 @@ class PiecePool:
     def confirmed(self, position: Position) -> ConfirmedPiece | None:
         """Return the piece that begins at this position, None if it is not confirmed.
 
-        Waits for the process that was given it; what none was given is left to the caller.
+        Waits a moment for the process that was given it; otherwise the caller must re-run it.
         """
         for child in list(self._given):
             self._receive(child, 0.0)
         job = bisect_right(self._begins, Spot(position.file, position.offset)) - 1
         if job in self._waiting:
             self._waiting.remove(job)
+        self._wait_for(job, PATIENCE_S)
+        return self._confirmed.setdefault(job, {}).get(position)
+
+    def bytes_found(self) -> BytesFound | None:
+        """Return what reading every byte has found, None if no process did."""
+        self._wait_for(BYTES, BYTES_PATIENCE_S)
+        return self._bytes
+
+    def _wait_for(self, job: int, patience_s: float) -> None:
+        """Wait until a job is done, unless no process has it, or it takes too long."""
+        end_s = time.monotonic() + patience_s
         while job not in self._confirmed:
             worker = next((each for each, jobs in self._given.items() if job in jobs), None)
-            if worker is None:
-                return None
-            self._receive(worker, PATIENCE_S)
-        return self._confirmed[job].get(position)
+            left_s = end_s - time.monotonic()
+            if worker is None or left_s <= 0.0:
+                return
+            self._receive(worker, left_s)
 
     def _receive(self, child: Child, seconds: float) -> None:
-        """Take what a process has reported; drop it if it ended, or is silent for so long."""
+        """Take what a process reports within so many seconds; drop it if it ended."""
         try:
             reports = child.receive(seconds)
         except TimeoutError:
-            if seconds:
-                self._drop(child)
             return
         except (EOFError, ValueError):
             self._drop(child)
             return
         for report in reports:
             self._given[child].remove(report["job"])
-            self._confirmed[report["job"]] = {
+            if report["job"] == BYTES:
+                self._bytes = report["bytes"] and BytesFound(**report["bytes"])
+                continue
+            found = {
                 Position(*position): ConfirmedPiece(frozenset(unused))
                 for position, unused in report["confirmed"]
             }
+            self._confirmed.setdefault(report["job"], found)
         self._give(child)
 
     def _give(self, child: Child) -> None:
+        if BYTES in self._given.get(child, ()):
+            return  # it is busy for long
         while child in self._given and self._waiting and len(self._given[child]) < _AHEAD:
             job = self._waiting.pop()
             self._given[child].append(job)
@@ -148,7 +175,8 @@ def pool_for(recording: Recording, version: str, processes: int) -> Iterator[Pie
         yield None
         return
     task = {"path": str(recording.path), "topic": topic, "version": version}
-    with PiecePool(task, places, processes) as pool:
+    reads_bytes = is_small(recording.path)
+    with PiecePool(task, places, processes, reads_bytes=reads_bytes) as pool:
         yield pool
 
 

@@ -1,8 +1,9 @@
 """`python -m robotctl.rerun.piece_process --report-fd N`: re-runs pieces of one recording.
 
 Each line is JSON. On stdin: first {"path", "topic", "version"}, then {"job", "begin", "end"} with
-places of the recording; on descriptor N {"job", "confirmed"} for each. The process ends when stdin
-is closed, so it does not outlive its parent.
+places of the recording; on descriptor N {"job", "confirmed"} for each. For {"job": BYTES} it reads
+every byte, and reports {"job", "bytes"}. The process ends when stdin is closed, so it does not
+outlive its parent.
 """
 
 from __future__ import annotations
@@ -10,12 +11,14 @@ from __future__ import annotations
 import json
 import sys
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 
 from robotctl.processes import report_fd, send_report
 from robotctl.recording import Recording
 from robotctl.recording.read.spots import Spot
-from robotctl.rerun.piece import confirmed_pieces
+from robotctl.rerun.bytes_check import read_bytes
+from robotctl.rerun.piece import BYTES, confirmed_pieces
 
 
 def main() -> None:
@@ -25,6 +28,10 @@ def main() -> None:
     with Recording(Path(task["path"])) as recording:
         for line in sys.stdin:
             job = json.loads(line)
+            if job["job"] == BYTES:
+                found = read_bytes(Path(task["path"]))
+                send_report(descriptor, {"job": BYTES, "bytes": found and asdict(found)})
+                continue
             begin, end = Spot(*job["begin"]), job["end"]
             confirmed = confirmed_pieces(
                 recording, task["topic"], task["version"], begin, end and Spot(*end)
