@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -18,13 +19,15 @@ class LogContent:
     entries: list[Entry] = field(default_factory=list)
     broken: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    heads: set[str] = field(default_factory=set)
+    """The hash of each entry, and of the one before the first."""
 
 
 def read_log(folder: Path) -> LogContent:
     """Return all entries of the log in `folder`, in the order in which they were written.
 
     A line that a kill or a full disk tore is told in a note. Entries that were removed from the end
-    leave no trace here.
+    leave no trace here: compare the `heads` with those in recordings.
     """
     log = LogContent(files_of(folder))
     prev: str | None = None
@@ -43,9 +46,26 @@ def read_log(folder: Path) -> LogContent:
                     f"{path.name}: line {number} does not follow the entry before it: "
                     "something was changed, removed or added"
                 )
+            if prev is None:
+                log.heads.add(told)
             prev = hash_of(line)
+            log.heads.add(prev)
             log.entries.append(entry)
     return log
+
+
+def head_of(folder: Path) -> str:
+    """Return the hash of the last entry of the log in `folder`, "" if there is none.
+
+    A recording holds it: so entries that are removed from the end later leave a trace.
+    """
+    for path in reversed(files_of(folder)):
+        with suppress(OSError):
+            for line in reversed(content_of(path).splitlines()):
+                with suppress(ValueError):
+                    parse(line)
+                    return hash_of(line)
+    return ""
 
 
 def _lines(path: Path, log: LogContent) -> Iterator[bytes]:

@@ -13,6 +13,8 @@ import pytest
 from robotctl.decision_log.entries import Kind
 from robotctl.decision_log.folder import files_of, log_folder
 from robotctl.decision_log.log import DecisionLog
+from robotctl.decision_log.read import head_of
+from robotctl.recording import Recorder, Topic
 from robotctl.testing.drives import drive, record
 
 Cli = Callable[..., Any]
@@ -175,3 +177,27 @@ def test_a_robot_without_a_journal_is_told_how_to_begin(state: Path, cli: Cli) -
     ran = cli("evidence")
     assert ran.exit_code == 4
     assert "robotctl start" in ran.err
+
+
+def test_entries_that_are_cut_off_the_end_are_missed_by_the_next_recording(
+    state: Path, tmp_path: Path, cli: Cli
+) -> None:
+    """A daemon notes the newest entry in each file, which the seal covers."""
+    later = tmp_path / "recordings" / "robot_20270115_080000"
+    later.parent.mkdir()
+    log = DecisionLog(state, 0.0, now_ns=lambda: BEGIN_NS)
+    log.add(Kind.START, by="ada", version="1", recording=str(later))
+    log.add(Kind.REFUSED, asked="MOVING", by="a node", answer="no odometry")
+    log.close()
+    noted = {"robot": "robot", "decisions": head_of(state)}
+    recorder = Recorder(later, metadata=lambda: noted, on_failure=pytest.fail)
+    number = recorder.add_topic(Topic("/mark", "std_msgs/msg/Empty"))
+    recorder.write(number, bytes(4), BEGIN_NS + 1, BEGIN_NS + 1, 1, bytes(16))
+    recorder.close()
+    assert report(cli, "--no-check")["journal"]["broken"] == []
+    later.rename(later.with_name("robot_20270116_080000"))  # as if its start were cut off, too
+    (path,) = files_of(state)
+    path.write_bytes(path.read_bytes().splitlines(keepends=True)[0])
+    told = report(cli, "--no-check", exit_code=7)["journal"]
+    assert "the end of the journal was cut off" in told["broken"][0]
+    assert told["notes"][-1].startswith("no entry names robot_20270116_080000")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -75,6 +76,15 @@ def evidence(
         raise Refused(f"robot {robot!r} has no journal of decisions in {folder}", f"begin: {start}")
     found = collect(log.entries, since_ns)
     proof = _proof(found, recordings, check=check, quiet=as_json)
+    known = [Path(item["path"]) for item in proof]
+    later = _later(known, robot)
+    for path in (*known, *later):
+        log.broken += _cut_tail(path, log)
+    log.notes += (
+        f"no entry names {path.name}: its daemon was killed at its start, or the end was cut off"
+        for path in later
+        if not found.unwritten
+    )
     if found.daemons and found.daemons[-1]["end_ns"] is None:
         runs = any(
             item["path"] == found.daemons[-1]["recording"] and item["state"] == LIVE
@@ -122,6 +132,39 @@ def _proof(
         for (_, item), report in zip(finished, reports, strict=True):
             item["check"] = report["verdict"]
     return proof
+
+
+def _later(known: Sequence[Path], robot: str) -> list[Path]:
+    """Return the robot's recordings beside the known ones that are later than all of them."""
+    newest = max((path.name for path in known), default="")
+    return [
+        path
+        for folder in sorted({path.parent for path in known})
+        for path in sorted(folder.glob(f"{robot}_*"))
+        if path.name > newest and path.is_dir()
+    ]
+
+
+def _cut_tail(recording: Path, log: LogContent) -> Iterator[str]:
+    """Yield a sentence for each file that knows an entry of the journal that is not there."""
+    from robotctl.recording import read_info
+    from robotctl.recording.format.metadata_names import INFO_RECORD
+    from robotctl.recording.read.files import recording_files
+
+    begin_ns = log.entries[0].time_ns if log.entries else 0
+    try:
+        files = recording_files(recording)
+    except UnreadableFile:
+        return  # its verdict tells why
+    for file in files:
+        with suppress(UnreadableFile):
+            info = read_info(file)
+            head = info.metadata.get(INFO_RECORD, {}).get("decisions", "")
+            if head and head not in log.heads and info.start_ns >= begin_ns:
+                yield (
+                    f"{file.name} knows an entry that is not there: the end of the journal was cut "
+                    "off, or it was written anew"
+                )
 
 
 def _as_object(

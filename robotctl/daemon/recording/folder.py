@@ -10,6 +10,8 @@ from pathlib import Path
 from robotctl.config import Config, RecordingParams, flat
 from robotctl.daemon.recording.provenance import provenance
 from robotctl.daemon.recording.software import software
+from robotctl.decision_log.folder import log_folder
+from robotctl.decision_log.read import head_of
 from robotctl.errors import RobotctlError
 from robotctl.paths import make_private, recordings_note_path
 from robotctl.recording import Recorder, RecorderOptions
@@ -67,7 +69,8 @@ def open_recorder(
     def metadata() -> dict[str, str]:
         values = flat(config if present is None else present())
         parameters = {f"parameter.{key}": str(value) for key, value in values.items()}
-        return {"mode": mode(), **described, **parameters}
+        head = {"decisions": head_of(log_folder(robot))}
+        return {"mode": mode(), **described, **head, **parameters}
 
     return Recorder(
         _new_folder(recordings, f"{robot}_{time.strftime('%Y%m%d_%H%M%S')}"),
