@@ -1,7 +1,7 @@
 """Makes objects of a frozen, slotted dataclass as fast as those of one that is not frozen.
 
-The `__init__` of a frozen dataclass sets each field with a call of `object.__setattr__`. An object
-of 18 fields took 2.5 us, of 13 us for a step of the kernel, and now takes 0.4 us.
+The `__init__` of a frozen dataclass sets each field with a call of `object.__setattr__`. On a busy
+machine (2026-11-23) an object of 18 fields took 3.7 to 5.9 us, and takes 0.7 to 1.2 us this way.
 """
 
 from __future__ import annotations
