@@ -67,7 +67,10 @@ class PiecePool:
         self._bytes: BytesFound | None = None
         self._given: dict[Child, list[int]] = {}
         for number in range(min(processes, len(self._waiting))):
-            child = start(WORKER, with_stdin=True)
+            try:
+                child = start(WORKER, with_stdin=True)
+            except OSError:
+                break  # no memory or descriptors: the check does more itself
             self._given[child] = []
             self._send(child, task)
             if reads_bytes and not number and child in self._given:

@@ -14,6 +14,7 @@ from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 
+from robotctl.errors import UnreadableFile
 from robotctl.processes import report_fd, send_report
 from robotctl.recording import Recording
 from robotctl.recording.read.spots import Spot
@@ -41,5 +42,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    with suppress(BrokenPipeError):  # the parent process has ended
+    with suppress(BrokenPipeError, UnreadableFile):  # the parent has ended, or tells it itself
         main()

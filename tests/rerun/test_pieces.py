@@ -138,6 +138,20 @@ def test_a_process_that_is_killed_or_stopped_changes_nothing(
     assert set(psutil.Process().children()) <= before
 
 
+def test_a_process_that_cannot_be_started_changes_nothing(
+    recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    confirmed = small_jobs(monkeypatch)
+
+    def fail(*_: Any, **__: Any) -> None:
+        raise OSError("no descriptors")
+
+    monkeypatch.setattr(piece_pool, "start", fail)
+    assert told(recording, processes=2) == told(recording)
+    assert confirmed
+    assert not any(confirmed)
+
+
 def small_jobs(
     monkeypatch: pytest.MonkeyPatch, at_start: Callable[[int], None] = lambda child: None
 ) -> list[bool]:
