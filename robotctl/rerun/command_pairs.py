@@ -36,7 +36,8 @@ LATE_NS = NS_PER_S // 2
 """How far the time of a command may lie outside of its step."""
 
 LAST_ZEROS = 2
-"""How many zeros a daemon that fails may send after the kernel's last command."""
+"""How many zeros a daemon that fails while it moves the robot may send after its kernel's last
+command."""
 
 SEND_FAILED = f"{PublishTwist.__name__} failed"
 """How the fault of a command that could not be sent begins."""
@@ -146,7 +147,9 @@ class CommandPairs:
     def resume(self, proof: Proof) -> None:
         """Continue from a snapshot, with the number of commands that it tells."""
         differs = proof.commands & MAX_SEQUENCE != self._number
-        if self.is_counting and 0 < (proof.commands - self._number) & MAX_SEQUENCE <= LAST_ZEROS:
+        was_moving = bool(self._recent) and not is_zero(self._recent[-1][1])
+        more = (proof.commands - self._number) & MAX_SEQUENCE
+        if self.is_counting and was_moving and 0 < more <= LAST_ZEROS:
             self._has_ended = True
             while proof.commands & MAX_SEQUENCE != self._number:
                 self._decide(STILL, (self._t_ns, 0, 0))
