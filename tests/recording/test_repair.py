@@ -25,6 +25,7 @@ from robotctl.recording.keep.unfinished_commit import find_unfinished_commit
 from robotctl.recording.read.file_index import FileIndex, read_record_head
 from robotctl.recording.read.indexing import index_of
 from robotctl.recording.read.mcap_input import InputFile
+from robotctl.recording.read.verified import verify_recording
 from robotctl.testing.drives import TWIST
 from tests.support.recordings import numbered, read_strictly, write_numbered
 from tests.support.waiting import until
@@ -317,6 +318,27 @@ def test_the_list_of_a_bag_counts_what_was_repaired_before_the_end(tmp_path: Pat
     next(done)
     done.close()  # type: ignore[attr-defined]
     assert listed_messages(tmp_path / "run") == 200
+
+
+@pytest.mark.parametrize("torn", [False, True])
+def test_a_repair_that_was_killed_before_the_list_breaks_nothing_and_the_next_one_writes_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, torn: bool
+) -> None:
+    def killed(*arguments: object) -> None:
+        raise KeyboardInterrupt
+
+    file = crashed(tmp_path / "run", 100)
+    if torn:
+        file.write_bytes(file.read_bytes()[:-10])
+    os.utime(tmp_path / "run" / "metadata.yaml", ns=(0, 0))
+    with monkeypatch.context() as patch:
+        patch.setattr(repairing, "rewrite_metadata", killed)
+        with pytest.raises(KeyboardInterrupt):
+            repair(tmp_path)
+    assert listed_messages(tmp_path / "run") == 0
+    assert verify_recording(tmp_path / "run").wrong == ()
+    assert repair(tmp_path) == []
+    assert listed_messages(tmp_path / "run") == 100
 
 
 def test_a_repair_removes_nothing_that_it_has_not_written(tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from robotctl.recording.disk.storage import DiskFile
 from robotctl.recording.format.compression import Compression
 from robotctl.recording.format.metadata_names import LEDGER_RECORD, RECOVERY_RECORD
 from robotctl.recording.format.records import PlainMessage
+from robotctl.recording.format.rosbag2 import METADATA_FILE
 from robotctl.recording.format.trailer import WrittenFile
 from robotctl.recording.keep.bag_metadata import rewrite_metadata
 from robotctl.recording.keep.catalog import CatalogFolder, own_recordings
@@ -58,7 +59,7 @@ def repair(recordings: Path) -> Iterator[TidyNote]:
 
 def _repair_folder(folder: CatalogFolder) -> Iterator[TidyNote]:
     _remove_leftovers(folder.path)
-    changed = False
+    changed = _list_is_older(folder)
     try:
         for file in folder.files:
             try:
@@ -72,6 +73,26 @@ def _repair_folder(folder: CatalogFolder) -> Iterator[TidyNote]:
     finally:
         if changed:
             rewrite_metadata(folder.path, [file.path for file in folder.files])
+
+
+def _list_is_older(folder: CatalogFolder) -> bool:
+    """Return whether a repair was killed before it wrote the list of the files again."""
+    try:
+        listed_ns = (folder.path / METADATA_FILE).stat().st_mtime_ns
+        return any(
+            file.path.stat().st_mtime_ns > listed_ns and _is_repaired(file.path)
+            for file in folder.files
+        )
+    except FileNotFoundError:
+        return False
+
+
+def _is_repaired(path: Path) -> bool:
+    try:
+        with InputFile(path) as file:
+            return index_from_summary(file, places=False).has_metadata(RECOVERY_RECORD)
+    except Damaged:
+        return False
 
 
 def _remove_leftovers(folder: Path) -> None:
