@@ -51,6 +51,16 @@ def subscriptions(node: Node, topic: str, *, dds_names: bool = False) -> list[En
     return _endpoints(node, Role.SUBSCRIPTION, topic, dds_names)
 
 
+def publisher_count(node: Node, topic: str) -> int:
+    """Return how many publishers a topic has, by a name that `topics` returned.
+
+    The method of the node would expand and validate the name each time.
+    """
+    with node.handle:
+        count: int = node.handle.get_count_publishers(topic)
+        return count
+
+
 def node_names(node: Node) -> list[str]:
     """Return the full name of each discovered node; one of two processes stands there twice."""
     with node.handle:

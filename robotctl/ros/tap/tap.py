@@ -27,7 +27,7 @@ POLL_S = 0.05
 LOOKS_PER_COUNT = 4
 """The publishers of a tapped topic are counted once in this number of looks at the graph..."""
 
-LOOKS_PER_INSPECTION = 20
+LOOKS_PER_INSPECTION = 40
 """...and inspected once in this number of looks: with the same count, one may have replaced
 another."""
 
@@ -146,7 +146,7 @@ class Tap:
             if endpoints.publishers(self._node, topic):
                 self._leave_out(topic, type_names, "ROS does not allow its name")
             return
-        if not self._node.count_publishers(topic):
+        if not endpoints.publisher_count(self._node, topic):
             return
         offered = self._offered(topic)
         problem = ""
@@ -194,7 +194,7 @@ class Tap:
     def _follow(self, tapped: TappedSubscription, *, inspect: bool) -> None:
         """Adapt the subscription to publishers that came, went or offer another QoS."""
         topic = tapped.topic
-        publishers = self._node.count_publishers(topic)
+        publishers = endpoints.publisher_count(self._node, topic)
         if publishers == tapped.publishers and not inspect:
             return
         tapped.publishers = publishers
