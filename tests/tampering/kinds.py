@@ -139,7 +139,14 @@ def last_dropped(entries: list[JournalEntry], random: Random) -> list[JournalEnt
 
 
 def two_swapped(entries: list[JournalEntry], random: Random) -> list[JournalEntry | None]:
-    at = random.randrange(1, len(entries) - 2)
+    """Swap two neighbours, but no two events of the same nanosecond: those have no order."""
+    pairs = [
+        at
+        for at in range(1, len(entries) - 2)
+        if entries[at].t_ns != entries[at + 1].t_ns
+        or {entries[at].kind, entries[at + 1].kind} != {EntryKind.EVENT}
+    ]
+    at = random.choice(pairs)
     one, other = entries[at], entries[at + 1]
     entries[at] = other._replace(seq=one.seq)
     entries[at + 1] = one._replace(seq=other.seq)

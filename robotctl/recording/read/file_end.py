@@ -30,11 +30,11 @@ class FileEnd(NamedTuple):
 
 
 class BadEnd(Damaged):
-    """There is no valid end; the record at `offset` is the first that is wrong."""
+    """There is no valid end.
 
-    def __init__(self, offset: int, text: str) -> None:
-        super().__init__(text)
-        self.offset = offset
+    Where it is wrong is not known: a changed length leads into the middle of another record, and
+    the walk goes astray only later.
+    """
 
 
 def find_end(file: InputFile, data_end: int) -> FileEnd:
@@ -47,20 +47,20 @@ def find_end(file: InputFile, data_end: int) -> FileEnd:
     offset, summary = data_end, data_end + DATA_END_BYTES
     while True:
         if offset + RECORD_HEAD.size > file.size:
-            raise BadEnd(offset, "it ends without a footer")
+            raise BadEnd("it ends without a footer")
         opcode, length = RECORD_HEAD.unpack(file.read(offset, RECORD_HEAD.size))
         after = offset + RECORD_HEAD.size + length
         if after > file.size:
-            raise BadEnd(offset, f"a record claims to have {length} bytes")
+            raise BadEnd(f"a record claims to have {length} bytes")
         if offset == data_end and after != summary:
-            raise BadEnd(offset, "the record that ends the data has another length")
+            raise BadEnd("the record that ends the data has another length")
         if opcode == Opcode.FOOTER:
             break
         offset = after
     if length != FOOTER_CONTENT_BYTES:
-        raise BadEnd(offset, "the footer has another length")
+        raise BadEnd("the footer has another length")
     if after + len(MAGIC) > file.size:
-        raise BadEnd(after, "it ends within the mark of MCAP")
+        raise BadEnd("it ends within the mark of MCAP")
     return FileEnd(summary, offset, after)
 
 

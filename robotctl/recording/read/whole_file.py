@@ -182,7 +182,7 @@ def _check_trailer(file: InputFile, found: WholeFile) -> None:
     try:
         end = find_end(file, data.end)
     except BadEnd as damage:
-        flaws.add(damage.offset, file.size, f"the end of the file: {damage}")
+        flaws.add(data.end, file.size, f"the end of the file: {damage}")
         return
     before = flaws.count
     summary = file.read(end.summary, end.footer - end.summary)
