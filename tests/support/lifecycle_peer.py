@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import rclpy
 from geometry_msgs.msg import Twist
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import (
@@ -15,8 +14,7 @@ from lifecycle_msgs.srv import (
 )
 from rclpy.node import Node
 
-from tests.support.lines import obey
-from tests.support.spinning import spinning
+from tests.support.spinning import run_peer
 from tests.support.waiting import DEADLINE_S, until
 
 
@@ -65,14 +63,5 @@ class Peer:
         return future.result()
 
 
-def main() -> None:
-    rclpy.init(args=[])
-    peer = Peer()
-    with spinning(peer.node):
-        obey(peer)
-    peer.node.destroy_node()
-    rclpy.shutdown()
-
-
 if __name__ == "__main__":
-    main()
+    run_peer(Peer)

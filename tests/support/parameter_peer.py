@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from typing import Any
 
-import rclpy
 from rcl_interfaces.msg import Log, LoggerLevel, ParameterEvent
 from rcl_interfaces.srv import GetLoggerLevels, SetLoggerLevels
 from rclpy.node import Node
@@ -13,8 +12,7 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from tests.support.lines import obey
-from tests.support.spinning import spinning
+from tests.support.spinning import run_peer
 from tests.support.waiting import DEADLINE_S, until
 
 ROSOUT = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -120,14 +118,5 @@ class Peer:
         return future.result()
 
 
-def main() -> None:
-    rclpy.init(args=[])
-    peer = Peer()
-    with spinning(peer.node):
-        obey(peer)
-    peer.node.destroy_node()
-    rclpy.shutdown()
-
-
 if __name__ == "__main__":
-    main()
+    run_peer(Peer)

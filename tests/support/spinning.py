@@ -1,13 +1,33 @@
-"""A node of a peer, whose callbacks run in a thread."""
+"""A peer of plain rclpy: its process, and its node, whose callbacks run in a thread."""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Protocol
 
+import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+
+from tests.support.lines import obey
+
+
+class HasNode(Protocol):
+    """A peer; its public methods are its commands."""
+
+    node: Node
+
+
+def run_peer(make: Callable[[], HasNode]) -> None:
+    """Be the process of a peer until its commands end."""
+    rclpy.init(args=[])
+    peer = make()
+    with spinning(peer.node):
+        obey(peer)
+    peer.node.destroy_node()
+    rclpy.shutdown()
 
 
 @contextmanager
