@@ -11,7 +11,7 @@ from robotctl.config import Config, flat, load
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
 from tests.support.waiting import until
-from tests.support.world import World, journal_of, new_world, read_back
+from tests.support.world import World, entries_of, new_world
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +90,7 @@ def test_a_limit_changes_between_two_drives_and_the_check_decides_across_it(worl
     for file in (first, second):
         report = check_recording(file)
         assert report.verdict is Verdict.SAME, report
-    journal = journal_of(read_back(first.parent)["/robotctl/journal"])
+    journal = [entry for file in (first, second) for entry in entries_of(file)]
     assert [e.name for e in journal].count("ParameterChanged") >= 3
     assert "limits.linear_mps: 0.6 -> 0.2, by robotctl param set" in world.log()
 

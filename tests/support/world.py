@@ -28,6 +28,7 @@ from robotctl.cli import app
 from robotctl.domains import reserved_domain
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import STATUS
+from robotctl.recording import Recording, read_journal
 from robotctl.recording.format.journal import JournalEntry, decode
 from robotctl.recording.keep.catalog import CLIPS_FOLDER
 from robotctl.rerun.check import check_recording
@@ -309,6 +310,12 @@ def read_back(folder: Path) -> dict[str, list[Any]]:
             for _, channel, message in reader.iter_messages():
                 topics[channel.topic].append(message)
     return topics
+
+
+def entries_of(file: Path) -> list[JournalEntry]:
+    """Return the journal in one file, read by robotctl."""
+    with Recording(file) as recording:
+        return [each.entry for each in read_journal(recording, on_missing=pytest.fail)]
 
 
 def journal_of(messages: list[Any]) -> list[JournalEntry]:
