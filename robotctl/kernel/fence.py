@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import chain
 from math import isfinite
 
 from robotctl.kernel.geometry import Pose
@@ -40,7 +41,7 @@ def corners_of(text: str) -> tuple[Corner, ...]:
     for corner in text.split():
         x, y = map(float, corner.split(","))
         corners.append((x, y))
-    if not 3 <= len(corners) <= MAX_CORNERS or not all(isfinite(x + y) for x, y in corners):
+    if not 3 <= len(corners) <= MAX_CORNERS or not all(map(isfinite, chain(*corners))):
         raise ValueError(f"{text!r} has no 3 to {MAX_CORNERS} finite corners")
     return tuple(corners)
 
