@@ -164,6 +164,13 @@ class LeaseAnswer(TypedDict):
     message: str
 
 
+class LeaseKept(TypedDict):
+    """The answer of `lease_keep`."""
+
+    yours: bool
+    """Whether the token of the request holds the lease."""
+
+
 class LeaseStatus(TypedDict):
     """The answer of `lease_status`; `holder` is None while everybody may start motion."""
 

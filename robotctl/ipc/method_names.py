@@ -17,6 +17,7 @@ if TYPE_CHECKING:
         GraphNode,
         GraphTopic,
         LeaseAnswer,
+        LeaseKept,
         LeaseStatus,
         Marked,
         ModeAnswer,
@@ -50,6 +51,7 @@ DRIVE_PATH: Final[MethodName[DriveAnswer]] = MethodName("drive_path")
 DRIVE_VELOCITY: Final[MethodName[DriveAnswer]] = MethodName("drive_velocity")
 END_DRIVE: Final[MethodName[ModeAnswer]] = MethodName("end_drive")
 LEASE_TAKE: Final[MethodName[LeaseAnswer]] = MethodName("lease_take")
+LEASE_KEEP: Final[MethodName[LeaseKept]] = MethodName("lease_keep")
 LEASE_RELEASE: Final[MethodName[LeaseAnswer]] = MethodName("lease_release")
 LEASE_STATUS: Final[MethodName[LeaseStatus]] = MethodName("lease_status")
 RECORD_STATUS: Final[MethodName[RecordStatus]] = MethodName("record_status")

@@ -179,6 +179,12 @@ class LeaseTakeParams(Struct, frozen=True, forbid_unknown_fields=True):
     reason: Reason = ""
 
 
+class LeaseKeepParams(Struct, frozen=True, forbid_unknown_fields=True):
+    """The parameters of `lease_keep`."""
+
+    token: Token
+
+
 class LeaseReleaseParams(Struct, frozen=True, forbid_unknown_fields=True):
     """The parameters of `lease_release`."""
 

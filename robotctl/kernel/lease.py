@@ -29,10 +29,11 @@ class LeaseRequested:
 
 @dataclass(frozen=True, slots=True)
 class LeaseLost:
-    """The connection of a holder closed."""
+    """A holder is gone; `how` says how that was noticed."""
 
     t_ns: int
     client: int
+    how: str = "its connection closed"
 
 
 class MotionRequest(Protocol):

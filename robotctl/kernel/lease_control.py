@@ -33,7 +33,7 @@ class LeaseControl(ModeControl):
     def _lose_lease(self, event: LeaseLost) -> None:
         lease = self.state.lease
         if lease is not None and lease.client == event.client:
-            self._end_lease(f"{lease.source} lost the lease: its connection closed")
+            self._end_lease(f"{lease.source} lost the lease: {event.how}")
 
     def _end_lease(self, reason: str) -> None:
         """Ramp down: after this, nobody is there who steers."""

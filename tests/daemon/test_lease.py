@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from signal import SIGINT
+from signal import SIGCONT, SIGINT, SIGSTOP
 
 from tests.support.waiting import DEADLINE_S, until
 from tests.support.world import Peer, World
@@ -51,3 +51,22 @@ def test_the_holder_alone_moves_the_robot_and_its_death_ramps_it_down(
     assert (ran.exit_code, '"yours": true' in ran.out) == (0, True), ran
     world.ok("set-mode", "moving")
     world.ok("stop")
+
+
+def test_a_frozen_holder_loses_the_lease_and_the_robot_ramps_down(world: World) -> None:
+    world.ok("start", "--sim")
+    holder = world.spawn("lease", "take")
+    assert holder.stdout is not None
+    world.environment["ROBOTCTL_LEASE"] = holder.stdout.readline().rstrip().split("=")[1]
+    world.ok("drive", "circle")
+    until(lambda: world.status()["velocity"]["linear"] > 0.05)
+    holder.send_signal(SIGSTOP)
+    until(lambda: world.status()["mode"] == "IDLE")
+    assert "lost the lease: nothing was heard from it for 1 s" in world.status()["mode_reason"]
+    assert world.answer("lease", "status")["holder"] is None
+    holder.send_signal(SIGCONT)
+    _, err = holder.communicate(timeout=DEADLINE_S)
+    assert (holder.returncode, "lost the lease" in err) == (4, True), err
+    world.ok("stop")
+    (report,) = world.answer("replay", "last", "--check")["recordings"]
+    assert (report["verdict"], report["notes"]) == ("same", [])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 
@@ -82,24 +83,31 @@ def test_anybody_stops_and_resets(mode: Mode) -> None:
     assert "holds the lease" in move(bench, OTHER)
 
 
-@pytest.mark.parametrize("lost", [True, False])
-def test_the_robot_ramps_down_within_2_s_when_its_lease_ends(lost: bool) -> None:
+@pytest.mark.parametrize(
+    ("lost", "why"),
+    [
+        (LeaseLost(0, HOLDER), "client 1 lost the lease: its connection closed"),
+        (LeaseLost(0, HOLDER, "it froze"), "client 1 lost the lease: it froze"),
+        (None, "client 1 released the lease"),
+    ],
+)
+def test_the_robot_ramps_down_within_2_s_when_its_lease_ends(
+    lost: LeaseLost | None, why: str
+) -> None:
     bench = held()
     drive(bench, HOLDER)
     bench.run(50)
     assert bench.state.command.linear > 0.0
     began_ns = bench.t_ns
-    if lost:
-        bench.give(LeaseLost(bench.t_ns, HOLDER))
+    if lost is not None:
+        bench.give(replace(lost, t_ns=bench.t_ns))
     else:
         assert ask(bench, HOLDER, take=False) == ""
     assert bench.state.phase is Phase.STOPPING
     while bench.state.mode is Mode.MOVING:
         bench.run(1)
     assert bench.t_ns - began_ns < 2_000_000_000
-    assert bench.state.reason == (
-        "client 1 lost the lease: its connection closed" if lost else "client 1 released the lease"
-    )
+    assert bench.state.reason == why
     assert move(bench, OTHER) == ""
 
 

@@ -9,32 +9,52 @@ from typing import Any
 
 from robotctl.daemon.api.granted import granted
 from robotctl.daemon.control.dispatcher import Control
-from robotctl.ipc.answers import LeaseAnswer, LeaseStatus
+from robotctl.errors import Refused
+from robotctl.ipc.answers import LeaseAnswer, LeaseKept, LeaseStatus
 from robotctl.ipc.method import Method
-from robotctl.ipc.method_names import LEASE_RELEASE, LEASE_STATUS, LEASE_TAKE
-from robotctl.ipc.params import LeaseReleaseParams, LeaseStatusParams, LeaseTakeParams
+from robotctl.ipc.method_names import LEASE_KEEP, LEASE_RELEASE, LEASE_STATUS, LEASE_TAKE
+from robotctl.ipc.params import (
+    LeaseKeepParams,
+    LeaseReleaseParams,
+    LeaseStatusParams,
+    LeaseTakeParams,
+)
 from robotctl.kernel.lease import LeaseLost, LeaseRequested
 from robotctl.paths import DEFAULT_ROBOT
 
 NOBODY = 0
 """The number of a client without an identity."""
 
+LISTEN_S = 0.25
+"""Period in which it is looked whether the holder of the lease has called `lease_keep`."""
 
-@dataclass(frozen=True, slots=True)
+SILENT_PERIODS = 4
+"""So many periods in a row without a call end the lease: a holder may be frozen."""
+
+
+@dataclass(slots=True)
 class _Holder:
     """A client that asked for the lease; `ended` gets the text of the end."""
 
     client: int
     token: str
     ended: asyncio.Future[str]
+    was_heard: bool = False
 
 
 class LeaseMethods:
-    """The handlers; the connection of `lease_take` keeps the lease, and its end ends it."""
+    """The handlers; the connection of `lease_take` keeps the lease, and its end ends it.
 
-    def __init__(self, control: Control, robot: str = DEFAULT_ROBOT) -> None:
+    The holder also calls `lease_keep` on a second connection, more often than each `listen_s`. A
+    process that is frozen keeps its connections open, but calls nothing.
+    """
+
+    def __init__(
+        self, control: Control, robot: str = DEFAULT_ROBOT, listen_s: float = LISTEN_S
+    ) -> None:
         self._control = control
         self._robot = robot
+        self._listen_s = listen_s
         self._clients = NOBODY
         self._holder: _Holder | None = None
 
@@ -42,6 +62,7 @@ class LeaseMethods:
         """Return every method by its name."""
         return {
             LEASE_TAKE: Method(LeaseTakeParams, self._take, None),
+            LEASE_KEEP: Method(LeaseKeepParams, self._keep),
             LEASE_RELEASE: Method(LeaseReleaseParams, self._release),
             LEASE_STATUS: Method(LeaseStatusParams, self._status),
         }
@@ -62,13 +83,37 @@ class LeaseMethods:
         try:
             granted(await self._control.request(event), self._robot)
             self._holder = holder
-            return {"message": await ended}
+            await self._until_silent(holder)
         except asyncio.CancelledError:
             self._control.dispatch(LeaseLost(time.monotonic_ns(), holder.client))
             raise
         finally:
             if self._holder is holder:
                 self._holder = None
+        if ended.done():
+            return {"message": ended.result()}
+        how = f"nothing was heard from it for {SILENT_PERIODS * self._listen_s:g} s"
+        self._control.dispatch(LeaseLost(time.monotonic_ns(), holder.client, how))
+        raise Refused(f"{params.source} lost the lease: {how}", "take it again")
+
+    async def _until_silent(self, holder: _Holder) -> None:
+        """Wait until the holder has called nothing for SILENT_PERIODS, or the lease has ended.
+
+        Periods are counted, and not time: calls that wait while the loop is stalled are heard in
+        the next period.
+        """
+        silent = 0
+        while silent < SILENT_PERIODS and not holder.ended.done():
+            holder.was_heard = False
+            await asyncio.wait({holder.ended}, timeout=self._listen_s)
+            silent = 0 if holder.was_heard else silent + 1
+
+    async def _keep(self, params: LeaseKeepParams) -> LeaseKept:
+        holder = self._holder
+        is_yours = holder is not None and holder.token == params.token
+        if holder is not None and is_yours:
+            holder.was_heard = True
+        return {"yours": is_yours}
 
     async def _release(self, params: LeaseReleaseParams) -> LeaseAnswer:
         holder = self._holder
