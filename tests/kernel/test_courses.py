@@ -18,8 +18,9 @@ from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams, VelocityLimits
 from robotctl.kernel.patterns import Pattern, PatternKind, named, path_of
 from robotctl.kernel.speed_plan import speed_plan
+from robotctl.kernel.tracking import Reference
 from robotctl.kernel.types import Cause, Twist
-from robotctl.kernel.waypoints import local_points, waypoint_path
+from robotctl.kernel.waypoints import STRAIGHT_RAD, local_points, waypoint_path
 from robotctl.sim.robot import SimParams
 from robotctl.testing.kernels import Driven, drive_simulated, ready
 
@@ -121,6 +122,8 @@ def test_a_path_through_any_waypoints_has_no_gap_and_no_kink(
     last = path.segments[-1].pose_at(path.segments[-1].length)
     target = (0.0, 0.0) if again else points[-1]
     assert hypot(last.x - target[0], last.y - target[1]) <= 0.03
+    assert path.end == (ORIGIN if again else last)
+    assert not again or abs(wrap_angle(last.theta)) <= STRAIGHT_RAD
     legs = speed_plan(path, 0.5, LIMITS)
     for leg, segment in zip(legs, path.segments, strict=True):
         assert leg.top_speed > 0.0
@@ -247,6 +250,12 @@ def test_a_velocity_is_held_for_its_time_within_the_limits_and_ramps_down(veloci
         assert limit(before, command, 0.02 + 1e-9, LIMITS) == command
     assert result.ended.report.cross_track_max_m == 0.0
     assert (result.ended.report.distance_m > 0.1) is (velocity.linear != 0.0)
+
+
+def test_the_reference_of_a_held_velocity_stands_at_the_origin() -> None:
+    origin = Pose(1.0, 2.0, 3.0)
+    drive = Drive(1, Pattern(), 1, origin, course=Course(held=Held(0.3, 0.5, 2.0)))
+    assert drive.reference() == Reference(origin, 0.0, 0.0, 0.0)
 
 
 def test_a_velocity_above_the_limits_is_bounded_and_one_without_an_end_ends() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import atan2, cos, hypot, inf, pi, sin, tau
+from math import atan2, cos, hypot, inf, pi, sin, sqrt, tau
 
 import pytest
 from hypothesis import given
@@ -137,6 +137,7 @@ def test_a_tick_looks_ahead_with_the_command_of_that_tick() -> None:
         if bench.state.mode is Mode.MOVING:
             bench.run(1)
     assert stopped_by(bench, Cause.OBSTACLE_NEAR, Mode.ERROR)
+    assert max(each.linear for each in bench.commands) == pytest.approx(sqrt(2.0 * 0.1), abs=0.03)
 
 
 def test_an_unreadable_scan_stops() -> None:

@@ -56,8 +56,8 @@ NOT_MUTANTS = re.compile(
 
 LEAST_KILLED, MOST_EQUIVALENT = 0.95, 0.03
 
-CPU_S, WALL_S, MEMORY_BYTES = 30, 300, 4 << 30
-"""Limits of one run of the tests, which takes less than 10 s: a mutant may never end."""
+CPU_S, WALL_S, MEMORY_BYTES = 120, 900, 4 << 30
+"""Limits of one run of the tests, which takes 20 to 30 s of CPU: a mutant may never end."""
 
 
 Key = tuple[str, str, str]
