@@ -11,6 +11,7 @@ from typing import TypedDict
 from robotctl.ipc.drive_answers import DriveAnswer as DriveAnswer
 from robotctl.ipc.drive_answers import DriveFacts as DriveFacts
 from robotctl.ipc.drive_answers import DrivenPath as DrivenPath
+from robotctl.ipc.drive_answers import HoldAnswer as HoldAnswer
 from robotctl.ipc.drive_answers import ModeAnswer as ModeAnswer
 
 

@@ -49,3 +49,9 @@ class DriveAnswer(ModeAnswer, total=False):
     heading_rms_rad: float | None
     heading_max_rad: float | None
     duration_s: float | None
+
+
+class HoldAnswer(ModeAnswer):
+    """The answer of `hold`; a hold that is over has the `hold` 0, and `message` says why."""
+
+    hold: int

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
         Graph,
         GraphNode,
         GraphTopic,
+        HoldAnswer,
         LeaseAnswer,
         LeaseKept,
         LeaseStatus,
@@ -48,6 +49,7 @@ SET_MODE: Final[MethodName[ModeAnswer]] = MethodName("set_mode")
 RESET: Final[MethodName[ModeAnswer]] = MethodName("reset")
 DRIVE: Final[MethodName[DriveAnswer]] = MethodName("drive")
 DRIVE_PATH: Final[MethodName[DriveAnswer]] = MethodName("drive_path")
+HOLD: Final[MethodName[HoldAnswer]] = MethodName("hold")
 DRIVE_VELOCITY: Final[MethodName[DriveAnswer]] = MethodName("drive_velocity")
 END_DRIVE: Final[MethodName[ModeAnswer]] = MethodName("end_drive")
 LEASE_TAKE: Final[MethodName[LeaseAnswer]] = MethodName("lease_take")

@@ -171,6 +171,17 @@ class DriveVelocityParams(Struct, frozen=True, forbid_unknown_fields=True):
     lease: Token | None = None
 
 
+class HoldParams(Struct, frozen=True, forbid_unknown_fields=True):
+    """A velocity to hold to run: `hold` is 0 to begin, then the number that the answer gave."""
+
+    linear_mps: Annotated[float, Meta(ge=-MAX_SPEED_MPS, le=MAX_SPEED_MPS)]
+    angular_rps: Annotated[float, Meta(ge=-MAX_TURNING_RPS, le=MAX_TURNING_RPS)]
+    source: Source
+    hold: Annotated[int, Meta(ge=0)] = 0
+    reason: Reason = ""
+    lease: Token | None = None
+
+
 class LeaseTakeParams(Struct, frozen=True, forbid_unknown_fields=True):
     """The parameters of `lease_take`: the client chooses the token, so that no other knows it."""
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from math import isfinite, pi
+
+from robotctl.kernel.units import NS_PER_S
 
 Point = tuple[float, float]
 
@@ -12,6 +14,9 @@ MIN_CORNER_M, MAX_CORNER_M = 0.02, 10.0
 MIN_ANGLE_RAD, MAX_ANGLE_RAD = 0.01, 100.0
 MAX_POINTS = 2000
 MIN_HELD_S, MAX_HELD_S = 0.02, 600.0
+MAX_SILENCE_S = 0.125
+"""The longest silence of a client that holds a velocity to run."""
+
 MAX_COORDINATE_M = 10_000.0
 MIN_LEG_M = 0.001
 """Points that are nearer to each other than this are one point."""
@@ -26,11 +31,16 @@ class Frame(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Held:
-    """A velocity that is commanded for `for_s` seconds."""
+    """A velocity that is commanded for `for_s` seconds.
+
+    A velocity that a client holds to run was asked for at `heard_t_ns` (steady), and is asked for
+    again and again: after a silence of `for_s` it ends in zero at once.
+    """
 
     linear_mps: float
     angular_rps: float
     for_s: float
+    heard_t_ns: int | None = None
 
     def refusal(self) -> str:
         """Return why this velocity cannot be commanded, "" if it can."""
@@ -38,7 +48,33 @@ class Held:
             return f"a velocity of {self.linear_mps:g} m/s, {self.angular_rps:g} rad/s: use numbers"
         if not MIN_HELD_S <= self.for_s <= MAX_HELD_S:
             return f"a velocity for {self.for_s:g} s: use {MIN_HELD_S:g} to {MAX_HELD_S:g} s"
+        if self.is_held_to_run and self.for_s > MAX_SILENCE_S:
+            return f"a silence of {self.for_s:g} s: use at most {MAX_SILENCE_S:g} s"
         return ""
+
+    def begun(self, t_ns: int) -> Held:
+        """Return the velocity as its motion begins at `t_ns`."""
+        return replace(self, heard_t_ns=t_ns) if self.is_held_to_run else self
+
+    @property
+    def is_held_to_run(self) -> bool:
+        """Whether a client must ask for this velocity again and again."""
+        return self.heard_t_ns is not None
+
+    @property
+    def is_let_go(self) -> bool:
+        """Whether the client that holds this velocity to run wants the robot to stand."""
+        return self.is_held_to_run and not (self.linear_mps or self.angular_rps)
+
+    def is_silent(self, t_ns: int, period_s: float) -> bool:
+        """Return whether the silence of the client would be too long at the next tick.
+
+        `period_s` is that of the ticks; of a very slow one, half the silence counts.
+        """
+        if self.heard_t_ns is None:
+            return False
+        ahead_s = min(period_s, 0.5 * self.for_s)
+        return abs(t_ns - self.heard_t_ns) / NS_PER_S + ahead_s > self.for_s
 
 
 @dataclass(frozen=True, slots=True)

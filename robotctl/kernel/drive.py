@@ -77,8 +77,11 @@ class Drive:
 
     def ending(self) -> str:
         """Return why a finished drive ends."""
-        if self.course.held is not None:
-            return f"drive finished: {self.course.held.for_s:g} s"
+        held = self.course.held
+        if held is not None and held.is_held_to_run:
+            return "let go" if held.is_let_go else f"nobody held it for {held.for_s * 1e3:g} ms"
+        if held is not None:
+            return f"drive finished: {held.for_s:g} s"
         return f"drive finished: {self.laps} lap{'' if self.laps == 1 else 's'}"
 
     def reference(self, lag_s: float = 0.0) -> Reference:
@@ -191,6 +194,16 @@ class Drive:
             (t_ns - self.begin_t_ns) / NS_PER_S,
         )
 
+    def held_again(self, twist: Twist, t_ns: int) -> Drive:
+        """Return the drive whose client holds this velocity to run at `t_ns`."""
+        assert self.course.held is not None
+        held = Held(twist.linear, twist.angular, self.course.held.for_s, t_ns)
+        return replace(self, course=replace(self.course, held=held))
+
+    def completed(self) -> Drive:
+        """Return the drive with its lap driven."""
+        return self._at(replace(self.progress, laps=self.laps))
+
     def _at(self, progress: Progress) -> Drive:
         return Drive(
             self.request_id,
@@ -227,6 +240,8 @@ class Drive:
 
     def _held_for(self, dt_s: float, held: Held) -> Drive:
         """Return the drive after a velocity was held; `length` of its progress is in seconds."""
+        if held.is_held_to_run:
+            return self
         held_s = self.progress.length + dt_s
         return self._at(replace(self.progress, length=held_s, laps=int(held_s >= held.for_s)))
 

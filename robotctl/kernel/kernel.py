@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import isfinite
 from typing import assert_never
 
 from robotctl.kernel.guard import Guarded
@@ -38,6 +39,7 @@ from robotctl.kernel.types import (
     FaultReported,
     ForeignCommandHeard,
     GuardedCommandReceived,
+    HoldReceived,
     LoopStalled,
     ModeRequested,
     OdometrySourceFound,
@@ -114,6 +116,8 @@ class Kernel(Knowledge):
                 if self.state.guarded is not None:
                     guarded = Guarded(event.twist, event.t_ns)
                     self.state = replace(self.state, guarded=guarded)
+            case HoldReceived():
+                self._hold(event)
             case LoopStalled():
                 self._stalled(event)
             case FaultReported():
@@ -203,8 +207,7 @@ class Kernel(Knowledge):
         state, params = self.state, self.params
         finding = raised(state.mode, state.health, params, event.t_ns)
         if state.mode is Mode.MOVING and finding is None:
-            gap_s = self._tick_gap_s(event.t_ns)
-            self._move(event.t_ns, min(max(gap_s, 0.0), 2.0 / params.rate_hz))
+            self._move(event.t_ns, self._step_s(event.t_ns))
             return
         self.state = replace(state, tick_t_ns=event.t_ns)
         if finding is not None:
@@ -225,6 +228,25 @@ class Kernel(Knowledge):
         self.state = replace(state, idle_t_ns=idle_t_ns, silent=silent)
         return silent
 
+    def _hold(self, event: HoldReceived) -> None:
+        """Take what the client of a hold-to-run motion wants; where it lets go, ramp at once."""
+        drive, lease = self.state.drive, self.state.lease
+        if drive is None or drive.request_id != event.hold:
+            return
+        held, wanted = drive.course.held, event.twist
+        is_finite = isfinite(wanted.linear) and isfinite(wanted.angular)
+        if held is None or not held.is_held_to_run or not is_finite:
+            return
+        if lease is not None and lease.client != event.client:
+            return
+        self.state = replace(self.state, drive=drive.held_again(wanted, event.t_ns))
+        if wanted == ZERO and not held.is_let_go:
+            self._move(event.t_ns, self._step_s(event.t_ns))
+
+    def _step_s(self, t_ns: int) -> float:
+        """Return for how long a command may change: since the last tick, at most two ticks."""
+        return min(max(self._tick_gap_s(t_ns), 0.0), 2.0 / self.params.rate_hz)
+
     def _move(self, t_ns: int, dt_s: float) -> None:
         state, params, health = self.state, self.params, self.state.health
         drive, odometry = state.drive, health.odometry
@@ -240,6 +262,13 @@ class Kernel(Knowledge):
         if guarded is not None and phase is Phase.DRIVING:
             wanted = guarded.wanted(t_ns, params.guard_timeout_s)
             command = ZERO if wanted is None else limit(state.command, wanted, dt_s, params.limits)
+        held = None if drive is None else drive.course.held
+        if drive is not None and held is not None:
+            if held.is_silent(t_ns, 1.0 / params.rate_hz):
+                phase, stop_reason, command = Phase.STOPPING, stop_reason or drive.ending(), ZERO
+            elif held.is_let_go and command == ZERO and phase is Phase.DRIVING:
+                drive = drive.completed()
+                phase, stop_reason = Phase.STOPPING, drive.ending()
         self.state = State(
             mode=state.mode,
             phase=phase,

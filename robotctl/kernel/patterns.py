@@ -162,7 +162,8 @@ def named(pattern: Pattern, course: Course) -> str:
     """Return what is driven, with its article: "a square", "an arc in reverse"."""
     if course.held is not None:
         held = course.held
-        return f"{held.linear_mps:g} m/s and {held.angular_rps:g} rad/s for {held.for_s:g} s"
+        how_long = "by hand" if held.is_held_to_run else f"for {held.for_s:g} s"
+        return f"{held.linear_mps:g} m/s and {held.angular_rps:g} rad/s {how_long}"
     if course.waypoints:
         what = f"a path of {len(course.waypoints)} points"
     else:

@@ -139,7 +139,7 @@ class RequestControl(LeaseControl):
             return
         self._end_drive("replaced by another drive")
         if course.held is not None:
-            laps = 1
+            laps, course = 1, replace(course, held=course.held.begun(t_ns))
         previous, command = self.state.mode, self.state.command
         if course.waypoints:
             points = local_points(course.waypoints, course.frame, odometry.pose)

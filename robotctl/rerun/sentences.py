@@ -20,6 +20,7 @@ from robotctl.kernel.types import (
     FaultReported,
     ForeignCommandHeard,
     GuardedCommandReceived,
+    HoldReceived,
     LoopStalled,
     ModeRequested,
     OdometrySourceFound,
@@ -58,6 +59,9 @@ def sentence_of(event: Event) -> str:
         case GuardedCommandReceived():
             twist = event.twist
             return f"a wanted velocity of {twist.linear:.2f} m/s, {twist.angular:.2f} rad/s"
+        case HoldReceived():
+            twist = event.twist
+            return f"a held velocity of {twist.linear:.2f} m/s, {twist.angular:.2f} rad/s"
         case LeaseRequested():
             return f"a request to {'take' if event.take else 'release'} the lease by {event.source}"
         case LeaseLost():

@@ -20,6 +20,7 @@ from robotctl.kernel.types import (
     Effect,
     Event,
     GuardedCommandReceived,
+    HoldReceived,
     ModeRequested,
     OdomReceived,
     Reply,
@@ -33,7 +34,7 @@ from robotctl.rerun.journal_values import read_effect, read_event
 MAX_REQUESTS: Final = 100_000
 """The largest number of requests that are repeated; the result says if there were more."""
 
-_WITHOUT_ID = (LeaseLost, GuardedCommandReceived, LifecycleChanged)
+_WITHOUT_ID = (LeaseLost, GuardedCommandReceived, HoldReceived, LifecycleChanged)
 _REPEATED = (
     *(ModeRequested, ResetRequested, DriveRequested, ParameterRequested, LeaseRequested),
     *_WITHOUT_ID,

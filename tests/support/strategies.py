@@ -26,6 +26,7 @@ from robotctl.kernel.types import (
     FaultReported,
     ForeignCommandHeard,
     GuardedCommandReceived,
+    HoldReceived,
     LoopStalled,
     ModeRequested,
     Odometry,
@@ -72,6 +73,7 @@ COURSE = st.builds(
         st.none(),
         st.none(),
         st.builds(Held, COORDINATE, COORDINATE, st.one_of(st.floats(0.02, 2.0), ANY_FLOAT)),
+        st.builds(Held, COORDINATE, COORDINATE, st.just(0.125), st.just(0)),
     ),
 )
 PARAMETER = st.one_of(st.sampled_from(sorted(kernel_leaves())), SOURCE)
@@ -115,6 +117,7 @@ def event(
         st.builds(LeaseRequested, t_ns, request_id, st.booleans(), CLIENT, SOURCE),
         st.builds(LeaseLost, t_ns, CLIENT),
         st.builds(GuardedCommandReceived, t_ns, TWIST),
+        st.builds(HoldReceived, t_ns, request_id, TWIST, CLIENT),
         st.builds(
             ParameterRequested, t_ns, request_id, PARAMETER, PARAMETER_TEXT, PARAMETER_TEXT, SOURCE
         ),

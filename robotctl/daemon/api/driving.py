@@ -10,6 +10,7 @@ from typing import Any
 
 from robotctl.daemon.api.drive_shape import default_laps, path_course, shape_course, shape_size_m
 from robotctl.daemon.api.granted import granted
+from robotctl.daemon.api.holding import HoldMethods
 from robotctl.daemon.control.dispatcher import Control
 from robotctl.daemon.control.robot_report import RobotReport
 from robotctl.errors import Refused, UsageError
@@ -67,6 +68,7 @@ class DrivingMethods:
         self._robot = robot
         self._control = control
         self._robot_report = robot_report
+        self._holding = HoldMethods(control, robot, client_of)
 
     def table(self) -> dict[str, Method[Any]]:
         """Return every method by its name."""
@@ -79,6 +81,7 @@ class DrivingMethods:
             DRIVE_VELOCITY: Method(DriveVelocityParams, self._drive_velocity, None),
             DRIVE_PATH: Method(DrivePathParams, self._drive_path, None),
             END_DRIVE: Method(EndDriveParams, self._end_drive, None),
+            **self._holding.table(),
         }
 
     def pattern(

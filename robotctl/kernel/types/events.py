@@ -141,6 +141,19 @@ class DriveRequested:
 
 
 @dataclass(frozen=True, slots=True)
+class HoldReceived:
+    """The client that holds a velocity to run still does, and wants this one; it may be NaN.
+
+    `hold` is the id of the `DriveRequested` that began it, `client` as in `ModeRequested`.
+    """
+
+    t_ns: int
+    hold: int
+    twist: Twist
+    client: int = 0
+
+
+@dataclass(frozen=True, slots=True)
 class CommandPublishersSeen:
     """The other nodes that publish the command topic now."""
 
@@ -223,6 +236,7 @@ Event = (
     | LeaseRequested
     | LeaseLost
     | GuardedCommandReceived
+    | HoldReceived
     | OdometrySourceFound
     | CommandPublishersSeen
     | ForeignCommandHeard
