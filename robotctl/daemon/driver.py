@@ -59,6 +59,7 @@ from robotctl.kernel.types import (
     Tick,
 )
 from robotctl.paths import latch_path
+from robotctl.ros.executor import Tick as LoopTick
 from robotctl.ros.executor import Ticker
 from robotctl.ros.messages.command_type import CommandType
 from robotctl.ros.messages.qos import ODOMETRY
@@ -251,10 +252,13 @@ class Driver:
         return work
 
     async def _tick(self) -> None:
-        async for tick in Ticker(self._host.config.kernel.rate_hz):
-            self._look_at_commands()
-            self._control.dispatch(Tick(tick.t_ns, tick.missed))
-            self._watchdog.ping()
+        await Ticker(self._host.config.kernel.rate_hz).run(self._decide)
+
+    def _decide(self, tick: LoopTick) -> None:
+        self._look_at_commands()
+        self._odometry.look()
+        self._control.dispatch(Tick(tick.t_ns, tick.missed))
+        self._watchdog.ping()
 
     def _take_odometry(self, odometry: Odometry, source: int, sequence: int) -> None:
         self._look_at_commands()  # twice as often as the ticks alone

@@ -13,7 +13,7 @@ import pytest
 from robotctl.ros.executor.pool import Pool
 
 LOOKS_PER_S = 100
-"""Limit of the polls of the recorder's topics: a rest of 30 ms makes 33, of 2 ms 200."""
+"""Limit of the polls of the recorder's topics: a rest of one beat makes 50, of 2 ms 200."""
 
 
 async def test_the_recorder_of_a_quiet_robot_looks_seldom(
@@ -21,15 +21,15 @@ async def test_the_recorder_of_a_quiet_robot_looks_seldom(
 ) -> None:
     looks = 0
     loop = asyncio.get_running_loop()
-    call_later = loop.call_later
+    call_at = loop.call_at
 
-    def counted(delay_s: float, callback: Any, *arguments: Any) -> asyncio.TimerHandle:
+    def counted(at_s: float, callback: Any, *arguments: Any, **named: Any) -> asyncio.TimerHandle:
         """A pool rests after each look."""
         nonlocal looks
         looks += isinstance(getattr(callback, "__self__", None), Pool)
-        return call_later(delay_s, callback, *arguments)
+        return call_at(at_s, callback, *arguments, **named)
 
-    monkeypatch.setattr(loop, "call_later", counted)
+    monkeypatch.setattr(loop, "call_at", counted)
     async with in_process() as daemon:
         await daemon.until(lambda status: status["recorder"]["received"] > 200)
         looks, begun = 0, time.monotonic()

@@ -211,3 +211,39 @@ async def test_a_tap_destroyed_while_its_pool_rests_delivers_nothing_more(
     node.destroy_subscription(doomed)
     await until(lambda: other == [1, 2])
     assert got == [1]
+
+
+async def test_a_tap_without_latency_is_called_when_it_is_polled_and_wakes_nobody(
+    executor: AsyncioExecutor, node: Node, topic: str, until: Until
+) -> None:
+    values: list[int] = []
+    tap = RawTap(lambda data, *_: values.append(value_of(data)), latency_s=None)
+    node.create_subscription(UInt64, topic, tap, 10, raw=True)
+    heard: list[int] = []
+    node.create_subscription(UInt64, topic, lambda message: heard.append(message.data), 10)
+    publisher = node.create_publisher(UInt64, topic, 10)
+    await until(lambda: publisher.get_subscription_count() == 2)
+    publisher.publish(UInt64(data=7))
+    await until(lambda: heard == [7])
+    assert values == []
+
+    def is_taken() -> bool:
+        tap.poll()
+        return values == [7]
+
+    await until(is_taken)
+
+
+async def test_a_tap_that_was_polled_in_the_same_turn_is_not_taken_twice(
+    executor: AsyncioExecutor, node: Node, topic: str, until: Until
+) -> None:
+    values: list[int] = []
+    tap = RawTap(lambda data, *_: values.append(value_of(data)), latency_s=0.0)
+    node.create_subscription(UInt64, topic, tap, 10, raw=True)
+    publisher = node.create_publisher(UInt64, topic, 10)
+    await until(publisher.get_subscription_count)
+    for value in range(20):
+        publisher.publish(UInt64(data=value))
+        tap.poll()
+        await asyncio.sleep(0)
+    await until(lambda: values == list(range(20)))

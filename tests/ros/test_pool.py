@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import time
 from collections.abc import Awaitable, Callable
 from types import SimpleNamespace
 from typing import Any
@@ -12,8 +13,10 @@ import pytest
 from rclpy.qos import HistoryPolicy, QoSProfile
 
 from robotctl.ros.executor import pool as pool_module
+from robotctl.ros.executor.beat import beat_before
 from robotctl.ros.executor.pool import Pool
 from robotctl.ros.executor.sources.subscriptions import affordable_rest_s
+from robotctl.ros.executor.time_limits import NS_PER_S
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 
@@ -21,14 +24,15 @@ Until = Callable[[Callable[[], object]], Awaitable[None]]
 def test_a_flooded_pool_rests_for_less_until_it_is_calm(monkeypatch: pytest.MonkeyPatch) -> None:
     clock: Any = SimpleNamespace(now_ns=10**9, monotonic_ns=lambda: clock.now_ns)
     monkeypatch.setattr(pool_module, "time", clock)
+    monkeypatch.setattr(pool_module, "beat_before", lambda until_ns: until_ns)
     rests: list[float] = []
 
     class Loop:
         add_reader = remove_reader = staticmethod(lambda *_: None)
         is_closed = staticmethod(lambda: False)
 
-        def call_later(self, rest_s: float, _: object) -> None:
-            rests.append(rest_s)
+        def call_at(self, at_s: float, _: object) -> None:
+            rests.append(round(at_s - clock.now_ns / 1e9, 6))
 
     class Source:
         taking_ns: tuple[int, ...] = ()
@@ -57,6 +61,17 @@ def test_a_flooded_pool_rests_for_less_until_it_is_calm(monkeypatch: pytest.Monk
         assert rests_after(2, 0.4) == [0.002]
         assert rests_after(2, 0.1) == [0.03]
         pool.close()
+
+
+@pytest.mark.parametrize(("rest_s", "shortest_s"), [(0.03, 0.01), (0.02, 0.02), (0.002, 0.002)])
+def test_a_long_rest_ends_on_a_beat_and_never_late(rest_s: float, shortest_s: float) -> None:
+    begun_ns = time.monotonic_ns()
+    until_ns = round(pool_module.rested_s(rest_s) * NS_PER_S)
+    ended_ns = time.monotonic_ns()
+    assert until_ns <= ended_ns + rest_s * NS_PER_S
+    assert until_ns >= begun_ns + shortest_s * NS_PER_S - 1000  # a float holds no single ns
+    if rest_s > shortest_s:
+        assert abs(until_ns - beat_before(until_ns + 1000)) <= 1000
 
 
 @pytest.mark.parametrize(

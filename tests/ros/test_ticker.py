@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import pytest
 
-from robotctl.ros import Ticker
+from robotctl.ros import Tick, Ticker
 from tests.support.descriptors import loop_descriptors
 from tests.support.waiting import DEADLINE_S
 
@@ -129,3 +129,57 @@ async def test_a_second_loop_is_refused() -> None:
 def test_a_rate_that_cannot_be_kept_is_refused(hz: float) -> None:
     with pytest.raises(ValueError, match="Hz"):
         Ticker(hz)
+
+
+async def test_a_function_is_called_for_each_tick_until_the_ticker_is_closed() -> None:
+    ticks: list[Tick] = []
+    ticker = Ticker(200.0)
+
+    def take(tick: Tick) -> None:
+        ticks.append(tick)
+        if len(ticks) == 5:
+            ticker.close()
+
+    async with asyncio.timeout(DEADLINE_S):
+        await ticker.run(take)
+    assert len(ticks) == 5
+    for before, after in pairwise(ticks):
+        assert after.due_ns - before.due_ns == (after.missed + 1) * 5_000_000
+
+
+async def test_what_the_function_raises_ends_the_run_and_its_ticks() -> None:
+    calls = 0
+
+    def fail(tick: Tick) -> None:
+        nonlocal calls
+        calls += 1
+        raise ValueError("no step")
+
+    async with asyncio.timeout(DEADLINE_S), Ticker(1000.0) as ticker:
+        with pytest.raises(ValueError, match="no step"):
+            await ticker.run(fail)
+        await anext(ticker)
+    assert calls == 1
+
+
+async def test_a_cancelled_run_calls_its_function_no_more() -> None:
+    ticks: list[Tick] = []
+    async with asyncio.timeout(DEADLINE_S), Ticker(1000.0) as ticker:
+        task = asyncio.ensure_future(ticker.run(ticks.append))
+        while not ticks:  # noqa: ASYNC110 - a ticker has no event
+            await asyncio.sleep(0)
+        task.cancel()
+        count = len(ticks)
+        await asyncio.wait({task})
+        await anext(ticker)
+    assert len(ticks) == count
+
+
+async def test_tickers_of_one_rate_tick_together_and_one_with_a_lead_before_them() -> None:
+    async with asyncio.timeout(DEADLINE_S), Ticker(100.0) as one, Ticker(100.0) as other:
+        first = await anext(one)
+        second = await anext(other)
+        async with Ticker(100.0, lead_ns=100_000) as early:
+            third = await anext(early)
+    assert (second.due_ns - first.due_ns) % one.period_ns == 0
+    assert (first.due_ns - third.due_ns) % one.period_ns == 100_000

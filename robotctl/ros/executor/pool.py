@@ -13,7 +13,8 @@ import time
 from asyncio import AbstractEventLoop, TimerHandle
 from typing import Protocol
 
-from robotctl.ros.executor.time_limits import FLOOD_REST_S, FLOODED_SHARE, TURN_NS
+from robotctl.ros.executor.beat import BEAT_NS, beat_before
+from robotctl.ros.executor.time_limits import FLOOD_REST_S, FLOODED_SHARE, NS_PER_S, TURN_NS
 
 
 class Pooled(Protocol):
@@ -88,7 +89,7 @@ class Pool:
         finally:
             if not self._is_closed():
                 rest_s = self._rest_after(begun_ns, left=left)
-                self._resting = self._loop.call_later(rest_s, self._poll)
+                self._resting = self._loop.call_at(rested_s(rest_s), self._poll)
 
     def _rest_after(self, begun_ns: int, *, left: bool) -> float:
         """Return how long to rest, by the share of time that polling took since the last rest."""
@@ -111,3 +112,11 @@ class Pool:
             if time.monotonic_ns() > end:
                 return True
         return left
+
+
+def rested_s(rest_s: float) -> float:
+    """Return the steady time [s] until which to rest: on a beat, if that shortens it little."""
+    until_ns = time.monotonic_ns() + round(rest_s * NS_PER_S)
+    if rest_s * NS_PER_S > BEAT_NS:
+        until_ns = beat_before(until_ns)
+    return until_ns / NS_PER_S

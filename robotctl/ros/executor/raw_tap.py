@@ -42,9 +42,10 @@ class RawTap:
 
     __slots__ = ("__weakref__", "latency_s", "poll", "sink", "views")
 
-    def __init__(self, sink: Sink, *, latency_s: float = 0.01, views: bool = False) -> None:
+    def __init__(self, sink: Sink, *, latency_s: float | None = 0.01, views: bool = False) -> None:
         """Call `sink` at most about `latency_s` seconds late; 0 means at once for each message.
 
+        With None it is called when `poll` is, and messages do not wake the loop.
         `views` says that `sink` is a ViewSink.
         """
         self.sink = sink

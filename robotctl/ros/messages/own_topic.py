@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
@@ -26,8 +27,10 @@ class OwnTopic:
         """The type as `package/msg/Name`."""
         return type_name_of(self.message_class)
 
-    def create_publisher(self, node: Node) -> Publisher:
+    def create_publisher(
+        self, node: Node, events: PublisherEventCallbacks = NO_PUBLISHER_EVENTS
+    ) -> Publisher:
         """Create the node's publisher of the topic."""
         return node.create_publisher(
-            self.message_class, self.name, self.qos, event_callbacks=NO_PUBLISHER_EVENTS
+            self.message_class, self.name, self.qos, event_callbacks=events
         )

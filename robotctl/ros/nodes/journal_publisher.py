@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+from typing import Any
 
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from robot_controller.msg import JournalEntry
 
@@ -21,7 +23,10 @@ class JournalPublisher:
 
     def __init__(self, session: Session) -> None:
         node = session.helper()
-        self._publisher = TOPIC.create_publisher(node)
+        # An event when a subscription comes or goes: asking 150 times a second would cost more.
+        events = PublisherEventCallbacks(matched=self._matched, use_default_callbacks=False)
+        self._publisher = TOPIC.create_publisher(node, events)
+        self._subscriptions = 0
         self._failing = False
 
     def publish(self, serialized: bytes) -> None:
@@ -29,12 +34,15 @@ class JournalPublisher:
 
         A failure is logged only: no decision depends on it.
         """
+        if not self._subscriptions:
+            return  # the topic is volatile: no later subscriber gets it
         try:
-            if not self._publisher.get_subscription_count():
-                return  # the topic is volatile: no later subscriber gets it
             self._publisher.publish(serialized)
             self._failing = False
         except _rclpy.RCLError as error:
             if not self._failing:
                 _log.warning("the journal cannot be published: %s", error)
             self._failing = True
+
+    def _matched(self, status: Any) -> None:
+        self._subscriptions = status.current_count

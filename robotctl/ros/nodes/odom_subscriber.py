@@ -73,6 +73,9 @@ class OdomSubscriber:
             raw=True,
         )
 
+        self.look: Callable[[], None] = lambda: tap.poll()
+        """Handles the samples that have arrived, before the loop does."""
+
     @property
     def topic(self) -> str:
         """The full name of the odometry topic."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import Any
 
 from nav_msgs.msg import Odometry as OdometryMessage
@@ -11,7 +12,7 @@ from sensor_msgs.msg import BatteryState
 from robotctl.cdr.motion import OdometryEncoder
 from robotctl.kernel.types import ZERO
 from robotctl.kernel.units import NS_PER_S
-from robotctl.ros.executor import RawTap, Ticker
+from robotctl.ros.executor import RawTap, Tick, Ticker
 from robotctl.ros.messages import qos
 from robotctl.ros.messages.battery_state import battery_message
 from robotctl.ros.messages.command_type import PLAIN, CommandType
@@ -24,6 +25,10 @@ from robotctl.sim.robot import Robot, SimParams
 MAX_STEP_S = 0.1
 """The longest step of the motion. The rest of a longer pause of the process is ignored, so that the
 robot does not jump."""
+
+LEAD_NS = 100_000
+"""How long before a control tick the robot of a daemon moves: its odometry is then of this moment,
+and both wake the loop once."""
 
 
 def odometry_topic(name: str) -> OwnTopic:
@@ -60,8 +65,13 @@ class SimulatedRobot:
         self._decode = command_type.decode
         self._full_level = full_level
         self._is_changed = False
+        self._moved_ns = 0
+        self._battery_due_ns = 0
+        self._wall_ns = 0
+        """The wall clock less the steady clock [ns]."""
+
         node = session.node("simulated_robot")
-        tap: Any = RawTap(self._command, latency_s=0.0)
+        tap: Any = RawTap(self._command, latency_s=None)
         self._subscription = node.create_subscription(
             command_type.message_class,
             command,
@@ -70,33 +80,37 @@ class SimulatedRobot:
             event_callbacks=NO_SUBSCRIPTION_EVENTS,
             raw=True,
         )
+        self._take_command: Callable[[], None] = lambda: tap.poll()
+        self._encoder = OdometryEncoder("odom", "base_link")
         self._odometry = odometry_topic(odometry).create_publisher(node)
         self._battery = battery_topic(battery).create_publisher(node) if battery else None
 
     async def run(self) -> None:
         """Move; publish odometry at its rate and the battery every second."""
-        encoder = OdometryEncoder("odom", "base_link")
-        robot = self._robot
-        last_ns = time.monotonic_ns()
-        next_battery_ns = last_ns
+        self._moved_ns = self._battery_due_ns = time.monotonic_ns()
         # Read once: a clock that is set back later must not take the stamps back.
-        wall_ns = time.time_ns() - last_ns
-        async for tick in Ticker(self._params.odometry_rate_hz):
-            robot.advance(min((tick.t_ns - last_ns) / NS_PER_S, MAX_STEP_S))
-            last_ns = tick.t_ns
-            stamp_ns = wall_ns + tick.t_ns
-            faults = robot.faults
-            if SimFault.HANG in faults:
-                continue
-            if SimFault.ODOM_LOST not in faults:
-                pose = faults.reported_pose(robot.odometry)
-                self._odometry.publish(encoder.encode(pose, robot.measured, stamp_ns))
-            if self._battery is not None and (tick.t_ns >= next_battery_ns or self._is_changed):
-                if tick.t_ns >= next_battery_ns:
-                    next_battery_ns += NS_PER_S
-                self._is_changed = False
-                level = self._full_level * faults.reported_level(robot.battery)
-                self._battery.publish(battery_message(level, stamp_ns))
+        self._wall_ns = time.time_ns() - self._moved_ns
+        await Ticker(self._params.odometry_rate_hz, lead_ns=LEAD_NS).run(self._move)
+
+    def _move(self, tick: Tick) -> None:
+        self._take_command()
+        robot = self._robot
+        robot.advance(min((tick.t_ns - self._moved_ns) / NS_PER_S, MAX_STEP_S))
+        self._moved_ns = tick.t_ns
+        stamp_ns = self._wall_ns + tick.t_ns
+        faults = robot.faults
+        if SimFault.HANG in faults:
+            return
+        if SimFault.ODOM_LOST not in faults:
+            pose = faults.reported_pose(robot.odometry)
+            self._odometry.publish(self._encoder.encode(pose, robot.measured, stamp_ns))
+        is_due = tick.t_ns >= self._battery_due_ns
+        if self._battery is not None and (is_due or self._is_changed):
+            if is_due:
+                self._battery_due_ns += NS_PER_S
+            self._is_changed = False
+            level = self._full_level * faults.reported_level(robot.battery)
+            self._battery.publish(battery_message(level, stamp_ns))
 
     def set_battery(self, level: float) -> None:
         """Continue with this battery level, 0 to 1, and report it at once."""

@@ -14,6 +14,7 @@ from rclpy.qos import QoSProfile
 from robotctl.printable import printable, short_name
 from robotctl.ros.executor import ViewSink, self_test
 from robotctl.ros.graph import endpoints
+from robotctl.ros.graph.changes import GraphChanges
 from robotctl.ros.messages.own_topic import OwnTopic
 from robotctl.ros.messages.topic_description import TopicDescription, describe
 from robotctl.ros.session import Session
@@ -22,14 +23,17 @@ from robotctl.ros.tap.type_loader import SLOW_LOAD_S, TypeLoader
 from robotctl.ros.tap.unrecorded import Unrecorded
 
 POLL_S = 0.05
-"""A foreign topic is found within twice this."""
+"""The time between two looks while the graph changes; a foreign topic is found within twice it."""
+
+CALM_S = 1.0
+"""The time between two looks while rcl announces no change."""
 
 LOOKS_PER_COUNT = 4
 """The publishers of a tapped topic are counted once in this number of looks at the graph..."""
 
 LOOKS_PER_INSPECTION = 40
 """...and inspected once in this number of looks: with the same count, one may have replaced
-another."""
+another. So many looks follow each change."""
 
 TOPICS_PER_TURN = 50
 """Topics that are looked at in one turn of the loop, so that the loop is not held up."""
@@ -88,9 +92,15 @@ class Tap:
 
     async def run(self) -> None:
         """Watch the graph until cancelled."""
-        while True:
-            await self._look()
-            await self._types.pause(POLL_S)
+        with GraphChanges(self._node) as changes:
+            looks_left = LOOKS_PER_INSPECTION
+            while True:
+                await self._look()
+                await self._types.pause(POLL_S)
+                looks_left -= 1
+                is_calm = looks_left <= 0 and not self._is_unfinished()
+                if await changes.wait(CALM_S if is_calm else 0.0):
+                    looks_left = LOOKS_PER_INSPECTION
 
     def subscribe_own(self, topic: OwnTopic) -> None:
         """Subscribe to a topic of robotctl's own, before its publisher exists."""
@@ -104,6 +114,11 @@ class Tap:
         name = self._node.resolve_topic_name(topic.name)
         self._reserved.add(name)
         return self._open_sink(describe(name, topic.type_name, [topic.qos]))
+
+    def _is_unfinished(self) -> bool:
+        """Return whether something is to happen without a change of the graph."""
+        abandoned = any(each.abandoned_since is not None for each in self._tapped.values())
+        return abandoned or bool(self._failed or self._awaited)
 
     async def _look(self) -> None:
         look = next(self._looks)

@@ -147,20 +147,21 @@ class EventFdSource(Source):
                 announcements.unwatch(each, self.handle.pointer)
             except (RclCallFailed, UnsupportedPlatform) as error:
                 log.debug("%s: %s", self.where, error)
-        self._stop_listening()
+        self.stop_listening()
         os.close(self._fd)
         self.handle.__exit__(None, None, None)
 
     def listen(self, pool: Pool | None) -> None:
         """Let the pool poll the eventfd; without one, the loop watches it, at every message."""
-        self._stop_listening()
+        self.stop_listening()
         if pool is None:
             self.runtime.loop.add_reader(self._fd, self.poll)
         else:
             pool.add(self._fd, self)
         self.pool, self._listening = pool, True
 
-    def _stop_listening(self) -> None:
+    def stop_listening(self) -> None:
+        """Let nothing but a call of `poll` take messages."""
         if not self._listening:
             return
         self._listening = False
@@ -175,7 +176,10 @@ class EventFdSource(Source):
 
     def poll(self) -> bool:
         """Deliver what is there; return whether the slice ended before all was delivered."""
-        self.announced = os.eventfd_read(self._fd)
+        try:
+            self.announced = os.eventfd_read(self._fd)
+        except BlockingIOError:
+            return False  # it was polled earlier in this turn
         if self.runtime.stale:
             self.runtime.sync()
             if self.closed:

@@ -140,19 +140,20 @@ class RawTapSource(_TakenSource):
 
     def __init__(self, runtime: Runtime, subscription: Subscription, where: str) -> None:
         super().__init__(runtime, subscription, where, views=subscription.callback.views)
-        rest_s = affordable_rest_s(subscription.callback.latency_s, subscription.qos_profile)
+        rest_s = affordable_rest_s(subscription.callback.latency_s or 0.0, subscription.qos_profile)
         if rest_s > 0.0:
             self.pool = runtime.pool(rest_s)
 
     def attach(self) -> None:
         super().attach()
         self.entity.callback.poll = self.poll_now
+        if self.entity.callback.latency_s is None:
+            self.stop_listening()
 
     def poll_now(self) -> None:
         """Take the messages that were announced by now."""
         if not self.closed:
-            with suppress(BlockingIOError):
-                self.poll()
+            self.poll()
 
     def receiver(self) -> Callable[..., Any]:
         sink: Callable[..., Any] = self.entity.callback.sink
