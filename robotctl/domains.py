@@ -29,6 +29,9 @@ _FIRST_OWN_PORT = 10
 _RESERVATION = 9
 """The offset of the port that reserves a domain; DDS does not use it."""
 
+_PEERS = ("ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER")
+"""Variables that name other machines to discover."""
+
 _TABLES = ("/proc/net/udp", "/proc/net/udp6")
 
 
@@ -52,9 +55,21 @@ def discovery_range() -> str:
     return os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
 
 
+def wider_discovery() -> str:
+    """Return the setting by which this process discovers other machines; "" if it does not.
+
+    Static peers and a discovery server are used in the range LOCALHOST, too.
+    """
+    if discovery_range() == "OFF":
+        return ""
+    if discovery_range() != "LOCALHOST":
+        return f"ROS_AUTOMATIC_DISCOVERY_RANGE is {discovery_range()}"
+    return next((f"{name} is {os.environ[name]}" for name in _PEERS if os.environ.get(name)), "")
+
+
 def is_on_this_machine_only() -> bool:
     """Return whether discovery is limited to this machine."""
-    return discovery_range() in ("LOCALHOST", "OFF")
+    return not wider_discovery()
 
 
 def is_certainly_empty(domain_id: int) -> bool:

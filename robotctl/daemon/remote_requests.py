@@ -22,9 +22,11 @@ class RemoteRequests:
     def is_remote(self) -> bool:
         """Return whether the request that is handled now may come from another host.
 
-        Nothing does while discovery is limited to this machine; else a client that is unknown may.
+        A client of another host is not kept away by the range LOCALHOST of this process: it needs
+        only to name this machine as a static peer. An unknown client may be remote where discovery
+        is not limited to this machine.
         """
-        if is_on_this_machine_only():
-            return False
         gid = requester()
-        return gid is None or gid[HOST] != self._host
+        if gid is None:
+            return not is_on_this_machine_only()
+        return gid[HOST] != self._host

@@ -26,13 +26,15 @@ ELSEWHERE = bytes.fromhex("010f99bb") + bytes(range(12))
 @pytest.mark.parametrize(
     ("discovery", "client", "is_remote"),
     [
-        ("LOCALHOST", ELSEWHERE, False),
+        ("LOCALHOST", HERE, False),
+        ("LOCALHOST", ELSEWHERE, True),
+        ("LOCALHOST", None, False),
         ("SUBNET", HERE, False),
         ("SUBNET", ELSEWHERE, True),
         ("SUBNET", None, True),
     ],
 )
-def test_a_client_is_remote_by_the_host_of_its_gid_beyond_this_machine(
+def test_a_client_is_remote_by_the_host_of_its_gid_in_every_range(
     discovery: str, client: bytes | None, is_remote: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", discovery)

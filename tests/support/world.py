@@ -69,7 +69,8 @@ class Peer(Told):
     """A second process with plain rclpy (tests.support.ros_peer)."""
 
     def __init__(self, world: World) -> None:
-        super().__init__(peer_command("tests.support.ros_peer"), world.environment)
+        command = (*world.inside, *peer_command("tests.support.ros_peer"))
+        super().__init__(command, world.environment)
 
 
 class World:
@@ -92,6 +93,9 @@ class World:
             "COLUMNS": "80",
             "PYTHONUNBUFFERED": "1",
         }
+        self.inside: tuple[str, ...] = ()
+        """What a command line begins with, to run on another host (tests.support.network)."""
+
         self._mark = f"XDG_RUNTIME_DIR={folder / 'run'}\0".encode()
         self._killed = False
         self._memory_before = set(self.shared_memory())  # of other killed processes in the domain
@@ -121,7 +125,7 @@ class World:
         if arguments[0] == "start" and "--config" not in arguments:
             arguments = (*arguments, "--config", str(self.patient))
         process = subprocess.Popen(
-            [ROBOTCTL, *arguments],
+            [*self.inside, ROBOTCTL, *arguments],
             text=True,
             stdin=subprocess.DEVNULL,
             **{

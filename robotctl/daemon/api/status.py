@@ -10,7 +10,7 @@ from typing import Protocol
 from robotctl import __version__
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.recording.recorder_report import RecorderReport
-from robotctl.domains import discovery_range, is_on_this_machine_only
+from robotctl.domains import discovery_range, wider_discovery
 from robotctl.ipc.advice import advice, for_robot
 from robotctl.ipc.answers import RobotFacts, StartSummary, Status
 from robotctl.kernel.remedies import Remedy
@@ -97,5 +97,5 @@ class StatusSource:
         yield from self._recording.warnings()
         yield from self._robot.warnings()
         yield from filter(None, (part() for part in self._parts))
-        if not is_on_this_machine_only():
-            yield "ROS discovery is not limited to this machine"
+        if wider := wider_discovery():
+            yield f"ROS discovery is not limited to this machine: {wider}"

@@ -17,7 +17,7 @@ from rclpy.exceptions import InvalidParameterValueException
 from rclpy.node import Node
 
 from robotctl.cdr.motion import decode_twist, encode_twist
-from robotctl.domains import discovery_range, is_on_this_machine_only
+from robotctl.domains import wider_discovery
 from robotctl.kernel.params import OWNER_SUFFIX
 from robotctl.kernel.types import ZERO
 from robotctl.kernel.types import Twist as Velocity
@@ -123,9 +123,8 @@ class VelocityPublisher(Node):
         for each in endpoints.subscriptions(self, topic):
             if each.node_name not in OWN_LISTENERS and not each.node_name.startswith(TOOL_NODES):
                 return f"{_name(each)} takes {topic} and may be a robot"
-        if not is_on_this_machine_only():
-            return f"discovery reaches beyond this machine ({discovery_range()})"
-        return ""
+        wider = wider_discovery()
+        return f"discovery reaches beyond this machine ({wider})" if wider else ""
 
     def stop(self) -> None:
         """Publish a last zero, and wait until reliable subscribers have it."""
