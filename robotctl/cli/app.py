@@ -33,6 +33,10 @@ def run(arguments: list[str]) -> int:
         if hasattr(stream, "reconfigure"):  # a path may contain characters that the terminal lacks
             stream.reconfigure(errors="backslashreplace")
     try:
+        if arguments[:1] and arguments[0].startswith("--"):
+            from robotctl.cli.support.leading_options import behind_the_command
+
+            arguments = behind_the_command(arguments)
         from robotctl.cli import quick
 
         command = quick.match(arguments)

@@ -48,8 +48,16 @@ class LazyGroup(TyperGroup):
                 )
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return the command of that name, or None; an unknown name loads all, for a suggestion."""
+        """Return the command of that name, or None; an unknown name loads all, for a suggestion.
+
+        Raises:
+            UsageError: The word is one of ros2 or of another tool; the error names ours.
+        """
         if cmd_name not in COMMANDS:
+            from robotctl.cli.support.other_words import OTHER_WORDS
+
+            if cmd_name in OTHER_WORDS:
+                raise UsageError(f"No such command {cmd_name!r}", OTHER_WORDS[cmd_name])
             self.commands = {name: self.get_command(ctx, name) for name in COMMANDS}
             return None
         module = importlib.import_module(f"robotctl.cli.commands.{cmd_name.replace('-', '_')}")

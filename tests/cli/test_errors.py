@@ -24,7 +24,14 @@ from robotctl.recording import Recorder
 from robotctl.testing.drives import TWIST
 from tests.support.recordings import write_numbered
 
-COMMANDS = [*OURS, "record status", "record split", "recordings keep", "recordings unkeep"]
+COMMANDS = [
+    *OURS,
+    "record status",
+    "record split",
+    "recordings keep",
+    "recordings unkeep",
+    "recordings rm",
+]
 
 NO_DAEMON = "robotctl: no daemon for robot 'robot' (start one with: robotctl start)\n"
 

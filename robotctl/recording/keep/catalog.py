@@ -58,12 +58,23 @@ def own_recordings(recordings: Path) -> Iterator[CatalogFolder]:
         OSError: `recordings` itself cannot be listed.
     """
     for folder in sorted(recordings.iterdir()):
-        if folder.is_symlink() or not folder.is_dir():
-            continue
         with suppress(OSError):
-            files, clips = tuple(_files(folder)), tuple(_clips(folder))
-            if files or clips:
-                yield CatalogFolder(folder, files, clips, (folder / KEEP_FILE).exists())
+            if own := own_recording(folder):
+                yield own
+
+
+def own_recording(folder: Path) -> CatalogFolder | None:
+    """Return the recording in `folder`, None for a link or a folder without files of robotctl.
+
+    Raises:
+        OSError: `folder` cannot be read.
+    """
+    if folder.is_symlink() or not folder.is_dir():
+        return None
+    files, clips = tuple(_files(folder)), tuple(_clips(folder))
+    if not (files or clips):
+        return None
+    return CatalogFolder(folder, files, clips, (folder / KEEP_FILE).exists())
 
 
 def set_kept(folder: Path, kept: bool) -> None:

@@ -67,6 +67,25 @@ def enforce_retention(recordings: Path, policy: RetentionPolicy, now_s: float) -
     return removed
 
 
+def remove_recording(folder: CatalogFolder) -> list[Removed]:
+    """Remove the files and clips of a recording that is neither live nor kept. Blocks.
+
+    The folder stays if it holds other files.
+
+    Raises:
+        OSError: A file cannot be removed; those before it are gone.
+    """
+    removed: list[Removed] = []
+    try:
+        for file in (*folder.clips, *folder.files):
+            file.path.unlink(missing_ok=True)
+            removed.append(Removed(file.path, file.size))
+    finally:
+        with suppress(OSError):
+            _tidy(folder, {each.path for each in removed})
+    return removed
+
+
 def _tidy(folder: CatalogFolder, gone: set[Path]) -> None:
     """Update `metadata.yaml` after files were removed, or remove the folder if nothing is left."""
     if folder.live:

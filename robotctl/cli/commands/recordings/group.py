@@ -1,4 +1,4 @@
-"""recordings: list recordings, and keep them from being removed."""
+"""recordings: list recordings, keep them from being removed, and remove them."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from robotctl.cli.commands.recordings.removal import remove
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.given_options import given_options
@@ -118,6 +119,30 @@ def unkeep(
     path = _set_kept(name, folder, robot, kept=False)
     told = f"{printable(path.name)} may be removed again when it is old"
     print_answer({"path": str(path), "kept": False}, [told], as_json=as_json)
+
+
+@group.command()
+def rm(
+    name: Name,
+    folder: RecordingsFolder = None,
+    robot: RecordedBy = None,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Remove a recording with its clips, after a question.
+
+    A recording that is being written, or that is kept, is not removed. A seal cannot tell who
+    removed it: `verify` of later recordings names it as missing.
+
+    \b
+    Examples:
+      robotctl recordings rm robot_20260101_120000
+      robotctl recordings rm last --yes
+    """
+    removed_bytes = remove(path := find_recording(name, robot, folder), without_asking=yes)
+    told = f"{printable(path.name)} is removed: {size(removed_bytes)}"
+    answer = {"path": str(path), "removed_bytes": removed_bytes}
+    print_answer(answer, [told], as_json=as_json)
 
 
 def _refuse_options_before(context: typer.Context, command: str) -> None:
