@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import os
+import pwd
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 from robotctl.errors import UsageError
-from robotctl.paths import state_folder
+from robotctl.paths import STATE_VARIABLE, state_folder
 
 SYSTEM_FOLDER = Path("/etc/systemd/system")
 
 WATCHDOG_S = 10
 STOP_S = 30
+
+IN_VAIN = "2 5"
+"""Exit codes after which another start would fail again: configuration, already running."""
 
 PASSED_ON = (
     "ROS_DOMAIN_ID",
@@ -25,16 +29,20 @@ PASSED_ON = (
     "FASTDDS_DEFAULT_PROFILES_FILE",
     "RMW_IMPLEMENTATION",
 )
-"""Variables of the installing shell that the unit keeps."""
+"""Variables of the installing shell that the unit keeps; one of the user keeps its state, too."""
 
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """Name, place and text of a unit; `scope` are the options of systemctl for it."""
+    """Name, place and text of a unit; `scope` are the options of systemctl for it.
+
+    `runtime` is the folder of its socket, "" where that is the user's own.
+    """
 
     path: Path
     text: str
     scope: tuple[str, ...]
+    runtime: str = ""
 
     @property
     def name(self) -> str:
@@ -54,9 +62,13 @@ def unit(robot: str, arguments: tuple[str, ...], *, system: bool, user: str) -> 
 
     A restart never moves the robot: the daemon begins in IDLE, or in EMERGENCY_STOP if that was
     latched.
+
+    Raises:
+        UsageError: There is no such user, or a word cannot stand in a unit.
     """
     program = Path(sys.executable).with_name("robotctl")
-    recordings = state_folder() / "recordings" / robot
+    state = _home_of(user) / ".local" / "state" / "robotctl" if system else state_folder()
+    recordings = state / "recordings" / robot
     command: tuple[str, ...] = (str(program), "start", "--foreground", "--robot", robot)
     if "--recordings" not in arguments:
         command += ("--recordings", str(recordings))
@@ -71,26 +83,34 @@ def unit(robot: str, arguments: tuple[str, ...], *, system: bool, user: str) -> 
         f"ExecStart={' '.join(map(_quoted, (*command, *arguments)))}",
         "Restart=on-failure",
         "RestartSec=2",
+        f"RestartPreventExitStatus={IN_VAIN}",
         f"WatchdogSec={WATCHDOG_S}",
         f"TimeoutStopSec={STOP_S}",
         "UMask=0077",
         *(
             f"Environment={_quoted(f'{key}={os.environ[key]}')}"
-            for key in PASSED_ON
+            for key in (*PASSED_ON, *(() if system else (STATE_VARIABLE,)))
             if key in os.environ
         ),
     ]
+    runtime = f"/run/robotctl-{robot}" if system else ""
     if system:
-        runtime = f"robotctl-{robot}"
         lines += [
             f"User={user}",
-            f"RuntimeDirectory={runtime}",
+            f"RuntimeDirectory={Path(runtime).name}",
             "RuntimeDirectoryMode=0700",
-            f"Environment=XDG_RUNTIME_DIR=/run/{runtime}",
+            f"Environment=XDG_RUNTIME_DIR={runtime}",
         ]
     lines += ["", "[Install]", f"WantedBy={'multi-user' if system else 'default'}.target", ""]
     scope = () if system else ("--user",)
-    return Unit(unit_path(robot, system=system), "\n".join(lines), scope)
+    return Unit(unit_path(robot, system=system), "\n".join(lines), scope, runtime)
+
+
+def _home_of(user: str) -> Path:
+    try:
+        return Path(pwd.getpwnam(user).pw_dir)
+    except KeyError:
+        raise UsageError(f"there is no user {user!r}", "name one with --user") from None
 
 
 def _quoted(word: str) -> str:

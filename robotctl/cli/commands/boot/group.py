@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import getpass
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -59,5 +60,5 @@ def start_arguments(arguments: list[str] | None) -> tuple[str, ...]:
 
 
 def me() -> str:
-    """Return the name of the user."""
-    return getpass.getuser()
+    """Return the name of the user, under sudo of the one who called it."""
+    return os.environ.get("SUDO_USER") or getpass.getuser()

@@ -12,7 +12,7 @@ from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.boot_unit import unit
 from robotctl.cli.support.systemd import systemctl
 from robotctl.errors import RobotctlError
-from robotctl.paths import DEFAULT_ROBOT, check_robot_name
+from robotctl.paths import DEFAULT_ROBOT, RUNTIME_VARIABLE, check_robot_name
 
 
 @group.command()
@@ -34,9 +34,8 @@ def install(
       robotctl boot install -- --no-sim --config robot.yaml
       sudo robotctl boot install --system --user ros -- --no-sim
     """
-    made = unit(
-        check_robot_name(robot), start_arguments(arguments), system=system, user=user or me()
-    )
+    runner = user or me()
+    made = unit(check_robot_name(robot), start_arguments(arguments), system=system, user=runner)
     try:
         made.path.parent.mkdir(parents=True, exist_ok=True)
         made.path.write_text(made.text)
@@ -51,5 +50,7 @@ def install(
     if problem:
         wanted = " ".join(("systemctl", *made.scope, "enable --now", made.name))
         lines.append(f"systemd did not take it ({problem}); once it runs: {wanted}")
+    if made.runtime:
+        lines.append(f"commands of {runner} reach it by: export {RUNTIME_VARIABLE}={made.runtime}")
     answer = {"path": str(made.path), "enabled": not problem, "problem": problem}
     print_answer(answer, lines, as_json=as_json)
