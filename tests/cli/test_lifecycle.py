@@ -296,6 +296,61 @@ def test_logs_f_goes_on_with_the_next_runs_log(
     assert following(log, monkeypatch, restart) == ["old", "new"]
 
 
+LOG = """\
+2026-01-01 12:00:00,250 INFO robotctl: ready
+2026-01-01 12:00:01,500 ERROR robotctl.ros: lost
+    the second line of it
+2026-13-01 12:00:02,000 INFO robotctl: no such month
+"""
+
+
+@pytest.fixture
+def logged() -> None:
+    path = log_path("robot")
+    path.parent.mkdir(parents=True)
+    path.write_text(LOG)
+
+
+@pytest.mark.usefixtures("logged")
+@pytest.mark.parametrize(
+    ("arguments", "count"),
+    [("", 4), ("-n 2", 2), ("-n 0", 0), ("-n 9", 4), ("--since 2026-01-01T12:00:01", 2)],
+)
+def test_logs_shows_the_last_or_newest_lines(
+    arguments: str, count: int, cli: Callable[..., Any]
+) -> None:
+    ran = cli("logs", *arguments.split())
+    assert ran.exit_code == 0
+    assert LOG.endswith(ran.out) if not arguments.startswith("--since") else True
+    assert len(ran.out.splitlines()) == count
+
+
+@pytest.mark.usefixtures("logged")
+def test_logs_for_machines_is_an_object_for_each_line(cli: Callable[..., Any]) -> None:
+    first, error, more, odd = map(json.loads, cli("logs", "--json").out.splitlines())
+    assert (first["level"], first["logger"], first["text"]) == ("INFO", "robotctl", "ready")
+    assert error["t_ns"] - first["t_ns"] == 1_250_000_000
+    assert more == {
+        "t_ns": error["t_ns"],
+        "level": None,
+        "logger": None,
+        "text": "    the second line of it",
+    }
+    assert odd["t_ns"] is None
+
+
+def test_logs_f_begins_with_the_last_lines(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    log.write_text(LOG)
+    begin = logs._begin_of_last(log, 1)
+    assert next(logs._lines(log, follow=True, begin=begin)) == LOG.splitlines()[-1]
+
+
+def test_logs_refuses_a_time_that_is_none(cli: Callable[..., Any]) -> None:
+    ran = cli("logs", "--since", "soon")
+    assert (ran.exit_code, "--since soon is not a time" in ran.err) == (2, True)
+
+
 def test_the_daemon_is_not_imported_from_the_working_directory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import time
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from datetime import datetime
 from io import TextIOWrapper
 from pathlib import Path
 from typing import Annotated, TextIO
@@ -12,8 +17,10 @@ from typing import Annotated, TextIO
 import typer
 
 from robotctl.cli.options import Robot, new_app
+from robotctl.cli.support.time_argument import parse_since
 from robotctl.cli.terminal.text import printable
 from robotctl.errors import NoDaemon
+from robotctl.kernel.units import NS_PER_S
 from robotctl.paths import DEFAULT_ROBOT, chain_to, log_path
 from robotctl.printable import without_colours
 from robotctl.regular_file import open_regular
@@ -21,6 +28,31 @@ from robotctl.regular_file import open_regular
 app = new_app()
 
 _FOLLOW_POLL_S = 0.2
+
+_LINE = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3}) ([A-Z]+) ([^ :]+): (.*)")
+
+
+@dataclass(frozen=True, slots=True)
+class LogLine:
+    """A line of the log; `time_ns` since the epoch is that of the last line that has a time.
+
+    `level` and `logger` are None for a line that continues the one before it.
+    """
+
+    line: str
+    time_ns: int | None
+    level: str | None
+    logger: str | None
+    text: str
+
+    def as_object(self) -> dict[str, object]:
+        """Return what `--json` prints."""
+        return {
+            "t_ns": self.time_ns,
+            "level": self.level,
+            "logger": self.logger,
+            "text": self.text,
+        }
 
 
 @app.command()
@@ -30,6 +62,17 @@ def logs(
         bool,
         typer.Option("--follow", "-f", help="Print new lines, too, until Ctrl-C."),
     ] = False,
+    last: Annotated[
+        int | None,
+        typer.Option("--lines", "-n", metavar="N", min=0, help="Only the last N lines."),
+    ] = None,
+    since: Annotated[
+        str | None,
+        typer.Option("--since", metavar="TIME", help="Only newer lines: 15m, 2h, or a date."),
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print a JSON object for each line, for machines.")
+    ] = False,
 ) -> None:
     """Print the log of the background daemon.
 
@@ -38,21 +81,64 @@ def logs(
     \b
     Examples:
       robotctl logs -f
+      robotctl logs -n 20
+      robotctl logs --since 15m --json | jq -r .text
     """
+    since_ns = 0 if since is None else parse_since(since, time.time_ns())
     path = log_path(robot)
     chain_to(path.parent).check()
     if not path.exists():
         raise NoDaemon(
             f"no log of robot {robot!r}: no daemon was started in the background ({path})"
         )
-    for line in _lines(path, follow=follow):
-        print(printable(without_colours(line)), flush=follow)
+    begin = 0 if last is None else _begin_of_last(path, last)
+    for line in _parsed(_lines(path, follow=follow, begin=begin)):
+        if since is None or (line.time_ns or 0) >= since_ns:
+            shown = json.dumps(line.as_object()) if as_json else printable(line.line)
+            print(shown, flush=follow)
 
 
-def _lines(path: Path, *, follow: bool) -> Iterator[str]:
-    """Yield the lines of the log; with `follow`, wait for more, also after a restart."""
+def _parsed(lines: Iterable[str]) -> Iterator[LogLine]:
+    time_ns: int | None = None
+    for coloured in lines:
+        line = without_colours(coloured)
+        match = _LINE.fullmatch(line)
+        if match is None:
+            yield LogLine(line, time_ns, None, None, line)
+            continue
+        when, level, logger, text = match.groups()
+        time_ns = _time_ns(when)
+        yield LogLine(line, time_ns, level, logger, text)
+
+
+def _time_ns(when: str) -> int | None:
+    try:
+        local = datetime.strptime(when, "%Y-%m-%d %H:%M:%S,%f").astimezone()
+    except ValueError:  # 2026-02-31
+        return None
+    return int(local.replace(microsecond=0).timestamp()) * NS_PER_S + local.microsecond * 1000
+
+
+def _begin_of_last(path: Path, count: int) -> int:
+    """Return where the last `count` lines of the log begin [bytes]."""
+    begins: deque[int] = deque(maxlen=count)
+    end = 0
+    with open_regular(path) as log:
+        for line in log:
+            begins.append(end)
+            end += len(line)
+    return begins[0] if begins else end
+
+
+def _lines(path: Path, *, follow: bool, begin: int = 0) -> Iterator[str]:
+    """Yield the lines of the log from byte `begin`; with `follow`, wait for more.
+
+    Goes on with the log of the next run.
+    """
     while True:
         with TextIOWrapper(open_regular(path), errors="replace") as log:
+            log.seek(begin)
+            begin = 0
             line = ""
             while True:
                 piece = log.readline()
