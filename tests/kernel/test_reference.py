@@ -13,7 +13,7 @@ from robotctl.kernel.geometry import ORIGIN, Pose
 from robotctl.kernel.params import KernelParams, VelocityLimits
 from robotctl.kernel.patterns import Pattern, PatternKind, lap_of
 from robotctl.kernel.reference import Progress
-from robotctl.kernel.segments import Circle, Line, Turn
+from robotctl.kernel.segments import Arc, Circle, Line, Turn
 from robotctl.kernel.tracking import Reference, track
 
 LIMITS = VelocityLimits(1.0, 2.0, 0.5, 4.0)
@@ -249,6 +249,18 @@ def test_the_distance_to_a_circle_is_that_along_its_radius(from_centre_m: float)
     for angle in (0.0, 1.0, 4.0):
         point = Pose(from_centre_m * cos(angle), 2.0 + from_centre_m * sin(angle), 0.0)
         assert isclose(Circle(2.0).distance_to(point, 0.0), abs(from_centre_m - 2.0), abs_tol=1e-12)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_the_distance_to_an_arc_is_that_along_its_radius_or_to_its_nearer_end(side: float) -> None:
+    quarter = Arc(Pose(1.0, 0.0, 0.0), 2.0, pi, side)
+    for x, y, far_m in (
+        (1.0 + 3.0 * sin(0.6), 2.0 - 3.0 * cos(0.6), 1.0),
+        (1.0 + sin(0.6), 2.0 - cos(0.6), 1.0),
+        (0.7, 0.0, 0.3),
+        (3.0, 2.4, 0.4),
+    ):
+        assert isclose(quarter.distance_to(Pose(x, side * y, 0.0), 0.0), far_m, abs_tol=1e-12)
 
 
 def test_the_outline_of_a_square_is_its_corners() -> None:
