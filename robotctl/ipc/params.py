@@ -19,6 +19,7 @@ from robotctl.kernel.course import (
     MAX_ANGLE_RAD,
     MAX_CORNER_M,
     MAX_HELD_S,
+    MAX_QUIET_S,
     MAX_POINTS,
     MIN_CORNER_M,
     MIN_HELD_S,
@@ -165,6 +166,7 @@ class DriveVelocityParams(Struct, frozen=True, forbid_unknown_fields=True):
     angular_rps: Annotated[float, Meta(ge=-MAX_TURNING_RPS, le=MAX_TURNING_RPS)]
     for_s: Annotated[float, Meta(ge=MIN_HELD_S, le=MAX_HELD_S)]
     source: Source
+    quiet_s: Annotated[float, Meta(ge=0.0, le=MAX_QUIET_S)] = 0.0
     replace: bool = False
     wait: bool = False
     reason: Reason = ""

@@ -14,6 +14,8 @@ MIN_CORNER_M, MAX_CORNER_M = 0.02, 10.0
 MIN_ANGLE_RAD, MAX_ANGLE_RAD = 0.01, 100.0
 MAX_POINTS = 2000
 MIN_HELD_S, MAX_HELD_S = 0.02, 600.0
+MAX_QUIET_S = 5.0
+
 MAX_SILENCE_S = 0.125
 """The longest silence of a client that holds a velocity to run."""
 
@@ -33,6 +35,8 @@ class Frame(Enum):
 class Held:
     """A velocity that is commanded for `for_s` seconds.
 
+    Then nothing is commanded for `quiet_s` seconds, to see when the base stops by itself.
+
     A velocity that a client holds to run was asked for at `heard_t_ns` (steady), and is asked for
     again and again: after a silence of `for_s` it ends in zero at once.
     """
@@ -41,6 +45,7 @@ class Held:
     angular_rps: float
     for_s: float
     heard_t_ns: int | None = None
+    quiet_s: float = 0.0
 
     def refusal(self) -> str:
         """Return why this velocity cannot be commanded, "" if it can."""
@@ -50,6 +55,8 @@ class Held:
             return f"a velocity for {self.for_s:g} s: use {MIN_HELD_S:g} to {MAX_HELD_S:g} s"
         if self.is_held_to_run and self.for_s > MAX_SILENCE_S:
             return f"a silence of {self.for_s:g} s: use at most {MAX_SILENCE_S:g} s"
+        if not 0.0 <= self.quiet_s <= MAX_QUIET_S:
+            return f"no command for {self.quiet_s:g} s: use 0 to {MAX_QUIET_S:g} s"
         return ""
 
     def begun(self, t_ns: int) -> Held:

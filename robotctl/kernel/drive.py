@@ -75,13 +75,19 @@ class Drive:
         """Whether all laps are driven."""
         return 0 < self.laps <= self.progress.laps
 
+    @property
+    def is_quiet(self) -> bool:
+        """Whether nothing is commanded now, so that the base must stop by itself."""
+        held = self.course.held
+        return held is not None and held.quiet_s > 0.0 and self.progress.length >= held.for_s
+
     def ending(self) -> str:
         """Return why a finished drive ends."""
         held = self.course.held
         if held is not None and held.is_held_to_run:
             return "let go" if held.is_let_go else f"nobody held it for {held.for_s * 1e3:g} ms"
         if held is not None:
-            return f"drive finished: {held.for_s:g} s"
+            return f"drive finished: {held.for_s + held.quiet_s:g} s"
         return f"drive finished: {self.laps} lap{'' if self.laps == 1 else 's'}"
 
     def reference(self, lag_s: float = 0.0) -> Reference:
@@ -243,7 +249,8 @@ class Drive:
         if held.is_held_to_run:
             return self
         held_s = self.progress.length + dt_s
-        return self._at(replace(self.progress, length=held_s, laps=int(held_s >= held.for_s)))
+        is_over = held_s >= held.for_s + held.quiet_s
+        return self._at(replace(self.progress, length=held_s, laps=int(is_over)))
 
     def _after_stop(self, at: Progress) -> Progress:
         """Return the progress that goes on after a stop; the end of the drive stays where it is."""

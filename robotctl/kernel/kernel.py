@@ -263,8 +263,11 @@ class Kernel(Knowledge):
             wanted = guarded.wanted(t_ns, params.guard_timeout_s)
             command = ZERO if wanted is None else limit(state.command, wanted, dt_s, params.limits)
         held = None if drive is None else drive.course.held
+        is_quiet = drive is not None and drive.is_quiet
         if drive is not None and held is not None:
-            if held.is_silent(t_ns, 1.0 / params.rate_hz):
+            if is_quiet:  # the base may stand already: it must not be moved again by a ramp
+                command = state.command if phase is Phase.DRIVING else ZERO
+            elif held.is_silent(t_ns, 1.0 / params.rate_hz):
                 phase, stop_reason, command = Phase.STOPPING, stop_reason or drive.ending(), ZERO
             elif held.is_let_go and command == ZERO and phase is Phase.DRIVING:
                 drive = drive.completed()
@@ -285,5 +288,5 @@ class Kernel(Knowledge):
         )
         if phase is Phase.STOPPING and command == ZERO:
             self._stand(Trigger.STANDSTILL, stop_reason, None)
-        else:
+        elif not is_quiet:
             self._effects.append(PublishTwist(command))

@@ -163,7 +163,8 @@ def named(pattern: Pattern, course: Course) -> str:
     if course.held is not None:
         held = course.held
         how_long = "by hand" if held.is_held_to_run else f"for {held.for_s:g} s"
-        return f"{held.linear_mps:g} m/s and {held.angular_rps:g} rad/s {how_long}"
+        quiet = f", then nothing for {held.quiet_s:g} s" if held.quiet_s else ""
+        return f"{held.linear_mps:g} m/s and {held.angular_rps:g} rad/s {how_long}{quiet}"
     if course.waypoints:
         what = f"a path of {len(course.waypoints)} points"
     else:

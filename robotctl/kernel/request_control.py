@@ -137,6 +137,9 @@ class RequestControl(LeaseControl):
         if odometry is None:
             self._start_alone(request_id, reason)
             return
+        replaced = self.state.drive
+        if replaced is not None and replaced.is_quiet:  # the base may stand already
+            self.state = replace(self.state, command=ZERO)
         self._end_drive("replaced by another drive")
         if course.held is not None:
             laps, course = 1, replace(course, held=course.held.begun(t_ns))

@@ -152,7 +152,7 @@ class DrivingMethods:
                 f"{params.angular_rps:g} rad/s is above limits.angular_rps, {limit_rps:g} rad/s",
                 f"use at most {limit_rps:g}",
             )
-        held = Held(params.linear_mps, params.angular_rps, params.for_s)
+        held = Held(params.linear_mps, params.angular_rps, params.for_s, quiet_s=params.quiet_s)
         course = Course(held=held)
         return await self._run(params, self.pattern(None), 1, course)
 
