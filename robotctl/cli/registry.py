@@ -15,7 +15,16 @@ from robotctl.errors import IN_PARENTHESES, UsageError
 SECTIONS = {
     "Without a robot": ("demo", "sim"),
     "The daemon": ("start", "status", "ps", "watch", "logs", "stop", "boot", "config"),
-    "The robot": ("preflight", "drive", "set-mode", "estop", "reset", "lease", "param"),
+    "The robot": (
+        "preflight",
+        "commission",
+        "drive",
+        "set-mode",
+        "estop",
+        "reset",
+        "lease",
+        "param",
+    ),
     "ROS": ("topic", "node", "service"),
     "Recordings": (
         *("record", "mark", "recordings", "info", "clip", "recover", "replay", "why"),

@@ -12,6 +12,7 @@ from robotctl.kernel.types import BatteryReceived, Event, OdomReceived, ScanRece
 from robotctl.recording import RecordingInfo
 from robotctl.recording.format.metadata_names import INFO_RECORD
 from robotctl.recording.format.records import MAX_SEQUENCE
+from robotctl.recording.format.topics import LATCHED_QOS
 from robotctl.recording.read.messages import Message
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.ending import Ending
@@ -27,13 +28,22 @@ class InputCheck:
     """The comparison of the inputs of one topic, from the first snapshot with a proof on."""
 
     def __init__(
-        self, report: Report, name: str, topic: str | None, read: Callable[[bytes], Any]
+        self,
+        report: Report,
+        name: str,
+        topic: str | None,
+        read: Callable[[bytes], Any],
+        info: RecordingInfo,
     ) -> None:
         """`name` is that of the input, `topic` its topic, None if it is not recorded.
 
         `read(data)` returns the value of a message.
         """
         self.topic = topic
+        self._is_latched = any(
+            each.name == topic and LATCHED_QOS in each.offered_qos for each in info.topics
+        )
+        self._last: tuple[int, bytes] | None = None
         self.is_on = False
         self._report = report
         self._name = name
@@ -41,7 +51,11 @@ class InputCheck:
         self._pairs = InputPairs()
 
     def message(self, message: Message) -> None:
-        """Take a message of the topic."""
+        """Take a message; a file begins with the last latched one of the file before."""
+        if self._is_latched:
+            last, self._last = self._last, (message.sequence, message.data)
+            if self._last == last:
+                return
         if self.is_on:
             self._pairs.message(message.sequence, self._read(message.data))
 
@@ -109,15 +123,16 @@ def input_checks(report: Report, info: RecordingInfo, journal_topic: str) -> Inp
     """Return the checks of the inputs of a recording."""
     return Inputs(
         InputCheck(
-            report, "odometry", _topic(info, journal_topic, "odometry", "odom"), read_sample
+            report, "odometry", _topic(info, journal_topic, "odometry", "odom"), read_sample, info
         ),
         InputCheck(
             report,
             "the battery",
             _topic(info, journal_topic, "battery", "battery_state"),
             read_battery_level,
+            info,
         ),
-        InputCheck(report, "the scan", _scan_topic(info, journal_topic), _read_sectors),
+        InputCheck(report, "the scan", _scan_topic(info, journal_topic), _read_sectors, info),
     )
 
 

@@ -17,7 +17,7 @@ SPEED = Twist(0.1, 0.0)
 HELD = Held(SPEED.linear, 0.0, 1.0, quiet_s=0.5)
 
 
-def in_silence(held: Held = HELD) -> Bench:
+def in_quiet(held: Held = HELD) -> Bench:
     """Return a bench whose last tick sent nothing."""
     bench = ready()
     assert bench.drive(course=Course(held=held))
@@ -33,9 +33,11 @@ def test_after_its_time_a_velocity_is_followed_by_silence_and_then_by_one_zero()
     sent: list[tuple[float, Twist]] = []
     while bench.state.mode is Mode.MOVING:
         bench.odometry()
-        for effect in bench.tick():
-            if isinstance(effect, PublishTwist):
-                sent.append(((bench.t_ns - begin_ns) / 1e9, effect.twist))
+        sent += [
+            ((bench.t_ns - begin_ns) / 1e9, effect.twist)
+            for effect in bench.tick()
+            if isinstance(effect, PublishTwist)
+        ]
     (last_s, last), (end_s, end) = sent[-2:]
     assert (last, end) == (SPEED, ZERO)
     assert last_s == pytest.approx(1.0, abs=0.05)
@@ -70,7 +72,7 @@ def loses_odometry(bench: Bench) -> None:
 def test_what_ends_the_silence_sends_zero_at_once_and_no_ramp(
     ends: Callable[[Bench], None],
 ) -> None:
-    bench = in_silence(Held(0.5, 0.0, 1.0, quiet_s=5.0))
+    bench = in_quiet(Held(0.5, 0.0, 1.0, quiet_s=5.0))
     before = len(bench.commands)
     ends(bench)
     bench.odometry()
@@ -80,11 +82,11 @@ def test_what_ends_the_silence_sends_zero_at_once_and_no_ramp(
 
 
 def test_in_silence_the_command_counts_as_going_on_so_that_obstacles_still_stop() -> None:
-    assert in_silence().state.command == SPEED
+    assert in_quiet().state.command == SPEED
 
 
 def test_a_drive_that_replaces_the_silence_begins_at_zero() -> None:
-    bench = in_silence(Held(0.5, 0.0, 1.0, quiet_s=5.0))
+    bench = in_quiet(Held(0.5, 0.0, 1.0, quiet_s=5.0))
     bench.drive(replacing=True, course=Course(held=Held(0.5, 0.0, 1.0)))
     bench.tick()
     assert 0.0 < bench.state.command.linear < 0.05
@@ -103,5 +105,7 @@ def test_the_silence_is_named() -> None:
 
 
 def test_the_simulated_base_stops_by_its_own_timeout() -> None:
-    result = drive_simulated(Pattern(), laps=1, course=Course(held=Held(0.1, 0.0, 1.0, quiet_s=2.0)))
+    result = drive_simulated(
+        Pattern(), laps=1, course=Course(held=Held(0.1, 0.0, 1.0, quiet_s=2.0))
+    )
     assert result.ended.report.distance_m == pytest.approx(0.15, abs=0.02)

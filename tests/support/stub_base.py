@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
+import time
 from contextlib import suppress
 from typing import Any
 
@@ -25,14 +26,27 @@ class StubBase:
     def __init__(self) -> None:
         self.node = Node("stub_base")
         self.frames: set[str] = set()
-        self._velocity = (0.0, 0.0)
+        self._velocity = self._wanted = (0.0, 0.0)
+        self._heard_s = 0.0
         self._pose = (0.0, 0.0, 0.0)
         self._thread: threading.Thread | None = None
 
     def begin(
-        self, command: list[str], odometry: list[Any], battery: list[Any] | None, child_frame: str
+        self,
+        command: list[str],
+        odometry: list[Any],
+        battery: list[Any] | None,
+        child_frame: str,
+        lag_s: float = 0.0,
+        deadband_mps: float = 0.0,
+        timeout_s: float | None = None,
     ) -> None:
-        """Be a base; topic, type and QoS of the command; topic, QoS and rate [Hz] of the others."""
+        """Be a base; topic, type and QoS of the command; topic, QoS and rate [Hz] of the others.
+
+        It follows with a lag, not at all below the deadband, and stops at its timeout, if any.
+        """
+        self._lag_s, self._deadband_mps = lag_s, deadband_mps
+        self._timeout_s = math.inf if timeout_s is None else timeout_s
         topic, kind, profile = command
         self.node.create_subscription(COMMANDS[kind], topic, self._take, QOS[profile])
         self._child_frame = child_frame
@@ -67,9 +81,20 @@ class StubBase:
         if isinstance(message, TwistStamped):
             self.frames.add(message.header.frame_id)
             message = message.twist
-        self._velocity = (message.linear.x, message.angular.z)
+        self._wanted = (message.linear.x, message.angular.z)
+        self._heard_s = time.monotonic()
+
+    def _follow(self) -> tuple[float, float]:
+        """Return the velocity of this period."""
+        (v, w), (wanted_v, wanted_w) = self._velocity, self._wanted
+        is_heard = time.monotonic() - self._heard_s < self._timeout_s
+        if not is_heard or abs(wanted_v) < self._deadband_mps:
+            wanted_v, wanted_w = 0.0, 0.0
+        share = 1.0 - math.exp(-self._period_s / self._lag_s) if self._lag_s else 1.0
+        return v + share * (wanted_v - v), w + share * (wanted_w - w)
 
     def _move(self) -> None:
+        self._velocity = self._follow()
         (v, w), (x, y, theta) = self._velocity, self._pose
         x += v * math.cos(theta) * self._period_s
         y += v * math.sin(theta) * self._period_s

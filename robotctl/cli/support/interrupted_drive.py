@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Mapping
 from contextlib import suppress
+from math import inf
 from typing import Any, Final
 
 from robotctl.cli.support.background import Background
@@ -34,8 +35,8 @@ REPORT_DEADLINE_S: Final = 2.0
 _STDOUT: Final = 1
 
 
-def wait_while_stdout_open(driving: Background[DriveAnswer]) -> None:
-    """Wait for the end of the drive.
+def wait_while_stdout_open(driving: Background[DriveAnswer], at_most_s: float = inf) -> None:
+    """Wait for the end of the drive, or for a time.
 
     Raises:
         KeyboardInterrupt: The reader of stdout has closed it. This is how an ssh connection
@@ -43,7 +44,10 @@ def wait_while_stdout_open(driving: Background[DriveAnswer]) -> None:
     """
     poll = select.poll()
     poll.register(_STDOUT, 0)
-    while not driving.is_done:  # an interrupted join would take the thread for ended
+    end = time.monotonic() + at_most_s
+    while (
+        not driving.is_done and time.monotonic() < end
+    ):  # an interrupted join would take the thread for ended
         if any(found & (select.POLLERR | select.POLLHUP) for _, found in poll.poll(POLL_S * 1000)):
             raise KeyboardInterrupt
 

@@ -1,0 +1,7 @@
+"""commission: measure a base by two short motions, and propose limits and gains for it."""
+
+from __future__ import annotations
+
+from robotctl.cli.commands.commission.command import app
+
+__all__ = ["app"]

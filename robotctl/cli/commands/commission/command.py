@@ -1,0 +1,131 @@
+"""The options of `robotctl commission`, and its report."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from robotctl.cli.commands.commission.motions import drive_twice, way_m
+from robotctl.cli.options import Json, Robot, new_app
+from robotctl.cli.support.answer import print_answer
+from robotctl.cli.terminal.text import printable, short_path
+from robotctl.errors import Refused, UsageError
+from robotctl.ipc.client import call
+from robotctl.ipc.method_names import PARAM_LIST, PREFLIGHT
+from robotctl.paths import DEFAULT_ROBOT
+
+app = new_app()
+
+MIN_SPEED_MPS, MAX_SPEED_MPS = 0.02, 0.3
+
+
+@app.command()
+def commission(
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write the proposed configuration to this new file."),
+    ] = None,
+    speed: Annotated[float, typer.Option(metavar="M/S", help="Speed of the motions.")] = 0.1,
+    yes: Annotated[bool, typer.Option("--yes", help="The room is free: do not ask.")] = False,
+    robot: Robot = DEFAULT_ROBOT,
+    as_json: Json = False,
+) -> None:
+    """Measure the robot's base by two short motions, and propose limits and gains for it.
+
+    Straight ahead, twice: one motion is stopped by a zero command, and after the other nothing is
+    commanded, to see when the base stops by itself. The report tells rate and delay of odometry,
+    the delay of a command, the stopping distance, and the base's own command timeout.
+
+    Ctrl-C stops the robot. Other clients cannot move it meanwhile; anybody can stop it.
+
+    \b
+    Examples:
+      robotctl commission
+      robotctl commission --out robot.yaml
+      robotctl commission --yes --json
+    """
+    if not MIN_SPEED_MPS <= speed <= MAX_SPEED_MPS:
+        raise UsageError(f"--speed {speed:g}", f"use {MIN_SPEED_MPS:g} to {MAX_SPEED_MPS:g} m/s")
+    if out is not None and os.path.lexists(out):
+        raise UsageError(f"{out} exists already", "choose another name")
+    _check_start_conditions(robot)
+    if not yes:
+        _confirm(speed)
+    file = drive_twice(robot, speed)
+    settings = {
+        each["key"]: each["value"]
+        for each in call(robot, PARAM_LIST)["parameters"]
+        if each["value"] != each["default"]
+    }
+    answer, lines = _report(robot, file, settings, out)
+    print_answer(answer, lines, as_json=as_json)
+
+
+def _check_start_conditions(robot: str) -> None:
+    """Raise Refused, before the question, where the robot could not move."""
+    for each in call(robot, PREFLIGHT)["conditions"]:
+        if each["problem"]:
+            raise Refused(each["problem"], each["cure"])
+
+
+def _confirm(speed_mps: float) -> None:
+    if sys.stdin is None or not sys.stdin.isatty():
+        raise UsageError("the robot would move, and nobody can be asked", "give --yes")
+    question = (
+        f"The robot drives up to {way_m(speed_mps):.1f} m straight ahead at {speed_mps:g} m/s.\n"
+        "Is the way free, and your hand on its emergency stop?"
+    )
+    if not typer.confirm(question, err=True):
+        raise Refused("the robot was not moved")
+
+
+def _report(
+    robot: str, file: Path, settings: Mapping[str, Any], out: Path | None
+) -> tuple[dict[str, object], Iterator[str]]:
+    """Measure, write the configuration, and return the report as an object and as lines."""
+    from robotctl.commission.measure import measured
+    from robotctl.commission.propose import proposals
+    from robotctl.commission.report import file_lines, measured_lines, warnings
+    from robotctl.commission.trial import read_trial
+    from robotctl.config import Config
+    from robotctl.config.settings import with_setting
+
+    config = Config()
+    for key, value in settings.items():
+        config = with_setting(config, key, value)
+    base = measured(read_trial(file))
+    proposed = proposals(base, config.kernel)
+    if out is not None:
+        _write(out, "\n".join(file_lines(robot, base, settings, proposed)) + "\n")
+
+    def lines() -> Iterator[str]:
+        yield f"measured from {short_path(file)}"
+        yield from (f"  {line}" for line in measured_lines(base))
+        yield "proposed"
+        yield from (f"  {each.key}: {each.value:g}  # {each.why}" for each in proposed)
+        yield from (f"warning: {printable(text)}" for text in warnings(base))
+        if out is not None:
+            yield f"written to {short_path(out)}: robotctl start --config {short_path(out)}"
+
+    answer: dict[str, object] = {
+        "recording": str(file),
+        "measured": asdict(base),
+        "proposed": {each.key: each.value for each in proposed},
+        "warnings": list(warnings(base)),
+        "configuration": None if out is None else str(out),
+    }
+    return answer, lines()
+
+
+def _write(out: Path, text: str) -> None:
+    try:
+        with out.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except OSError as error:
+        raise UsageError(f"{out}: {error.strerror}", "choose another file") from None

@@ -1,0 +1,1 @@
+"""Commissioning: what two short motions tell about a base, measured from their recording."""

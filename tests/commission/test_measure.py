@@ -1,0 +1,218 @@
+"""What a commissioning measures, on virtual time: bases whose properties are known."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, replace
+from math import log
+
+import pytest
+
+from robotctl.commission.measure import NEAR_S, Measured, measured
+from robotctl.commission.propose import STOP_WITHIN_M, configuration, proposals
+from robotctl.commission.report import file_lines, measured_lines, warnings
+from robotctl.commission.trial import Command, Sample, Trial
+from robotctl.config import Config, flat
+from robotctl.config.settings import with_setting
+from robotctl.errors import Refused
+from robotctl.kernel.course import Course, Held
+from robotctl.kernel.geometry import Pose
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.params import KernelParams
+from robotctl.kernel.types import ZERO, PublishTwist, Twist
+from robotctl.sim.robot import Robot, SimParams
+from robotctl.testing.kernels import ready
+
+NS_PER_MS = 1_000_000
+EXACT = SimParams(
+    lag_s=0.1,
+    actuation_linear_factor=1.0,
+    actuation_angular_factor=1.0,
+    actuation_noise=0.0,
+    odometry_linear_factor=1.0,
+    odometry_angular_factor=1.0,
+    odometry_noise=0.0,
+)
+SPEED_MPS = 0.1
+
+
+@dataclass
+class Base:
+    """A base of 1 kHz; commands reach it late, and odometry is told late."""
+
+    sim: SimParams = EXACT
+    dead_s: float = 0.0
+    rate_hz: int = 50
+    deadband_mps: float = 0.0
+    clock_s: float = 0.0
+
+    def trial(self) -> Trial:
+        """Return both motions of a commissioning, driven by the kernel."""
+        bench, robot = ready(), Robot(self.sim)
+        trial = Trial()
+        late: deque[tuple[int, Twist]] = deque()
+        begin_ms = bench.t_ns // NS_PER_MS
+        for step in range(12_000):
+            t_ms = begin_ms + step
+            bench.t_ns = t_ms * NS_PER_MS
+            while late and late[0][0] <= t_ms:
+                _, twist = late.popleft()
+                robot.command(ZERO if abs(twist.linear) < self.deadband_mps else twist)
+            robot.advance(0.001)
+            if step % (1000 // self.rate_hz) == 0:
+                bench.odometry(robot.odometry)
+                trial.sample(Sample(t_ms / 1e3, robot.odometry, 0.002 + self.clock_s))
+            if step % 1000 == 0:
+                bench.battery(1.0)
+            if step in (500, 5000):
+                held = (
+                    Held(SPEED_MPS, 0.0, 10.0)
+                    if step == 500
+                    else Held(SPEED_MPS, 0.0, 2.0, quiet_s=2.0)
+                )
+                trial.begin(held, t_ms / 1e3)
+                bench.drive(course=Course(held=held))
+                assert bench.state.mode is Mode.MOVING
+            if step == 2500:
+                effects = bench.request(Mode.ERROR.value)
+            elif step == 4500:
+                effects = bench.request(Mode.IDLE.value)
+            elif step % 20 == 0:
+                effects = bench.tick()
+            else:
+                continue
+            for effect in effects:
+                if isinstance(effect, PublishTwist):
+                    late.append((t_ms + round(1e3 * self.dead_s), effect.twist))
+                    trial.command(Command(t_ms / 1e3, effect.twist.linear))
+        return trial
+
+
+@pytest.mark.parametrize("rate_hz", [5, 10, 20, 50])
+@pytest.mark.parametrize(("lag_s", "dead_s"), [(0.0, 0.0), (0.1, 0.0), (0.1, 0.2), (0.3, 0.05)])
+def test_the_delay_the_stop_and_the_timeout_are_those_of_the_base(
+    rate_hz: int, lag_s: float, dead_s: float
+) -> None:
+    told = measured(Base(replace(EXACT, lag_s=lag_s), dead_s, rate_hz).trial())
+    delay_s = lag_s + dead_s
+    assert told.odometry_hz == pytest.approx(rate_hz, rel=0.01)
+    assert told.odometry_gap_s == pytest.approx(1.0 / rate_hz)
+    assert told.odometry_delay_s == pytest.approx(0.002)
+    assert told.reached_mps == pytest.approx(SPEED_MPS, rel=0.03)
+    assert told.command_delay_s == pytest.approx(delay_s, abs=0.025)
+    assert told.stopping_m == pytest.approx(SPEED_MPS * delay_s, abs=0.003)
+    settled_s = lag_s * log(lag_s / NEAR_S) if lag_s else 0.0
+    assert told.stopping_s == pytest.approx(dead_s + settled_s, abs=1.0 / rate_hz + 0.02)
+    assert told.base_timeout_s == pytest.approx(0.5, abs=0.03)
+    assert list(warnings(told)) == []
+
+
+@pytest.mark.parametrize("timeout_s", [0.2, 1.0, 1.5])
+def test_the_timeout_of_a_base_is_measured(timeout_s: float) -> None:
+    told = measured(Base(replace(EXACT, command_timeout_s=timeout_s)).trial())
+    assert told.base_timeout_s == pytest.approx(timeout_s, abs=0.03)
+
+
+def test_a_base_that_goes_on_without_a_command_is_warned_of() -> None:
+    told = measured(Base(replace(EXACT, command_timeout_s=10.0)).trial())
+    assert told.base_timeout_s is None
+    (warning,) = warnings(told)
+    assert "went on for 2 s without a command" in warning
+    assert "base timeout   none within 2 s" in list(measured_lines(told))
+
+
+def test_a_base_that_does_not_move_is_refused_with_a_cure() -> None:
+    with pytest.raises(Refused, match=r"0\.000 m/s where 0\.1 m/s was commanded"):
+        measured(Base(deadband_mps=0.2).trial())
+
+
+def test_a_base_that_does_not_stop_is_refused() -> None:
+    trial = Base().trial()
+    last = trial.motions[0].samples
+    last[:] = [each._replace(pose=Pose(0.1 * each.t_s, 0.0)) for each in last]
+    with pytest.raises(Refused, match="still moving when the motion was over"):
+        measured(trial)
+
+
+@pytest.mark.parametrize("clock_s", [3600.0, -3600.0])
+def test_a_clock_that_is_an_hour_off_makes_the_delay_unknown(clock_s: float) -> None:
+    told = measured(Base(clock_s=clock_s).trial())
+    assert told.odometry_delay_s is None
+    (warning,) = warnings(told)
+    assert "differs by" in warning
+    assert "its clock is another" in next(measured_lines(told))
+
+
+def test_a_base_whose_wheels_are_smaller_than_it_thinks_is_warned_of() -> None:
+    told = measured(Base(replace(EXACT, actuation_linear_factor=0.8)).trial())
+    assert list(warnings(told)) == [
+        "the base drove 80% of the commanded speed: see its wheel parameters"
+    ]
+
+
+@pytest.mark.parametrize("count", [0, 1, 3])
+def test_another_number_of_motions_is_refused(count: int) -> None:
+    trial = Base().trial()
+    trial.motions = (trial.motions * 2)[:count]
+    with pytest.raises(Refused, match="not the two of a commissioning"):
+        measured(trial)
+
+
+@pytest.mark.parametrize("motion", [0, 1])
+def test_a_motion_without_odometry_is_refused(motion: int) -> None:
+    trial = Base().trial()
+    trial.motions[motion].samples.clear()
+    with pytest.raises(Refused, match="too few to measure"):
+        measured(trial)
+
+
+BASE = Measured(50.0, 0.02, 0.002, 0.0, 0.1, 0.1, 0.1, 0.01, 0.2, 0.5, 2.0)
+
+
+def proposed(base: Measured, present: KernelParams | None = None) -> dict[str, float]:
+    return {each.key: each.value for each in proposals(base, present or KernelParams())}
+
+
+def test_a_usual_base_keeps_the_defaults() -> None:
+    defaults = flat(Config())
+    changed = {key: value for key, value in proposed(BASE).items() if value != defaults[key]}
+    assert changed == {"tracking.lag_s": 0.1}
+
+
+def test_a_slow_base_gets_lower_gains_a_longer_lead_and_a_lower_speed() -> None:
+    slow = replace(BASE, command_delay_s=0.4, stopping_m=0.05, odometry_hz=5.0, odometry_gap_s=0.3)
+    values = proposed(slow)
+    assert values["tracking.lag_s"] == 0.4
+    assert (values["tracking.k_x"], values["tracking.k_y"]) == (1.75, 5.0)
+    assert values["tracking.k_theta"] == 2.5
+    assert values["odometry.timeout_s"] == 2.0
+    speed = values["limits.linear_mps"]
+    assert speed * 0.5 + speed**2 / 2.0 == pytest.approx(STOP_WITHIN_M, abs=0.01)
+
+
+def test_no_proposal_is_above_what_is_configured_now() -> None:
+    careful = with_setting(with_setting(Config(), "limits.linear_mps", 0.2), "tracking.k_x", 1.0)
+    values = proposed(BASE, careful.kernel)
+    assert (values["limits.linear_mps"], values["tracking.k_x"]) == (0.2, 1.0)
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.05, 5.0])
+@pytest.mark.parametrize("gap_s", [0.001, 100.0])
+@pytest.mark.parametrize("stopping_m", [0.0, 50.0])
+def test_every_proposal_is_an_allowed_value(
+    delay_s: float, gap_s: float, stopping_m: float
+) -> None:
+    extreme = replace(BASE, command_delay_s=delay_s, odometry_gap_s=gap_s, stopping_m=stopping_m)
+    config = Config()
+    for each in proposals(extreme, config.kernel):
+        config = with_setting(config, each.key, each.value)
+
+
+def test_the_file_keeps_the_other_settings_and_tells_what_was_measured() -> None:
+    settings = {"command.topic": 'a"b', "tracking.lag_s": 0.3, "guard": True}
+    lines = list(file_lines("r2", BASE, settings, proposals(BASE, KernelParams())))
+    assert 'command.topic: "a\\"b"' in lines
+    assert "guard: true" in lines
+    assert sum(line.startswith("tracking.lag_s:") for line in lines) == 1
+    assert any("0.50 s after the last command" in line for line in lines)
+    assert configuration(settings, proposals(BASE, KernelParams()))["tracking.lag_s"] == 0.1

@@ -1,0 +1,89 @@
+"""A base that is commissioned: in its own process, and the simulated one."""
+
+from __future__ import annotations
+
+import json
+import re
+from signal import SIGINT, SIGKILL, SIGSTOP, Signals
+from typing import Any
+
+import pytest
+
+from tests.support.lines import Told, peer_command
+from tests.support.waiting import DEADLINE_S, until
+from tests.support.world import PATIENT, World
+
+BASE: dict[str, Any] = {
+    "command": ["cmd_vel", "TwistStamped", "system"],
+    "odometry": ["odom", "system", 10],
+    "battery": None,
+    "child_frame": "base_link",
+    "lag_s": 0.3,
+    "deadband_mps": 0.05,
+}
+
+
+def test_a_base_of_10_hz_with_lag_and_deadband_and_no_timeout_is_told_as_such(world: World) -> None:
+    base = Told(peer_command("tests.support.stub_base"), world.environment)
+    try:
+        base("begin", **BASE)
+        settings = world.folder / "robot.yaml"
+        settings.write_text(f"{PATIENT}battery.topic: ''\ncommand.stamped: true\n")
+        world.ok("start", "--no-sim", "--config", str(settings))
+        world.ok("preflight", "--wait", "30")
+        told = world.answer("commission", "--yes", "--out", "proposed.yaml")
+        assert base("driven")["x"] > 0.2
+        assert told["measured"]["base_timeout_s"] is None
+        assert "without a command" in told["warnings"][0]
+        assert told["measured"]["command_delay_s"] > 0.15
+        assert told["proposed"]["tracking.lag_s"] > 0.15
+        valid = world.answer("config", "validate", "proposed.yaml")
+        assert valid["changed"]["command.stamped"] == "true"
+        assert "tracking.lag_s" in valid["changed"]
+        again = world.robotctl("commission", "--yes", "--out", "proposed.yaml")
+        assert (again.exit_code, "exists already" in again.err) == (2, True)
+        assert world.status()["mode"] == "IDLE"
+        assert world.answer("lease", "status")["holder"] is None
+        world.ok("stop")
+        assert "same" in world.ok("replay", "--check", "last")
+        why = world.answer("why", "last")
+        assert "then nothing for 2 s: robotctl commission" in why["asked"]
+    finally:
+        base.close()
+
+
+def test_nobody_is_asked_without_a_terminal_and_nothing_moves(world: World) -> None:
+    world.ok("start", "--sim")
+    until(lambda: world.robotctl("preflight").exit_code == 0)
+    asked = world.robotctl("commission", "--json")
+    assert asked.exit_code == 2
+    assert json.loads(asked.out)["error"]["cure"] == "give --yes"
+    holder = world.spawn("lease", "take")
+    until(lambda: world.answer("lease", "status")["holder"] is not None)
+    refused = world.robotctl("commission", "--yes")
+    assert refused.exit_code == 4
+    assert re.search(
+        r"lease take .* holds the lease, and robotctl commission .* asked", refused.err
+    )
+    holder.send_signal(SIGINT)
+    holder.communicate(timeout=DEADLINE_S)
+    world.ok("set-mode", "error")
+    failed = world.robotctl("commission", "--yes")
+    assert (failed.exit_code, "reset" in failed.err) == (4, True)
+    world.ok("stop")
+
+
+@pytest.mark.parametrize("number", [SIGINT, SIGKILL, SIGSTOP])
+def test_a_commissioning_that_is_interrupted_stops_the_robot(world: World, number: Signals) -> None:
+    world.ok("start", "--sim")
+    until(lambda: world.robotctl("preflight").exit_code == 0)
+    command = world.spawn("commission", "--yes")
+    until(lambda: world.status()["velocity"]["linear"] > 0.05)
+    command.send_signal(number)
+    until(lambda: world.status()["mode"] == "IDLE")
+    if number is SIGINT:
+        _, err = command.communicate(timeout=DEADLINE_S)
+        assert command.returncode == 130, err
+    command.kill()
+    command.communicate()
+    world.ok("stop")
