@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Mapping
+from math import nan
 from typing import Any
 
 from robotctl.cdr.battery import read_battery_level
-from robotctl.cdr.motion import read_sample, sample_of
+from robotctl.cdr.motion import decode_twist, decode_twist_stamped, read_sample, sample_of
 from robotctl.kernel.safety_inputs import Use
-from robotctl.kernel.types import BatteryReceived, Event, OdomReceived, ScanReceived
+from robotctl.kernel.types import (
+    COMMAND_TYPES,
+    TWIST_STAMPED,
+    BatteryReceived,
+    Event,
+    GuardedCommandReceived,
+    OdomReceived,
+    ScanReceived,
+    Twist,
+)
 from robotctl.recording import RecordingInfo
 from robotctl.recording.format.metadata_names import INFO_RECORD
 from robotctl.recording.format.records import MAX_SEQUENCE
@@ -34,12 +45,16 @@ class InputCheck:
         topic: str | None,
         read: Callable[[bytes], Any],
         info: RecordingInfo,
+        *,
+        is_always_heard: bool = True,
     ) -> None:
         """`name` is that of the input, `topic` its topic, None if it is not recorded.
 
-        `read(data)` returns the value of a message.
+        `read(data)` returns the value of a message. What is not always heard becomes an input in
+        some modes only.
         """
         self.topic = topic
+        self._is_always_heard = is_always_heard
         self._is_latched = any(
             each.name == topic and LATCHED_QOS in each.offered_qos for each in info.topics
         )
@@ -59,7 +74,11 @@ class InputCheck:
         if self.is_on:
             self._pairs.message(message.sequence, self._read(message.data))
 
-    def received(self, event: OdomReceived | BatteryReceived | ScanReceived, seq: int) -> None:
+    def received(
+        self,
+        event: OdomReceived | BatteryReceived | ScanReceived | GuardedCommandReceived,
+        seq: int,
+    ) -> None:
         """Take an input; `seq` is the number of its entry."""
         if not self.is_on:
             return
@@ -68,8 +87,10 @@ class InputCheck:
             found = Input(event.t_ns, event.source, sample_of(event.odometry), seq)
         elif isinstance(event, BatteryReceived):
             found = Input(event.t_ns, event.publisher, event.level, seq)
-        else:
+        elif isinstance(event, ScanReceived):
             found = Input(event.t_ns, event.publisher, event.sectors, seq)
+        else:
+            found = Input(event.t_ns, event.publisher, event.twist, seq)
         self._pairs.received(sequence, found)
 
     def snapshot(self, has_proof: bool) -> None:
@@ -96,7 +117,7 @@ class InputCheck:
         self._tell_lacking(invariants, ending)
         if pairs.repeated and pairs.has_one_publisher:
             report.miss(f"{pairs.repeated} messages of {self._name} are repeated or out of order")
-        if pairs.unheard and pairs.has_one_publisher:
+        if pairs.unheard and pairs.has_one_publisher and self._is_always_heard:
             report.notes.append(
                 f"{pairs.unheard} messages of {self._name} did not reach the control loop"
             )
@@ -133,17 +154,28 @@ def input_checks(report: Report, info: RecordingInfo, journal_topic: str) -> Inp
             info,
         ),
         InputCheck(report, "the scan", _scan_topic(info, journal_topic), _read_sectors, info),
+        InputCheck(
+            report,
+            "the wanted velocity",
+            _guard_topic(info, journal_topic),
+            _read_wanted(info, journal_topic),
+            info,
+            is_always_heard=False,
+        ),
     )
 
 
 class Inputs:
     """The checks of all inputs that are compared."""
 
-    def __init__(self, odometry: InputCheck, battery: InputCheck, scan: InputCheck) -> None:
+    def __init__(
+        self, odometry: InputCheck, battery: InputCheck, scan: InputCheck, wanted: InputCheck
+    ) -> None:
         self._odometry = odometry
         self._battery = battery
         self._scan = scan
-        self._all = odometry, battery, scan
+        self._wanted = wanted
+        self._all = odometry, battery, scan, wanted
 
     def readers(self) -> dict[str, Callable[[Message], None]]:
         """Return for each recorded topic what takes its messages."""
@@ -157,6 +189,8 @@ class Inputs:
             self._battery.received(event, seq)
         elif isinstance(event, ScanReceived) and event.sequence:  # 0: before it was told
             self._scan.received(event, seq)
+        elif isinstance(event, GuardedCommandReceived) and event.sequence:
+            self._wanted.received(event, seq)
 
     def snapshot(self, has_proof: bool) -> None:
         """Take a snapshot."""
@@ -193,6 +227,28 @@ def _scan_topic(info: RecordingInfo, journal_topic: str) -> str | None:
     """Return the topic of the scan where the kernel takes it: reading each scan costs time."""
     use = info.metadata.get(INFO_RECORD, {}).get("parameter.scan.use", Use.OFF.value)
     return None if use == Use.OFF.value else _topic(info, journal_topic, "scan", "scan")
+
+
+def _guard_topic(info: RecordingInfo, journal_topic: str) -> str | None:
+    """Return the topic of the wanted velocities, None if it is not recorded."""
+    name = full_name(info, journal_topic, "guard_topic", "cmd_vel_nav")
+    types = (topic.type_name for topic in info.topics if topic.name == name)
+    return name if COMMAND_TYPES.intersection(types) else None
+
+
+def _read_wanted(info: RecordingInfo, journal_topic: str) -> Callable[[bytes], Twist]:
+    """Return what reads a wanted velocity, of either type; NaN for an unreadable one."""
+    name = _guard_topic(info, journal_topic)
+    is_stamped = any(each.name == name and each.type_name == TWIST_STAMPED for each in info.topics)
+    decode = decode_twist_stamped if is_stamped else decode_twist
+
+    def read(data: bytes) -> Twist:
+        try:
+            return decode(data)
+        except struct.error:
+            return Twist(nan, nan)
+
+    return read
 
 
 def _topic(info: RecordingInfo, journal_topic: str, kind: str, default: str) -> str | None:

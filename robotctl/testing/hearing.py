@@ -7,14 +7,21 @@ from dataclasses import replace
 from math import pi, tau
 
 from robotctl.cdr.battery import read_battery_level
-from robotctl.cdr.motion import OdometryEncoder, read_odometry
+from robotctl.cdr.motion import OdometryEncoder, encode_twist, read_odometry
 from robotctl.cdr.reader import ENCAPSULATION
 from robotctl.cdr.scan import read_sectors
 from robotctl.config import Config
 from robotctl.kernel.kernel import Kernel
-from robotctl.kernel.types import BatteryReceived, Effect, Event, OdomReceived, ScanReceived
+from robotctl.kernel.types import (
+    BatteryReceived,
+    Effect,
+    Event,
+    GuardedCommandReceived,
+    OdomReceived,
+    ScanReceived,
+)
 
-ODOMETRY, BATTERY, SCAN = "/odom", "/battery_state", "/scan"
+ODOMETRY, BATTERY, SCAN, WANTED = "/odom", "/battery_state", "/scan", "/cmd_vel_nav"
 
 _BATTERY = struct.Struct("<4siII1s3x7f")
 """A BatteryState with an empty frame name, as far as the level."""
@@ -44,7 +51,7 @@ class HearingKernel(Kernel):
         self.heard: Event | None = None
         self.messages: dict[tuple[str, int], bytes] = {}
         self._odometry_encoder = OdometryEncoder("odom", "base_link")
-        self._odometry_count = self._battery_count = self._scan_count = 0
+        self._odometry_count = self._battery_count = self._scan_count = self._wanted_count = 0
 
     def step(self, event: Event) -> tuple[Effect, ...]:
         """Decide on what is left of an event after it went over the wire."""
@@ -66,5 +73,9 @@ class HearingKernel(Kernel):
             self._scan_count += 1
             data = self.messages[SCAN, self._scan_count] = _scan(event.sectors)
             event = ScanReceived(event.t_ns, read_sectors(data), "5ca7", self._scan_count)
+        elif isinstance(event, GuardedCommandReceived):
+            self._wanted_count += 1
+            self.messages[WANTED, self._wanted_count] = encode_twist(event.twist)
+            event = replace(event, publisher="9a7d", sequence=self._wanted_count)
         self.heard = event
         return super().step(event)

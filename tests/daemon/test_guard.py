@@ -26,6 +26,9 @@ def test_a_planner_steers_in_moving_only_and_an_emergency_stop_locks_the_mux(wor
         assert world.status()["velocity"]["linear"] < 0.01
         assert "guarding cmd_vel_nav" in world.ok("set-mode", "moving")
         until(lambda: world.status()["velocity"]["linear"] > 0.15)
+        world.ok("set-mode", "idle")
+        world.ok("set-mode", "moving")
+        until(lambda: world.status()["velocity"]["linear"] > 0.15)
         planner("rest")
         until(lambda: world.status()["velocity"]["linear"] < 0.01)
         assert world.status()["mode"] == "MOVING"
@@ -36,3 +39,7 @@ def test_a_planner_steers_in_moving_only_and_an_emergency_stop_locks_the_mux(wor
     finally:
         planner.close()
     world.ok("stop")
+    (report,) = world.answer("replay", "last", "--check")["recordings"]
+    assert report["verdict"] == "same"
+    # What others want while the robot is not guarded is recorded, and is no input.
+    assert not [text for text in report["notes"] if "did not reach" in text]

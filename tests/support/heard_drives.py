@@ -22,11 +22,18 @@ from robotctl.recording.format.journal import decode
 from robotctl.recording.format.metadata_names import LEDGER_RECORD
 from robotctl.rerun.closed_loop import closed_loop
 from robotctl.testing.drives import BEGIN_NS, drive_requested, journaled, record
-from robotctl.testing.hearing import BATTERY, ODOMETRY, SCAN, HearingKernel
+from robotctl.testing.hearing import BATTERY, ODOMETRY, SCAN, WANTED, HearingKernel
 from tests.support.edited_recordings import Contents, Stored, contents_of
 from tests.support.service_calls import ESTOP, SET_MODE, received, sent
 
 COMMANDS, JOURNAL, STATUS = "/cmd_vel", "/robotctl/journal", "/robot_status"
+
+_TOPICS = {
+    "OdomReceived": ODOMETRY,
+    "BatteryReceived": BATTERY,
+    "ScanReceived": SCAN,
+    "GuardedCommandReceived": WANTED,
+}
 
 
 def heard_drive(
@@ -69,6 +76,8 @@ def _with_messages(contents: Contents, heard: dict[tuple[str, int], bytes]) -> C
     _add_topic(contents, BATTERY, "sensor_msgs/msg/BatteryState")
     if (SCAN, 1) in heard:
         _add_topic(contents, SCAN, "sensor_msgs/msg/LaserScan")
+    if (WANTED, 1) in heard:
+        _add_topic(contents, WANTED, "geometry_msgs/msg/Twist")
     _add_topic(contents, STATUS, "robot_controller/msg/RobotStatus")
     _add_topic(contents, SET_MODE, "robot_controller/srv/SetMode_Event")
     _add_topic(contents, ESTOP, "std_srvs/srv/Trigger_Event")
@@ -82,9 +91,7 @@ def _with_messages(contents: Contents, heard: dict[tuple[str, int], bytes]) -> C
             continue
         entry = decode(each.data)
         values = json.loads(entry.data)
-        topic = {"OdomReceived": ODOMETRY, "BatteryReceived": BATTERY, "ScanReceived": SCAN}.get(
-            entry.name
-        )
+        topic = _TOPICS.get(entry.name)
         if topic is not None:
             sequence = values["sequence"]
             data = heard[topic, sequence]

@@ -64,10 +64,11 @@ class Inputs:
         """Handle a laser scan: the nearest ranges by direction, () if it is unreadable."""
         self._control.dispatch(ScanReceived(time.monotonic_ns(), sectors, publisher, sequence))
 
-    def guarded_command(self, twist: Twist) -> None:
+    def guarded_command(self, twist: Twist, publisher: str, sequence: int) -> None:
         """Handle a velocity that another node wants; it counts while the robot is guarded."""
         if self._control.state.guarded is not None:
-            self._control.dispatch(GuardedCommandReceived(time.monotonic_ns(), twist))
+            now = time.monotonic_ns()
+            self._control.dispatch(GuardedCommandReceived(now, twist, publisher, sequence))
 
     def lifecycle(self, state: LifecycleState, source: str) -> None:
         """Handle a transition of the node that gates motion; one that is not active ramps down."""

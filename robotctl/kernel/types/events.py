@@ -184,10 +184,15 @@ class CommandListenersSeen:
 
 @dataclass(frozen=True, slots=True)
 class GuardedCommandReceived:
-    """Another node wants this velocity while the robot is guarded; it may be anything, also NaN."""
+    """Another node wants this velocity while the robot is guarded; it may be anything, also NaN.
+
+    `publisher` and `sequence` are as in `BatteryReceived`.
+    """
 
     t_ns: int
     twist: Twist
+    publisher: str = ""
+    sequence: int = 0
 
 
 @dataclass(frozen=True, slots=True)

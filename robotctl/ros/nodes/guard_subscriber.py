@@ -7,37 +7,27 @@ from collections.abc import Callable
 from math import nan
 
 from robotctl.kernel.types import Twist
-from robotctl.ros.messages import qos
 from robotctl.ros.messages.command_type import CommandType
-from robotctl.ros.messages.no_events import NO_SUBSCRIPTION_EVENTS
+from robotctl.ros.nodes.numbered_subscriber import NumberedSubscriber
 from robotctl.ros.session import Session
 
 
-class GuardSubscriber:
-    """Receives from publishers of any QoS, as a part of the hidden node."""
+class GuardSubscriber(NumberedSubscriber[Twist]):
+    """Hands on each wanted velocity, NaN for an unreadable one."""
 
     def __init__(
         self,
         session: Session,
         topic: str,
         command: CommandType,
-        on_command: Callable[[Twist], None],
+        on_command: Callable[[Twist, str, int], None],
     ) -> None:
-        """Call `on_command(twist)` for each message of this type; NaN for an unreadable one."""
-        self._decode = command.decode
-        self._on_command = on_command
-        self._subscription = session.helper().create_subscription(
-            command.message_class,
-            topic,
-            self._receive,
-            qos.SENSOR,
-            event_callbacks=NO_SUBSCRIPTION_EVENTS,
-            raw=True,
-        )
+        """Call `on_command(twist, publisher, sequence)` for each message of this type."""
 
-    def _receive(self, data: bytes) -> None:
-        try:
-            twist = self._decode(data)
-        except struct.error:
-            twist = Twist(nan, nan)
-        self._on_command(twist)
+        def read(data: bytes) -> Twist:
+            try:
+                return command.decode(data)
+            except struct.error:
+                return Twist(nan, nan)
+
+        super().__init__(session, command.message_class, topic, read, on_command)
