@@ -19,6 +19,7 @@ SECTIONS = {
         "preflight",
         "commission",
         "drive",
+        "teleop",
         "set-mode",
         "estop",
         "reset",

@@ -162,9 +162,11 @@ def named(pattern: Pattern, course: Course) -> str:
     """Return what is driven, with its article: "a square", "an arc in reverse"."""
     if course.held is not None:
         held = course.held
-        how_long = "by hand" if held.is_held_to_run else f"for {held.for_s:g} s"
+        if held.is_held_to_run:
+            return "by hand"
         quiet = f", then nothing for {held.quiet_s:g} s" if held.quiet_s else ""
-        return f"{held.linear_mps:g} m/s and {held.angular_rps:g} rad/s {how_long}{quiet}"
+        what = f"{held.linear_mps:g} m/s and {held.angular_rps:g} rad/s for {held.for_s:g} s"
+        return f"{what}{quiet}"
     if course.waypoints:
         what = f"a path of {len(course.waypoints)} points"
     else:

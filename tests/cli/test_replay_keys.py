@@ -3,26 +3,17 @@
 from __future__ import annotations
 
 import os
-import pty
-import re
-import select
 import signal
 import subprocess
 import sys
-import termios
-import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from tests.support.bags import Line, odometry, status, write_bag
-from tests.support.waiting import DEADLINE_S
-
-ECHO_FLAGS = 3
-CODE = "from robotctl.cli.app import main; main()"
+from tests.support.terminals import CODE, Terminal
 
 
 def drive(seconds: int) -> list[Line]:
@@ -33,56 +24,6 @@ def drive(seconds: int) -> list[Line]:
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
     return write_bag(tmp_path / "run.mcap", drive(600))
-
-
-class Terminal:
-    """A command line on its own terminal."""
-
-    def __init__(self, *arguments: object, program: tuple[str, ...] = (CODE,)) -> None:
-        command = [sys.executable, "-c", *program, *map(str, arguments)]
-        environment = {**os.environ, "TERM": "xterm", "COLUMNS": "80", "LINES": "24"}
-        self.pid, self._file = pty.fork()
-        if self.pid == 0:
-            for number in (signal.SIGINT, signal.SIGQUIT):  # a job in the background ignores them
-                signal.signal(number, signal.SIG_DFL)
-            os.execve(command[0], command, environment)
-        self._seen = ""
-
-    def until(self, text: str) -> str:
-        """Wait until the text is drawn, and return what was drawn before it."""
-        end = time.monotonic() + DEADLINE_S
-        while not (found := re.search(text, self._seen)):
-            assert time.monotonic() < end, self._seen[-2000:]
-            if select.select([self._file], [], [], 0.1)[0]:
-                self._seen += os.read(self._file, 65536).decode(errors="replace")
-        before, self._seen = self._seen[: found.start()], self._seen[found.end() :]
-        return before
-
-    def press(self, keys: str) -> None:
-        os.write(self._file, keys.encode())
-
-    def is_cooked(self) -> bool:
-        """Return whether the terminal echoes and delivers whole lines, as at the start."""
-        flags = termios.tcgetattr(self._file)[ECHO_FLAGS]
-        return bool(flags & termios.ECHO) and bool(flags & termios.ICANON)
-
-    def end(self) -> int:
-        """Wait for the process, and return its exit code."""
-        end = time.monotonic() + DEADLINE_S
-        while time.monotonic() < end:
-            pid, found = os.waitpid(self.pid, os.WNOHANG)
-            if pid:
-                return os.waitstatus_to_exitcode(found)
-            with suppress(OSError):  # its output must go somewhere, and ends with it
-                if select.select([self._file], [], [], 0.05)[0]:
-                    self._seen += os.read(self._file, 65536).decode(errors="replace")
-        raise AssertionError("the process did not end")
-
-    def close(self) -> None:
-        with suppress(ProcessLookupError, ChildProcessError):
-            os.kill(self.pid, signal.SIGKILL)
-            os.waitpid(self.pid, 0)
-        os.close(self._file)
 
 
 @pytest.fixture

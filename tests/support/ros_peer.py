@@ -16,7 +16,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from robot_controller.msg import RobotStatus
 from robot_controller.srv import SetMode
-from sensor_msgs.msg import BatteryState
+from sensor_msgs.msg import BatteryState, Joy
 from std_msgs.msg import Bool, String, UInt8MultiArray
 from std_srvs.srv import Trigger
 
@@ -42,6 +42,7 @@ class Peer:
         self._clients: dict[str, Any] = {}
         self._asked: list[Any] = []
         self._buttons: dict[str, Any] = {}
+        self._gamepad = Joy()
 
     def listen(self, namespace: str = "") -> None:
         """Keep the messages of the daemon: sequence number and content."""
@@ -227,6 +228,20 @@ class Peer:
             publisher = self._buttons[topic] = self.node.create_publisher(Bool, topic, 10)
         until(publisher.get_subscription_count)
         publisher.publish(Bool(data=pressed))
+
+    def hold_gamepad(self, topic: str, pressed: bool) -> None:
+        """Be a gamepad at 50 Hz, its stick forward, with button 4 pressed or not."""
+        self._gamepad = Joy(axes=[0.0, 1.0], buttons=[0, 0, 0, 0, int(pressed)])
+        if self.robot is not None:
+            return
+        publisher = self.node.create_publisher(Joy, topic, DEEP)
+
+        def run() -> None:
+            while not self.stop.wait(0.02):
+                publisher.publish(self._gamepad)
+
+        self.robot = threading.Thread(target=run)
+        self.robot.start()
 
     def send_large(self, topic: str, size: int) -> None:
         """Publish one message of `size` bytes once there is a subscriber."""

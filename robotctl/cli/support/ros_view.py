@@ -167,6 +167,10 @@ class Listener:
         """End the process."""
         self._child.close(END_S)
 
+    def fileno(self) -> int:
+        """Return the descriptor that becomes readable when a message arrives."""
+        return self._child.fileno()
+
     def receive(self, seconds: float) -> Iterator[dict[str, Any]]:
         """Yield the messages that have arrived; nothing if none comes within `seconds`.
 

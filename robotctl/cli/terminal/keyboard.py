@@ -7,7 +7,7 @@ import select
 import signal
 import sys
 import termios
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import FrameType
 from typing import Any, Self
 
@@ -59,6 +59,11 @@ class Keyboard:
         keys = [] if self._saved is None else [self._file]
         return keys if self._stop_asked < 0 else [*keys, self._stop_asked]
 
+    @property
+    def keys_from(self) -> int:
+        """The descriptor of the keys alone, -1 without a terminal."""
+        return -1 if self._saved is None else self._file
+
     def read(self) -> str:
         """Return the keys that were pressed; call it when one of `sources` is readable."""
         ready, _, _ = select.select(self.sources, [], [], 0.0)
@@ -66,6 +71,15 @@ class Keyboard:
             os.eventfd_read(self._stop_asked)
             self._stop()
         return os.read(self._file, 64).decode(errors="ignore") if self._file in ready else ""
+
+    def has_ended(self, ready: Sequence[object]) -> bool:
+        """Return whether the terminal was readable without a key, so that none will come."""
+        return self._saved is not None and self._file in ready and self._stop_asked not in ready
+
+    def flush(self) -> None:
+        """Drop the keys that were pressed and not read."""
+        if self._saved is not None:
+            termios.tcflush(self._file, termios.TCIFLUSH)
 
     def _take(self) -> None:
         if self._saved is None and os.tcgetpgrp(self._file) == os.getpgrp():

@@ -1,0 +1,79 @@
+"""A gamepad as operator's hands: `sensor_msgs/Joy` on a topic, with a button that must be held."""
+
+from __future__ import annotations
+
+import base64
+import struct
+from math import isfinite
+from typing import Any, Final, NamedTuple
+
+from robotctl.cdr.definition import Definition, parse_definition
+from robotctl.cdr.values import decode
+from robotctl.cli.commands.teleop.hands import STAND, Wish
+from robotctl.cli.support.ros_view import Listener
+
+JOY: Final = "sensor_msgs/msg/Joy"
+
+
+class Controls(NamedTuple):
+    """The numbers of the button that must be held, and of the axes: forward, to the left."""
+
+    button: int = 4
+    forward_axis: int = 1
+    left_axis: int = 0
+
+
+class Gamepad:
+    """The gamepad of a topic. Its silence is that of the operator: nothing moves."""
+
+    def __init__(self, listener: Listener, topic: str, controls: Controls) -> None:
+        self._listener = listener
+        self._definition: Definition = parse_definition(listener.type_name, listener.definition)
+        self._topic = topic
+        self._controls = controls
+        self._is_forgotten = True
+        self._problem = f"nothing was heard on {topic} yet"
+
+    def __str__(self) -> str:
+        how = f"hold button {self._controls.button} of {self._topic}, and steer"
+        return f"{how} ({self._problem})" if self._problem else how
+
+    def fileno(self) -> int:
+        """Return the descriptor that becomes readable when the gamepad says something."""
+        return self._listener.fileno()
+
+    def forget(self) -> None:
+        """Let go: the button must be released before it counts again."""
+        self._is_forgotten = True
+
+    def take(self) -> Wish | None:
+        """Return what the last message wants, None if none is complete yet."""
+        messages = list(self._listener.receive(0.0))
+        if not messages:
+            return None
+        wish = self._wish(base64.b64decode(messages[-1]["data"]))
+        if wish == STAND:
+            self._is_forgotten = False
+        return STAND if self._is_forgotten else wish
+
+    def _wish(self, data: bytes) -> Wish:
+        button, forward, left = self._controls
+        try:
+            values: dict[str, Any] = decode(self._definition, data)
+            is_held = bool(values["buttons"][button])
+            wish = Wish(_share(values["axes"][forward]), _share(values["axes"][left]))
+        except struct.error:
+            self._problem = f"unreadable messages on {self._topic}"
+            return STAND
+        except IndexError:
+            self._problem = (
+                f"it has {len(values['buttons'])} buttons and {len(values['axes'])} axes, "
+                f"without button {button} or axes {forward}, {left}"
+            )
+            return STAND
+        self._problem = ""
+        return wish if is_held else STAND
+
+
+def _share(value: float) -> float:
+    return max(-1.0, min(value, 1.0)) if isfinite(value) else 0.0

@@ -1,0 +1,282 @@
+"""`robotctl teleop` on terminals of its own, with the real daemon: nothing moves unless held."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from robotctl.ipc.client import Client
+from robotctl.ipc.method_names import HOLD
+from robotctl.kernel.types import DriveRequested, HoldReceived, PublishTwist
+from robotctl.rerun.journal_values import read_effect, read_event
+from tests.support.terminals import Terminal
+from tests.support.waiting import until
+from tests.support.world import Peer, World, entries_of, new_world
+
+ANSWERS = {True: "\x1b[?0u\x1b[?62c", False: "\x1b[?62c"}
+"""What a terminal answers that tells releases, and one that does not."""
+
+W_DOWN, W_AGAIN, W_UP = (f"\x1b[119;1:{event}u" for event in (1, 2, 3))
+
+
+@pytest.fixture(scope="module")
+def world() -> Iterator[World]:
+    """A robot for all of this module; at the end, no command outlived a silence."""
+    with new_world() as made:
+        made.ok("start", "--sim")
+        until(lambda: made.status()["pose"] is not None and made.status()["battery"] is not None)
+        yield made
+        made.ok("stop")
+        (file,) = made.recordings.glob("*/*.mcap")
+        assert_nothing_outlived_a_silence(file)
+
+
+def assert_nothing_outlived_a_silence(file: Path) -> None:
+    heard_ns: int | None = None
+    moved = 0
+    for entry in entries_of(file):
+        if entry.name in (HoldReceived.__name__, DriveRequested.__name__):
+            event = read_event(entry)
+            is_held = isinstance(event, HoldReceived) or (
+                isinstance(event, DriveRequested) and event.course.held is not None
+            )
+            heard_ns = event.t_ns if is_held else None
+        elif entry.name == PublishTwist.__name__ and heard_ns is not None:
+            effect = read_effect(entry)
+            assert isinstance(effect, PublishTwist)
+            if effect.twist.linear or effect.twist.angular:
+                moved += 1
+                assert entry.t_ns - heard_ns < 125_000_000
+    assert moved > 20
+
+
+@pytest.fixture
+def sit(world: World) -> Iterator[Callable[..., Terminal]]:
+    """Return a function that starts teleop on a terminal."""
+    started: list[Terminal] = []
+
+    def start(*arguments: str, tells_releases: bool = True) -> Terminal:
+        terminal = Terminal("teleop", *arguments, environment=world.environment)
+        started.append(terminal)
+        terminal.until(r"\x1b\[c")
+        terminal.press(ANSWERS[tells_releases])
+        terminal.until("q quit")
+        return terminal
+
+    yield start
+    for each in started:
+        each.close()
+    until(lambda: world.answer("lease", "status")["holder"] is None)
+    until(lambda: not moves(world))
+
+
+def moves(world: World) -> bool:
+    return bool(world.status()["mode"] == "MOVING")
+
+
+def until_fast(world: World, press: Callable[[], object]) -> None:
+    """Wait until the robot is fast; press again where a busy machine was a silence."""
+
+    def is_fast() -> bool:
+        status = world.status()
+        if status["mode"] != "MOVING":
+            press()
+        return bool(status["velocity"]["linear"] > 0.1)
+
+    until(is_fast)
+
+
+@contextmanager
+def repeating(terminal: Terminal, keys: str) -> Iterator[None]:
+    """Send keys as a terminal repeats them, during the block."""
+    ended = threading.Event()
+
+    def send() -> None:
+        while not ended.wait(0.03):
+            terminal.press(keys)
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
+def test_the_robot_ramps_down_when_the_key_is_released(
+    world: World, sit: Callable[..., Terminal]
+) -> None:
+    terminal = sit()
+    assert "robotctl teleop (uid" in world.answer("lease", "status")["holder"]
+    until_fast(world, lambda: terminal.press(W_UP + W_DOWN))
+    assert world.status()["drive"]["what"] == "by hand"
+    terminal.press(W_UP)
+    until(lambda: not moves(world))
+    assert world.status()["mode_reason"] == "let go"
+    terminal.press("\x1b[113;1:1u")
+    assert terminal.end() == 0
+    assert terminal.is_cooked()
+
+
+def test_without_releases_nothing_moves_until_the_key_repeats(
+    world: World, sit: Callable[..., Terminal]
+) -> None:
+    terminal = sit(tells_releases=False)
+    terminal.until("nothing moves until the key repeats")
+    terminal.press("w")
+    terminal.press("+")
+    terminal.until(r"speed 0\.33 m/s")
+    assert not moves(world)
+    with repeating(terminal, "w"):
+        until(lambda: world.status()["velocity"]["linear"] > 0.1)
+    until(lambda: not moves(world))
+    assert world.status()["mode_reason"] == "nobody held it for 125 ms"
+    terminal.press("q")
+    assert terminal.end() == 0
+
+
+def test_a_frozen_command_moves_nothing_and_goes_on_only_with_a_new_press(
+    world: World, sit: Callable[..., Terminal]
+) -> None:
+    terminal = sit()
+    until_fast(world, lambda: terminal.press(W_UP + W_DOWN))
+    os.kill(terminal.pid, signal.SIGSTOP)
+    until(lambda: not moves(world))
+    assert world.status()["mode_reason"] == "nobody held it for 125 ms"
+    terminal.press(W_AGAIN * 20)
+    os.kill(terminal.pid, signal.SIGCONT)
+    terminal.until(r"rad/s\s+(nobody held it|this command was stopped)")
+    assert not moves(world)
+    terminal.press(W_AGAIN + W_UP + W_DOWN)
+    until(lambda: moves(world))
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+def test_a_command_that_ends_lets_go_and_returns_the_lease(
+    number: int, world: World, sit: Callable[..., Terminal]
+) -> None:
+    terminal = sit()
+    until_fast(world, lambda: terminal.press(W_UP + W_DOWN))
+    os.kill(terminal.pid, number)
+    code = terminal.end()
+    until(lambda: not moves(world))
+    if number != signal.SIGKILL:
+        assert code == 130
+        assert terminal.is_cooked()
+        assert "\x1b[<u" in terminal.seen
+
+
+def test_a_terminal_that_closes_lets_go(world: World, sit: Callable[..., Terminal]) -> None:
+    terminal = sit()
+    until_fast(world, lambda: terminal.press(W_UP + W_DOWN))
+    terminal.hang_up()
+    until(lambda: not moves(world))
+    until(lambda: os.waitpid(terminal.pid, os.WNOHANG)[0])
+
+
+def test_ctrl_c_and_the_emergency_stop_work_where_the_terminal_sends_no_signals(
+    world: World, sit: Callable[..., Terminal]
+) -> None:
+    terminal = sit()
+    until_fast(world, lambda: terminal.press(W_UP + W_DOWN))
+    terminal.press("\x1b[101;1:1u")
+    until(lambda: world.status()["mode"] == "EMERGENCY_STOP")
+    terminal.until("release it with: robotctl reset")
+    terminal.press(W_UP + W_DOWN)
+    terminal.until("EMERGENCY_STOP .*by robotctl teleop")
+    world.ok("reset")
+    assert not moves(world), "the key is still down"
+    terminal.press("\x1b[99;5u")
+    assert terminal.end() == 130
+    assert terminal.is_cooked()
+
+
+def test_a_resized_terminal_goes_on(world: World, sit: Callable[..., Terminal]) -> None:
+    terminal = sit()
+    for rows, columns in ((10, 20), (60, 200), (1, 1)):
+        terminal.resize(rows, columns)
+        until_fast(world, lambda: terminal.press(W_UP + W_DOWN))
+    terminal.press(W_UP)
+    until(lambda: not moves(world))
+
+
+def test_another_stop_is_not_undone_by_a_key_that_is_still_down(
+    world: World, sit: Callable[..., Terminal]
+) -> None:
+    terminal = sit(tells_releases=False)
+    with repeating(terminal, "w"):
+        until(lambda: world.status()["velocity"]["linear"] > 0.1)
+        world.ok("set-mode", "idle")
+        terminal.until("requested by robotctl set-mode")
+        assert not moves(world)
+
+
+def test_it_needs_hands_and_a_robot_that_stands(world: World) -> None:
+    refused = world.here("teleop")
+    assert (refused.exit_code, "needs a terminal" in refused.err) == (2, True)
+    world.ok("drive", "circle")
+    terminal = Terminal("teleop", environment=world.environment)
+    try:
+        terminal.until("the robot is MOVING")
+        assert terminal.end() == 4
+    finally:
+        terminal.close()
+    world.ok("set-mode", "idle")
+
+
+def test_a_connection_that_is_lost_is_silence(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("XDG_RUNTIME_DIR", "XDG_STATE_HOME"):
+        monkeypatch.setenv(name, world.environment[name])
+    params = {"linear_mps": 0.3, "angular_rps": 0.0, "source": "a test"}
+    with Client("robot") as client:
+        number = client.call(HOLD, params)["hold"]
+        until(lambda: client.call(HOLD, {**params, "hold": number})["mode"] == "MOVING")
+    until(lambda: not moves(world))
+    assert world.status()["mode_reason"] == "nobody held it for 125 ms"
+
+
+def test_a_gamepad_steers_while_its_button_is_held_and_its_end_is_zero(
+    world: World, sit: Callable[..., Terminal]
+) -> None:
+    peer = Peer(world)
+
+    def press() -> None:
+        for pressed in (False, True):
+            peer("hold_gamepad", topic="/joy", pressed=pressed)
+            time.sleep(0.05)
+
+    try:
+        peer("hold_gamepad", topic="/joy", pressed=True)
+        terminal = sit("--joy", "joy")
+        assert not moves(world), "the button was down before"
+        peer("hold_gamepad", topic="/joy", pressed=False)
+        terminal.until(r"and steer\s")
+        until_fast(world, press)
+        peer("hold_gamepad", topic="/joy", pressed=False)
+        until(lambda: not moves(world))
+        assert world.status()["mode_reason"] == "let go"
+        until_fast(world, press)
+    finally:
+        peer.close()
+    until(lambda: not moves(world))
+    assert world.status()["mode_reason"] == "nobody held it for 125 ms"
+
+
+def test_a_speed_or_an_axis_that_cannot_be_is_refused(world: World) -> None:
+    for option, value in (
+        ("--speed", "nan"),
+        ("--axes", "1"),
+        ("--axes", "a,b"),
+        ("--button", "64"),
+    ):
+        assert world.here("teleop", "--joy", "joy", option, value).exit_code == 2

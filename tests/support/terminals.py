@@ -1,0 +1,83 @@
+"""Command lines on terminals of their own."""
+
+from __future__ import annotations
+
+import os
+import pty
+import re
+import select
+import signal
+import sys
+import termios
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+
+from tests.support.waiting import DEADLINE_S
+
+ECHO_FLAGS = 3
+CODE = "from robotctl.cli.app import main; main()"
+
+
+class Terminal:
+    """A command line on its own terminal."""
+
+    def __init__(
+        self,
+        *arguments: object,
+        program: tuple[str, ...] = (CODE,),
+        environment: Mapping[str, str] = os.environ,
+    ) -> None:
+        command = [sys.executable, "-c", *program, *map(str, arguments)]
+        environment = {**environment, "TERM": "xterm", "COLUMNS": "80", "LINES": "24"}
+        self.pid, self._file = pty.fork()
+        if self.pid == 0:
+            for number in (signal.SIGINT, signal.SIGQUIT):  # a job in the background ignores them
+                signal.signal(number, signal.SIG_DFL)
+            os.execve(command[0], command, environment)
+        self.seen = ""
+
+    def until(self, text: str) -> str:
+        """Wait until the text is drawn, and return what was drawn before it."""
+        end = time.monotonic() + DEADLINE_S
+        while not (found := re.search(text, self.seen)):
+            assert time.monotonic() < end, self.seen[-2000:]
+            if select.select([self._file], [], [], 0.1)[0]:
+                self.seen += os.read(self._file, 65536).decode(errors="replace")
+        before, self.seen = self.seen[: found.start()], self.seen[found.end() :]
+        return before
+
+    def press(self, keys: str) -> None:
+        os.write(self._file, keys.encode())
+
+    def is_cooked(self) -> bool:
+        """Return whether the terminal echoes and delivers whole lines, as at the start."""
+        flags = termios.tcgetattr(self._file)[ECHO_FLAGS]
+        return bool(flags & termios.ECHO) and bool(flags & termios.ICANON)
+
+    def end(self) -> int:
+        """Wait for the process, and return its exit code."""
+        end = time.monotonic() + DEADLINE_S
+        while time.monotonic() < end:
+            pid, found = os.waitpid(self.pid, os.WNOHANG)
+            if pid:
+                return os.waitstatus_to_exitcode(found)
+            with suppress(OSError):  # its output must go somewhere, and ends with it
+                if select.select([self._file], [], [], 0.05)[0]:
+                    self.seen += os.read(self._file, 65536).decode(errors="replace")
+        raise AssertionError("the process did not end")
+
+    def resize(self, rows: int, columns: int) -> None:
+        termios.tcsetwinsize(self._file, (rows, columns))
+
+    def hang_up(self) -> None:
+        """Close the terminal, as when its window is closed."""
+        os.close(self._file)
+        self._file = -1
+
+    def close(self) -> None:
+        with suppress(ProcessLookupError, ChildProcessError):
+            os.kill(self.pid, signal.SIGKILL)
+            os.waitpid(self.pid, 0)
+        if self._file >= 0:
+            os.close(self._file)
