@@ -26,10 +26,11 @@ if TYPE_CHECKING:
     from robotctl.rerun.check import check_recording
     from robotctl.rerun.check_many import check_recordings
     from robotctl.rerun.check_report import Report, Verdict
+    from robotctl.rerun.divergence import Divergence
     from robotctl.rerun.incident import Incident, IncidentKind, Searched, find_incident
     from robotctl.rerun.invariants import Violation
     from robotctl.rerun.recorded_settings import Settings, parse_settings
-    from robotctl.rerun.rerun import Divergence, first_divergence
+    from robotctl.rerun.rerun import first_divergence
     from robotctl.rerun.resim import resimulate
     from robotctl.rerun.whatif import what_if
     from robotctl.rerun.why import Why, explain
@@ -55,7 +56,7 @@ __all__ = [
 ]
 
 _MODULES = {
-    "Divergence": "rerun",
+    "Divergence": "divergence",
     "Incident": "incident",
     "IncidentKind": "incident",
     "Report": "check_report",

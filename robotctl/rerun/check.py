@@ -8,7 +8,7 @@ from pathlib import Path
 
 from robotctl.errors import UnreadableFile
 from robotctl.kernel.snapshot import Proof
-from robotctl.kernel.types import Effect, Event, OdomReceived
+from robotctl.kernel.types import Effect, Event
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording, RecordingInfo
 from robotctl.recording.format.journal import JournalEntry
@@ -23,12 +23,9 @@ from robotctl.recording.read.source import Source
 from robotctl.rerun.bytes_check import BytesFound, check_bytes
 from robotctl.rerun.check_reading import CheckReading, Item, LogTimes, Readers
 from robotctl.rerun.check_report import Report
-from robotctl.rerun.clock_changes import ClockChanges
-from robotctl.rerun.command_bytes import command_topic
-from robotctl.rerun.command_check import CommandCheck
 from robotctl.rerun.comparison import Comparison
-from robotctl.rerun.input_check import input_checks
-from robotctl.rerun.invariants import Invariants
+from robotctl.rerun.comparisons import Comparisons
+from robotctl.rerun.divergence import Divergence
 from robotctl.rerun.journal_format import JournalFormat
 from robotctl.rerun.journal_steps import Gap, Step
 from robotctl.rerun.journal_values import read_effect, read_event, read_snapshot
@@ -37,9 +34,7 @@ from robotctl.rerun.piece_pool import PiecePool, pool_for
 from robotctl.rerun.recorded_parameters import differing_parameters
 from robotctl.rerun.recording_ends import RecordingEnds, is_beginning
 from robotctl.rerun.recording_groups import FileGroup, file_groups
-from robotctl.rerun.rerun import Agreed, Divergence, Rerun
-from robotctl.rerun.service_check import ServiceChecks
-from robotctl.rerun.status_check import StatusCheck
+from robotctl.rerun.rerun import Agreed, Rerun
 
 Progress = Callable[[int, int], None]
 """Called with the bytes that are done and the bytes in total."""
@@ -100,9 +95,6 @@ class _Check:
         self._report = report
         self._on_progress = on_progress
         self._info = recording.info()
-        self._invariants = Invariants()
-        self._clock = ClockChanges()
-        self._commands = CommandCheck(report, self._clock)
         self._format = JournalFormat(report)
         self._rerun: Rerun | None = None
         self._before_snapshot = 0
@@ -122,23 +114,16 @@ class _Check:
         self._pool = pool
         for sentence in self._recording.missing:
             report.miss(sentence)
-        topic = self._topic = journal_topic(info)
+        topic = journal_topic(info)
         if topic is None:
             raise UnreadableFile("it holds no journal of robotctl: there are no decisions to check")
         for other in sorted(journal_topics(info) - {topic}):
             report.notes.append(f"the journal {other} of another robot was not checked")
         is_own = topic == own_journal_topic(info)
         self._ends = RecordingEnds(self._recording, info, report, is_own=is_own)
-        self._inputs = input_checks(report, info, topic)
-        self._status = StatusCheck(report, info, topic, self._clock)
-        self._services = ServiceChecks(report, info, topic, self._clock)
+        self._compared = Comparisons(report, info, topic)
         self._reading = CheckReading(self._recording, report, self._ends, self._on_progress)
-        readers = self._inputs.readers() | self._services.readers()
-        commands = command_topic(info, topic)
-        if commands is not None:
-            readers[commands] = self._commands.message
-        if self._status.topic is not None:
-            readers[self._status.topic] = self._status.message
+        readers = self._compared.readers()
         for batch in self._reading.batches(topic, readers):
             self._take(batch, readers)
         self._end()
@@ -182,11 +167,7 @@ class _Check:
         if self._pool is not None and position is not None:
             self._rerun.trust(self._pool.confirmed(position))
         self._check_chain(entry, snapshot.proof)
-        self._invariants.snapshot(snapshot)
-        self._commands.snapshot(snapshot)
-        self._inputs.snapshot(snapshot.proof is not None)
-        self._services.snapshot(snapshot.proof is not None, self._log_ns[1])
-        self._status.snapshot(snapshot, entry.t_ns, self._log_ns[1])
+        self._compared.snapshot(snapshot, entry.t_ns, self._log_ns[1])
 
     def _compare_beginning(self, entry: JournalEntry) -> None:
         """Compare the first snapshot with what a kernel begins with."""
@@ -201,36 +182,34 @@ class _Check:
         is_whole = self._reading.chain.is_whole(entry, proof)
         before = self._ends.snapshot(entry, proof)
         if not is_whole:
-            self._invariants.violate(
+            self._compared.invariants.violate(
                 f"the journal was changed between its entries {before} and {entry.seq}"
             )
 
     def _step(self, step: Step, agreed: Agreed | None) -> None:
-        report = self._report
+        entry, report, rerun = step.event, self._report, self._rerun
         report.events += 1
         report.effects += len(step.effects)
+        measured: Measured | None
         try:
-            if self._rerun is None:
+            if rerun is None:
                 self._before_snapshot += 1
                 if step.effects:
-                    self._commands.step(
-                        read_event(step.event), tuple(map(read_effect, step.effects)), (0, 0, 0)
+                    self._compared.step_before_snapshot(
+                        read_event(entry), tuple(map(read_effect, step.effects))
                     )
                 return
-            event, effects, measured = agreed or self._decided(self._rerun, step)
+            if agreed is not None:
+                event, effects, measured = agreed.event, agreed.effects, agreed
+            else:
+                event, effects, measured = self._decided(rerun, step)
         except UnreadableFile as error:
             self._interrupt_at(error)
             return
-        self._inputs.step(event, step.event.seq)
         moments = event.t_ns, *self._log_ns
-        self._status.step(event, effects, measured, moments)
-        if effects or not isinstance(event, OdomReceived):
-            self._commands.step(event, effects, moments)
-            self._services.step(event, step.event.seq, effects, moments)
-        if self._rerun.is_trusting:
-            self._invariants.pass_over(step.event.seq, event, effects)
-        else:
-            self._invariants.step(step.event.seq, event, effects)
+        self._compared.step(
+            entry.seq, event, effects, measured, moments, was_checked=rerun.is_trusting
+        )
 
     def _decided(
         self, rerun: Rerun, step: Step
@@ -262,33 +241,25 @@ class _Check:
         self._stop()
 
     def _stop(self) -> None:
-        """Pause re-run and invariants until the next snapshot."""
-        self._invariants.stop()
-        self._commands.stop()
-        self._inputs.stop()
-        self._services.stop()
-        self._status.stop()
+        """Pause re-run and comparisons until the next snapshot."""
+        self._compared.stop()
         if self._rerun is not None:
             self._rerun.stop()
 
     def _end(self) -> None:
-        report, invariants = self._report, self._invariants
+        report, ends, invariants = self._report, self._ends, self._compared.invariants
         report.duration_s = (self._reading.end_ns - report.begin_ns) / NS_PER_S
         if self._rerun is None:
             report.miss("its journal holds no snapshot of the kernel to begin from")
             return
         if self._before_snapshot:
             report.notes.append(f"{self._before_snapshot} events before the first snapshot")
-        self._ends.check(self._before_snapshot)
+        ends.check(self._before_snapshot)
         kernel = self._rerun.kernel
         if kernel is not None:
             invariants.end(kernel.state.waiting)
-        ends = self._ends
         ends.read_ledger(invariants)
-        self._commands.end(invariants, ends.ending(command_topic(self._info, self._topic or "")))
-        self._inputs.end(invariants, ends.ending, self._reading.end_ns)
-        self._services.end(invariants, ends.ending, self._reading.end_ns)
-        self._status.end(ends.ending(self._status.topic), self._log_ns[1])
+        self._compared.end(ends.ending, self._reading.end_ns, self._log_ns[1])
         report.violations, report.violation_count = invariants.violations, invariants.count
 
 

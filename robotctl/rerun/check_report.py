@@ -15,8 +15,8 @@ from robotctl.errors import UnreadableFile
 from robotctl.kernel.codec import to_json
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.read.file_index import note_missing
+from robotctl.rerun.divergence import Divergence
 from robotctl.rerun.invariants import Violation
-from robotctl.rerun.rerun import Divergence
 
 
 class Verdict(StrEnum):

@@ -48,6 +48,9 @@ Moments = tuple[int, int, int]
 Decided = tuple[bytes, Moments]
 """The six numbers of a decided command, and the step that decided it."""
 
+Early = tuple[bytes, int, int]
+"""A message before its decision: its six numbers, publish time and journal time [ns]."""
+
 
 class CommandPairs:
     """The comparison of decided and sent commands, from the first snapshot with a proof on."""
@@ -88,9 +91,8 @@ class CommandPairs:
         self._newest = 0
         self._t_ns = 0
         self._wanted: dict[int, Decided] = {}
-        self._early: dict[int, list[tuple[bytes, int, int]]] = {}
-        """Messages before their decision: numbers, publish time, journal time. Two publishers may
-        use one number."""
+        self._early: dict[int, list[Early]] = {}
+        """Messages before their decision, by number. Two publishers may use one number."""
 
         self._instead: dict[int, tuple[bytes, int]] = {}
         """Zeros where another command was decided: the next event may tell of a stall."""
@@ -138,7 +140,7 @@ class CommandPairs:
             when = "before" if publish_ns < begin_ns else "after"
             self.late.append((steady_ns, f"command {sequence}, {off_s:.3f} s {when} its decision"))
 
-    def _doubt_all(self, messages: Iterable[tuple[bytes, int, int]]) -> None:
+    def _doubt_all(self, messages: Iterable[Early]) -> None:
         for numbers, _, t_ns in messages:
             self.others.doubt(t_ns, numbers)
 
@@ -180,10 +182,10 @@ class CommandPairs:
         if self._has_ended:
             self.resumed += 1
             self._has_ended = False
-        if isinstance(event, LoopStalled):
-            self._stall(event, moments)
-        elif isinstance(event, Tick):
+        if isinstance(event, Tick):
             self._settle()
+        elif isinstance(event, LoopStalled):
+            self._stall(event, moments)
         elif isinstance(event, ForeignCommandHeard):
             self.others.hear(event.t_ns)
         elif isinstance(event, CommandPublishersSeen):
@@ -199,18 +201,26 @@ class CommandPairs:
     def _decide(self, numbers: bytes, moments: Moments) -> None:
         self._number = number = (self._number + 1) & MAX_SEQUENCE
         self._recent.append((number, numbers))
-        early = self._early.pop(number, ()) if self._early else ()
+        early = self._early.pop(number, None)
+        if early is None:
+            self._wanted[number] = numbers, moments
+        else:
+            self._decide_late(number, (numbers, moments), early)
+        if len(self._wanted) > MAX_WAITING:
+            self._lack(next(iter(self._wanted)))
+
+    def _decide_late(self, number: int, decided: Decided, early: list[Early]) -> None:
+        """Take a decision after the messages with its number."""
+        numbers, moments = decided
         own = next((each for each in early if each[0] == numbers), None)
         if own is not None:
             self._pair(number, moments, own[1])
         else:
-            self._wanted[number] = numbers, moments
+            self._wanted[number] = decided
             own = next((each for each in early if each[0] == STILL), None)
             if own is not None:
                 self._instead[number] = own[:2]
         self._doubt_all(each for each in early if each is not own)
-        if len(self._wanted) > MAX_WAITING:
-            self._lack(next(iter(self._wanted)))
 
     def _stall(self, event: LoopStalled, moments: Moments) -> None:
         """Count the zeros of the watchdog; withheld commands were sent as zeros."""

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from robotctl.kernel.snapshot import Proof
-from robotctl.recording.format.journal import JournalEntry, chained, encode
+from robotctl.recording.format.journal import JournalEntry, chained_all, encode
+
+MAX_ENTRIES = 512
+"""How many entries are kept, so that their CRC is computed at once."""
 
 
 class JournalChain:
@@ -11,18 +14,28 @@ class JournalChain:
 
     def __init__(self) -> None:
         self._seq = -1
-        self._crc: int | None = None
-        """The CRC up to the last entry, None after a gap."""
+        self._entries: list[bytes] = []
+        """The last entries, as they are recorded."""
 
-        self._before: int | None = None
-        """The CRC before the last entry."""
+        self._crc: int | None = None
+        """The CRC of all entries before these, None after a gap."""
 
     def add(self, seq: int, serialized: bytes) -> None:
         """Take the next entry as it is recorded."""
-        follows = seq == self._seq + 1
+        if seq != self._seq + 1:
+            self._crc = None
+            self._entries.clear()
         self._seq = seq
-        self._before = self._crc if follows else None
-        self._crc = None if self._before is None else chained(serialized, self._before)
+        self._entries.append(serialized)
+        if len(self._entries) > MAX_ENTRIES:
+            self._continue()
+
+    def _continue(self) -> None:
+        """Continue the CRC up to the entry before the last one."""
+        *earlier, last = self._entries
+        if self._crc is not None:
+            self._crc = chained_all(earlier, self._crc)
+        self._entries = [last]
 
     def is_whole(self, entry: JournalEntry, proof: Proof | None) -> bool:
         """Return whether the entries before a snapshot are those that were written.
@@ -31,8 +44,9 @@ class JournalChain:
         """
         if proof is None:
             return True
-        is_last = entry.seq == self._seq
-        known = self._before if is_last else None
-        if is_last:
-            self._crc = chained(encode(entry), proof.journal_crc)
+        known = None
+        if entry.seq == self._seq:
+            self._continue()
+            known = self._crc
+            self._entries, self._crc = [encode(entry)], proof.journal_crc
         return known is None or known == proof.journal_crc

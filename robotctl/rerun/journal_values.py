@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from types import MappingProxyType
 from typing import Any, get_args
@@ -30,6 +30,13 @@ _DECODERS: Mapping[Any, msgspec.json.Decoder[Any]] = MappingProxyType(
     }
 )
 
+_QUICK_EVENTS: Mapping[str, Callable[[str], Any]] = MappingProxyType(
+    {name: _DECODERS[kind].decode for name, kind in _EVENTS.items()}
+)
+
+_NOT_QUICK = (msgspec.DecodeError, RecursionError)
+"""What a decoder raises also for nan and inf, which are strings in the journal."""
+
 KERNEL_FAILURES = (AssertionError, ArithmeticError, LookupError, ValueError, TypeError)
 """The errors that a kernel raises in a state that no kernel reaches by itself."""
 
@@ -40,7 +47,10 @@ def read_event(entry: JournalEntry) -> Event:
     Raises:
         UnreadableFile: It is not an event of this version.
     """
-    event: Event = _read(_EVENTS, "event", entry)
+    try:
+        event: Event = _QUICK_EVENTS[entry.name](entry.data)
+    except (KeyError, *_NOT_QUICK):
+        event = _read(_EVENTS, "event", entry)
     return event
 
 
@@ -103,7 +113,7 @@ def _read(kinds: Mapping[str, Any], noun: str, entry: JournalEntry) -> Any:
             raise ValueError(f"no {noun} is called {entry.name[:40]!r}")
         try:
             return _DECODERS[kind].decode(entry.data)
-        except (msgspec.DecodeError, RecursionError):  # nan and inf are strings there
+        except _NOT_QUICK:
             return from_json(kind, entry.data)
     except ValueError as error:
         raise UnreadableFile(f"journal entry {entry.seq} cannot be read: {error}") from None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from types import TracebackType
@@ -36,8 +36,8 @@ BYTES_PATIENCE_S: Final = 2.0
 _AHEAD = 2
 """How many jobs a process is given at once, so that it never waits for the next one."""
 
-_OWN_OF = 6
-"""With one process the check re-runs one job of so many itself: the rest of its work is less."""
+_LEAD = 2
+"""How many confirmed jobs the check passes, at most, while a process does one."""
 
 
 class PiecePool:
@@ -59,10 +59,10 @@ class PiecePool:
         With `reads_bytes` the first one reads every byte of the recording before.
         """
         self._begins = cut_places(places, JOB_BYTES)
-        self._waiting = [
-            number for number in range(1, len(self._begins)) if processes > 1 or number % _OWN_OF
-        ]
-        self._waiting.reverse()
+        self._waiting = list(range(1, len(self._begins)))
+        self._reached = 0
+        """The job that the check has reached."""
+
         self._confirmed: dict[int, dict[Position, ConfirmedPiece]] = {}
         self._bytes: BytesFound | None = None
         self._given: dict[Child, list[int]] = {}
@@ -97,11 +97,10 @@ class PiecePool:
 
         Waits a moment for the process that was given it; otherwise the caller must re-run it.
         """
+        self._reached = job = bisect_right(self._begins, Spot(position.file, position.offset)) - 1
+        del self._waiting[: bisect_right(self._waiting, job)]
         for child in list(self._given):
             self._receive(child, 0.0)
-        job = bisect_right(self._begins, Spot(position.file, position.offset)) - 1
-        if job in self._waiting:
-            self._waiting.remove(job)
         self._wait_for(job, PATIENCE_S)
         return self._confirmed.setdefault(job, {}).get(position)
 
@@ -142,10 +141,15 @@ class PiecePool:
         self._give(child)
 
     def _give(self, child: Child) -> None:
+        """Give a process the next jobs that it will have done before the check is there."""
         if BYTES in self._given.get(child, ()):
             return  # it is busy for long
-        while child in self._given and self._waiting and len(self._given[child]) < _AHEAD:
-            job = self._waiting.pop()
+        while child in self._given and len(self._given[child]) < _AHEAD:
+            soonest = self._reached + 1 + _LEAD * len(self._given[child])
+            place = bisect_left(self._waiting, soonest)
+            if place == len(self._waiting):
+                return  # the check does what is left itself
+            job = self._waiting.pop(place)
             self._given[child].append(job)
             end = self._begins[job + 1] if job + 1 < len(self._begins) else None
             self._send(child, {"job": job, "begin": self._begins[job], "end": end})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 from collections.abc import Callable, Iterator
@@ -20,6 +21,7 @@ from robotctl.kernel.units import NS_PER_S
 from robotctl.processes import start
 from robotctl.recording import Recording
 from robotctl.recording.read.journal_reader import journal_topic
+from robotctl.recording.read.spots import Spot
 from robotctl.rerun import check as check_module
 from robotctl.rerun import piece_pool
 from robotctl.rerun.check import check_recording
@@ -150,6 +152,47 @@ def test_a_process_that_cannot_be_started_changes_nothing(
     assert told(recording, processes=2) == told(recording)
     assert confirmed
     assert not any(confirmed)
+
+
+class _StandingChild:
+    """A process that takes jobs and does none."""
+
+    def __init__(self) -> None:
+        self.jobs: list[int] = []
+
+    def send(self, line: bytes) -> None:
+        if "job" in (sent := json.loads(line)):
+            self.jobs.append(sent["job"])
+
+    def receive(self, seconds: float) -> list[Any]:
+        raise TimeoutError
+
+    def kill(self) -> None:
+        """Do nothing."""
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+def test_a_process_is_given_only_jobs_that_the_check_reaches_later(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    children: list[_StandingChild] = []
+
+    def begin(*_: Any, **__: Any) -> _StandingChild:
+        children.append(_StandingChild())
+        return children[-1]
+
+    monkeypatch.setattr(piece_pool, "start", begin)
+    monkeypatch.setattr(piece_pool, "PATIENCE_S", 0.0)
+    places = [(Spot(0, offset), piece_pool.JOB_BYTES) for offset in range(10)]
+    with PiecePool({}, places, 1, reads_bytes=False) as pool:
+        assert children[0].jobs == [1, 3]
+    with PiecePool({}, places, 2, reads_bytes=False) as pool:
+        assert [child.jobs for child in children[1:]] == [[1, 3], [2, 4]]
+        assert pool.confirmed(Position(0, 5, 0)) is None
+    with PiecePool({}, places[:2], 1, reads_bytes=False) as pool:
+        assert children[-1].jobs == [1]
 
 
 def small_jobs(

@@ -1,0 +1,99 @@
+"""All that a check compares with the decisions of a journal, taken step by step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from robotctl.kernel.snapshot import Snapshot
+from robotctl.kernel.types import Effect, Event, OdomReceived
+from robotctl.recording import RecordingInfo
+from robotctl.recording.read.messages import Message
+from robotctl.rerun.check_report import Report
+from robotctl.rerun.clock_changes import ClockChanges
+from robotctl.rerun.command_bytes import command_topic
+from robotctl.rerun.command_check import CommandCheck
+from robotctl.rerun.command_pairs import Moments
+from robotctl.rerun.ending import Ending
+from robotctl.rerun.input_check import input_checks
+from robotctl.rerun.invariants import Invariants
+from robotctl.rerun.measured import Measured
+from robotctl.rerun.service_check import ServiceChecks
+from robotctl.rerun.status_check import StatusCheck
+
+
+class Comparisons:
+    """The invariants, and the comparisons of commands, inputs, services and statuses."""
+
+    def __init__(self, report: Report, info: RecordingInfo, journal_topic: str) -> None:
+        clock = ClockChanges()
+        self.invariants = Invariants()
+        self._commands = CommandCheck(report, clock)
+        self._command_topic = command_topic(info, journal_topic)
+        self._inputs = input_checks(report, info, journal_topic)
+        self._services = ServiceChecks(report, info, journal_topic, clock)
+        self._status = StatusCheck(report, info, journal_topic, clock)
+
+    def readers(self) -> dict[str, Callable[[Message], None]]:
+        """Return for each compared topic what takes its messages."""
+        readers = self._inputs.readers() | self._services.readers()
+        if self._command_topic is not None:
+            readers[self._command_topic] = self._commands.message
+        if self._status.topic is not None:
+            readers[self._status.topic] = self._status.message
+        return readers
+
+    def step_before_snapshot(self, event: Event, effects: tuple[Effect, ...]) -> None:
+        """Take a step of a kernel that is not known."""
+        self._commands.step(event, effects, (0, 0, 0))
+
+    def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
+        """Continue from a snapshot, with its time by the steady clock and since the epoch."""
+        has_proof = snapshot.proof is not None
+        self.invariants.snapshot(snapshot)
+        self._commands.snapshot(snapshot)
+        self._inputs.snapshot(has_proof)
+        self._services.snapshot(has_proof, log_ns)
+        self._status.snapshot(snapshot, t_ns, log_ns)
+
+    def step(
+        self,
+        seq: int,
+        event: Event,
+        effects: tuple[Effect, ...],
+        measured: Measured | None,
+        moments: Moments,
+        *,
+        was_checked: bool,
+    ) -> None:
+        """Take an event with its effects, the number of its entry, and what is measured after it.
+
+        The invariants of a step that `was_checked` elsewhere hold.
+        """
+        self._inputs.step(event, seq)
+        self._status.step(event, effects, measured, moments)
+        if not effects and isinstance(event, OdomReceived):
+            return  # most steps are so
+        self._commands.step(event, effects, moments)
+        self._services.step(event, seq, effects, moments)
+        if was_checked:
+            self.invariants.pass_over(seq, event, effects)
+        else:
+            self.invariants.step(seq, event, effects)
+
+    def stop(self) -> None:
+        """Pause until the next snapshot: events are missing."""
+        self.invariants.stop()
+        self._commands.stop()
+        self._inputs.stop()
+        self._services.stop()
+        self._status.stop()
+
+    def end(self, ending: Callable[[str | None], Ending], end_ns: int, log_ns: int) -> None:
+        """Report what differs; the journal ends at `end_ns`, since the epoch at `log_ns`.
+
+        `ending(topic)` tells how the recording ends for a topic.
+        """
+        self._commands.end(self.invariants, ending(self._command_topic))
+        self._inputs.end(self.invariants, ending, end_ns)
+        self._services.end(self.invariants, ending, end_ns)
+        self._status.end(ending(self._status.topic), log_ns)
