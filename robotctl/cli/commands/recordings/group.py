@@ -43,7 +43,7 @@ group = new_app()
 app.add_typer(group, name="recordings")
 
 Name = Annotated[
-    str, typer.Argument(metavar="NAME", help="A recording's name or folder, or `last`.")
+    str, typer.Argument(metavar="RECORDING", help="A recording's name or folder, or `last`.")
 ]
 
 _NAME_WIDTH = 26

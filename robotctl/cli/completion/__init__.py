@@ -1,0 +1,1 @@
+"""Shell completion: which words may follow what was typed, and the scripts of the shells."""
