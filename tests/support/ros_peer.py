@@ -9,8 +9,8 @@ from contextlib import suppress
 from typing import Any
 
 import rclpy
-from geometry_msgs.msg import Twist, TwistStamped
-from nav_msgs.msg import Odometry
+from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
+from nav_msgs.msg import Odometry, Path
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -43,6 +43,7 @@ class Peer:
         self._asked: list[Any] = []
         self._buttons: dict[str, Any] = {}
         self._gamepad = Joy()
+        self._planner: Any = None
 
     def listen(self, namespace: str = "") -> None:
         """Keep the messages of the daemon: sequence number and content."""
@@ -242,6 +243,17 @@ class Peer:
 
         self.robot = threading.Thread(target=run)
         self.robot.start()
+
+    def plan(self, topic: str, points: list[list[float]], frame: str) -> None:
+        """Publish a path, also to those who listen later."""
+        path = Path()
+        path.header.frame_id = frame
+        for x, y in points:
+            pose = PoseStamped()
+            pose.pose.position.x, pose.pose.position.y = x, y
+            path.poses.append(pose)
+        self._planner = self._planner or self.node.create_publisher(Path, topic, LATCHED)
+        self._planner.publish(path)
 
     def send_large(self, topic: str, size: int) -> None:
         """Publish one message of `size` bytes once there is a subscriber."""

@@ -17,6 +17,7 @@ from robotctl.cli.commands.drive.motions import (
     options_of,
     path_params,
     refuse_options,
+    topic_params,
     velocity_params,
 )
 from robotctl.cli.commands.drive.running import drive_and_wait, tracking_lines
@@ -91,6 +92,10 @@ def drive(
         ),
     ] = None,
     reverse: Annotated[bool, typer.Option("--reverse", help="Drive rear first.")] = False,
+    topic: Annotated[
+        str,
+        typer.Option(metavar="NAME", help="Of a path: the next nav_msgs/Path on this topic."),
+    ] = "",
     frame: Annotated[
         Frame, typer.Option(help="Where the points of a path are: start is the present pose.")
     ] = Frame.START,
@@ -127,9 +132,10 @@ def drive(
       robotctl drive turn --angle -90
       robotctl drive path points.csv --wait
       robotctl drive path last --speed 0.3
+      robotctl drive path --topic plan
       robotctl drive velocity 0.2 -0.5 --for 2s
     """
-    values = checked_values(motion, given)
+    values = checked_values(motion, given, topic)
     _check("--speed", speed, MIN_SPEED_MPS, MAX_SPEED_MPS, " m/s")
     _check("--laps", laps, 0, MAX_LAPS)
     sizes = {SizeName.SIDE: side, SizeName.RADIUS: radius, SizeName.LENGTH: length}
@@ -138,6 +144,7 @@ def drive(
         "corner": corner,
         "angle": angle,
         "for": duration,
+        "topic": topic or None,
         "frame": None if frame is Frame.START else frame.value,
         "laps": laps,
         "speed": speed,
@@ -162,9 +169,11 @@ def drive(
         refuse_options("a velocity", options, allowed={"for"})
         method, params = DRIVE_VELOCITY, params | velocity_params(values, duration)
     elif motion == PATH:
-        refuse_options("a path", options, allowed=FOLLOWED | {"corner", "frame"})
+        own = {"corner", "topic"} if topic else {"corner", "frame"}
+        refuse_options("a path", options, allowed=FOLLOWED | own)
         _check("--corner", corner, 0.0, MAX_CORNER_M, " m")
-        method, params = DRIVE_PATH, params | followed | path_params(values, frame)
+        path = topic_params(robot, topic, reason) if topic else path_params(values, frame)
+        method, params = DRIVE_PATH, params | followed | path
     else:
         pattern = PatternKind(motion)
         refuse_options(f"a {motion}", options, allowed=options_of(pattern), cure=cure_of(pattern))

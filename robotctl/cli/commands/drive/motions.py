@@ -8,6 +8,7 @@ from typing import Any
 from robotctl.cli.commands.drive.waypoint_file import read_waypoints
 from robotctl.cli.terminal.text import printable
 from robotctl.errors import UsageError
+from robotctl.ipc.protocol import MAX_REASON
 from robotctl.kernel.course import MAX_HELD_S, MIN_HELD_S, Frame
 from robotctl.kernel.patterns import SHAPES, PatternKind
 
@@ -21,8 +22,8 @@ FOLLOWED = frozenset({"laps", "speed", "reverse", "open-loop"})
 _SHOWN = {"corner": "rounded corner"}
 
 
-def checked_values(motion: str, given: Sequence[str] | None) -> list[str]:
-    """Return what is given after the motion.
+def checked_values(motion: str, given: Sequence[str] | None, topic: str = "") -> list[str]:
+    """Return what is given after the motion; a path may be that of a topic.
 
     Raises:
         UsageError: There is no such motion, or too much or too little is given.
@@ -38,6 +39,9 @@ def checked_values(motion: str, given: Sequence[str] | None) -> list[str]:
     if motion == VELOCITY:
         if len(values) != 2 or not all(map(_is_number, values)):
             raise UsageError("a velocity is two numbers", "such as robotctl drive velocity 0.2 0")
+    elif motion == PATH and topic:
+        if values:
+            raise UsageError("a path has one FILE or one --topic, not both")
     elif motion == PATH and len(values) != 1:
         cure = "use CSV with the header x,y, YAML, or a recording"
         raise UsageError("a path needs a FILE" if not values else "a path has one FILE", cure)
@@ -77,6 +81,19 @@ def path_params(values: Sequence[str], frame: Frame) -> dict[str, Any]:
         UnreadableFile: The file holds no path.
     """
     return {"points": read_waypoints(values[0], frame), "frame": frame.value}
+
+
+def topic_params(robot: str, topic: str, reason: str) -> dict[str, Any]:
+    """Wait for a path on a topic, and return what it takes beyond every drive.
+
+    Raises:
+        Refused: The message holds no path that can be driven.
+    """
+    from robotctl.cli.commands.drive.path_topic import heard_path  # here: others hear no topic
+
+    name, points, frame = heard_path(robot, topic)
+    reason = reason or f"the path of {name}"[:MAX_REASON]
+    return {"points": points, "frame": frame.value, "reason": reason}
 
 
 def velocity_params(values: Sequence[str], duration: str | None) -> dict[str, Any]:
