@@ -13,7 +13,7 @@ from robotctl.cli.options import ROS_WORD, new_app
 from robotctl.errors import IN_PARENTHESES, UsageError
 
 SECTIONS = {
-    "Without a robot": ("demo", "sim", "completion"),
+    "Without a robot": ("demo", "sim", "doctor", "completion"),
     "The daemon": ("start", "status", "ps", "watch", "logs", "stop", "boot", "config"),
     "The robot": (
         "preflight",

@@ -1,0 +1,79 @@
+"""doctor: what is wrong with this computer, its ROS graph, or a ROS package."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from robotctl.cli.options import ConfigFile, DomainId, Json, Robot, new_app
+from robotctl.cli.support.answer import print_answer
+from robotctl.cli.terminal.text import printable
+from robotctl.doctor.finding import Finding, Level
+from robotctl.errors import Refused
+from robotctl.paths import DEFAULT_ROBOT
+
+app = new_app()
+
+
+@app.command()
+def doctor(
+    package: Annotated[
+        Path | None,
+        typer.Argument(metavar="[PACKAGE]", help="Folder of a ROS 2 package, or of several."),
+    ] = None,
+    clean: Annotated[
+        bool, typer.Option("--clean", help="Remove shared memory that dead processes of you left.")
+    ] = False,
+    robot: Robot = DEFAULT_ROBOT,
+    config: ConfigFile = None,
+    domain_id: DomainId = None,
+    as_json: Json = False,
+) -> None:
+    """Find what is wrong with this computer, or with a ROS 2 package.
+
+    Without PACKAGE: installation, shell, discovery, command and odometry on ROS, shared memory,
+    disk, clock, permissions. With it: the classic mistakes of a first package, from its files;
+    nothing of it is run. Exit code 0 if there is no fault (warnings are none), else 4.
+
+    \b
+    Examples:
+      robotctl doctor
+      robotctl doctor --clean
+      robotctl doctor src/my_package --json
+    """
+    if package is None:
+        from robotctl.cli.support.diagnosis import diagnose
+
+        removed, found = diagnose(robot, config, domain_id, clean=clean)
+    else:
+        removed, found = [], _of_package(package)
+    faults = [each for each in found if each.level is Level.FAULT]
+    answer = {"findings": [each.as_object() for each in found], "removed": removed}
+    error = None
+    if faults:
+        count = f"{len(faults)} fault{'s' if len(faults) > 1 else ''}"
+        error = Refused(f"{count}, the first: {faults[0].text}", faults[0].cure)
+    print_answer(answer, _lines(removed, found), as_json=as_json, error=error)
+
+
+def _of_package(folder: Path) -> list[Finding]:
+    import os
+
+    from robotctl.doctor.package.checks import check_packages
+
+    return list(check_packages(folder, os.environ))
+
+
+def _lines(removed: list[str], found: list[Finding]) -> Iterator[str]:
+    """Yield a line for each finding; what is wrong has a second line with its cure."""
+    width = max((len(each.check) for each in found), default=0)
+    order = {Level.OK: 0, Level.WARNING: 1, Level.FAULT: 2}
+    if removed:
+        yield f"removed {len(removed)} files of dead processes"
+    for each in sorted(found, key=lambda each: order[each.level]):
+        yield f"{each.level.value:8} {each.check:{width}}  {printable(each.text)}"
+        if each.cure:
+            yield f"{'':8} {'':{width}}  cure: {printable(each.cure)}"

@@ -1,0 +1,98 @@
+"""All checks of this computer and of its ROS graph."""
+
+from __future__ import annotations
+
+import os
+import sys
+import sysconfig
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from robotctl.cli.support.look_process import look_processes
+from robotctl.cli.support.ros_view import RosView, ros_view
+from robotctl.config import Config, load
+from robotctl.doctor import graph, installation, machine, shared_memory
+from robotctl.doctor.finding import Finding, fault, ok
+from robotctl.domains import wider_discovery
+from robotctl.environment import RANGE
+from robotctl.errors import RobotctlError, UsageError
+from robotctl.ipc.answers import GraphTopic
+from robotctl.paths import runtime_folder, state_folder
+
+DEFINITIONS = {"msg": ("msg", "idl"), "srv": ("srv", "idl"), "action": ("action", "idl")}
+"""The files that define a type, by its kind."""
+
+
+def diagnose(
+    robot: str, config: Path | None, domain_id: int | None, *, clean: bool
+) -> tuple[list[str], list[Finding]]:
+    """Return the files that were removed, and all findings.
+
+    Raises:
+        UsageError: The configuration or the domain is wrong.
+    """
+    chosen = Config() if config is None else load(config)
+    removed = [str(path) for path in shared_memory.clean()] if clean else []
+    return removed, [*_computer(chosen), *_ros(robot, chosen, domain_id)]
+
+
+def _computer(config: Config) -> Iterator[Finding]:
+    prefix, base = Path(sys.prefix), Path(sys.base_prefix)
+    yield from installation.check_wheels()
+    yield from installation.check_shell(os.environ, prefix)
+    yield from installation.check_two_rclpys(sys.path)
+    yield from installation.check_pip(prefix, base, Path(sysconfig.get_path("stdlib")))
+    yield from shared_memory.check_memory()
+    yield from machine.check_disk(Path("recordings").absolute())
+    yield from machine.check_clock(time.time(), state_folder())
+    yield from machine.check_folders(runtime_folder(), state_folder())
+    yield from machine.check_priority(config.fifo_priority)
+
+
+def _ros(robot: str, config: Config, domain_id: int | None) -> Iterator[Finding]:
+    os.environ.setdefault(RANGE, "LOCALHOST")  # as a start does
+    with look_processes([]):
+        try:
+            view = ros_view(robot, domain_id)
+            wider = wider_discovery()
+            reach = f"other machines are discovered: {wider}" if wider else "this machine only"
+            yield ok("discovery", f"domain {view.domain_id}, {reach}")
+            names = view.names()
+            yield ok("nodes", ", ".join(names["nodes"]) or f"none in domain {view.domain_id}")
+            kernel = config.kernel
+            odometry = _topic(view, kernel.odometry.topic)
+            has_odometry = bool(odometry["publishers"])
+            command = _topic(view, kernel.command.topic)
+            yield from graph.check_command(command, has_odometry=has_odometry)
+            yield from graph.check_odometry(odometry)
+            yield from graph.check_definitions(names["topics"], _is_installed)
+        except UsageError:
+            raise
+        except RobotctlError as error:
+            yield fault("ROS", f"the graph cannot be seen: {error.cause or error}", error.cure)
+
+
+def _topic(view: RosView, name: str) -> GraphTopic:
+    full = view.full_name(name)
+    try:
+        return view.topic(full)
+    except UsageError:  # no node uses it
+        return {"name": full, "types": [], "publishers": [], "subscriptions": []}
+
+
+def _is_installed(type_name: str) -> bool:
+    """Return whether one of the ROS prefixes defines a type; a name like `a/msg/B` alone is one."""
+    package, _, rest = type_name.partition("/")
+    kind, _, name = rest.rpartition("/")
+    folder, _, _ = kind.partition("/")
+    if folder not in DEFINITIONS or not name.isidentifier() or not package.isidentifier():
+        return False
+    own = name.partition("_")[0] if folder != "msg" else name  # PACKAGE/srv/NAME_Event
+    prefixes = [sys.prefix, *os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)]
+    return any(
+        (Path(prefix) / "share" / package / folder / f"{own}.{suffix}").is_file()
+        for prefix in prefixes
+        if prefix
+        for suffix in DEFINITIONS[folder]
+    )

@@ -1,0 +1,113 @@
+"""Who publishes and subscribes the velocity command and the odometry, judged from the graph."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Final
+
+from robotctl.doctor.finding import Finding, fault, ok, warning
+from robotctl.ipc.answers import GraphEndpoint, GraphTopic, NameAndTypes
+
+ODOMETRY_TYPES: Final = ("nav_msgs/msg/Odometry",)
+COMMAND_TYPES: Final = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
+
+_UNMATCHED: Final = (
+    ("reliability", "best_effort", "reliable"),
+    ("durability", "volatile", "transient_local"),
+)
+"""What a publisher offers, and what a subscription then must not ask for."""
+
+MAX_NAMED: Final = 5
+
+
+def check_command(topic: GraphTopic, *, has_odometry: bool) -> Iterator[Finding]:
+    """Judge the topic of the velocity command; a robot is there if it tells its odometry."""
+    yield from _check_topic("command", topic, COMMAND_TYPES)
+    listeners = [each for each in topic["subscriptions"] if "/_" not in each["node"]]  # not hidden
+    if has_odometry and not listeners:
+        yield fault(
+            "command",
+            f"odometry arrives, but no node subscribes to {topic['name']}",
+            "compare command.topic with the topic of the base: robotctl topic list -t",
+        )
+    if len(topic["publishers"]) > 1:
+        yield warning(
+            "command",
+            f"{_names(topic['publishers'])} publish {topic['name']}: they overrule each other",
+            "end all but one, or put a twist_mux between",
+        )
+
+
+def check_odometry(topic: GraphTopic) -> Iterator[Finding]:
+    """Judge the topic of the odometry."""
+    yield from _check_topic("odometry", topic, ODOMETRY_TYPES)
+    if len(topic["publishers"]) > 1:
+        yield fault(
+            "odometry",
+            f"{_names(topic['publishers'])} publish {topic['name']}: robotctl uses the first",
+            "end all but one: a second driver, a simulator, or a bag that is played",
+        )
+
+
+def check_definitions(
+    topics: Sequence[NameAndTypes], is_installed: Callable[[str], bool]
+) -> Iterator[Finding]:
+    """Name the topics whose message type is not installed here."""
+    missing = {
+        kind: each["name"] for each in topics for kind in each["types"] if not is_installed(kind)
+    }
+    if missing:
+        shown = [f"{kind} (of {name})" for kind, name in sorted(missing.items())]
+        more = f" and {len(shown) - MAX_NAMED} more" if len(shown) > MAX_NAMED else ""
+        yield warning(
+            "message types",
+            f"no definition here of {', '.join(shown[:MAX_NAMED])}{more}: they are not recorded",
+            "install their packages, or source the workspace that has them",
+        )
+    else:
+        yield ok("message types", f"every type of {len(topics)} topics is installed")
+
+
+def _check_topic(check: str, topic: GraphTopic, wanted: tuple[str, ...]) -> Iterator[Finding]:
+    publishers, subscriptions = topic["publishers"], topic["subscriptions"]
+    if len(topic["types"]) > 1:
+        users = [*publishers, *subscriptions]
+        each_type = "; ".join(
+            f"{kind} by {_names([each for each in users if each['type'] == kind])}"
+            for kind in topic["types"]
+        )
+        cure = "give all of them one type, for the command by command.stamped"
+        yield fault(check, f"{topic['name']} has several types, {each_type}", cure)
+    elif topic["types"] and topic["types"][0] not in wanted:
+        text = f"{topic['name']} has type {topic['types'][0]}, not {' or '.join(wanted)}"
+        yield fault(check, text, f"set {check}.topic to the right topic")
+    for publisher in publishers:
+        for subscription in subscriptions:
+            if publisher["type"] == subscription["type"]:
+                yield from _check_pair(check, topic["name"], publisher, subscription)
+    if publishers or subscriptions:
+        counts = f"{len(publishers)} publishers, {len(subscriptions)} subscriptions"
+        yield ok(check, f"{topic['name']} ({', '.join(topic['types'])}): {counts}")
+    else:
+        yield ok(check, f"no node uses {topic['name']} yet")
+
+
+def _check_pair(
+    check: str, topic: str, publisher: GraphEndpoint, subscription: GraphEndpoint
+) -> Iterator[Finding]:
+    for policy, offered, asked in _UNMATCHED:
+        if publisher["qos"][policy] == offered and subscription["qos"][policy] == asked:
+            yield fault(
+                check,
+                f"{_name(subscription)} hears nothing of {_name(publisher)} on {topic}: "
+                f"{policy} {offered} is offered, {asked} asked for",
+                f"let {_name(subscription)} ask for {offered}, or {_name(publisher)} offer {asked}",
+            )
+
+
+def _names(endpoints: Sequence[GraphEndpoint]) -> str:
+    return " and ".join(sorted({_name(each) for each in endpoints}))
+
+
+def _name(endpoint: GraphEndpoint) -> str:
+    return endpoint["node"] or "a node without a known name"

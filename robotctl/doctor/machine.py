@@ -1,0 +1,93 @@
+"""Disk, clock, access rights and priorities of this computer."""
+
+from __future__ import annotations
+
+import os
+import resource
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+from robotctl.doctor.finding import Finding, fault, ok, warning
+from robotctl.errors import RobotctlError
+from robotctl.paths import chain_to
+
+SCARCE_BYTES: Final = 1_000_000_000
+"""Less room than an hour with a camera may need."""
+
+FULL_BYTES: Final = 50_000_000
+
+BUILT_S: Final = 1_735_689_600.0
+"""2025-01-01: a clock before that was never set."""
+
+AHEAD_S: Final = 60.0
+"""A file that is newer than the clock by more was written before the clock was set back."""
+
+
+def check_disk(folder: Path) -> Iterator[Finding]:
+    """Tell how much room recordings have in a folder, or in the one where it will be made."""
+    check = "disk"
+    existing = next(path for path in (folder, *folder.parents) if path.exists())
+    found = os.statvfs(existing)
+    free = found.f_bavail * found.f_frsize
+    told = f"{free / 1e9:.1f} GB free for recordings in {folder}"
+    cure = "remove old recordings, or set recording.max_total_gb"
+    if not os.access(existing, os.W_OK | os.X_OK):
+        yield fault(check, f"you may not write in {existing}", "choose another with --recordings")
+    elif free < FULL_BYTES or (found.f_files and not found.f_favail):
+        yield fault(check, told if free < FULL_BYTES else f"no inode is left in {existing}", cure)
+    elif free < SCARCE_BYTES:
+        yield warning(check, told, cure)
+    else:
+        yield ok(check, told)
+
+
+def check_clock(now_s: float, state: Path) -> Iterator[Finding]:
+    """Tell whether the clock was set, and not set back since something was written in `state`."""
+    check = "clock"
+    try:
+        newest = max((entry.stat().st_mtime for entry in os.scandir(state)), default=0.0)
+    except OSError:
+        newest = 0.0
+    told = time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(now_s))
+    cure = "set it, for example by systemd-timesyncd or chrony, before the daemon starts"
+    if now_s < BUILT_S:
+        yield fault(check, f"it says {told}: it was never set", cure)
+    elif newest > now_s + AHEAD_S:
+        late = newest - now_s
+        yield warning(check, f"it says {told}, but {state} was written {late:.0f} s later", cure)
+    else:
+        yield ok(check, told)
+
+
+def check_folders(*folders: Path) -> Iterator[Finding]:
+    """Tell whether sockets, latches and keys are safe from other users."""
+    wrong = []
+    for folder in folders:
+        chain = chain_to(folder)
+        try:
+            chain.check()
+        except RobotctlError as error:
+            wrong.append(fault("permissions", error.cause, error.cure))
+        else:
+            cure = "take the right of the group away: chmod g-w FOLDER"
+            wrong += [warning("permissions", each, cure) for each in chain.group_writable()]
+    yield from wrong or [ok("permissions", "only you can change sockets, latches and keys")]
+
+
+def check_priority(fifo_priority: int) -> Iterator[Finding]:
+    """Tell whether the configured real-time priority is allowed."""
+    check = "rtprio"
+    limit, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
+    allowed = 99 if limit == resource.RLIM_INFINITY or os.getuid() == 0 else limit
+    if fifo_priority > allowed:
+        yield warning(
+            check,
+            f"fifo_priority is {fifo_priority}, and the limit of this user is {allowed}",
+            "add to /etc/security/limits.d/: @realtime - rtprio 99, and log in again",
+        )
+    elif fifo_priority:
+        yield ok(check, f"fifo_priority {fifo_priority} is allowed")
+    else:
+        yield ok(check, f"not asked for (fifo_priority); up to {allowed} is allowed")

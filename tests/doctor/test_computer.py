@@ -1,0 +1,154 @@
+"""What is wrong with the computer is named; what is in order gives no false alarm."""
+
+from __future__ import annotations
+
+import fcntl
+import mmap
+import os
+import resource
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from robotctl.doctor import installation, machine, shared_memory
+from robotctl.doctor.finding import Finding, Level
+
+MEMORY = "fastrtps_0123456789abcdef"
+PORT = "fastrtps_port7411"
+
+
+def levels(found: Iterator[Finding]) -> list[tuple[str, Level]]:
+    return [(each.check, each.level) for each in found]
+
+
+@pytest.fixture
+def memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The shared memory of two dead processes, and files of other programs."""
+    monkeypatch.setattr(shared_memory, "SETTLED_S", 0.0)
+    for name in (MEMORY, f"{MEMORY}_el", PORT, f"{PORT}_el", f"sem.{PORT}_mutex"):
+        (tmp_path / name).write_bytes(b"x" * 4096)
+    for name in ("fastrtps_port7000", "pulse-shm-1", "fastrtps_x_el", "sem.other_mutex"):
+        (tmp_path / name).write_bytes(b"y")
+    return tmp_path
+
+
+def stale(folder: Path) -> set[str]:
+    return {path.name for path in shared_memory.stale(folder)}
+
+
+def test_memory_of_dead_processes_is_removed_and_nothing_else(memory: Path) -> None:
+    found = list(shared_memory.check_memory(memory))
+    assert ("dead processes", Level.WARNING) in levels(iter(found))
+    assert len(shared_memory.clean(memory)) == 5
+    assert stale(memory) == set()
+    left = {path.name for path in memory.iterdir()}
+    assert left == {"fastrtps_port7000", "pulse-shm-1", "fastrtps_x_el", "sem.other_mutex"}
+    assert "dead processes" not in dict(levels(shared_memory.check_memory(memory)))
+
+
+@pytest.mark.parametrize("kind", [fcntl.LOCK_EX, fcntl.LOCK_SH])
+def test_memory_whose_owner_lives_is_left(kind: int, memory: Path) -> None:
+    outside = os.open(memory / f"{MEMORY}_el", os.O_RDONLY)
+    fcntl.flock(outside, kind)
+    assert not {name for name in stale(memory) if name.startswith(MEMORY)}
+    os.close(outside)
+    assert MEMORY in stale(memory)
+
+
+def test_memory_that_a_neighbour_has_mapped_is_left(memory: Path) -> None:
+    with (memory / PORT).open("r+b") as stream, mmap.mmap(stream.fileno(), 0):
+        stream.close()
+        assert stale(memory) == {MEMORY, f"{MEMORY}_el"}
+
+
+def test_a_file_that_was_just_made_is_left(memory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shared_memory, "SETTLED_S", 3600.0)
+    assert stale(memory) == set()
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="needs root")
+def test_memory_of_another_user_is_left(memory: Path) -> None:
+    os.chown(memory / f"{MEMORY}_el", 65534, 65534)
+    assert not {name for name in stale(memory) if name.startswith(MEMORY)}
+
+
+def test_a_link_in_the_place_of_a_lock_is_not_followed(memory: Path, tmp_path: Path) -> None:
+    (memory / f"{MEMORY}_el").unlink()
+    (memory / f"{MEMORY}_el").symlink_to("/etc/passwd")
+    assert MEMORY not in stale(memory)
+
+
+def test_shared_memory_that_is_not_there_is_a_fault(tmp_path: Path) -> None:
+    assert levels(shared_memory.check_memory(tmp_path / "none")) == [("shared memory", Level.FAULT)]
+
+
+def test_the_wheels_have_exactly_the_versions_that_are_required() -> None:
+    wanted = ["ros-a[x]==1.2; m == 'y'", "free>=2", "ros-t==9 ; extra == 'test'", "ros-b==3"]
+    versions = {"ros-a": "1.2", "ros-b": "3"}
+    assert levels(installation.check_wheels(wanted, versions.__getitem__)) == [("wheels", Level.OK)]
+    (found,) = installation.check_wheels(wanted, {**versions, "ros-b": "4"}.__getitem__)
+    assert found.level is Level.FAULT
+    assert found.text == "ros-b is 4 and not 3"
+    assert levels(installation.check_wheels()) == [("wheels", Level.OK)], "as installed here"
+
+
+def test_another_ros_in_the_shell_and_a_second_rclpy_are_named(tmp_path: Path) -> None:
+    ours, other = tmp_path / "venv", tmp_path / "humble"
+    for folder in (ours, other):
+        (folder / "rclpy").mkdir(parents=True)
+        (folder / "rclpy" / "__init__.py").touch()
+    environment = {"PYTHONPATH": str(other), "ROS_DISTRO": "humble"}
+    assert levels(installation.check_shell(environment, ours)) == [("shell", Level.WARNING)]
+    assert levels(installation.check_shell({}, ours)) == [("shell", Level.OK)]
+    twice = [str(ours), str(other), str(ours), ""]
+    assert levels(installation.check_two_rclpys(twice)) == [("rclpy", Level.WARNING)]
+    assert levels(installation.check_two_rclpys([str(ours), str(ours)])) == []
+
+
+def test_a_python_of_the_distribution_is_named_outside_an_environment(tmp_path: Path) -> None:
+    usr, venv = Path("/usr"), Path("/venv")
+    assert levels(installation.check_pip(usr, usr, tmp_path)) == []
+    (tmp_path / "EXTERNALLY-MANAGED").touch()
+    assert levels(installation.check_pip(usr, usr, tmp_path)) == [("pip", Level.WARNING)]
+    assert levels(installation.check_pip(venv, usr, tmp_path)) == []
+
+
+def test_a_disk_that_is_full_is_a_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "not" / "yet"
+    assert levels(machine.check_disk(folder))[0][0] == "disk"
+    monkeypatch.setattr(machine, "SCARCE_BYTES", 1 << 62)
+    assert levels(machine.check_disk(folder)) == [("disk", Level.WARNING)]
+    monkeypatch.setattr(machine, "FULL_BYTES", 1 << 62)
+    assert levels(machine.check_disk(folder)) == [("disk", Level.FAULT)]
+
+
+def test_a_clock_that_was_never_set_or_set_back_is_named(tmp_path: Path) -> None:
+    (tmp_path / "latch").touch()
+    now_s = (tmp_path / "latch").stat().st_mtime
+    assert levels(machine.check_clock(now_s, tmp_path)) == [("clock", Level.OK)]
+    assert levels(machine.check_clock(now_s - 3600.0, tmp_path)) == [("clock", Level.WARNING)]
+    assert levels(machine.check_clock(1_000.0, tmp_path / "none")) == [("clock", Level.FAULT)]
+
+
+def test_a_folder_that_others_can_change_is_a_fault(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    folder = tmp_path / "state" / "robotctl"
+    folder.mkdir(parents=True, mode=0o700)
+    assert levels(machine.check_folders(folder)) == [("permissions", Level.OK)]
+    folder.chmod(0o777)
+    (found,) = machine.check_folders(folder)
+    assert found.level is Level.FAULT
+    assert found.cure == f"chmod o-w {folder}"
+    shutil.rmtree(folder)
+
+
+def test_a_priority_beyond_the_limit_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "getuid", lambda: 1000)
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (10, 10))
+    assert levels(machine.check_priority(0)) == [("rtprio", Level.OK)]
+    assert levels(machine.check_priority(10)) == [("rtprio", Level.OK)]
+    assert levels(machine.check_priority(11)) == [("rtprio", Level.WARNING)]
