@@ -32,7 +32,7 @@ def doctor(
     domain_id: DomainId = None,
     as_json: Json = False,
 ) -> None:
-    """Find what is wrong with this computer, or with a ROS 2 package.
+    """Find what is wrong here, or with a ROS 2 package.
 
     Without PACKAGE: installation, shell, discovery, command and odometry on ROS, shared memory,
     disk, clock, permissions. With it: the classic mistakes of a first package, from its files;
