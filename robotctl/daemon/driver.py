@@ -8,7 +8,6 @@ from collections.abc import Coroutine, Mapping
 from typing import Any
 
 from robotctl.daemon.api.common import common_methods
-from robotctl.daemon.api.drive_shape import default_laps
 from robotctl.daemon.api.driving import DrivingMethods
 from robotctl.daemon.api.graph import graph_methods
 from robotctl.daemon.api.lease import LeaseMethods
@@ -21,6 +20,7 @@ from robotctl.daemon.control.dispatcher import Control
 from robotctl.daemon.control.effects import Effects
 from robotctl.daemon.control.foreign_commands import ForeignCommands
 from robotctl.daemon.control.graph_watch import has_odometry_publisher, watch_graph
+from robotctl.daemon.control.ground_truth import GroundTruth
 from robotctl.daemon.control.inputs import Inputs
 from robotctl.daemon.control.journal_writer import Journal
 from robotctl.daemon.control.latch import Latch
@@ -51,7 +51,6 @@ from robotctl.kernel.modes import Mode
 from robotctl.kernel.state import State, latched
 from robotctl.kernel.types import (
     ZERO,
-    DriveRequested,
     FaultReported,
     LoopStalled,
     Odometry,
@@ -111,6 +110,7 @@ class Driver:
         self._velocity = self._make_velocity()
         self._watchdog = Watchdog(params.rate_hz, self._velocity)
         requests = PendingRequests()
+        truth = GroundTruth()
         decisions = Decisions(host.decisions, self.recorder.show_event)
         self._control = Control(
             kernel,
@@ -127,6 +127,7 @@ class Driver:
                 robot,
                 lambda change: self._parameters.changed(change),
                 decisions.decided,
+                truth.errors,
             ).carry_out,
             requests,
             host.supervisor.callback_failed,
@@ -142,7 +143,7 @@ class Driver:
             LATENCY_S if params.rate_hz >= 50.0 else MAX_COMMAND_LATENCY_S,
         )
         host.supervisor.report_to(self._control.dispatch)
-        self._robot_report = RobotReport(self._control)
+        self._robot_report = RobotReport(self._control, truth)
         self._status = StatusSource(
             host.options,
             self.recorder.report,
@@ -248,6 +249,7 @@ class Driver:
             self._simulated = recorded_robot(
                 self._host.session, self._host.config, self._command, self.recorder.tap
             )
+            self._robot_report.ground_truth.truth = self._simulated.truth
             work["simulated robot"] = self._simulated.run
         return work
 
@@ -285,17 +287,11 @@ class Driver:
             *(f"no robot to drive yet: {text}" for text in self._robot_report.missing()),
         ]
         if self._host.options.drive is not None:
-            notes = [*notes, await self._begin_drive()]
+            reply = await self._driving.begin(self._host.options.drive, "robotctl start --drive")
+            notes = [*notes, self._say(reply)]
         on_ready(self._status.summary(notes))
         _log.info("ready")
         return True
-
-    async def _begin_drive(self) -> str:
-        pattern = self._driving.pattern(self._host.options.drive)
-        laps = default_laps(pattern.kind, wait=False)
-        now, request_id = time.monotonic_ns(), self._control.new_request_id()
-        event = DriveRequested(now, request_id, pattern, laps, False, "robotctl start --drive")
-        return self._say(await self._control.request(event))
 
     def _say(self, reply: Reply) -> str:
         return advice(reply.message, reply.remedies, self._host.options.robot).sentence

@@ -17,6 +17,9 @@ class DriveFacts(TypedDict):
     cross_track_m: float
     cross_track_rms_m: float
     cross_track_max_m: float
+    true_cross_track_rms_m: float | None
+    """By the true pose of a robot that the daemon simulates; None for any other."""
+    true_cross_track_max_m: float | None
     heading_rms_rad: float
     heading_max_rad: float
 
@@ -45,6 +48,8 @@ class DriveAnswer(ModeAnswer, total=False):
     distance_m: float | None
     cross_track_rms_m: float | None
     cross_track_max_m: float | None
+    true_cross_track_rms_m: float | None
+    true_cross_track_max_m: float | None
     closure_m: float | None
     heading_rms_rad: float | None
     heading_max_rad: float | None

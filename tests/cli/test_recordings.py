@@ -65,6 +65,7 @@ def test_the_list_for_machines_has_every_fact(library: Path, cli: Cli) -> None:
         "files": 1,
         "laps": 0,
         "cross_track_max_m": None,
+        "true_cross_track_max_m": None,
         "worst": "estop",
         "readable": True,
         "damage": [],

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from robotctl.daemon.api.driving import DrivingMethods
+from robotctl.daemon.control.ground_truth import GroundTruth
 from robotctl.errors import Refused, UsageError
 from robotctl.ipc.params import (
     DriveParams,
@@ -55,7 +56,7 @@ class FakeControl:
 
 async def wait_for(ended: DriveEnded, mode: Mode, laps: int) -> Any:
     control: Any = FakeControl(ended, mode)
-    motion: Any = None
+    motion: Any = SimpleNamespace(ground_truth=GroundTruth())
     drive = DrivingMethods(control, motion).table()["drive"].handler
     return await drive(DriveParams(pattern=PatternKind.SQUARE, source="test", laps=laps, wait=True))
 
@@ -76,6 +77,8 @@ async def test_a_drive_that_ended_early_is_refused_and_gives_its_numbers() -> No
         "distance_m": 4.0,
         "cross_track_rms_m": 0.01,
         "cross_track_max_m": 0.02,
+        "true_cross_track_rms_m": None,
+        "true_cross_track_max_m": None,
         "closure_m": 0.005,
         "heading_rms_rad": 0.03,
         "heading_max_rad": 0.06,
@@ -88,7 +91,7 @@ async def test_an_unknown_figure_of_a_drive_is_null() -> None:
     ended = replace(ENDED, completed=False, reason="stopped", report=report)
     with pytest.raises(Refused) as refused:
         await wait_for(ended, Mode.IDLE, laps=2)
-    assert json.dumps(refused.value.answer, allow_nan=False).count("null") == 6
+    assert json.dumps(refused.value.answer, allow_nan=False).count("null") == 8
 
 
 @pytest.mark.parametrize("mode", [Mode.ERROR, Mode.EMERGENCY_STOP])

@@ -182,6 +182,12 @@ def test_drive_wait_returns_the_tracking_numbers(session: Session) -> None:
     assert drive["closure_m"] < 0.05
 
 
+def test_a_simulated_drive_tells_how_far_the_robot_truly_was_off_its_path(session: Session) -> None:
+    drive = session.drive
+    assert 0.0 < drive["true_cross_track_rms_m"] <= drive["true_cross_track_max_m"] < 0.05
+    assert drive["true_cross_track_max_m"] != drive["cross_track_max_m"]
+
+
 def test_the_driven_path_lies_on_the_wanted_one(session: Session) -> None:
     path = session.path["result"]
     for x, y in path["driven"]:

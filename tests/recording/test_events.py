@@ -21,6 +21,9 @@ EVENTS = (
     RecordedEvent(EventKind.EMERGENCY_STOP, START_NS + 1, "requested"),
     RecordedEvent(EventKind.ERROR, START_NS + 2, ""),
     RecordedEvent(EventKind.DRIVE_ENDED, START_NS + 3, "drive finished: 2 laps", 2, 0.021),
+    RecordedEvent(
+        EventKind.DRIVE_ENDED, START_NS + 4, "drive finished: 1 lap", 1, 0.02, 0.01, 0.03
+    ),
 )
 
 
@@ -68,6 +71,8 @@ def test_events_without_end_go_on_in_another_file(
         {"laps": "1e9"},
         {"laps": str(10**9)},
         {"cross_track_max_m": "nan"},
+        {"true_cross_track_rms_m": "inf"},
+        {"true_cross_track_max_m": "far"},
     ],
 )
 def test_what_is_no_event_of_ours_is_passed_over(damage: dict[str, str]) -> None:

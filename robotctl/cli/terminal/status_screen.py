@@ -94,7 +94,9 @@ def drive_text(drive: Mapping[str, Any]) -> str:
     )
     laps = f" of {drive['laps']}" if drive.get("laps") else ""
     lap = f"{printable(drive.get('what'))}, lap {drive.get('lap')}{laps}"
-    return f"{lap}: off track {now} m, {rms} m RMS, {worst} m at most"
+    true_m = drive.get("true_cross_track_max_m")
+    in_truth = "" if true_m is None else f" ({number(true_m, '.3f')} m in truth)"
+    return f"{lap}: off track {now} m, {rms} m RMS, {worst} m at most{in_truth}"
 
 
 def velocity_text(status: Mapping[str, Any]) -> str:

@@ -12,6 +12,7 @@ from robotctl.daemon.api.drive_shape import default_laps, path_course, shape_cou
 from robotctl.daemon.api.granted import granted
 from robotctl.daemon.api.holding import HoldMethods
 from robotctl.daemon.control.dispatcher import Control
+from robotctl.daemon.control.ground_truth import GroundTruth
 from robotctl.daemon.control.robot_report import RobotReport
 from robotctl.errors import Refused, UsageError
 from robotctl.ipc.advice import advice
@@ -45,6 +46,7 @@ from robotctl.kernel.types import (
     DriveRequested,
     ModeRequested,
     Phase,
+    Reply,
     ResetRequested,
 )
 from robotctl.paths import DEFAULT_ROBOT
@@ -105,6 +107,14 @@ class DrivingMethods:
             kind,
             default_m if size_m is None else size_m,
             configured.speed_mps if speed_mps is None else speed_mps,
+        )
+
+    async def begin(self, kind: PatternKind, source: str) -> Reply:
+        """Request a drive of a pattern until stopped, or of one lap where it is open."""
+        request_id, pattern = self._control.new_request_id(), self.pattern(kind)
+        laps = default_laps(kind, wait=False)
+        return await self._control.request(
+            DriveRequested(time.monotonic_ns(), request_id, pattern, laps, False, source)
         )
 
     async def _get_path(self, _: NoParams) -> DrivenPath:
@@ -189,7 +199,7 @@ class DrivingMethods:
         finally:
             end.cancel()
         mode = self._control.state.mode
-        result = _drive_answer(ended, mode)
+        result = _drive_answer(ended, mode, self._robot_report.ground_truth)
         if not (ended.completed if event.laps else mode is Mode.IDLE):
             text = f"the drive ended after {ended.report.laps} laps: {ended.reason}"
             remedies = remedies_for(ended.cause)
@@ -227,8 +237,8 @@ class DrivingMethods:
             )
 
 
-def _drive_answer(ended: DriveEnded, mode: Mode) -> DriveAnswer:
-    report = ended.report
+def _drive_answer(ended: DriveEnded, mode: Mode, truth: GroundTruth) -> DriveAnswer:
+    report, true_errors = ended.report, truth.errors(ended.request_id)
     return {
         "message": ended.reason,
         "mode": mode.name,
@@ -236,6 +246,8 @@ def _drive_answer(ended: DriveEnded, mode: Mode) -> DriveAnswer:
         "distance_m": _known(report.distance_m),
         "cross_track_rms_m": _known(report.cross_track_rms_m),
         "cross_track_max_m": _known(report.cross_track_max_m),
+        "true_cross_track_rms_m": None if true_errors is None else true_errors.rms_m,
+        "true_cross_track_max_m": None if true_errors is None else true_errors.max_m,
         "closure_m": _known(report.closure_m),
         "heading_rms_rad": _known(report.heading_rms_rad),
         "heading_max_rad": _known(report.heading_max_rad),

@@ -9,6 +9,7 @@ from functools import partial
 from math import isfinite
 from typing import assert_never
 
+from robotctl.daemon.control.ground_truth import TrueErrors
 from robotctl.daemon.control.latch import Latch
 from robotctl.daemon.control.pending_requests import PendingRequests, UnsavedReply
 from robotctl.ipc.advice import advice
@@ -48,8 +49,13 @@ class Effects:
         robot: str,
         change: Callable[[ParameterChanged], None] = lambda change: None,
         decided: Callable[[Effect], None] = lambda effect: None,
+        true_errors: Callable[[int], TrueErrors | None] = lambda request_id: None,
     ) -> None:
-        """`decided(effect)` is called for each effect but velocity commands."""
+        """`decided(effect)` is called for each effect but velocity commands.
+
+        `true_errors(request_id)` returns those of a drive with a simulated robot.
+        """
+        self._true_errors = true_errors
         self._publish_twist = publish_twist
         self._show_mode = show_mode
         self._note = note
@@ -84,19 +90,22 @@ class Effects:
                     self._latch.when_settled(partial(self._answer, effect))
             case DriveEnded():
                 _log.info("drive ended: %s", self._with_cure(effect))
-                report, now_ns = effect.report, time.time_ns()
-                self._note(
-                    RecordedEvent(
-                        EventKind.DRIVE_ENDED,
-                        now_ns,
-                        effect.reason,
-                        report.laps,
-                        report.cross_track_max_m if isfinite(report.cross_track_max_m) else None,
-                    )
-                )
+                self._note(self._as_event(effect))
                 self._requests.end_drive(effect)
             case _:
                 assert_never(effect)
+
+    def _as_event(self, ended: DriveEnded) -> RecordedEvent:
+        report, true = ended.report, self._true_errors(ended.request_id)
+        return RecordedEvent(
+            EventKind.DRIVE_ENDED,
+            time.time_ns(),
+            ended.reason,
+            report.laps,
+            report.cross_track_max_m if isfinite(report.cross_track_max_m) else None,
+            None if true is None else true.rms_m,
+            None if true is None else true.max_m,
+        )
 
     def _with_cure(self, effect: ModeChanged | DriveEnded) -> str:
         return advice(effect.reason, remedies_for(effect.cause), self._robot).sentence

@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator
 
 from robotctl.daemon.control.dispatcher import Control
+from robotctl.daemon.control.ground_truth import GroundTruth
 from robotctl.ipc.advice import advice
 from robotctl.ipc.answers import ConditionAnswer, DriveFacts, DrivenPath, Preflight, RobotFacts
 from robotctl.ipc.conditions import condition_of
@@ -68,8 +69,9 @@ _EXPECTED = (
 class RobotReport:
     """A report of the kernel's state, and the driven path; `sim`: the robot is simulated."""
 
-    def __init__(self, control: Control) -> None:
+    def __init__(self, control: Control, ground_truth: GroundTruth | None = None) -> None:
         self.sim = False
+        self.ground_truth = ground_truth or GroundTruth()
         self._control = control
         self._driven: list[Pose] = []
         self._wanted: list[Pose] = []
@@ -79,6 +81,7 @@ class RobotReport:
         """Add a pose to the driven path of the present drive."""
         drive = self._control.state.drive
         assert drive is not None
+        self.ground_truth.follow(drive, pose)
         if drive.request_id != self._drive_id:
             self._drive_id = drive.request_id
             self._driven = [drive.origin]
@@ -132,7 +135,7 @@ class RobotReport:
             "lease": None if state.lease is None else state.lease.source,
             "stalls": state.health.stalls.count,
             "odometry_dropped": state.health.odometry_sources.dropped,
-            "drive": _drive_facts(state),
+            "drive": _drive_facts(state, self.ground_truth),
         }
 
     def preflight(self, robot: str) -> Preflight:
@@ -184,11 +187,12 @@ def _battery_low(health: Health, params: KernelParams) -> Iterator[str]:
         yield f"the battery is at {level:.0%}, below {warn_level:.0%}: charge it soon"
 
 
-def _drive_facts(state: State) -> DriveFacts | None:
+def _drive_facts(state: State, truth: GroundTruth) -> DriveFacts | None:
     drive, odometry = state.drive, state.health.odometry
     if drive is None or odometry is None:
         return None
     report = drive.report(state.tick_t_ns or drive.begin_t_ns)
+    true_errors = truth.errors(drive.request_id)
     return {
         "what": named(drive.pattern, drive.course),
         "lap": report.laps + 1,
@@ -198,6 +202,8 @@ def _drive_facts(state: State) -> DriveFacts | None:
         "cross_track_m": drive.cross_track_m(odometry.pose),
         "cross_track_rms_m": report.cross_track_rms_m,
         "cross_track_max_m": report.cross_track_max_m,
+        "true_cross_track_rms_m": None if true_errors is None else true_errors.rms_m,
+        "true_cross_track_max_m": None if true_errors is None else true_errors.max_m,
         "heading_rms_rad": report.heading_rms_rad,
         "heading_max_rad": report.heading_max_rad,
     }

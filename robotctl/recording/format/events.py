@@ -20,12 +20,16 @@ from robotctl.recording.format.records import MAX_TIME_NS
 MAX_LAPS = 1_000_000
 """A record that claims more was not written by robotctl."""
 
+DISTANCES = ("cross_track_max_m", "true_cross_track_rms_m", "true_cross_track_max_m")
+"""The distances of a drive that ended, each left out where it is not known."""
+
 
 @dataclass(frozen=True, slots=True)
 class RecordedEvent:
     """One event; `log_ns` since the epoch.
 
-    Of a drive that ended: its `laps`, and how far it was off its path at most, None if not known.
+    Of a drive that ended: its `laps`, and how far it was off its path at most, None if not known;
+    of a robot that the daemon simulated also the true distances, root mean square and largest.
     """
 
     kind: EventKind
@@ -33,14 +37,16 @@ class RecordedEvent:
     text: str
     laps: int = 0
     cross_track_max_m: float | None = None
+    true_cross_track_rms_m: float | None = None
+    true_cross_track_max_m: float | None = None
 
     def values(self) -> Mapping[str, str]:
         """Return the event as the metadata of a file holds it."""
         values = {"kind": self.kind.value, "log_ns": str(self.log_ns), "text": self.text}
         if self.kind is EventKind.DRIVE_ENDED:
             values["laps"] = str(self.laps)
-            if self.cross_track_max_m is not None:
-                values["cross_track_max_m"] = repr(self.cross_track_max_m)
+            distances_m: dict[str, float | None] = {name: getattr(self, name) for name in DISTANCES}
+            values |= {name: repr(m) for name, m in distances_m.items() if m is not None}
         return values
 
     @classmethod
@@ -54,10 +60,10 @@ class RecordedEvent:
         log_ns, laps = int(values["log_ns"]), int(values.get("laps", 0))
         if not (0 <= log_ns <= MAX_TIME_NS and 0 <= laps <= MAX_LAPS):
             raise ValueError("a number is out of range")
-        off_m = float(values["cross_track_max_m"]) if "cross_track_max_m" in values else None
-        if off_m is not None and not isfinite(off_m):
+        off_m = [float(values[name]) if name in values else None for name in DISTANCES]
+        if not all(each is None or isfinite(each) for each in off_m):
             raise ValueError("a distance is not finite")
-        return cls(EventKind(values["kind"]), log_ns, values["text"], laps, off_m)
+        return cls(EventKind(values["kind"]), log_ns, values["text"], laps, *off_m)
 
 
 def events_in(metadata: Iterable[Metadata]) -> list[RecordedEvent]:

@@ -67,6 +67,12 @@ class ListedRecording:
         return max(known_m, default=None)
 
     @property
+    def true_cross_track_max_m(self) -> float | None:
+        """The same by the true pose of a simulated robot, None if that is not known."""
+        known_m = [each.true_cross_track_max_m for each in self.events]
+        return max((m for m in known_m if m is not None), default=None)
+
+    @property
     def worst(self) -> EventKind | None:
         """The gravest event; None without an emergency stop or error."""
         kinds = {event.kind for event in self.events}

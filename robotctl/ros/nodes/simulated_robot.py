@@ -10,6 +10,7 @@ from nav_msgs.msg import Odometry as OdometryMessage
 from sensor_msgs.msg import BatteryState
 
 from robotctl.cdr.motion import OdometryEncoder
+from robotctl.kernel.geometry import Pose
 from robotctl.kernel.types import ZERO
 from robotctl.kernel.units import NS_PER_S
 from robotctl.ros.executor import RawTap, Tick, Ticker
@@ -111,6 +112,10 @@ class SimulatedRobot:
             self._is_changed = False
             level = self._full_level * faults.reported_level(robot.battery)
             self._battery.publish(battery_message(level, stamp_ns))
+
+    def truth(self) -> Pose:
+        """Return the true pose of the robot."""
+        return self._robot.truth
 
     def set_battery(self, level: float) -> None:
         """Continue with this battery level, 0 to 1, and report it at once."""

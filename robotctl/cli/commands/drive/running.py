@@ -73,6 +73,9 @@ def tracking_lines(result: Mapping[str, Any]) -> list[str]:
         f"  off track   {rms} m RMS, {worst} m at most",
         f"  heading     {heading_rms} rad RMS, {heading_worst} rad at most",
     ]
+    if result.get("true_cross_track_rms_m") is not None:
+        rms, worst = (number(result.get(f"true_cross_track_{n}_m"), ".3f") for n in ("rms", "max"))
+        lines.insert(2, f"  in truth    {rms} m RMS, {worst} m at most (simulated)")
     if laps:  # no closure before the first lap is complete
         lines.append(f"  closure     {closure} m from where the lap ends")
     return lines

@@ -182,6 +182,7 @@ def _as_object(each: ListedRecording) -> dict[str, Any]:
         "files": each.files,
         "laps": each.laps,
         "cross_track_max_m": each.cross_track_max_m,
+        "true_cross_track_max_m": each.true_cross_track_max_m,
         "worst": None if each.worst is None else each.worst.value,
         "readable": each.readable,
         "damage": list(each.damage),
@@ -219,7 +220,9 @@ def _remarks(each: ListedRecording) -> Iterator[str]:
     if each.kept:
         yield "kept"
     if each.cross_track_max_m is not None:
-        yield f"{each.cross_track_max_m:.3f} m off track"
+        true_m = each.true_cross_track_max_m
+        in_truth = "" if true_m is None else f" ({true_m:.3f} in truth)"
+        yield f"{each.cross_track_max_m:.3f} m off track{in_truth}"
     if each.clips:
         yield f"{len(each.clips)} clip{'s' * (len(each.clips) > 1)}"
     if not each.readable:
