@@ -31,6 +31,7 @@ from robotctl.rerun.journal_steps import Gap, Step
 from robotctl.rerun.journal_values import read_effect, read_event, read_snapshot
 from robotctl.rerun.measured import Measured
 from robotctl.rerun.piece_pool import PiecePool, pool_for
+from robotctl.rerun.rare_collections import rare_collections
 from robotctl.rerun.recorded_parameters import differing_parameters
 from robotctl.rerun.recording_ends import RecordingEnds, is_beginning
 from robotctl.rerun.recording_groups import FileGroup, file_groups
@@ -40,6 +41,7 @@ Progress = Callable[[int, int], None]
 """Called with the bytes that are done and the bytes in total."""
 
 
+@rare_collections()
 def check_recording(
     path: Path,
     on_progress: Progress = lambda done, total: None,

@@ -79,17 +79,20 @@ class CheckReading:
         messages = self._recording.in_order_written(
             {topic, *readers}, report.miss, self._on_progress, self.position.enter
         )
-        decoder = EntryDecoder(self._recording)
+        decode, add = EntryDecoder(self._recording).decode, self.chain.add
+        note_position, note_end = self.position.entry, self._ends.entry
+        effect = EntryKind.EFFECT
         for message in messages:
             if message.topic == topic:
-                entry = decoder.decode(message.data)
+                entry = decode(message.data)
                 if not report.begin_log_ns:
                     report.begin_ns, report.begin_log_ns = entry.t_ns, message.log_ns
                 self.end_ns = entry.t_ns
-                self.position.entry(entry.seq)
-                self._ends.entry(entry.seq)
-                self.chain.add(entry.seq, message.data)
-                if entry.kind is not EntryKind.EFFECT:
+                seq = entry.seq
+                note_position(seq)
+                note_end(seq)
+                add(seq, message.data)
+                if entry.kind is not effect:
                     self._log_ns = self._log_ns[1], message.log_ns
                 yield entry
             elif self._has_begun:

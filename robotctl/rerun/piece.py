@@ -20,6 +20,7 @@ from robotctl.rerun.comparison import Comparison
 from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.journal_steps import Step
 from robotctl.rerun.journal_values import read_snapshot
+from robotctl.rerun.rare_collections import rare_collections
 from robotctl.rerun.rerun import ConfirmedPiece, Rerun
 
 MAX_UNUSED = 1000
@@ -41,6 +42,7 @@ class Position(NamedTuple):
     number: int
 
 
+@rare_collections()
 def confirmed_pieces(
     recording: Recording, topic: str, version: str, begin: Spot, end: Spot | None
 ) -> dict[Position, ConfirmedPiece]:

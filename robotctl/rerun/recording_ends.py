@@ -39,7 +39,8 @@ class RecordingEnds:
         """Take the number of the next entry."""
         if self._first_seq < 0:
             self._first_seq = seq
-        self._last_seq = max(seq, self._last_seq)
+        if seq > self._last_seq:
+            self._last_seq = seq
 
     def snapshot(self, entry: JournalEntry, proof: Proof | None) -> int:
         """Take a snapshot; return the number of the one before it, 0 if there is none."""
