@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import pty
 import re
@@ -9,16 +10,21 @@ import signal
 import subprocess
 import threading
 from collections.abc import Callable, Iterator
+from io import StringIO
 from typing import Any
 
 import pytest
+from rich.console import Console
 
-from robotctl.cli.commands import watch
+from robotctl.cli.commands.watch import polling
 from robotctl.cli.support.background import Background
+from robotctl.cli.terminal.drive_map import History, drive_map, sparkline
 from robotctl.cli.terminal.live_view import live_view
 from robotctl.cli.terminal.status_line import HEADER, status_line
 from robotctl.errors import Refused
 from robotctl.ipc.client import call
+from robotctl.ipc.drive_answers import DrivenPath
+from tests.support.terminals import Terminal
 
 
 def test_through_a_pipe_it_prints_the_rows_of_a_table(
@@ -67,6 +73,7 @@ def test_on_a_terminal_it_draws_within_80_columns(daemon: None, command: list[st
     process.send_signal(signal.SIGINT)
     assert process.wait(30) == 130
     os.close(controller)
+    seen = seen.replace("\x1b[H", "\n")
     lines = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", seen).splitlines()
     assert max(len(line) for line in lines) <= 80
     for text in ("IDLE", "x +0.500 m", "87 %", "/odom", "recording", "\\x1b[2Jforged"):
@@ -108,12 +115,61 @@ def test_a_poll_that_fails_does_not_end_the_view_of_a_drive(
             raise found
         return found
 
-    monkeypatch.setattr(watch, "call", poll)
-    monkeypatch.setattr(watch, "LINE_S", 0.0)
+    monkeypatch.setattr(polling, "call", poll)
+    monkeypatch.setattr(polling, "LINE_S", 0.0)
     driving = Background(lambda: {"waited": done.wait()})
     driving.start()
-    for status in watch.polled_until(driving, "robot"):
+    for status in polling.polled_until(driving, "robot"):
         assert status["mode"] == "MOVING"
         done.set()
         driving.join()
     assert driving.result() == {"waited": True}
+
+
+def test_json_is_the_status_line_by_line(
+    daemon: None, spawn: Callable[..., subprocess.Popen[str]]
+) -> None:
+    process = spawn("watch", "--json")
+    assert process.stdout is not None
+    for _ in range(2):
+        assert json.loads(process.stdout.readline())["mode"] == "IDLE"
+
+
+@pytest.mark.parametrize(
+    ("key", "mode", "told"),
+    [(" ", "IDLE", "stopped with a ramp"), ("e", "EMERGENCY_STOP", "emergency stop, released")],
+)
+def test_a_key_stops_the_robot(key: str, mode: str, told: str, daemon: None) -> None:
+    call("robot", "set_mode", {"mode": 1, "source": "test"})
+    watching = Terminal("watch")
+    try:
+        watching.until("MOVING")
+        watching.press(key)
+        watching.until(told)
+        assert call("robot", "status")["mode"] == mode
+        watching.press("q")
+        assert watching.end() == 0
+        assert watching.is_cooked()
+    finally:
+        watching.close()
+
+
+def test_a_sparkline_shows_amounts() -> None:
+    assert sparkline([0.0, 0.5, -1.0]) == "▁▅█"
+    assert sparkline([0.0, 0.0]) == "▁▁"
+    assert sparkline([]) == ""
+
+
+@pytest.mark.parametrize("lines", [10, 24, 80])
+def test_the_map_fits_beside_the_topics(lines: int) -> None:
+    history = History()
+    for _ in range(100):
+        history.add({"velocity": {"linear": float("nan")}, "drive": {"cross_track_m": 12.5}})
+    path: DrivenPath = {"reference": [], "driven": [[0.0, 0.0], [1.0, 1.0]]}
+    output = StringIO()
+    Console(width=38, file=output).print(drive_map(path, history, lines))
+    shown = output.getvalue().splitlines()
+    assert max(len(line) for line in shown) <= 38
+    assert len(shown) <= max(lines, 24) - 12
+    assert "error" in shown[-1]
+    assert "12.500 m" in shown[-1]

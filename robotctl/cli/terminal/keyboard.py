@@ -82,11 +82,17 @@ class Keyboard:
             termios.tcflush(self._file, termios.TCIFLUSH)
 
     def _take(self) -> None:
-        if self._saved is None and os.tcgetpgrp(self._file) == os.getpgrp():
+        if self._saved is None and self._is_in_foreground():
             self._saved = termios.tcgetattr(self._file)
             unseen = termios.tcgetattr(self._file)
             unseen[_LOCAL_FLAGS] &= ~(termios.ICANON | termios.ECHO)
             termios.tcsetattr(self._file, termios.TCSADRAIN, unseen)
+
+    def _is_in_foreground(self) -> bool:
+        try:
+            return os.tcgetpgrp(self._file) == os.getpgrp()
+        except OSError:  # it is not the controlling terminal
+            return False
 
     def _give_back(self) -> None:
         if self._saved is not None:

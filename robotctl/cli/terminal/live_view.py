@@ -27,11 +27,17 @@ _MODE_STYLES = {
     "EMERGENCY_STOP": "bold white on red",
 }
 _MAX_TOPICS = 12
-"""Keeps the view within a terminal of 24 lines."""
+_BESIDE_WIDTH = 38
+_NAME_WIDTH_BESIDE = 18
+_MAX_TOPICS_BESIDE = 8
+"""They keep the view within a terminal of 24 lines."""
 
 
-def live_view(status: Status) -> RenderableType:
-    """Return mode, pose, speed, battery, recorder and topics in one panel."""
+def live_view(status: Status, beside: RenderableType | None = None) -> RenderableType:
+    """Return mode, pose, speed, battery, recorder and topics in one panel.
+
+    `beside` stands beside the topics, of which fewer are shown then.
+    """
     facts = Table.grid(padding=(0, 2))
     facts.add_column(style="dim")
     facts.add_column()
@@ -44,7 +50,13 @@ def live_view(status: Status) -> RenderableType:
     for warning in status["warnings"]:
         facts.add_row("warning", Text(printable(warning), style="yellow"))
     title = Text(f"{printable(status.get('robot'))}  up {duration(status.get('uptime_s') or 0)}")
-    body = Group(facts, Text(), _topics(status["topics"]))
+    if beside is None:
+        below: RenderableType = _topics(status["topics"], _MAX_TOPICS)
+    else:
+        below = Table.grid(padding=(0, 2))
+        below.add_column(width=_BESIDE_WIDTH)
+        below.add_row(beside, _topics(status["topics"], _MAX_TOPICS_BESIDE, _NAME_WIDTH_BESIDE))
+    body = Group(facts, Text(), below)
     return Panel(body, title=title, title_align="left", width=columns())
 
 
@@ -67,14 +79,14 @@ def _recorder(recorder: RecorderAnswer) -> Text:
     return text
 
 
-def _topics(topics: list[TopicAnswer]) -> Table:
+def _topics(topics: list[TopicAnswer], most: int, name_width: int | None = None) -> Table:
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
-    table.add_column("topic", no_wrap=True, overflow="ellipsis")
+    table.add_column("topic", no_wrap=True, overflow="ellipsis", max_width=name_width)
     table.add_column("count", justify="right")
     table.add_column("Hz", justify="right")
-    for topic in topics[:_MAX_TOPICS]:
+    for topic in topics[:most]:
         name, count = printable(topic.get("name")), str(topic.get("count"))
         table.add_row(Text(name), count, number(topic.get("rate"), ".1f"))
-    if len(topics) > _MAX_TOPICS:
-        table.add_row(Text(f"and {len(topics) - _MAX_TOPICS} more", style="dim"), "", "")
+    if len(topics) > most:
+        table.add_row(Text(f"and {len(topics) - most} more", style="dim"), "", "")
     return table

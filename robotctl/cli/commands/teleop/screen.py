@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final, cast
 
-from robotctl.cli.commands.watch import POLL_S
+from robotctl.cli.commands.watch.polling import POLL_S
 from robotctl.cli.support.background import Background
 from robotctl.ipc.client import Client
 from robotctl.ipc.method_names import STATUS

@@ -1,4 +1,4 @@
-"""watch: show the status of a running daemon, live."""
+"""The live status around the work of a command: a drive, or the demo."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
-from robotctl.cli.options import Robot, new_app
 from robotctl.cli.support.background import Background
 from robotctl.cli.terminal.status_line import HEADER, status_line
 from robotctl.cli.terminal.text import is_terminal
@@ -14,39 +13,10 @@ from robotctl.errors import RobotctlError
 from robotctl.ipc.answers import Status
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import STATUS
-from robotctl.paths import DEFAULT_ROBOT
-
-app = new_app()
 
 POLL_S = 0.1
 LINE_S = 1.0
 """The period without a terminal, so that a log file gets one line per second."""
-
-
-@app.command()
-def watch(robot: Robot = DEFAULT_ROBOT) -> None:
-    """Watch mode, pose, speed, battery, recorder and topics, live.
-
-    Ends with Ctrl-C or with the daemon. Without a terminal it prints one line per second.
-
-    \b
-    Examples:
-      robotctl watch
-      robotctl watch | tee run.log
-    """
-    show(polled(robot))
-
-
-def polled(robot: str) -> Iterator[Status]:
-    """Yield the daemon's status, as often as it is shown, until the daemon ends.
-
-    Raises:
-        NoDaemon: The daemon has ended.
-    """
-    period_s = POLL_S if is_terminal() else LINE_S
-    while True:
-        yield call(robot, STATUS)
-        time.sleep(period_s)
 
 
 def polled_until(working: Background[Any], robot: str) -> Iterator[Status]:
