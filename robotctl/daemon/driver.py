@@ -38,7 +38,7 @@ from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.daemon.remote_requests import RemoteRequests
 from robotctl.daemon.ros_parameters import serve_parameters
 from robotctl.daemon.shown_status import ShownStatus
-from robotctl.daemon.shutdown import stand_still
+from robotctl.daemon.shutdown import send_zero, stand_still
 from robotctl.daemon.simulator import recorded_robot
 from robotctl.daemon.supervisor import Work
 from robotctl.daemon.waiting import until
@@ -50,7 +50,6 @@ from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.state import State, latched
 from robotctl.kernel.types import (
-    ZERO,
     FaultReported,
     LoopStalled,
     Odometry,
@@ -228,9 +227,9 @@ class Driver:
         return self._control.state.mode.name
 
     async def stop_robot(self) -> None:
-        """Send a zero directly, and record it."""
+        """Send a last zero, and record it."""
         try:
-            self._velocity.publish(ZERO)
+            send_zero(self._control, self._velocity)
             await self._last_zero.arrived()
         except Exception:  # noqa: BLE001 - the first failure is the one to report
             _log.exception("no last zero could be sent")

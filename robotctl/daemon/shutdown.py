@@ -6,11 +6,13 @@ import asyncio
 import logging
 import time
 from collections.abc import Callable
+from contextlib import suppress
 
 from robotctl.daemon.control.dispatcher import Control
 from robotctl.daemon.waiting import until
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.types import Cause, FaultReported, ModeRequested, Tick
+from robotctl.kernel.types import ZERO, Cause, FaultReported, ModeRequested, Tick
+from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
 
 _log = logging.getLogger(__name__)
 
@@ -50,3 +52,13 @@ async def stand_still(
 
     if not await until(sends_zero, LAST_ZERO_S):
         _log.error("the last zero could not be sent within %g s", LAST_ZERO_S)
+
+
+def send_zero(control: Control, velocity: VelocityPublisher) -> None:
+    """Send a zero now: as a decision of the kernel if the robot stands, else directly."""
+    sent = velocity.published
+    with suppress(Exception):  # the kernel may be what has failed
+        if control.state.mode is not Mode.MOVING:
+            control.dispatch(Tick(time.monotonic_ns()))
+    if velocity.published == sent:
+        velocity.publish(ZERO)

@@ -32,8 +32,7 @@ from robotctl.rerun.journal_values import read_effect, read_event, read_snapshot
 from robotctl.rerun.measured import Measured
 from robotctl.rerun.piece_pool import PiecePool, pool_for
 from robotctl.rerun.rare_collections import rare_collections
-from robotctl.rerun.recorded_parameters import differing_parameters
-from robotctl.rerun.recording_ends import RecordingEnds, is_beginning
+from robotctl.rerun.recording_ends import RecordingEnds
 from robotctl.rerun.recording_groups import FileGroup, file_groups
 from robotctl.rerun.rerun import Agreed, Rerun
 
@@ -159,7 +158,7 @@ class _Check:
                 report.bitwise = comparison.is_exact
                 report.notes += comparison.notes()
                 self._rerun = Rerun(comparison)
-                self._compare_beginning(entry)
+                self._ends.begin(entry)
             snapshot, divergence = self._rerun.snapshot(entry)
         except UnreadableFile as error:
             self._interrupt_at(error)
@@ -170,15 +169,6 @@ class _Check:
             self._rerun.trust(self._pool.confirmed(position))
         self._check_chain(entry, snapshot.proof)
         self._compared.snapshot(snapshot, entry.t_ns, self._log_ns[1])
-
-    def _compare_beginning(self, entry: JournalEntry) -> None:
-        """Compare the first snapshot with what a kernel begins with."""
-        if entry.seq == 0 and self._report.same_version and self._ends.is_own:
-            snapshot = read_snapshot(entry)
-            if not is_beginning(snapshot):
-                self._report.miss("its journal begins later than its kernel: the first are missing")
-            for sentence in differing_parameters(self._info, snapshot.params):
-                self._report.miss(sentence)
 
     def _check_chain(self, entry: JournalEntry, proof: Proof | None) -> None:
         is_whole = self._reading.chain.is_whole(entry, proof)

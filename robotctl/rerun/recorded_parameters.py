@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from robotctl.config import Config, flat
 from robotctl.config.settings import keyed_leaves
 from robotctl.kernel.params import KernelParams
-from robotctl.recording import RecordingInfo
-from robotctl.recording.format.metadata_names import INFO_RECORD
 
 
-def differing_parameters(info: RecordingInfo, params: KernelParams) -> Iterator[str]:
-    """Yield a sentence for each parameter that the kernel began with and the metadata contradicts.
+def differing_parameters(noted: Mapping[str, str], params: KernelParams) -> Iterator[str]:
+    """Yield a sentence for each parameter that the kernel began with and `noted` contradicts.
 
-    `info` describes a whole recording: a daemon begins with the parameters that it notes there.
+    `noted` is what the first file of a recording tells of the daemon that began with it.
     """
-    noted = info.metadata.get(INFO_RECORD, {})
     config = Config(kernel=params)
     values = flat(config)
     for key, leaf in keyed_leaves(config):

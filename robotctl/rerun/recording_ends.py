@@ -8,11 +8,13 @@ from robotctl.kernel.snapshot import Proof, Snapshot
 from robotctl.recording import Recording, RecordingInfo
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.format.ledger_record import read_ledger
-from robotctl.recording.format.metadata_names import CLIP_RECORD
+from robotctl.recording.format.metadata_names import CLIP_RECORD, INFO_RECORD
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.ending import Ending
 from robotctl.rerun.input_check import is_filtered
 from robotctl.rerun.invariants import Invariants, unbalanced
+from robotctl.rerun.journal_values import read_snapshot
+from robotctl.rerun.recorded_parameters import differing_parameters
 
 
 class RecordingEnds:
@@ -42,6 +44,18 @@ class RecordingEnds:
         if seq > self._last_seq:
             self._last_seq = seq
 
+    def begin(self, entry: JournalEntry) -> None:
+        """Compare the first snapshot with what a kernel begins with."""
+        report = self._report
+        if entry.seq or not report.same_version or not self.is_own:
+            return
+        snapshot = read_snapshot(entry)
+        if not _is_beginning(snapshot):
+            report.miss("its journal begins later than its kernel: the first are missing")
+        noted = self._recording.metadata_of_file(0).get(INFO_RECORD, {})
+        for sentence in differing_parameters(noted, snapshot.params):
+            report.miss(sentence)
+
     def snapshot(self, entry: JournalEntry, proof: Proof | None) -> int:
         """Take a snapshot; return the number of the one before it, 0 if there is none."""
         before = max(self._last_snapshot, 0)
@@ -63,7 +77,7 @@ class RecordingEnds:
 
     def read_ledger(self, invariants: Invariants) -> None:
         """Check the loss ledger in the last file; there is none if it was not closed."""
-        ledger = read_ledger(self._recording.metadata_of_last_file())
+        ledger = read_ledger(self._recording.metadata_of_file(-1))
         if not ledger and CLIP_RECORD in self._info.metadata:
             return  # a clip has no ledger: its source has it
         if not ledger:
@@ -85,7 +99,7 @@ class RecordingEnds:
         )
 
 
-def is_beginning(snapshot: Snapshot) -> bool:
+def _is_beginning(snapshot: Snapshot) -> bool:
     """Return whether a kernel has done nothing before this snapshot."""
     state, proof = snapshot.state, snapshot.proof
     has_heard = state.health.odometry is not None or state.health.battery_level is not None

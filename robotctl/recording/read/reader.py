@@ -145,9 +145,9 @@ class Recording:
         """Return all metadata records, in the order of the files."""
         return metadata_in(self._files)
 
-    def metadata_of_last_file(self) -> dict[str, dict[str, str]]:
-        """Return the last metadata record of each name in the last file."""
-        return {record.name: record.metadata for record in metadata_in(self._files[-1:])}
+    def metadata_of_file(self, number: int) -> dict[str, dict[str, str]]:
+        """Return the last metadata record of each name in one file: 0 is the first, -1 the last."""
+        return {record.name: record.metadata for record in metadata_in([self._files[number]])}
 
     def channels(self) -> dict[tuple[str, str], tuple[Channel, Schema | None]]:
         """Return, for each topic and type name, channel and schema from the first file that has
