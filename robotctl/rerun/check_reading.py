@@ -46,6 +46,7 @@ class CheckReading:
         self.position = ReadingPosition()
         self.end_ns = 0
         self._log_ns: LogTimes = (0, 0)
+        self._last_ns = 0
         self._batch: list[tuple[Item, LogTimes]] = []
         self._has_begun = False
 
@@ -94,8 +95,10 @@ class CheckReading:
                 add(seq, message.data)
                 if entry.kind is not effect:
                     self._log_ns = self._log_ns[1], message.log_ns
+                self._last_ns = message.log_ns
                 yield entry
             elif self._has_begun:
                 self._batch.append((message, self._log_ns))
             else:
                 readers[message.topic](message)
+        self._log_ns = self._log_ns[1], max(self._log_ns[1], self._last_ns)  # of the last step

@@ -96,4 +96,4 @@ class Comparisons:
         self._commands.end(self.invariants, ending(self._command_topic))
         self._inputs.end(self.invariants, ending, end_ns)
         self._services.end(self.invariants, ending, end_ns)
-        self._status.end(ending(self._status.topic), log_ns)
+        self._status.end(self.invariants, ending(self._status.topic), log_ns)

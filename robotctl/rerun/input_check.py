@@ -125,6 +125,12 @@ class InputCheck:
     def _tell_lacking(self, invariants: Invariants, ending: Ending) -> None:
         pairs, report = self._pairs, self._report
         count = pairs.lacking + (0 if ending.is_clip else pairs.before_first)
+        if ending.ledger is None and not ending.is_clip and pairs.before_found:
+            count -= pairs.before_found
+            report.notes.append(
+                f"the first {pairs.before_found} messages of {self._name} are not recorded: the "
+                "recorder finds a publisher later than the control loop"
+            )
         if not count:
             return
         text = f"{count} messages of {self._name} that the control loop received are not recorded"

@@ -41,6 +41,9 @@ class InputPairs:
         self.before_first = 0
         """The number of inputs without a message before the first one that has one."""
 
+        self.before_found = 0
+        """The number of them that a publisher sent before the recorder can have found it."""
+
         self.differing = 0
         """The number of inputs whose message holds another value."""
 
@@ -167,7 +170,9 @@ class InputPairs:
 
     def _count(self, sequence: int, found: Input) -> None:
         if self._first_ns is not None and found.t_ns < self._first_ns:
+            begin_ns, _ = self._lives[found.source]
             self.before_first += 1
+            self.before_found += found.t_ns - begin_ns <= UNFOUND_NS
             return
         self.lacking += 1
         if not self.lacking_example:

@@ -13,3 +13,13 @@ def full_name(info: RecordingInfo, journal_topic: str, parameter: str, default: 
     if name.startswith("/"):
         return name
     return f"{journal_topic.removesuffix(f'/{TOPIC}')}/{name}"
+
+
+def own_name(info: RecordingInfo, journal_topic: str, key: str) -> tuple[str, bool]:
+    """Return the full name of a topic or service, and whether the metadata tells it by `key`.
+
+    A recording that does not tell it has no other name for it than the last part of the key.
+    """
+    told = info.metadata.get(INFO_RECORD, {}).get(key)
+    namespace = journal_topic.removesuffix(f"/{TOPIC}")
+    return told or f"{namespace}/{key.rpartition('.')[2]}", told is not None

@@ -19,6 +19,7 @@ from robotctl.rerun.clock_changes import ClockChanges
 from robotctl.rerun.command_pairs import LATE_NS, Moments
 from robotctl.rerun.ending import Ending
 from robotctl.rerun.invariants import Invariants
+from robotctl.rerun.own_topics import own_name
 from robotctl.rerun.service_events import SERVICES, Service, read_service_event
 from robotctl.rerun.service_pairs import Asked, Call, ServicePairs
 
@@ -33,9 +34,8 @@ class ServiceChecks:
         self, report: Report, info: RecordingInfo, journal_topic: str, clock: ClockChanges
     ) -> None:
         open_calls: dict[tuple[bytes, int], Call] = {}
-        namespace = journal_topic.removesuffix(f"/{TOPIC}")
         self._all = [
-            _ServiceCheck(report, info, namespace, service, open_calls, clock)
+            _ServiceCheck(report, info, journal_topic, service, open_calls, clock)
             for service in SERVICES
         ]
         self._is_on = False
@@ -83,14 +83,16 @@ class _ServiceCheck:
         self,
         report: Report,
         info: RecordingInfo,
-        namespace: str,
+        journal_topic: str,
         service: Service,
         open_calls: dict[tuple[bytes, int], Call],
         clock: ClockChanges,
     ) -> None:
-        self.topic = f"{namespace}/{service.name}/_service_event"
+        name, _ = own_name(info, journal_topic, f"service.{service.name}")
+        self.topic = f"{name}/_service_event"
         types = {topic.name: topic.type_name for topic in info.topics}
         self.is_recorded = types.get(self.topic) == service.type_name
+        namespace = journal_topic.removesuffix(f"/{TOPIC}")
         self._source = f"the ROS service {namespace}/{service.name}"
         self._open_calls = open_calls
         self.pairs = ServicePairs(self._source, open_calls)

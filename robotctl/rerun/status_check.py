@@ -15,8 +15,9 @@ from robotctl.rerun.check_report import Report
 from robotctl.rerun.clock_changes import ClockChanges
 from robotctl.rerun.command_pairs import Moments
 from robotctl.rerun.ending import Ending
+from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.measured import Measured
-from robotctl.rerun.own_topics import full_name
+from robotctl.rerun.own_topics import own_name
 from robotctl.rerun.status_times import Status, StatusTimes
 
 TYPE = "robot_controller/msg/RobotStatus"
@@ -31,9 +32,10 @@ class StatusCheck:
     def __init__(
         self, report: Report, info: RecordingInfo, journal_topic: str, clock: ClockChanges
     ) -> None:
-        name = full_name(info, journal_topic, "", "robot_status")
-        known = {(topic.name, topic.type_name) for topic in info.topics}
-        self.topic = name if (name, TYPE) in known else None
+        self._name, self._is_told = own_name(info, journal_topic, "topic.robot_status")
+        recorded = {topic.name for topic in info.topics if topic.type_name == TYPE}
+        self.topic = self._name if self._name in recorded else None
+        self._others = sorted(recorded - {self._name})
         self.is_on = False
         self._report = report
         self._times = StatusTimes(clock)
@@ -43,6 +45,7 @@ class StatusCheck:
         self._newest = 0
         self._gaps = 0
         self._seen = 0
+        self._unordered = 0
         self._wrong = 0
         self._example = ""
         self._begin_ns = 0
@@ -63,8 +66,7 @@ class StatusCheck:
         if not self._seen:
             self._first = message.sequence
         self._gaps += max(message.sequence - self._newest - 1, 0) if self._seen else 0
-        if message.sequence < self._newest:
-            self._blame("one out of order")
+        self._unordered += message.sequence < self._newest
         self._newest = message.sequence
         self._seen += 1
         if self._report.robot and name != self._report.robot:
@@ -95,26 +97,50 @@ class StatusCheck:
         """Pause until the next snapshot: events are missing."""
         self._times.stop()
 
-    def end(self, ending: Ending, end_ns: int) -> None:
+    def end(self, invariants: Invariants, ending: Ending, end_ns: int) -> None:
         """Report what differs; the journal ends at `end_ns` since the epoch."""
         if not self.is_on or not ending.is_own or self._report.missing:
             return
         if self.topic is None:
+            self._tell_unrecorded(ending)
             return
         report, times = self._report, self._times
         is_closed = ending.is_whole and ending.ledger is not None
         times.end(inf if is_closed else end_ns - UNDER_WAY_NS)
         if ending.has_begin:
             self._gaps += self._first - 1
-        if wrong := self._wrong + times.wrong:
-            report.miss(f"{wrong} robot statuses are wrong: {self._example or times.example}")
+        wrong = self._wrong + times.wrong
+        if wrong:
+            example = self._example or times.example
+            self._accuse(invariants, ending, f"{wrong} robot statuses are wrong: {example}")
         lost = min(self._gaps, ending.lost) if is_closed else self._gaps
+        missing = []
         if times.unshown > lost:
-            report.miss(f"{times.unshown} changes of the mode are not shown by a robot status then")
+            missing.append(f"{times.unshown} changes of the mode are shown by no robot status then")
         if self._gaps > ending.lost and ending.ledger is not None:
-            report.miss(f"{self._gaps} robot statuses are missing")
+            missing.append(f"{self._gaps} robot statuses are missing")
         elif not self._seen and ending.is_whole and end_ns - self._begin_ns > UNDER_WAY_NS:
-            report.miss("no robot status is recorded")
+            missing.append("no robot status is recorded")
+        for text in missing:
+            if ending.ledger is None:
+                report.miss(f"{text}; it was not closed, so its losses are not known")
+            else:
+                self._accuse(invariants, ending, text)
+        if self._unordered:
+            report.miss(f"{self._unordered} robot statuses are out of order")
+
+    def _accuse(self, invariants: Invariants, ending: Ending, text: str) -> None:
+        if self._unordered:  # another node publishes them as well: they are not told apart
+            self._report.miss(text)
+        else:
+            ending.accuse(self._report, invariants, text)
+
+    def _tell_unrecorded(self, ending: Ending) -> None:
+        text = f"its topic of robot statuses, {self._name}, is not recorded"
+        if self._others:
+            self._report.notes.append(f"{text}: its name may be remapped, as {self._others[0]} is")
+        elif self._is_told and ending.is_whole:
+            self._report.miss(text)
 
     def _blame(self, text: str) -> None:
         self._wrong += 1

@@ -60,7 +60,8 @@ class StatusTimes:
         self._begin_ns = self._offset_ns = 0
         self._due_ns: float = inf
         self._without: deque[tuple[int, int]] = deque(maxlen=MAX_WAITING)
-        """Begin and end of each time without new odometry [steady ns]."""
+        """Each time without new odometry: when the last came [steady ns], and when the next was
+        handled [ns since the epoch]."""
 
         self._odometry_ns = 0
         self._timeouts_ns: tuple[int, int] | None = None
@@ -96,6 +97,7 @@ class StatusTimes:
         if self._modes is not None and abs(self._offset_ns - offset_ns) > CLOCK_NS:
             self._settle(self._wall_ns - EXCUSES_NS)
             self._statuses.clear()
+            self._without.clear()
             self._begin(wall_ns)
         self._t_ns, self._wall_ns = t_ns, wall_ns
 
@@ -110,7 +112,7 @@ class StatusTimes:
         self._move_to(t_ns, log_ns)
         if odometry_ns != self._odometry_ns:
             if odometry_ns - self._odometry_ns > AGE_NS:
-                self._without.append((self._odometry_ns, odometry_ns))
+                self._without.append((self._odometry_ns, log_ns))
             self._odometry_ns = odometry_ns
 
     def mode(self, mode: Mode, moments: Moments) -> None:
@@ -132,7 +134,7 @@ class StatusTimes:
     def _settle(self, until_ns: float) -> None:
         self._judge(until_ns)
         self._forget(until_ns)
-        while self._without and self._without[0][1] + self._offset_ns < until_ns - NS_PER_S:
+        while self._without and self._without[0][1] < until_ns - NS_PER_S:
             self._without.popleft()
 
     def _judge(self, until_ns: float) -> None:
@@ -160,16 +162,20 @@ class StatusTimes:
         level = _UNKNOWN if isnan(status.level) else _FLOAT.pack(status.level)
         if not self._levels.shows(level, status.publish_ns):
             return f"one shows the battery level {status.level:.6g}, which was not known then"
-        return self._freshness(status.is_connected, steady_ns)
+        return self._freshness(status, steady_ns)
 
-    def _freshness(self, is_connected: bool, steady_ns: int) -> str:
+    def _freshness(self, status: Status, steady_ns: int) -> str:
         assert self._timeouts_ns is not None
-        inside = (begin_ns for begin_ns, end_ns in self._without if begin_ns < steady_ns <= end_ns)
+        inside = (
+            begin_ns
+            for begin_ns, end_ns in self._without
+            if begin_ns < steady_ns and status.publish_ns <= end_ns
+        )
         age_ns = steady_ns - next(inside, self._odometry_ns)
         shortest, longest = self._timeouts_ns
-        if not is_connected and age_ns < shortest - AGE_NS:
+        if not status.is_connected and age_ns < shortest - AGE_NS:
             return "one says that odometry was stale, and it was fresh"
-        if is_connected and age_ns > longest + AGE_NS:
+        if status.is_connected and age_ns > longest + AGE_NS:
             return "one says that odometry was fresh, and it was stale"
         return ""
 

@@ -10,8 +10,8 @@ from typing import Final, Generic, TypeVar
 from robotctl.kernel.units import NS_PER_S
 from robotctl.rerun.command_pairs import Moments
 
-EDGE_NS: Final = NS_PER_S // 100
-"""How near to the step of a change either value may be shown."""
+EDGE_NS: Final = NS_PER_S // 100_000
+"""How near to the begin of a step either value may be shown: the middleware rounds times."""
 
 MAX_CHANGES: Final = 10_000
 """The number of changes that are kept."""
@@ -44,12 +44,16 @@ class Timeline(Generic[Value]):
 
     def shows(self, value: Value, at_ns: int) -> bool:
         """Return whether a value was right at a time since the epoch; note that it was shown."""
-        is_right = value == self._value
+        is_right, step = value == self._value, None
         for change in self._changes:
-            if change.moments[1] - EDGE_NS > at_ns:
+            begin_ns = change.moments[1]
+            if begin_ns - EDGE_NS > at_ns:
                 break
             if change.value == value:
                 change.is_shown = is_right = True
+                step = change.moments
+            elif begin_ns + EDGE_NS < at_ns and change.moments != step:
+                is_right = False
         return is_right
 
     def forget(self, until_ns: float) -> Iterator[Change[Value]]:

@@ -17,6 +17,9 @@ from robotctl.ros.executor import AsyncioExecutor, ExceptionHandler
 RECORDER_NODE = "_recorder"
 """The name of the node whose subscriptions only record and watch. ROS tools hide such names."""
 
+SERVICE_EVENTS = "/_service_event"
+"""The end of the name of the topic that shows the calls of a service."""
+
 
 @dataclass(frozen=True, slots=True)
 class Naming:
@@ -61,8 +64,13 @@ class Session:
         return self._executor.scheduling
 
     def resolve(self, topic: str) -> str:
-        """Return the full name of a topic that may be relative, or have another name here."""
-        return str(self.helper().resolve_topic_name(topic))
+        """Return the full name of a topic that may be relative, or have another name here.
+
+        The events of a service follow its name.
+        """
+        service = topic.removesuffix(SERVICE_EVENTS)
+        name = str(self.helper().resolve_topic_name(service))
+        return name if service == topic else name + SERVICE_EVENTS
 
     def logger_name(self, node_name: str) -> str:
         """Return the name that ROS gives the logger of a node, by the node's usual name."""

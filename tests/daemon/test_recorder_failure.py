@@ -25,8 +25,9 @@ MORE_BYTES = 60_000
 
 
 @pytest.fixture
-def disk(monkeypatch: pytest.MonkeyPatch) -> list[FailingFile]:
+def disk(world: World, monkeypatch: pytest.MonkeyPatch) -> list[FailingFile]:
     """The files that a daemon in this process writes."""
+    world.may_lack = "its disk fails"
     opened: list[FailingFile] = []
 
     def open_file(path: Path) -> FailingFile:

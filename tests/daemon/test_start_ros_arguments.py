@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from robotctl.recording import Recording
+from robotctl.recording.format.metadata_names import INFO_RECORD
 from tests.support.lines import Told, peer_command
 from tests.support.waiting import until
 from tests.support.world import Peer, new_world
@@ -39,6 +41,13 @@ def test_a_start_takes_parameters_remaps_a_namespace_and_a_node_name() -> None:
         finally:
             peer.close()
             client.close()
+        with Recording(next(world.recordings.iterdir())) as recording:
+            told = recording.info().metadata[INFO_RECORD]
+        assert told["topic.robot_status"] == "/lab/status"
+        assert (told["service.set_mode"], told["service.estop"]) == (
+            "/lab/change_mode",
+            "/lab/estop",
+        )
 
 
 def test_a_wrong_argument_is_refused_before_a_daemon_starts() -> None:

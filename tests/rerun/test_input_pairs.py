@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from robotctl.recording.format.metadata_names import LEDGER_RECORD
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Report, Verdict
 from robotctl.rerun.command_bytes import is_zero, numbers_of
@@ -97,3 +98,18 @@ def test_losses_that_were_counted_are_a_note(tmp_path: Path, heard: Contents) ->
     report = check(tmp_path, edited)
     assert report.verdict is Verdict.SAME
     assert "10 were counted as lost" in report.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("count", "closed", "verdict"),
+    [(8, False, Verdict.SAME), (8, True, Verdict.BROKEN), (120, False, Verdict.INCOMPLETE)],
+)
+def test_the_first_messages_may_lack_where_no_losses_are_known(
+    tmp_path: Path, heard: Contents, count: int, closed: bool, verdict: Verdict
+) -> None:
+    """The recorder finds a publisher later than the control loop; 120 messages take 2.4 s."""
+    edited = edit(heard, ODOMETRY, lambda at, each: each if at >= count else None)
+    if not closed:
+        edited.metadata = [each for each in edited.metadata if each[0] != LEDGER_RECORD]
+    report = check(tmp_path, edited)
+    assert report.verdict is verdict, report

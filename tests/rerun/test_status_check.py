@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from robotctl.recording.format.metadata_names import INFO_RECORD, LEDGER_RECORD
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
 from tests.support.edited_recordings import Contents, Stored, edit, write_contents
@@ -19,7 +20,7 @@ def heard(tmp_path_factory: pytest.TempPathFactory) -> Contents:
 
 
 @pytest.mark.parametrize(
-    ("earlier_ns", "verdict"), [(10_000_000_000, Verdict.SAME), (0, Verdict.INCOMPLETE)]
+    ("earlier_ns", "verdict"), [(10_000_000_000, Verdict.SAME), (0, Verdict.BROKEN)]
 )
 def test_the_status_of_before_the_journal_may_show_another_battery_level(
     tmp_path: Path, heard: Contents, earlier_ns: int, verdict: Verdict
@@ -54,3 +55,48 @@ def test_a_wall_clock_that_is_set_is_held_against_no_status(
     ]
     report = check_recording(write_contents(tmp_path / "run", edited))
     assert (report.verdict, report.missing) == (Verdict.SAME, [])
+
+
+def renamed(contents: Contents, topic: str) -> Contents:
+    """Return the recording with statuses on another topic, as its metadata says."""
+    edited = edit(contents, STATUS, lambda at, each: replace(each, topic=topic))
+    edited.types = [
+        (replace(each, topic=topic) if each.topic == STATUS else each, schema)
+        for each, schema in contents.types
+    ]
+    edited.counts[topic] = edited.counts[STATUS]
+    for name, values in edited.metadata:
+        if name == INFO_RECORD:
+            values["topic.robot_status"] = topic
+        elif name == LEDGER_RECORD:
+            values[topic] = values.pop(STATUS)
+    return edited
+
+
+@pytest.mark.parametrize(("mode", "verdict"), [(1, Verdict.SAME), (2, Verdict.BROKEN)])
+def test_a_status_topic_with_another_name_is_compared(
+    tmp_path: Path, heard: Contents, mode: int, verdict: Verdict
+) -> None:
+    """The third status shows that the robot is MOVING."""
+    edited = edit(
+        renamed(heard, "/shown"),
+        "/shown",
+        lambda at, each: replace(each, data=with_mode(each, mode)) if at == 2 else each,
+    )
+    report = check_recording(write_contents(tmp_path / "run", edited))
+    assert (report.verdict, report.missing) == (verdict, [])
+
+
+def with_mode(message: Stored, mode: int) -> bytes:
+    """Return the data of a status with another mode."""
+    return message.data[:14] + bytes((mode,)) + message.data[15:]
+
+
+def test_a_status_topic_that_is_told_and_not_recorded_is_missed(
+    tmp_path: Path, heard: Contents
+) -> None:
+    edited = edit(heard, STATUS, lambda at, each: None)
+    edited.types = [each for each in heard.types if each[0].topic != STATUS]
+    report = check_recording(write_contents(tmp_path / "run", edited))
+    assert report.verdict is Verdict.INCOMPLETE
+    assert "its topic of robot statuses, /robot_status, is not recorded" in report.missing

@@ -19,9 +19,21 @@ def test_before_a_change_only_the_value_before_is_right() -> None:
     assert not timeline().shows("moving", STEP - 2 * EDGE_NS)
 
 
-def test_within_the_step_of_a_change_both_values_are_right() -> None:
+def test_where_the_step_of_a_change_begins_both_values_are_right() -> None:
     assert timeline().shows("idle", STEP)
     assert timeline().shows("moving", STEP)
+
+
+def test_within_the_step_of_a_change_only_the_new_value_is_right() -> None:
+    assert timeline().shows("moving", STEP + 2 * EDGE_NS)
+    assert not timeline().shows("idle", STEP + 2 * EDGE_NS)
+
+
+def test_each_value_of_a_step_with_two_changes_is_right() -> None:
+    made = timeline()
+    made.change("error", (0, STEP, 2 * STEP))
+    for value, is_right in (("idle", False), ("moving", True), ("error", True)):
+        assert made.shows(value, STEP + 2 * EDGE_NS) is is_right
 
 
 def test_after_a_change_only_the_new_value_is_right() -> None:

@@ -232,6 +232,9 @@ class FakeSession:
     def helper(self) -> FakeNode:
         return self.made
 
+    def resolve(self, topic: str) -> str:
+        return topic
+
 
 def publisher(type_name: str, profile: QoSProfile = qos.COMMAND) -> Endpoint:
     return Endpoint("node", "/", type_name, bytes(16), profile)

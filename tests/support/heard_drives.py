@@ -19,7 +19,7 @@ from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import Effect, Event
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.journal import decode
-from robotctl.recording.format.metadata_names import LEDGER_RECORD
+from robotctl.recording.format.metadata_names import INFO_RECORD, LEDGER_RECORD
 from robotctl.rerun.closed_loop import closed_loop
 from robotctl.testing.drives import BEGIN_NS, drive_requested, journaled, record
 from robotctl.testing.hearing import BATTERY, ODOMETRY, SCAN, WANTED, HearingKernel
@@ -109,6 +109,8 @@ def _with_messages(contents: Contents, heard: dict[tuple[str, int], bytes]) -> C
             messages += late
             late = []
     contents.messages = messages + late
+    told = next(values for name, values in contents.metadata if name == INFO_RECORD)
+    told |= {"topic.robot_status": STATUS, "service.set_mode": "/set_mode"}
     return _counted(contents)
 
 

@@ -30,9 +30,7 @@ from robotctl.ipc.client import call
 from robotctl.ipc.method_names import STATUS
 from robotctl.recording import Recording, read_journal
 from robotctl.recording.format.journal import JournalEntry, decode
-from robotctl.recording.keep.catalog import CLIPS_FOLDER
-from robotctl.rerun.check import check_recording
-from robotctl.rerun.check_report import Verdict
+from tests.support.contradictions import contradictions
 from tests.support.lines import Told, peer_command
 from tests.support.waiting import DEADLINE_S, until
 
@@ -95,6 +93,9 @@ class World:
         }
         self.inside: tuple[str, ...] = ()
         """What a command line begins with, to run on another host (tests.support.network)."""
+
+        self.may_lack = ""
+        """Why recordings of this world may be incomplete, "" if they must not."""
 
         self._mark = f"XDG_RUNTIME_DIR={folder / 'run'}\0".encode()
         self._killed = False
@@ -267,22 +268,9 @@ class World:
             left += [f"memory {path}" for path in ours]
         for path in self.shared_memory():
             path.unlink(missing_ok=True)
-        left += self._contradictions()
+        left += contradictions(self.folder, may_lack=bool(self.may_lack))
         rmtree(self.folder)
         return left
-
-    def _contradictions(self) -> list[str]:
-        """Return the decisions in recordings of this world that a fresh kernel would not repeat."""
-        recordings = {
-            path if path.parent.name == CLIPS_FOLDER else path.parent
-            for path in self.folder.rglob("*.mcap")
-        }
-        reports = [check_recording(recording) for recording in sorted(recordings)]
-        return [
-            f"recording: {report.as_object()}"
-            for report in reports
-            if report.verdict in (Verdict.DIVERGED, Verdict.BROKEN)
-        ]
 
 
 @contextmanager

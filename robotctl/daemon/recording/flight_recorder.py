@@ -88,6 +88,7 @@ class FlightRecorder:
             present=lambda: self._config,
             sealer=RobotSealer(options.robot, in_loop(self._heads.take)),
             evidence=frozenset(map(session.resolve, _evidence_topics(config))),
+            names={} if options.observe else mode_service.names(session.resolve),
         )
         topics = (config.kernel.command.topic, config.kernel.odometry.topic)
         own = (mode_service.STATUS.name, journal_publisher.TOPIC.name)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from robotctl.config import Config, RecordingParams, flat
@@ -52,6 +52,7 @@ def open_recorder(
     present: Callable[[], Config] | None = None,
     sealer: Sealer | None = None,
     evidence: frozenset[str] = frozenset(),
+    names: Mapping[str, str] | None = None,
 ) -> Recorder:
     """Start the recording ROBOT_DATE_TIME.
 
@@ -59,12 +60,13 @@ def open_recorder(
     `on_split(file)`, and `on_full(file)`, which must arrange a call of the recorder's `split`.
     `present()` returns the configuration that a later file names; `config` where it is None.
     `sealer` seals the files if the configuration says so.
-    `evidence` are the full names of the topics that a check needs.
+    `evidence` are the full names of the topics that a check needs, `names` those of the daemon's
+    own topics and services by their keys in the metadata.
 
     Raises:
         Refused: The recording cannot be written.
     """
-    described = {"robot": robot, **provenance()}
+    described = {"robot": robot, **provenance(), **(names or {})}
 
     def metadata() -> dict[str, str]:
         values = flat(config if present is None else present())

@@ -46,6 +46,15 @@ CALLS = tuple(
 )
 """The topics that show the calls and responses of each service."""
 
+
+def names(resolve: Callable[[str], str]) -> dict[str, str]:
+    """Return the full names of the status topic and the services; `resolve` applies remaps."""
+    return {
+        "topic.robot_status": resolve(STATUS.name),
+        **{f"service.{name}": resolve(name) for name in (SET_MODE, ESTOP)},
+    }
+
+
 MAX_IN_WORK = 256
 """Limit on requests that wait for their reply; the next one is refused as busy, unless it is an
 emergency stop. The kernel lets 64 requests wait for the end of a ramp; the others wait until the

@@ -67,6 +67,7 @@ class Tap:
         Topics for which `wanted(topic, type)` is false are not subscribed to.
         """
         self._node = session.helper()
+        self._resolve = session.resolve
         self._open_sink = open_sink
         self._wanted = wanted
         self._reserved: set[str] = set()
@@ -104,14 +105,14 @@ class Tap:
 
     def subscribe_own(self, topic: OwnTopic) -> None:
         """Subscribe to a topic of robotctl's own, before its publisher exists."""
-        name = self._node.resolve_topic_name(topic.name)
+        name = self._resolve(topic.name)
         if self._wanted(name, topic.type_name):
             self._own.add(name)
             self._subscribe(name, topic.type_name, [topic.qos])
 
     def reserve(self, topic: OwnTopic) -> ViewSink:
         """Return the sink of an own topic that its role records directly; never subscribe to it."""
-        name = self._node.resolve_topic_name(topic.name)
+        name = self._resolve(topic.name)
         self._reserved.add(name)
         return self._open_sink(describe(name, topic.type_name, [topic.qos]))
 

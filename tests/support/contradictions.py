@@ -1,0 +1,37 @@
+"""What a check finds in the recordings that a test leaves behind."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from robotctl.errors import UnreadableFile
+from robotctl.recording import Recording
+from robotctl.recording.format.metadata_names import INFO_RECORD
+from robotctl.recording.keep.catalog import CLIPS_FOLDER
+from robotctl.rerun.check import check_recording
+from robotctl.rerun.check_report import Report, Verdict
+
+
+def contradictions(folder: Path, *, may_lack: bool) -> list[str]:
+    """Return the recordings below a folder, also clips, that a check does not call the same.
+
+    They may be incomplete if they `may_lack` something.
+    """
+    recordings = {
+        path if path.parent.name == CLIPS_FOLDER else path.parent for path in folder.rglob("*.mcap")
+    }
+    return [
+        f"recording: {report.as_object()}"
+        for report in map(check_recording, sorted(recordings))
+        if report.verdict in (Verdict.DIVERGED, Verdict.BROKEN)
+        or (report.verdict is Verdict.INCOMPLETE and not may_lack and _decides(report))
+    ]
+
+
+def _decides(report: Report) -> bool:
+    """Return whether a recording is of a daemon that decides: it tells the names of its topics."""
+    try:
+        with Recording(report.path) as recording:
+            return "topic.robot_status" in recording.info().metadata.get(INFO_RECORD, {})
+    except UnreadableFile:
+        return False
