@@ -102,7 +102,7 @@ class CommandCheck:
         if count <= ending.lost:
             self._report.notes.append(f"{text}: {ending.lost} were counted as lost")
         elif ending.ledger is None:
-            self._report.miss(f"{text}; it was not closed, so its losses are not known")
+            self._report.miss(f"{text}; {ending.unknown_losses}")
         else:
             ending.accuse(self._report, invariants, text)
 

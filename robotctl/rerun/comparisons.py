@@ -19,6 +19,7 @@ from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.measured import Measured
 from robotctl.rerun.service_check import ServiceChecks
 from robotctl.rerun.status_check import StatusCheck
+from robotctl.rerun.tick_schedule import TickSchedule
 
 
 class Comparisons:
@@ -27,6 +28,7 @@ class Comparisons:
     def __init__(self, report: Report, info: RecordingInfo, journal_topic: str) -> None:
         clock = ClockChanges()
         self.invariants = Invariants()
+        self._ticks = TickSchedule()
         self._commands = CommandCheck(report, clock)
         self._command_topic = command_topic(info, journal_topic)
         self._inputs = input_checks(report, info, journal_topic)
@@ -50,6 +52,7 @@ class Comparisons:
         """Continue from a snapshot, with its time by the steady clock and since the epoch."""
         has_proof = snapshot.proof is not None
         self.invariants.snapshot(snapshot)
+        self._ticks.begin(snapshot.params.rate_hz)
         self._commands.snapshot(snapshot)
         self._inputs.snapshot(has_proof)
         self._services.snapshot(has_proof, log_ns)
@@ -73,6 +76,7 @@ class Comparisons:
         self._status.step(event, effects, measured, moments)
         if not effects and isinstance(event, OdomReceived):
             return  # most steps are so
+        self._ticks.step(event, seq)
         self._commands.step(event, effects, moments)
         self._services.step(event, seq, effects, moments)
         if was_checked:
@@ -83,6 +87,7 @@ class Comparisons:
     def stop(self) -> None:
         """Pause until the next snapshot: events are missing."""
         self.invariants.stop()
+        self._ticks.stop()
         self._commands.stop()
         self._inputs.stop()
         self._services.stop()
@@ -93,7 +98,10 @@ class Comparisons:
 
         `ending(topic)` tells how the recording ends for a topic.
         """
+        self._ticks.stop()
+        for found in self._ticks.missing:
+            self.invariants.violate(f"{found.ticks} ticks are missing before entry {found.seq}")
         self._commands.end(self.invariants, ending(self._command_topic))
         self._inputs.end(self.invariants, ending, end_ns)
-        self._services.end(self.invariants, ending, end_ns)
+        self._services.end(self.invariants, ending, end_ns, log_ns)
         self._status.end(self.invariants, ending(self._status.topic), log_ns)

@@ -8,6 +8,9 @@ from dataclasses import dataclass
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.invariants import Invariants
 
+IN_SOURCE = "a clip does not tell what was lost, its source does"
+"""Why a clip may lack something."""
+
 
 @dataclass(frozen=True, slots=True)
 class Ending:
@@ -35,6 +38,11 @@ class Ending:
         """The number of messages that were counted as not recorded."""
         ledger = self.ledger or {}
         return sum(ledger.get(count, 0) for count in ("lost", "unseen", "dropped"))
+
+    @property
+    def unknown_losses(self) -> str:
+        """Why the losses are not known, where there is no ledger."""
+        return IN_SOURCE if self.is_clip else "it was not closed, so its losses are not known"
 
     def accuse(self, report: Report, invariants: Invariants, text: str) -> None:
         """Report a broken promise; only a note where not all decisions are known."""

@@ -141,7 +141,7 @@ class InputCheck:
         elif ending.is_filtered and self.topic is None:
             report.notes.append(f"the topic of {self._name} was not recorded, as configured")
         elif ending.ledger is None:
-            report.miss(f"{text}; it was not closed, so its losses are not known")
+            report.miss(f"{text}; {ending.unknown_losses}")
         else:
             ending.accuse(report, invariants, text)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
+from math import inf
 
 from robotctl.kernel.types import Effect, Event, ModeRequested, Reply
 from robotctl.kernel.units import NS_PER_S
@@ -68,12 +69,19 @@ class ServiceChecks:
                     each.pairs.reply(effect)
 
     def end(
-        self, invariants: Invariants, ending: Callable[[str | None], Ending], end_ns: int
+        self,
+        invariants: Invariants,
+        ending: Callable[[str | None], Ending],
+        end_ns: int,
+        end_log_ns: int,
     ) -> None:
-        """Report what differs; `ending(topic)` tells how the recording ends for a topic."""
+        """Report what differs; `ending(topic)` tells how the recording ends for a topic.
+
+        The journal ends at `end_ns` by the steady clock, which is `end_log_ns` since the epoch.
+        """
         if self._is_on and ending(None).is_own:
             for each in self._all:
-                each.end(invariants, ending(each.topic), end_ns)
+                each.end(invariants, ending(each.topic), end_ns, end_log_ns)
 
 
 class _ServiceCheck:
@@ -129,7 +137,7 @@ class _ServiceCheck:
         if event is not None:
             self.pairs.event(event, message.publish_ns)
 
-    def end(self, invariants: Invariants, ending: Ending, end_ns: int) -> None:
+    def end(self, invariants: Invariants, ending: Ending, end_ns: int, end_log_ns: int) -> None:
         """Report what differs."""
         pairs, report = self.pairs, self._report
         pairs.pair(self._clock)
@@ -138,13 +146,15 @@ class _ServiceCheck:
         if pairs.is_full:
             report.miss(f"of the calls on {self.topic} only the first were compared")
             return
-        self._tell_unasked(invariants, ending)
+        self._tell_unasked(invariants, ending, end_log_ns)
         self._tell_unheard(invariants, ending, end_ns)
         self._tell_answers(invariants, ending, end_ns)
 
-    def _tell_unasked(self, invariants: Invariants, ending: Ending) -> None:
+    def _tell_unasked(self, invariants: Invariants, ending: Ending, end_log_ns: int) -> None:
         begin_ns = (self._begin_ns or 0) + LATE_NS
-        unasked = [call for call in self.pairs.unasked if call.publish_ns > begin_ns]
+        is_closed = ending.is_whole and ending.ledger is not None
+        until_ns = inf if is_closed else end_log_ns - LATE_NS
+        unasked = [call for call in self.pairs.unasked if begin_ns < call.publish_ns <= until_ns]
         if not unasked:
             return
         text = (
@@ -177,7 +187,7 @@ class _ServiceCheck:
         elif not pairs.calls and self._others:
             report.notes.append(f"{text}: its name may be remapped, as {self._others[0]} is of it")
         elif ending.ledger is None:
-            report.miss(f"{text}; it was not closed, so its losses are not known")
+            report.miss(f"{text}; {ending.unknown_losses}")
         else:
             ending.accuse(report, invariants, text)
 

@@ -123,7 +123,7 @@ class StatusCheck:
             missing.append("no robot status is recorded")
         for text in missing:
             if ending.ledger is None:
-                report.miss(f"{text}; it was not closed, so its losses are not known")
+                report.miss(f"{text}; {ending.unknown_losses}")
             else:
                 self._accuse(invariants, ending, text)
         if self._unordered:

@@ -10,12 +10,13 @@ from robotctl.recording.format.metadata_names import INFO_RECORD
 from robotctl.recording.keep.catalog import CLIPS_FOLDER
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Report, Verdict
+from robotctl.rerun.ending import IN_SOURCE
 
 
 def contradictions(folder: Path, *, may_lack: bool) -> list[str]:
     """Return the recordings below a folder, also clips, that a check does not call the same.
 
-    They may be incomplete if they `may_lack` something.
+    They may be incomplete if they `may_lack` something, and clips of a recording with losses are.
     """
     recordings = {
         path if path.parent.name == CLIPS_FOLDER else path.parent for path in folder.rglob("*.mcap")
@@ -24,7 +25,10 @@ def contradictions(folder: Path, *, may_lack: bool) -> list[str]:
         f"recording: {report.as_object()}"
         for report in map(check_recording, sorted(recordings))
         if report.verdict in (Verdict.DIVERGED, Verdict.BROKEN)
-        or (report.verdict is Verdict.INCOMPLETE and not may_lack and _decides(report))
+        or (
+            (report.verdict is Verdict.INCOMPLETE and not may_lack and _decides(report))
+            and not all(IN_SOURCE in sentence for sentence in report.missing)
+        )
     ]
 
 

@@ -35,6 +35,7 @@ from tests.tampering.edits import (
     swapped,
     without,
 )
+from tests.tampering.stretches import stretch_removed
 
 
 def late(message: Stored) -> Stored:
@@ -291,6 +292,9 @@ FOUND: Mapping[str, Kind] = {
         rewritten("Snapshot", r'"commands":[0-9]+', '"commands":7', everywhere=True), careful=True
     ),
     "journal: topic removed": removed(JOURNAL),
+    "all topics: a stretch of standing removed, all numbered and chained anew": stretch_removed(
+        1.3, 1.6
+    ),
     "metadata: the limit of the velocity changed": metadata(
         "robotctl", "parameter.limits.linear_mps", "0.59"
     ),
@@ -343,6 +347,10 @@ ACCEPTED: Mapping[str, tuple[Kind, str]] = {
             careful=True,
         )(contents, random),
         "the control loop takes its inputs with best effort, and the CRCs were computed again",
+    ),
+    "all topics: a stretch of standing removed, its ticks counted as missed": (
+        stretch_removed(1.3, 1.6, missed=True),
+        "a process that is suspended while the robot stands leaves the same",
     ),
     "metadata: another version": (
         metadata("robotctl", "robotctl", "9.9.9"),
