@@ -10,8 +10,8 @@ from typing import Final, Generic, TypeVar
 from robotctl.kernel.units import NS_PER_S
 from robotctl.rerun.command_pairs import Moments
 
-EDGE_NS: Final = NS_PER_S // 100_000
-"""How near to the begin of a step either value may be shown: the middleware rounds times."""
+EDGE_NS: Final = NS_PER_S // 200
+"""How near to the begin of a step either value may be shown: two clocks are compared."""
 
 MAX_CHANGES: Final = 10_000
 """The number of changes that are kept."""
