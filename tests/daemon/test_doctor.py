@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from tests.support.first_package import MISTAKES, healthy
+from tests.support.waiting import until
 from tests.support.world import Peer, World
 
 
@@ -19,12 +20,37 @@ def test_a_daemon_and_its_robot_are_healthy_and_a_base_of_another_type_is_named(
     told = {each["check"]: each["text"] for each in found}
     assert told["odometry"].startswith("/odom (nav_msgs/msg/Odometry): 1 publishers")
     new_peer(world)("take_commands", kind="TwistStamped")
-    ran = world.here("doctor", "--json")
-    answer = json.loads(ran.out)
+
+    def sick() -> str:
+        ran = world.here("doctor", "--json")
+        return ran.out if ran.exit_code == 4 else ""
+
+    answer = json.loads(until(sick))  # once the daemon has discovered it
     faults = [each for each in answer["findings"] if each["level"] == "fault"]
-    assert ran.exit_code == 4
     assert ["several types" in each["text"] and each["check"] for each in faults] == ["command"]
     assert answer["error"]["cure"] == faults[0]["cure"]
+    world.ok("stop")
+
+
+def test_what_a_killed_daemon_left_is_cleaned_and_a_shell_in_another_domain_is_told(
+    world: World,
+) -> None:
+    world.ok("start", "--sim", "--robot", "r2")
+    world.ok("start", "--sim")
+    world.kill(world.status("r2")["pid"])
+    found = world.answer_here("doctor")["findings"]
+    (left,) = (each for each in found if "robot r2" in each["text"])
+    assert left["level"] == "warning"
+    sockets = {path.name: path for path in world.sockets()}
+    answer = world.answer_here("doctor", "--clean")
+    assert str(sockets["r2.sock"]) in answer["removed"]
+    assert [path.name for path in world.sockets()] == ["robot.sock"]
+    assert not [each for each in answer["findings"] if "robot r2" in each["text"]]
+    assert world.status()["mode"] == "IDLE"
+    world.environment["ROS_DOMAIN_ID"] = "0"
+    elsewhere = world.answer_here("doctor")["findings"]
+    (told,) = (each for each in elsewhere if each["check"] == "discovery" and each["cure"])
+    assert told["cure"] == f"export ROS_DOMAIN_ID={world.domain_id}"
     world.ok("stop")
 
 

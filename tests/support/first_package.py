@@ -130,7 +130,12 @@ from launch_ros.actions import Node
 
 
 def generate_launch_description():
-    return LaunchDescription([Node(package='my_robot', executable='talker', name='talker')])
+    return LaunchDescription([
+        Node(package='my_robot', executable='talker'),
+        Node(package='my_robot', executable='talker', namespace='two'),
+        Node(package='my_robot', executable='listener', name='ear'),
+        Node(package='other', executable='talker'),
+    ])
 """
 
 INSTALLER = """\
@@ -292,7 +297,15 @@ MISTAKES: dict[str, tuple[str, Callable[[Path], None]]] = {
     ),
     "two nodes of one name": (
         "name collisions",
-        _edit("my_robot/listener.py", "'listener'", "'talker'"),
+        _edit("launch/my_robot.launch.py", "'ear'", "'talker'"),
+    ),
+    "one node that is started twice": (
+        "name collisions",
+        _edit(
+            "launch/my_robot.launch.py",
+            "executable='talker', namespace='two'",
+            "executable='talker'",
+        ),
     ),
     "two executables of one name": (
         "name collisions",

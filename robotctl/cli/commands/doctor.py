@@ -25,7 +25,7 @@ def doctor(
         typer.Argument(metavar="[PACKAGE]", help="Folder of a ROS 2 package, or of several."),
     ] = None,
     clean: Annotated[
-        bool, typer.Option("--clean", help="Remove shared memory that dead processes of you left.")
+        bool, typer.Option("--clean", help="Remove what killed processes of you left.")
     ] = False,
     robot: Robot = DEFAULT_ROBOT,
     config: ConfigFile = None,

@@ -9,12 +9,13 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from robotctl.cli.support import dead_daemons
 from robotctl.cli.support.look_process import look_processes
 from robotctl.cli.support.ros_view import RosView, ros_view
 from robotctl.config import Config, load
 from robotctl.doctor import graph, installation, machine, shared_memory
-from robotctl.doctor.finding import Finding, fault, ok
-from robotctl.domains import wider_discovery
+from robotctl.doctor.finding import Finding, fault, ok, warning
+from robotctl.domains import requested_domain, wider_discovery
 from robotctl.environment import RANGE
 from robotctl.errors import RobotctlError, UsageError
 from robotctl.ipc.answers import GraphTopic
@@ -33,8 +34,8 @@ def diagnose(
         UsageError: The configuration or the domain is wrong.
     """
     chosen = Config() if config is None else load(config)
-    removed = [str(path) for path in shared_memory.clean()] if clean else []
-    return removed, [*_computer(chosen), *_ros(robot, chosen, domain_id)]
+    removed = [*shared_memory.clean(), *dead_daemons.remove_sockets()] if clean else []
+    return [str(path) for path in removed], [*_computer(chosen), *_ros(robot, chosen, domain_id)]
 
 
 def _computer(config: Config) -> Iterator[Finding]:
@@ -44,6 +45,10 @@ def _computer(config: Config) -> Iterator[Finding]:
     yield from installation.check_two_rclpys(sys.path)
     yield from installation.check_pip(prefix, base, Path(sysconfig.get_path("stdlib")))
     yield from shared_memory.check_memory()
+    for robot in dead_daemons.killed():
+        text = f"the daemon of robot {robot} was killed, and its socket is left"
+        cure = f"robotctl start --robot {robot} cleans up, and repairs the recording"
+        yield warning("dead processes", text, cure)
     yield from machine.check_disk(Path("recordings").absolute())
     yield from machine.check_clock(time.time(), state_folder())
     yield from machine.check_folders(runtime_folder(), state_folder())
@@ -51,10 +56,18 @@ def _computer(config: Config) -> Iterator[Finding]:
 
 
 def _ros(robot: str, config: Config, domain_id: int | None) -> Iterator[Finding]:
-    os.environ.setdefault(RANGE, "LOCALHOST")  # as a start does
     with look_processes([]):
         try:
             view = ros_view(robot, domain_id)
+            os.environ.setdefault(RANGE, "LOCALHOST")  # as a start does
+            shell = requested_domain(domain_id) or 0
+            if shell != view.domain_id:
+                yield warning(
+                    "discovery",
+                    f"the daemon is in domain {view.domain_id}, this shell in {shell}: "
+                    "other programs of this shell do not see the robot",
+                    f"export ROS_DOMAIN_ID={view.domain_id}",
+                )
             wider = wider_discovery()
             reach = f"other machines are discovered: {wider}" if wider else "this machine only"
             yield ok("discovery", f"domain {view.domain_id}, {reach}")

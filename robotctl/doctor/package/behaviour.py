@@ -22,6 +22,8 @@ TAKES_CALLBACKS: Final = (
     *("add_done_callback", "add_on_set_parameters_callback", "create_client", "Subscription"),
 )
 
+CALLBACK_GROUPS: Final = ("ReentrantCallbackGroup", "MutuallyExclusiveCallbackGroup")
+
 SENSOR_DATA: Final = ("qos_profile_sensor_data", "SensorDataQoS", "SENSOR_DATA")
 
 
@@ -67,7 +69,8 @@ def check_spin_in_callback(package: Package) -> Iterator[Finding]:
         for name in _callbacks(tree, functions):
             for call in calls(functions[name]):
                 waits = called(call) == "call" and _target(call) in clients
-                spins = called(call) in SPINS and _target(call) not in ("time", "")
+                spins = called(call) in SPINS and _target(call) == "rclpy"
+                spins = spins and keyword(call, "executor") is None
                 if (spins or waits) and call.lineno not in told:
                     told.add(call.lineno)
                     what = "waits for a service" if waits else f"calls {called(call)}"
@@ -117,7 +120,7 @@ def _policy(given: ast.expr | None, default: str) -> str:
 
 
 def _assigned(tree: ast.Module) -> dict[str, ast.expr]:
-    """Return the names, also those of `self`, that are set exactly once."""
+    """Return the names, also those of `self`, that are set exactly once, and never given."""
     found: dict[str, list[ast.expr]] = {}
     for node in ast.walk(tree):
         if isinstance(node, ast.Assign):
@@ -131,7 +134,7 @@ def _assigned(tree: ast.Module) -> dict[str, ast.expr]:
         _target_name(node.value)
         for node in ast.walk(tree)
         if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store)
-    }
+    } | {node.arg for node in ast.walk(tree) if isinstance(node, ast.arg)}
     return {
         name: values[0]
         for name, values in found.items()
@@ -159,7 +162,12 @@ def _callbacks(
 
 
 def _clients(tree: ast.Module) -> set[str]:
-    """Return the names, also those of `self`, that hold clients of services."""
+    """Return the names, also those of `self`, that hold clients of services.
+
+    Empty where the module has callback groups: with them a callback may wait for a service.
+    """
+    if any(called(call) in CALLBACK_GROUPS for call in calls(tree)):
+        return set()
     return {
         _target_name(target)
         for node in ast.walk(tree)

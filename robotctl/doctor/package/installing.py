@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from robotctl.doctor.finding import Finding, fault
+from robotctl.doctor.finding import Finding, fault, warning
 from robotctl.doctor.package.constants import keyword, texts_within
 from robotctl.doctor.package.source import Package
 
@@ -58,7 +58,7 @@ def check_entry_points(package: Package) -> Iterator[Finding]:
     known = {_file_of(package, module) for _, module, _ in points}
     for path, tree in package.modules.items():
         if path.parts[0] == package.name and path not in known and _is_node_program(tree):
-            yield fault(
+            yield warning(
                 check,
                 f"{path} has a main() with rclpy.init, but setup.py names no executable for it",
                 f"add to console_scripts: '{path.stem} = {_module_of(path)}:main'",

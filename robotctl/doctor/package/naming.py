@@ -7,6 +7,7 @@ import re
 import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 from robotctl.doctor.finding import Finding, fault
 from robotctl.doctor.package.constants import called, calls, keyword, text_of
@@ -27,6 +28,9 @@ KNOWN_PACKAGES = frozenset(
     """.split()  # noqa: SIM905 - a list of thirteen strings has thirteen lines
 )
 """Names that a package of ROS or of Python has already."""
+
+GROUPS = ("GroupAction", "PushRosNamespace", "PushROSNamespace")
+"""Calls in a launch file that put nodes into namespaces."""
 
 _TARGET_TWICE = re.compile(r"ament_python_install_package\s*\(\s*(\$\{PROJECT_NAME\}|\w+)")
 
@@ -83,19 +87,14 @@ def check_collisions(package: Package, all_names: Sequence[str]) -> Iterator[Fin
                 f"setup.py: {count} executables are named {name}, and one remains",
                 "give each its own name",
             )
-    nodes: dict[str, set[str]] = {}
-    for module in {module for _, module, _ in points}:
-        for path, tree in package.ros_modules.items():
-            if path.with_suffix("").parts == tuple(module.split(".")):
-                for name, _ in _node_names(tree):
-                    nodes.setdefault(name, set()).add(str(path))
-    for name, places in nodes.items():
-        if len(places) > 1:
-            yield fault(
-                check,
-                f"{' and '.join(sorted(places))} both name their node {name}: ROS mixes them up",
-                "give each node its own name",
-            )
+    for path, tree in package.modules.items():
+        for name, count in Counter(_launched(package, tree)).items():
+            if count > 1:
+                yield fault(
+                    check,
+                    f"{path} starts {count} nodes named {name}: ROS mixes them up",
+                    "give each its own name=, or its own namespace=",
+                )
     for name in _TARGET_TWICE.findall(package.cmake):
         same = name in ("${PROJECT_NAME}", package.name)
         if same and "rosidl_generate_interfaces" in package.cmake:
@@ -105,6 +104,27 @@ def check_collisions(package: Package, all_names: Sequence[str]) -> Iterator[Fin
                 "as the one that is generated for its interfaces",
                 f"move the interfaces into a package {package.name}_interfaces",
             )
+
+
+def _launched(package: Package, tree: ast.Module) -> Iterator[str]:
+    """Yield the names of the nodes that a launch file starts together in one namespace."""
+    if any(called(call) in GROUPS for call in calls(tree)):
+        return
+    modules = {name: module for name, module, _ in entry_points(package)}
+    for call in calls(tree):
+        executable = text_of(keyword(call, "executable"), {})
+        if called(call) != "Node" or keyword(call, "namespace") or keyword(call, "condition"):
+            continue
+        if keyword(call, "name") is not None:
+            name = text_of(keyword(call, "name"), {})
+        elif text_of(keyword(call, "package"), {}) == package.name and executable in modules:
+            path = Path(*modules[executable].split(".")).with_suffix(".py")
+            names = [each for each, _ in _node_names(package.modules.get(path, ast.Module([], [])))]
+            name = names[0] if len(names) == 1 else None
+        else:
+            name = None
+        if name is not None:
+            yield name
 
 
 def _node_names(tree: ast.Module) -> Iterator[tuple[str, int]]:
