@@ -96,7 +96,7 @@ async def serve(
         if options.observe:
             daemon = Observer(host)
         elif options.owner:
-            daemon = Owner(host)
+            daemon = Owner(host, await choose_command_type(host))
         else:
             daemon = Driver(host, await choose_command_type(host))
         session.last.enter_context(published_log(session, levels))

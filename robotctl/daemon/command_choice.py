@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from robotctl.daemon.host import Host
 from robotctl.daemon.waiting import until
-from robotctl.kernel.params import CommandParams, Stamping
+from robotctl.kernel.params import OWNER_SUFFIX, CommandParams, Stamping
 from robotctl.kernel.types import COMMAND_TYPES, TWIST_STAMPED
 from robotctl.ros.graph import endpoints
 from robotctl.ros.messages.command_type import PLAIN, CommandType, stamped
@@ -21,10 +21,12 @@ PROBE_NODE = "_command_probe"
 async def choose_command_type(host: Host) -> CommandType:
     """Return the configured type; for `auto`, the one that the subscribers of the topic take.
 
-    Where no base is found until the end of discovery, that is Twist.
+    Where no base is found until the end of discovery, or none is looked for, that is Twist.
     """
-    command = host.config.kernel.command
-    if command.stamped is Stamping.AUTO and not host.alone and not host.options.sim:
+    params = host.config.kernel
+    command = params.command
+    looks = not (host.alone or host.options.sim or params.standalone)
+    if command.stamped is Stamping.AUTO and looks:
         chosen = await _taken_type(host, command)
     else:
         chosen = stamped(command.frame_id) if command.stamped is Stamping.TRUE else PLAIN
@@ -35,7 +37,8 @@ async def _taken_type(host: Host, command: CommandParams) -> CommandType:
     node = host.session.node(PROBE_NODE)
 
     def taken() -> frozenset[str]:
-        found = endpoints.subscriptions(node, host.session.resolve(command.topic))
+        topic = command.topic.removesuffix(OWNER_SUFFIX)
+        found = endpoints.subscriptions(node, host.session.resolve(topic))
         types = (each.topic_type for each in found if not is_monitor(each.node_name))
         return COMMAND_TYPES.intersection(types)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Coroutine
+from dataclasses import replace
 from typing import Any
 
 from robotctl.daemon.control.graph_watch import watch_graph
@@ -11,7 +12,7 @@ from robotctl.daemon.driver import Driver
 from robotctl.daemon.host import Host
 from robotctl.kernel.checks import stands_alone
 from robotctl.kernel.types import Cause, FaultCleared, FaultReported
-from robotctl.ros.messages.command_type import PLAIN
+from robotctl.ros.messages.command_type import PLAIN, CommandType
 from robotctl.ros.nodes.owner_velocity import OwnerVelocity
 
 
@@ -24,15 +25,17 @@ class Owner(Driver):
 
     _ending = "Shutting down ..."
 
-    def __init__(self, host: Host) -> None:
+    def __init__(self, host: Host, command: CommandType) -> None:
+        """Command by messages of this type; the gate takes and passes on the same."""
         self._gate_problem = ""
         self._gated: OwnerVelocity
-        super().__init__(host, PLAIN)
+        super().__init__(host, replace(command, qos=PLAIN.qos))
 
     def _make_velocity(self) -> OwnerVelocity:
         self._gated = OwnerVelocity(
             self._host.session,
             self._host.config.kernel.command.topic,
+            self._command,
             lambda: self._control.state.silent,
         )
         return self._gated

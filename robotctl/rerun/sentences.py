@@ -65,7 +65,7 @@ def sentence_of(event: Event) -> str:
         case LeaseRequested():
             return f"a request to {'take' if event.take else 'release'} the lease by {event.source}"
         case LeaseLost():
-            return f"the loss of the lease: of its holder, {event.how}"
+            return f"the loss of the lease by its holder: {event.how}"
         case CommandPublishersSeen():
             names = ", ".join(event.names) or "no other node"
             return f"{names} publishes velocity commands, too"

@@ -8,11 +8,13 @@ from pathlib import Path
 import pytest
 
 from robotctl.errors import UnreadableFile
+from robotctl.kernel.lease import LeaseLost, LeaseRequested
 from robotctl.kernel.remedies import Remedy
 from robotctl.kernel.types import (
     BatteryReceived,
     Cause,
     CommandPublishersSeen,
+    DriveRequested,
     Event,
     FaultReported,
     ModeRequested,
@@ -163,6 +165,43 @@ def test_a_refusal_by_the_table_of_modes_is_told(tmp_path: Path) -> None:
     found = incident(record(tmp_path / "run", drive(3.0, requests=asked)))
     told = explain(found)
     assert told.rule == "the table of modes: request moving is refused in EMERGENCY_STOP"
+
+
+LEASED = LeaseRequested(at(-0.1), 1, True, 7, "the inspector", "inspection")
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        replace(drive_requested(1.0), request_id=2, client=8),
+        ModeRequested(at(1.0), 2, 1, "one without an identity"),
+        LeaseRequested(at(1.0), 2, True, 8, "another"),
+        LeaseRequested(at(1.0), 2, False, 8, "another"),
+    ],
+    ids=["drive", "mode", "take", "release"],
+)
+def test_a_refusal_for_the_lease_names_its_holder_and_the_rule(
+    tmp_path: Path, asked: DriveRequested | ModeRequested | LeaseRequested
+) -> None:
+    folder = record(tmp_path / "run", drive(2.0, requests=[LEASED, asked]))
+    assert check_recording(folder).verdict is Verdict.SAME
+    found = incident(folder)
+    assert found.kind is IncidentKind.REFUSAL
+    told = explain(found)
+    said = f"the inspector holds the lease (inspection), and {asked.source} asked"
+    assert told.what == f"refused: {said}"
+    assert told.rule == "the lease: its holder alone starts and steers motion"
+    assert told.remedies == (Remedy.WAIT_FOR_LEASE,)
+
+
+def test_a_stop_for_a_lost_lease_tells_how_it_was_lost(tmp_path: Path) -> None:
+    driving = replace(drive_requested(0.5), request_id=2, client=7)
+    lost = LeaseLost(at(2.0), 7, "nothing was heard from it for 1 s")
+    folder = record(tmp_path / "run", drive(3.0, requests=[LEASED, driving, lost]))
+    told = explain(incident(folder))
+    assert "the inspector lost the lease: nothing was heard from it for 1 s" in told.what
+    assert told.came_in.startswith("the loss of the lease by its holder: nothing was heard")
+    assert told.rule == "the lease: motion ends with it"
 
 
 def test_what_is_nearest_to_a_time_is_told_with_what_came_of_it(tmp_path: Path) -> None:

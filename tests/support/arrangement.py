@@ -33,9 +33,9 @@ class Arrangement:
         self.owner(*PATIENT_OWNER)
         self.until_complete()
 
-    def sim(self) -> subprocess.Popen[str]:
+    def sim(self, *arguments: str) -> subprocess.Popen[str]:
         """Start the simulated robot."""
-        process = self.world.spawn("sim", "--robot", self.robot)
+        process = self.world.spawn("sim", "--robot", self.robot, *arguments)
         self._running.append(process)
         return process
 

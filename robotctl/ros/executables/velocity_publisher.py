@@ -7,7 +7,6 @@ import math
 import time
 from typing import Any
 
-from geometry_msgs.msg import Twist
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -16,10 +15,10 @@ from rclpy.duration import Duration
 from rclpy.exceptions import InvalidParameterValueException
 from rclpy.node import Node
 
-from robotctl.cdr.motion import decode_twist, encode_twist
+from robotctl.cdr.motion import frame_id_of
 from robotctl.domains import wider_discovery
 from robotctl.kernel.params import OWNER_SUFFIX
-from robotctl.kernel.types import ZERO
+from robotctl.kernel.types import COMMAND_TYPES, TWIST_STAMPED, ZERO
 from robotctl.kernel.types import Twist as Velocity
 from robotctl.printable import short_name
 from robotctl.ros.executables.gate import SILENCE_S, Gate
@@ -28,6 +27,7 @@ from robotctl.ros.executables.sweep import sweep_mps
 from robotctl.ros.executor import RawTap
 from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.publishers import TOOL_NODES, full_name, gid_of
+from robotctl.ros.messages.command_type import PLAIN, CommandType, stamped
 from robotctl.ros.messages.no_events import NO_SUBSCRIPTION_EVENTS
 from robotctl.ros.nodes.velocity_publisher import (
     MONITORS,
@@ -36,6 +36,9 @@ from robotctl.ros.nodes.velocity_publisher import (
     command_topic,
     publishing_line,
 )
+
+FRAME_ID = "base_link"
+"""The frame of a TwistStamped before the owner has named one."""
 
 TICK_S = 0.05
 """The time between two looks for a silent owner, and between two zeros while it is silent."""
@@ -60,11 +63,11 @@ ACKNOWLEDGED_S = 1.0
 class VelocityPublisher(Node):
     """Publishes `cmd_vel`: what the owner of the mode commands, or alone the tutorial's sweep.
 
-    With an owner, which publishes on `cmd_vel/owner`, this node is its gate (see `gate.Gate`), and
-    never sweeps again. Alone it publishes zeros for 4 s, then a sweep from -2 to 2 m/s in steps of
-    0.1 each 0.5 s. It publishes zeros instead, and logs why, while another node publishes the
-    topic, while one that may be a robot subscribes to it, or where discovery reaches beyond this
-    machine.
+    With an owner, which publishes on `cmd_vel/owner`, this node is its gate (see `gate.Gate`), with
+    messages of the owner's type, Twist or TwistStamped, and never sweeps again. Alone it publishes
+    zeros for 4 s, then a sweep from -2 to 2 m/s in steps of 0.1 each 0.5 s. It publishes zeros
+    instead, and logs why, while another node publishes the topic, while one that may be a robot
+    subscribes to it, or where discovery reaches beyond this machine.
 
     The parameter `sweep` set to true sweeps anyway, set to false never. The method `set_velocity`
     ends the sweep.
@@ -81,14 +84,7 @@ class VelocityPublisher(Node):
         self._last = ZERO
         self._said = ""
         self._own_gid = b""
-        tap: Any = RawTap(self._command, latency_s=0.0)
-        owned = command_topic(f"{self.resolve_topic_name('cmd_vel')}{OWNER_SUFFIX}")
-        # Before the publisher: who discovers the publisher must know it for a gate.
-        self._owned = self.create_subscription(
-            Twist, owned.name, tap, owned.qos, event_callbacks=NO_SUBSCRIPTION_EVENTS, raw=True
-        )
-        self._publisher = command_topic("cmd_vel").create_publisher(self)
-        self._own_gid = gid_of(self._publisher)
+        self._connect(PLAIN)
         # Steady: zeros must not wait for a /clock that stands still.
         self.create_timer(TICK_S, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.get_logger().info("Velocity Publisher Node started")
@@ -158,28 +154,64 @@ class VelocityPublisher(Node):
 
     # The gate
 
+    def _connect(self, kind: CommandType) -> None:
+        """Take and send commands of this type."""
+        self._kind = kind
+        self._next_kind: CommandType | None = None
+        self._frame_id = FRAME_ID
+        tap: Any = RawTap(self._command, latency_s=0.0)
+        owned = command_topic(f"{self.resolve_topic_name('cmd_vel')}{OWNER_SUFFIX}", kind)
+        # Before the publisher: who discovers the publisher must know it for a gate.
+        self._owned = self.create_subscription(
+            kind.message_class,
+            owned.name,
+            tap,
+            owned.qos,
+            event_callbacks=NO_SUBSCRIPTION_EVENTS,
+            raw=True,
+        )
+        self._publisher = command_topic("cmd_vel", kind).create_publisher(self)
+        self._own_gid = gid_of(self._publisher)
+
+    def _follow_type(self, type_name: str) -> None:
+        """Change to the type of the owner; while a motion passes, it cannot be another."""
+        others = COMMAND_TYPES - {self._kind.type_name}
+        if type_name not in others or self._last != ZERO:
+            return
+        self.destroy_subscription(self._owned)
+        self.destroy_publisher(self._publisher)
+        self._next_kind = stamped(FRAME_ID) if type_name == TWIST_STAMPED else PLAIN
+        self.get_logger().info(f"passing on {type_name}")
+
     def _command(
         self, data: bytes, received_ns: int, source_ns: int, sequence: int, gid: bytes
     ) -> None:
         """Take a command from the owner's topic."""
         try:
-            velocity = decode_twist(data)
+            velocity = self._kind.decode(data)
         except Exception:  # noqa: BLE001 - no received bytes may open the gate
             velocity = Velocity(math.nan, math.nan)
         passes = self._gate.passes(gid, velocity, time.time_ns() - source_ns, time.monotonic_ns())
         if passes is None:
             return
+        if self._kind.type_name == TWIST_STAMPED and frame_id_of(data) != self._frame_id:
+            self._frame_id = frame_id_of(data)
+            self._kind = stamped(self._frame_id)
         finite = math.isfinite(velocity.linear) and math.isfinite(velocity.angular)
         self._send(velocity if passes and finite else ZERO)
 
     def _send(self, velocity: Velocity) -> None:
-        self._publisher.publish(encode_twist(velocity))
+        if self._next_kind is not None:
+            return
+        self._publisher.publish(self._kind.encode(velocity))
         self._last = velocity
 
     def _look(self) -> None:
         found = endpoints.publishers(self, str(self._owned.topic_name))
-        owners = [each.gid for each in found if each.node_name == OWNER_NODE]
-        self._gate.look(owners, self._other_publisher(), time.monotonic_ns())
+        owners = [each for each in found if each.node_name == OWNER_NODE]
+        self._gate.look([each.gid for each in owners], self._other_publisher(), time.monotonic_ns())
+        if len(owners) == 1:
+            self._follow_type(owners[0].topic_type)
 
     def _other_publisher(self) -> str:
         """Return a sentence on another publisher of the topic, "" where there is none."""
@@ -193,8 +225,12 @@ class VelocityPublisher(Node):
 
     def _tick(self) -> None:
         self._ticks += 1
-        if self._ticks % TICKS_PER_LOOK == 0:
+        if self._next_kind is not None:  # what it replaces is gone since the last tick
+            self._connect(self._next_kind)
+        elif self._ticks % TICKS_PER_LOOK == 0:
             self._look()
+        if self._next_kind is not None:
+            return
         if self._gate.needs_zero(time.monotonic_ns()):
             self._send(ZERO)
         if self._ticks % TICKS_PER_STEP:

@@ -9,7 +9,7 @@ from robotctl.kernel.params import OWNER_SUFFIX
 from robotctl.printable import short_name
 from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.publishers import full_name, publisher_names
-from robotctl.ros.messages.command_type import PLAIN
+from robotctl.ros.messages.command_type import CommandType
 from robotctl.ros.nodes.velocity_publisher import (
     MAX_NAMED,
     OWNER_NODE,
@@ -33,9 +33,11 @@ class OwnerVelocity(VelocityPublisher):
     known by the gid of that publisher, so gates that come and go do not hide another publisher.
     """
 
-    def __init__(self, session: Session, topic: str, is_silent: Callable[[], bool]) -> None:
+    def __init__(
+        self, session: Session, topic: str, command: CommandType, is_silent: Callable[[], bool]
+    ) -> None:
         """Publish on `topic`, the robot's command topic with OWNER_SUFFIX."""
-        super().__init__(session, topic, PLAIN, is_silent, OWNER_NODE)
+        super().__init__(session, topic, command, is_silent, OWNER_NODE)
         self.robot_topic = self.topic.removesuffix(OWNER_SUFFIX)
         """The full name of the topic that the gate publishes."""
         self._gates: frozenset[bytes] = frozenset()
