@@ -25,6 +25,7 @@ from robotctl.recording.keep.unfinished_commit import find_unfinished_commit
 from robotctl.recording.read.file_index import FileIndex, read_record_head
 from robotctl.recording.read.indexing import index_of
 from robotctl.recording.read.mcap_input import InputFile
+from robotctl.recording.read.summary_section import index_from_summary
 from robotctl.recording.read.verified import verify_recording
 from robotctl.testing.drives import TWIST
 from tests.support.recordings import numbered, read_strictly, write_numbered
@@ -90,7 +91,8 @@ def test_a_torn_file_is_replaced_by_what_can_be_read(tmp_path: Path) -> None:
 def test_a_chunk_that_a_power_cut_has_emptied_is_taken_out(tmp_path: Path) -> None:
     file = crashed(tmp_path / "run", 500)
     data = bytearray(file.read_bytes())
-    middle = len(data) // 2
+    with InputFile(file) as opened:
+        middle = index_from_summary(opened).places[3].offset + 200
     data[middle : middle + 50] = bytes(50)
     file.write_bytes(data)
     (sentence,) = repair(tmp_path)
@@ -247,11 +249,13 @@ def test_a_full_disk_leaves_the_file_as_it_was_and_is_told(
     file = crashed(tmp_path / "run", 200)
     before = file.read_bytes()
     write_at = DiskFile.write_at
+    failed = False
 
     def failing(self: DiskFile, parts: Sequence[bytes], offset: int) -> None:
-        end = offset + sum(map(len, parts))
-        if end > len(before):
-            write_at(self, [b"".join(parts)[: len(before) - offset]], offset)
+        nonlocal failed
+        if not failed:
+            failed = True
+            write_at(self, [b"".join(parts)[:100]], offset)
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         write_at(self, parts, offset)
 

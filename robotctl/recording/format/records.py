@@ -35,11 +35,12 @@ MESSAGE_FIELDS_BYTES: Final = 22
 RECORD_HEAD_BYTES: Final = 9
 """Opcode and content length, before the content of each record."""
 
-UNWRITTEN_CHUNK: Final = b"\x86"
-"""Private opcode in place of a chunk's while the chunk is being written. The specification reserves
+ROOM_OPCODE: Final = 0x86
+"""Private opcode of the room that a growing file has for more data. The specification reserves
 0x80 and above for applications, and readers skip unknown opcodes."""
 
 _CHUNK_HEAD = struct.Struct("<BQQQQI")
+_RECORD_HEAD = struct.Struct("<BQ")
 _MESSAGE_INDEX_HEAD = struct.Struct("<BQHI")
 
 
@@ -49,6 +50,11 @@ def record_bytes(record: McapRecord) -> bytes:
     record.write(builder)
     data: bytes = builder.end()  # the package leaves it untyped
     return data
+
+
+def room_head(start: int, end: int) -> bytes:
+    """Return the head of the record that fills a file between two offsets."""
+    return _RECORD_HEAD.pack(ROOM_OPCODE, end - start - RECORD_HEAD_BYTES)
 
 
 @dataclass(frozen=True, slots=True)

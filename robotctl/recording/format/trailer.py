@@ -55,6 +55,8 @@ class TrailerState:
     """What a file held at one moment: enough to write the trailer of that moment again."""
 
     data_end: int
+    """Where the trailer begins."""
+
     data_crc: int
     statistics: bytes
     group_sizes: Mapping[Opcode, int]
@@ -73,7 +75,7 @@ class TrailerState:
         return record_bytes(Footer(self.data_end + _DATA_END_BYTES, 0, 0)) + MAGIC
 
     def moved_to(self, data_end: int) -> TrailerState:
-        """Return the same content after more data, whose checksum is left out (0)."""
+        """Return the same content at another place; the checksum of the data is left out (0)."""
         return replace(self, data_end=data_end, data_crc=0)
 
 
@@ -153,6 +155,10 @@ class Summary:
         """Size of the chunk index in bytes."""
         return len(self._groups[Opcode.CHUNK_INDEX])
 
+    def group_sizes(self) -> Mapping[Opcode, int]:
+        """Return the bytes of each group that only grows."""
+        return {opcode: len(group) for opcode, group in self._groups.items()}
+
     def add(self, opcode: Opcode, record: bytes) -> None:
         """Add a record of the summary."""
         self._groups[opcode] += record
@@ -196,7 +202,7 @@ class Summary:
             data_end=data_end,
             data_crc=data_crc,
             statistics=record_bytes(statistics),
-            group_sizes={opcode: len(group) for opcode, group in self._groups.items()},
+            group_sizes=self.group_sizes(),
             seal=seal,
         )
 

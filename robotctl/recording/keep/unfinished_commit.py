@@ -49,13 +49,29 @@ def find_unfinished_commit(file: InputFile, index: FileIndex, data_end: int) -> 
     while offset < data_end:
         opcode, length = read_record_head(file, offset)
         end = offset + RECORD_HEAD.size + length
-        unindexed = opcode == Opcode.CHUNK and offset not in indexed
+        unindexed = not _is_listed(file, index, opcode, offset) or (
+            opcode == Opcode.CHUNK and offset not in indexed
+        )
         if opcode not in _DATA or unindexed or end > data_end:
             if offset < last_indexed:
                 raise Damaged("a record of another writer precedes its last chunk")
             return offset
         offset = end
     return None
+
+
+def _is_listed(file: InputFile, index: FileIndex, opcode: int, offset: int) -> bool:
+    """Return whether the summary lists the record at `offset`, if it is of a kind to be listed.
+
+    Raises:
+        Damaged: The record cannot be read.
+    """
+    if opcode == Opcode.METADATA:
+        return offset in index.metadata_offsets
+    if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL):
+        return True
+    number = int.from_bytes(file.read(offset + RECORD_HEAD.size, 2), "little")
+    return number in (index.schemas if opcode == Opcode.SCHEMA else index.channels)
 
 
 def messages_of_chunk(file: InputFile, offset: int) -> list[PlainMessage]:

@@ -12,7 +12,7 @@ from isal.isal_zlib import crc32
 from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, DataEnd, McapRecord, Metadata, MetadataIndex
 
-from robotctl.recording.format.records import MAGIC, UNWRITTEN_CHUNK, record_bytes
+from robotctl.recording.format.records import MAGIC, ROOM_OPCODE, record_bytes
 from robotctl.recording.format.seal_records import LINK_OPCODE, OPENING_OPCODE
 from robotctl.recording.read.damage import BeyondLimit, Damaged
 from robotctl.recording.read.file_index import (
@@ -125,7 +125,7 @@ class _Reading:
         if opcode == Opcode.ATTACHMENT:
             self._attachment(offset, end)
             return end
-        if opcode == UNWRITTEN_CHUNK[0] and data.own:
+        if opcode == ROOM_OPCODE and data.own:
             data.unfinished = offset
             return end
         if opcode in (OPENING_OPCODE, LINK_OPCODE) or (

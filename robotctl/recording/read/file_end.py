@@ -5,15 +5,21 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 from mcap.opcode import Opcode
-from mcap.records import ChunkIndex, Footer
+from mcap.records import ChunkIndex, Footer, MetadataIndex
 
 from robotctl.recording.format.records import MAGIC
+from robotctl.recording.format.seal_records import LINK_OPCODE, OPENING_OPCODE
+from robotctl.recording.format.trailer import WrittenFile
+from robotctl.recording.read.chunk_index import read_chunk_index
 from robotctl.recording.read.damage import Damaged
+from robotctl.recording.read.file_index import read_header, read_record_head
 from robotctl.recording.read.mcap_input import RECORD_HEAD, InputFile, parse, walk_records
 from robotctl.recording.read.whole_data import WholeData
 
 DATA_END_BYTES: Final = RECORD_HEAD.size + 4
 FOOTER_CONTENT_BYTES: Final = 20
+_DEFINITIONS = (Opcode.SCHEMA, Opcode.CHANNEL)
+_ID_BYTES = 2
 
 
 class FileEnd(NamedTuple):
@@ -64,6 +70,39 @@ def find_end(file: InputFile, data_end: int) -> FileEnd:
     return FileEnd(summary, offset, after)
 
 
+def end_of_listed(file: InputFile, written: WrittenFile) -> int:
+    """Return where the data of a growing file ended when its summary was written.
+
+    Behind it there may be records of the next commit, and the room for more.
+
+    Raises:
+        Damaged: The summary or the file cannot be read.
+    """
+    _, offset = read_header(file)
+    groups = written.groups
+    for _, start, end in walk_records(groups.get(Opcode.METADATA_INDEX, b"")):
+        metadata = parse(MetadataIndex, groups[Opcode.METADATA_INDEX][start:end])
+        offset = max(offset, metadata.offset + metadata.length)
+    chunks = groups.get(Opcode.CHUNK_INDEX, b"")
+    for _, start, end in walk_records(chunks):
+        offset = max(offset, read_chunk_index(chunks, start, end).end)
+    defined = {
+        (opcode, groups[opcode][start : start + _ID_BYTES])
+        for opcode in _DEFINITIONS
+        for _, start, _ in walk_records(groups.get(opcode, b""))
+    }
+    while offset < written.data_end:
+        opcode, length = read_record_head(file, offset)
+        content = offset + RECORD_HEAD.size
+        if opcode in _DEFINITIONS:
+            if (opcode, file.read(content, _ID_BYTES)) not in defined:
+                break
+        elif opcode not in (OPENING_OPCODE, LINK_OPCODE):
+            break
+        offset = content + length
+    return offset
+
+
 def ends_in_commit(file: InputFile, end: FileEnd) -> bool:
     """Return whether the bytes behind `end` are the beginning of a commit that a kill interrupted.
 
@@ -100,7 +139,7 @@ def forget_unlisted_chunk(data: WholeData, summary: bytes) -> int:
         return 0
     entry = data.chunk_indexes[last]
     end = last + entry.chunk_length + entry.message_index_length
-    if last in listed or end != data.end:
+    if last in listed or end != (data.end if data.unfinished is None else data.unfinished):
         return 0
     del data.chunk_indexes[last]
     data.counts, data.start_ns, data.end_ns = data.before_last_chunk

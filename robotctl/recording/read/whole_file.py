@@ -13,6 +13,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from isal.isal_zlib import crc32
+from mcap.opcode import Opcode
 from mcap.records import Footer
 
 from robotctl.errors import UnreadableFile
@@ -25,6 +26,7 @@ from robotctl.recording.read.file_end import (
     FOOTER_CONTENT_BYTES,
     BadEnd,
     FileEnd,
+    end_of_listed,
     ends_in_commit,
     find_end,
     forget_unlisted_chunk,
@@ -134,18 +136,21 @@ def _live(file: InputFile, flaws: Flaws, on_progress: Callable[[int], None]) -> 
     while True:
         try:
             written = read_written_file(file)
+            end = end_of_listed(file, written)
             if read_written_file(file) == written:
                 break
         except Damaged:
             if time.monotonic() > deadline:
                 raise
         time.sleep(_LOOK_AGAIN_S)
-    data = read_data_section(file, flaws, written.data_end, on_progress)
-    found = WholeFile(file.path, written.data_end, FileState.LIVE, data, flaws)
+    data = read_data_section(file, flaws, end, on_progress)
+    found = WholeFile(file.path, end, FileState.LIVE, data, flaws)
     data.told_crc = written.data_crc
     if written.data_crc:  # otherwise a commit was just being written
         _check_crc(file, found)
-    summary = b"".join([*written.groups.values(), written.seal])
+    groups = dict(written.groups)
+    offsets = groups.pop(Opcode.SUMMARY_OFFSET, b"")
+    summary = b"".join([*groups.values(), written.seal, offsets])
     compare_summary(summary, written.data_end + DATA_END_BYTES, data, flaws)
     return found
 
@@ -188,7 +193,7 @@ def _check_trailer(file: InputFile, found: WholeFile) -> None:
     summary = file.read(end.summary, end.footer - end.summary)
     if data.unfinished is not None:
         found.loose += data.end - data.unfinished
-    elif found.state is FileState.NOT_CLOSED and not data.told_crc:
+    if found.state is FileState.NOT_CLOSED and not data.told_crc:
         found.loose += forget_unlisted_chunk(data, summary)
     if summary or data.own:
         compare_summary(summary, end.summary, data, flaws)

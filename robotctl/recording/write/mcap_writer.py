@@ -4,22 +4,11 @@ Each `commit` appends the new records to the data, followed by a complete traile
 footer, magic. The next commit overwrites that trailer. So a reader can open the file at any moment,
 also after the process was killed, without a recovery step.
 
+A file that grows for long keeps room between data and trailer (see `trailer_room`).
+
 A positioned write is not atomic: Linux checks for fatal signals between pages. A kill during a
 write can only damage what that write puts in the place of a trailer or behind it. The file is at
-risk for as long as such a write takes. A commit therefore chooses the cheaper of two ways:
-
-- A chunk smaller than the trailer is written together with the new trailer, in one write.
-- A larger chunk would extend the risk by its own size. It is written in an order that keeps
-  the file valid between any two writes, and no write puts a trailer at risk for longer than it
-  takes to write a few hundred bytes:
-  (1) far behind the old trailer, at the future end of the file: a footer that points back to it;
-  (2) before that footer: the message indexes and a copy of the old trailer, where they belong
-  behind the chunk; (3) the footer of that copy: from now on, readers of the index do not need the
-  old trailer;
-  (4) in place of the old trailer: the head of a record that sequential readers skip, as long as
-  the chunk; (5) the chunk in that record; (6) the opcode of the chunk;
-  (7) the end of the new trailer, the only part that has changed; (8) the checksum of the data,
-  which (2) had left out.
+risk for as long as such a write takes.
 """
 
 from __future__ import annotations
@@ -33,6 +22,7 @@ from mcap.records import (
     Attachment,
     AttachmentIndex,
     Channel,
+    ChunkIndex,
     Header,
     Metadata,
     MetadataIndex,
@@ -40,17 +30,10 @@ from mcap.records import (
 )
 
 from robotctl.recording.disk.storage import Buffer, Storage
-from robotctl.recording.format.records import (
-    MAGIC,
-    RECORD_HEAD_BYTES,
-    UNWRITTEN_CHUNK,
-    Chunk,
-    PlacedChunk,
-    place,
-    record_bytes,
-)
-from robotctl.recording.format.trailer import FOOTER_BYTES, Summary, TrailerState, WrittenFile
+from robotctl.recording.format.records import MAGIC, Chunk, place, record_bytes, room_head
+from robotctl.recording.format.trailer import Summary, TrailerState, WrittenFile
 from robotctl.recording.write.file_seal import FileSeal
+from robotctl.recording.write.trailer_room import Room, write_hidden, write_in_pages
 
 
 class McapFile:
@@ -60,17 +43,27 @@ class McapFile:
     """
 
     def __init__(
-        self, storage: Storage, *, profile: str, library: str, seal: FileSeal | None = None
+        self,
+        storage: Storage,
+        *,
+        profile: str,
+        library: str,
+        seal: FileSeal | None = None,
+        keeps_room: bool = False,
     ) -> None:
-        """Begin the file; nothing is written before the first `commit`. `seal` chains its bytes."""
+        """Begin the file; nothing is written before the first `commit`.
+
+        `seal` chains its bytes. With `keeps_room` it may grow for long.
+        """
         self.summary = Summary()
         self.size = 0
-        """Bytes of the file, trailer included."""
+        """Bytes of the file, trailer included, without the room between data and trailer."""
 
         self.trailer_bytes = 0
         """Bytes of trailers written so far, including those that were overwritten."""
 
         self._storage = storage
+        self._keeps_room = keeps_room
         self._pending = bytearray(MAGIC + record_bytes(Header(profile, library)))
         self._data_end = 0
         self._data_crc = 0
@@ -144,72 +137,98 @@ class McapFile:
         """
         if self._seal is not None and self._seal.link_is_due:
             self._add_link(self._seal)
-        if chunk is not None and finished and self._is_larger_than_trailer(chunk):
-            if self._pending:
-                self._commit_at_once(None, finished=True)
-            if self._good is not None and self._is_larger_than_trailer(chunk):
-                self._commit_in_order(chunk, self._good)
-                return
-        self._commit_at_once(chunk, finished=finished)
-
-    def _is_larger_than_trailer(self, chunk: Chunk) -> bool:
-        return self._good is not None and chunk.stored_size >= self.size - self._data_end
+        good = self._good
+        if not self._keeps_room or good is None:
+            self._commit_at_once(chunk, finished=finished)
+            return
+        if good.group_sizes != self.summary.group_sizes():
+            good = self._commit_without_room(good)
+        if chunk is not None or self._pending:
+            self._commit_into_room(good, chunk)
 
     def _commit_at_once(self, chunk: Chunk | None, *, finished: bool) -> None:
-        parts: list[Buffer] = [bytes(self._pending)]
-        end = self._data_end + len(self._pending)
-        if chunk is not None:
-            placed = place(chunk, end)
-            parts += [placed.head, *placed.parts, placed.message_indexes]
-            end = placed.end
-            self._sum_up(chunk, placed)
-        parts[0] = parts[0][self._sealed_pending :]
-        seal = self._seal_over(parts, end)
-        parts[0] = bytes(self._pending)
+        """Write everything directly behind the data, in one write."""
+        parts, end, entry = self._parts(chunk)
+        seal = self._sum_up(parts, end, chunk, entry)
         state = self.summary.state(end, self._crc_with(parts), seal)
         trailer = self.summary.trailer(state) if finished else None
         self._storage.write_at([*parts, *(trailer.parts if trailer else ())], self._data_end)
-        self._pending.clear()
-        self._sealed_pending = 0
-        self._data_end = end
-        self._data_crc = state.data_crc
-        self.size = end
         if trailer:
-            self.size += trailer.size
             self.trailer_bytes += trailer.size
             self._good = state
+        self._take_over(end, end + (trailer.size if trailer else 0), state.data_crc)
 
-    def _commit_in_order(self, chunk: Chunk, good: TrailerState) -> None:
+    def _commit_without_room(self, good: TrailerState) -> TrailerState:
+        """Write the added records with the trailer directly behind them; return its state."""
+        parts, end, _ = self._parts(None)
+        state = self.summary.state(end, self._crc_with(parts), self._sum_up(parts, end))
+        trailer = self.summary.trailer(state)
+        size = end + trailer.size
+        self._make_room(good, size - self._data_end)
+        write_in_pages(trailer.parts, end, self._storage)
+        write_hidden(parts, self._data_end, self._storage)
+        self._storage.truncate(size)
+        self.trailer_bytes += trailer.size
+        self._good = state
+        self._take_over(end, size, state.data_crc)
+        return state
+
+    def _commit_into_room(self, good: TrailerState, chunk: Chunk | None) -> None:
+        """Write records before the trailer, and what changes of that."""
         start = self._data_end
-        placed = place(chunk, start)
-        moved = self.summary.trailer(good.moved_to(placed.end))
-        write_at = self._storage.write_at
-        footer_offset = placed.end + moved.size - FOOTER_BYTES
-        write_at([good.distant_footer()], footer_offset)
-        write_at([placed.message_indexes, *moved.before_footer], placed.indexes_offset)
-        write_at([moved.footer], footer_offset)
-        self.trailer_bytes += moved.size + FOOTER_BYTES
-        del moved  # the summary cannot grow while a memoryview of it exists
-
-        opcode, length = placed.head[:1], placed.head[1:RECORD_HEAD_BYTES]
-        write_at([UNWRITTEN_CHUNK, length], start)
-        body = [placed.head[RECORD_HEAD_BYTES:], *placed.parts]
-        write_at(body, start + RECORD_HEAD_BYTES)
-        write_at([opcode], start)
-
-        self._sum_up(chunk, placed)
-        parts = [placed.head, *placed.parts, placed.message_indexes]
-        crc = self._crc_with(parts)
-        state = self.summary.state(placed.end, crc, self._seal_over(parts, placed.end))
+        parts, end, entry = self._parts(chunk)
+        good = self._make_room(good, end - start)
+        seal = self._sum_up(parts, end, chunk, entry)
+        state = self.summary.state(good.data_end, 0, seal)
         trailer = self.summary.trailer(state)
         changed = trailer.behind(good.kept_bytes)
-        write_at(changed, placed.end + good.kept_bytes)
-        write_at([trailer.data_end], placed.end)
+        write_hidden([*parts, room_head(end, state.data_end)], start, self._storage)
+        self._storage.write_at(changed, state.data_end + good.kept_bytes)
+        if trailer.size < self.size - start:  # the seal has ended
+            self._storage.truncate(state.data_end + trailer.size)
         self.trailer_bytes += sum(map(len, changed))
-        self._data_end = placed.end
-        self._data_crc = crc
-        self.size = placed.end + trailer.size
         self._good = state
+        self._take_over(end, end + trailer.size, self._crc_with(parts))
+
+    def _make_room(self, good: TrailerState, size: int) -> TrailerState:
+        room = Room(self._data_end, good, self.size - self._data_end)
+        self._good, moved_bytes = room.for_bytes(size, self._storage, self.summary)
+        self.trailer_bytes += moved_bytes
+        return self._good
+
+    def _parts(self, chunk: Chunk | None) -> tuple[list[Buffer], int, ChunkIndex | None]:
+        """Return what is to be written, the offset after it, and the entry of the chunk."""
+        pending = bytes(self._pending)
+        end = self._data_end + len(pending)
+        if chunk is None:
+            return [pending], end, None
+        placed = place(chunk, end)
+        parts = [pending, placed.head, *placed.parts, placed.message_indexes]
+        return parts, placed.end, placed.entry
+
+    def _sum_up(
+        self,
+        parts: Sequence[Buffer],
+        end: int,
+        chunk: Chunk | None = None,
+        entry: ChunkIndex | None = None,
+    ) -> bytes:
+        """Take in what is about to be written; return the record of the head of the seal."""
+        if chunk is not None and entry is not None:
+            self.summary.count(chunk)
+            self.summary.add(Opcode.CHUNK_INDEX, record_bytes(entry))
+        if self._seal is None:
+            return b""
+        for part in (memoryview(parts[0])[self._sealed_pending :], *parts[1:]):
+            self._seal.cover(part)
+        return self._seal.head(end)
+
+    def _take_over(self, data_end: int, size: int, data_crc: int) -> None:
+        self._pending.clear()
+        self._sealed_pending = 0
+        self._data_end = data_end
+        self._data_crc = data_crc
+        self.size = size
 
     def _add_link(self, seal: FileSeal) -> None:
         """Add a stored link behind what is pending."""
@@ -217,18 +236,6 @@ class McapFile:
         record = seal.link(self._data_end + len(self._pending))
         self._sealed_pending = len(self._pending)
         self._pending += record
-
-    def _seal_over(self, parts: Sequence[Buffer], end: int) -> bytes:
-        """Return the head of the seal after `parts`, which end at the offset `end`."""
-        if self._seal is None:
-            return b""
-        for part in parts:
-            self._seal.cover(part)
-        return self._seal.head(end)
-
-    def _sum_up(self, chunk: Chunk, placed: PlacedChunk) -> None:
-        self.summary.count(chunk)
-        self.summary.add(Opcode.CHUNK_INDEX, record_bytes(placed.entry))
 
     def _crc_with(self, parts: Sequence[Buffer]) -> int:
         """Return the checksum of the data followed by `parts`; 0 (unknown) if that of the data is
@@ -256,6 +263,8 @@ class McapFile:
             self._storage.truncate(0)
             return
         trailer = self.summary.trailer(good)
+        if good.data_end > self._data_end:
+            self._storage.write_at([room_head(self._data_end, good.data_end)], self._data_end)
         self._storage.write_at(trailer.parts, good.data_end)
         self._storage.truncate(good.data_end + trailer.size)
 

@@ -56,7 +56,9 @@ class RecordingFile:
         """The seal of the file, if it is to have one."""
 
         storage = options.open_file(path)
-        self._mcap = McapFile(storage, profile=PROFILE, library=LIBRARY, seal=self.seal)
+        self._mcap = McapFile(
+            storage, profile=PROFILE, library=LIBRARY, seal=self.seal, keeps_room=True
+        )
         try:
             if options.group_readable:
                 share_with_group(path)

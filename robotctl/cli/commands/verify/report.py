@@ -41,7 +41,7 @@ def recording_object(found: VerifiedRecording) -> dict[str, Any]:
         "unreadable": list(whole.unreadable),
         "notes": [
             *(
-                f"{file.path.name}: its last {file.loose} bytes are an unfinished commit"
+                f"{file.path.name}: not closed: {file.loose} bytes before its end hold no data"
                 for file in whole.files
                 if file.loose
             ),
