@@ -157,11 +157,15 @@ def test_the_acceleration_of_the_reference_builds_up_over_the_ticks(
     ticks: int, size_m: float
 ) -> None:
     drive = Drive(1, Pattern(PatternKind.LINE, size_m), 1, ORIGIN)
-    speeds = [0.0]
+    speeds, length_m = [0.0], 0.0
     while not drive.finished:
         drive = drive.advance(0.02, drive.reference().pose, LIMITS, ticks)
         speeds.append(drive.progress.speed)
         assert 0.0 <= drive.progress.length <= size_m
+        if not drive.finished:
+            moved_m, length_m = drive.progress.length - length_m, drive.progress.length
+            assert isclose(moved_m, 0.02 * speeds[-1], abs_tol=1e-8)
+    assert size_m - length_m <= 0.02 * max(speeds[-2:]) + 1e-8
     accels = [(after - before) / 0.02 for before, after in pairwise(speeds)]
     assert max(map(abs, accels)) <= 1.01 * LIMITS.linear_accel_mps2
     # At most the lead changes from full acceleration to full braking, and its part is 1 / ticks.
@@ -185,6 +189,11 @@ def test_a_robot_that_does_not_turn_is_stopped() -> None:
     bench.drive(Pattern(PatternKind.TURN), 1)
     bench.run(100)
     assert (bench.state.mode, bench.state.cause) == (Mode.ERROR, Cause.TRACKING_LOST)
+
+
+@pytest.mark.parametrize("corner_m", [0.02, 0.3, 0.5])
+def test_a_rounded_corner_fits_half_a_side(corner_m: float) -> None:
+    assert not Pattern(PatternKind.ROUNDED_SQUARE).refusal(Course(corner_m=corner_m))
 
 
 @pytest.mark.parametrize(

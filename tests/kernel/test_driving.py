@@ -218,6 +218,10 @@ def test_a_drive_that_replaces_another_goes_on_at_the_same_speed() -> None:
     speed = bench.state.command.linear
     assert speed > 0.4
     bench.drive(Pattern(PatternKind.CIRCLE, 1.0), replacing=True)
+    replaced = bench.state.drive
+    assert replaced is not None
+    rise_s = KernelParams().limits.accel_rise_s
+    assert isclose(replaced.progress.ahead, 0.5 * speed * (rise_s - 0.02), rel_tol=0.01)
     for _ in range(20):
         assert bench.state.drive is not None
         bench.odometry(bench.state.drive.reference().pose)

@@ -8,6 +8,7 @@ import pytest
 
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.parameter_change import ParameterChanged, ParameterRequested
+from robotctl.kernel.parameters import conflict
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.patterns import PatternKind
 from robotctl.kernel.remedies import Remedy
@@ -110,3 +111,15 @@ def test_a_parameter_of_the_daemon_is_decided_too_but_not_kept() -> None:
     assert changed == ParameterChanged(*asked, "test")
     assert bench.kernel.params == KernelParams()
     assert not reply_of(change(moving(), *asked)).ok
+
+
+@pytest.mark.parametrize(
+    ("first", "second"), [("command", "odometry"), ("command", "battery"), ("odometry", "battery")]
+)
+def test_two_parts_on_one_topic_are_a_conflict(first: str, second: str) -> None:
+    params = KernelParams()
+    topic = getattr(params, first).topic
+    changed = replace(params, **{second: replace(getattr(params, second), topic=f"/{topic}")})
+    found = conflict(changed)
+    assert found is not None
+    assert found.key == f"{second}.topic"

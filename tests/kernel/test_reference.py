@@ -294,6 +294,8 @@ def test_the_figure_eight_goes_where_its_heading_points() -> None:
 def test_the_figure_eight_is_as_long_as_two_circles_and_turns_most_at_a_quarter() -> None:
     eight = whole_eight(0.5)
     assert isclose(eight.length, 2 * Circle(0.5).length)
+    parts = lap_of(PatternKind.FIGURE_EIGHT, 0.5).segments
+    assert isclose(sum(part.length for part in parts), eight.length)
     assert isclose(eight.curvature_at(eight.length / 4), eight.top_curvature)
 
 
