@@ -48,6 +48,9 @@ _MEASURES: Mapping[Cause, tuple[str, ...]] = MappingProxyType(
 )
 """The parameters that each rule compares with."""
 
+_LET_GO = "let go, the robot ramps down"
+_SILENT = "a silence is zero at once, and ends the motion"
+
 
 @dataclass(frozen=True, slots=True)
 class Why:
@@ -197,6 +200,9 @@ def _table_rule(incident: Incident, before: State) -> str:
             return "the lease: motion ends with it"
         case _:
             drive = before.drive if incident.kind is IncidentKind.STOP else None
+            held = None if drive is None else drive.course.held
+            if held is not None and held.is_held_to_run:
+                return "hold to run: " + (_LET_GO if held.is_let_go else _SILENT)
             return "the drive was over" if drive is not None and drive.finished else ""
     mode = Mode.MOVING if incident.ramp else before.mode
     transition = TRANSITIONS[mode, trigger]
