@@ -85,7 +85,7 @@ class Drive:
         """Return why a finished drive ends."""
         held = self.course.held
         if held is not None and held.is_held_to_run:
-            return "let go" if held.is_let_go else f"nobody held it for {held.for_s * 1e3:g} ms"
+            return "let go" if held.is_let_go else f"not held for {held.for_s * 1e3:g} ms"
         if held is not None:
             return f"drive finished: {held.for_s + held.quiet_s:g} s"
         return f"drive finished: {self.laps} lap{'' if self.laps == 1 else 's'}"

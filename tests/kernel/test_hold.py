@@ -74,7 +74,7 @@ def test_silence_is_zero_at_once_and_before_the_longest_silence_is_over() -> Non
     assert bench.state.command == FORWARD
     bench.run(1)
     assert (bench.state.mode, bench.state.command) == (Mode.IDLE, ZERO)
-    assert ended(bench).reason == "nobody held it for 125 ms"
+    assert ended(bench).reason == "not held for 125 ms"
     assert not ended(bench).completed
 
 

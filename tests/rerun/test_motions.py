@@ -79,5 +79,5 @@ def test_a_silence_is_explained_by_its_length(tmp_path: Path) -> None:
     incident = find_incident(folder, None, lambda done, total: None).incident
     assert incident is not None
     why = explain(incident)
-    assert why.what == "MOVING -> IDLE: nobody held it for 125 ms"
+    assert why.what == "MOVING -> IDLE: not held for 125 ms"
     assert why.rule == "hold to run: a silence is zero at once, and ends the motion"

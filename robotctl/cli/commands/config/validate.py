@@ -25,5 +25,5 @@ def validate(
     """
     defaults, values = flat(Config()), flat(load(file))
     changed = {key: value for key, value in values.items() if value != defaults[key]}
-    line = f"{short_path(file)} is valid; {len(changed)} values differ from the defaults"
+    line = f"{short_path(file)} is valid; changed from the defaults: {len(changed)}"
     print_answer({"file": str(file), "changed": changed}, [line], as_json=as_json)
