@@ -34,7 +34,7 @@ def test_what_a_file_makes_of_the_defaults_is_shown(cli: Cli, tmp_path: Path) ->
     assert shown == flat(Config()) | changed
     answer = json.loads(cli("config", "validate", str(file), "--json").out)
     assert answer == {"file": str(file), "changed": changed}
-    assert "is valid; 2 values differ" in cli("config", "validate", str(file)).out
+    assert "is valid; changed from the defaults: 2" in cli("config", "validate", str(file)).out
 
 
 @pytest.mark.parametrize(
