@@ -35,8 +35,10 @@ class Diagnostics:
 
     def publish(self) -> None:
         """Publish once."""
-        self._recorder.sample()
-        self._publisher.publish(self._recorder.diagnosis(), diagnose(self._status.warnings()))
+        stats = self._recorder.stats()
+        self._recorder.sample(stats)
+        warnings = self._status.warnings(stats)
+        self._publisher.publish(self._recorder.diagnosis(stats), diagnose(warnings))
 
 
 def diagnose(warnings: Sequence[str]) -> Diagnosis:

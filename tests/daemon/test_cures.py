@@ -28,12 +28,14 @@ FAILURE_OF_R2 = f"{FAILURE} --robot r2"
 @pytest.fixture
 def report() -> RecorderReport:
     facts = {"topics": [], "recorder": {"file": "run.mcap"}}
-    fake = SimpleNamespace(facts=lambda: facts, warnings=lambda: iter([FAILURE]))
+    fake = SimpleNamespace(
+        stats=lambda: None, facts=lambda _: facts, warnings=lambda _: iter([FAILURE])
+    )
     return cast(RecorderReport, fake)
 
 
 async def test_a_failed_recorder_names_the_robot_in_its_cure(report: RecorderReport) -> None:
-    stats = SimpleNamespace(received=1, written=1, dropped=0)
+    stats = SimpleNamespace(received=1, written=1, dropped=0, file="run.mcap")
     recorder = SimpleNamespace(
         failure=FAILURE, report=report, stats=lambda: stats, split=lambda: None
     )
@@ -84,4 +86,4 @@ def test_diagnostics_on_ros_name_the_robot_in_a_cure() -> None:
         list,
         "r2",
     )
-    assert report.diagnosis().message == FAILURE_OF_R2
+    assert report.diagnosis(report.stats()).message == FAILURE_OF_R2

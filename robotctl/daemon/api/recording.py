@@ -27,9 +27,10 @@ def recording_methods(recorder: FlightRecorder, robot: str) -> dict[str, Method[
         return for_robot(recorder.failure, robot)
 
     async def status(_: NoParams) -> RecordStatus:
+        stats = recorder.stats()
         return {
-            **recorder.report.facts(),
-            "warnings": [for_robot(text, robot) for text in recorder.report.warnings()],
+            **recorder.report.facts(stats),
+            "warnings": [for_robot(text, robot) for text in recorder.report.warnings(stats)],
         }
 
     async def commit(_: NoParams) -> Committed:
@@ -74,4 +75,4 @@ def recording_methods(recorder: FlightRecorder, robot: str) -> dict[str, Method[
 
 
 def _file_of(recorder: FlightRecorder) -> str:
-    return recorder.report.facts()["recorder"]["file"]
+    return str(recorder.stats().file)

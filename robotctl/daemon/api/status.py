@@ -15,6 +15,7 @@ from robotctl.ipc.advice import advice, for_robot
 from robotctl.ipc.answers import RobotFacts, StartSummary, Status
 from robotctl.kernel.remedies import Remedy
 from robotctl.paths import log_path, socket_path
+from robotctl.recording import RecorderStats
 
 PartWarning = Callable[[], str]
 """Returns what is wrong with a part of the daemon as a sentence, else ""."""
@@ -54,6 +55,7 @@ class StatusSource:
     def status(self) -> Status:
         """Return the object of `robotctl status --json`."""
         robot, facts = self._options.robot, self._robot.facts()
+        stats = self._recording.stats()
         if facts["mode_reason"]:
             told = advice(facts["mode_reason"], self._robot.remedies(), robot)
             facts["mode_reason"] = told.sentence
@@ -62,8 +64,8 @@ class StatusSource:
             "version": __version__,
             "pid": os.getpid(),
             **facts,
-            **self._recording.facts(),
-            "warnings": self.warnings(),
+            **self._recording.facts(stats),
+            "warnings": self.warnings(stats),
             "namespace": self._options.namespace,
             "domain_id": self._options.domain_id,
             "discovery_range": discovery_range(),
@@ -72,9 +74,9 @@ class StatusSource:
             "uptime_s": round(time.monotonic() - self._started, 3),
         }
 
-    def warnings(self) -> list[str]:
-        """Return what is wrong, or may be, one sentence each."""
-        return [for_robot(warning, self._options.robot) for warning in self._warnings()]
+    def warnings(self, stats: RecorderStats) -> list[str]:
+        """Return what is wrong, or may be, one sentence each; `stats` are those of the recorder."""
+        return [for_robot(warning, self._options.robot) for warning in self._warnings(stats)]
 
     def summary(self, notes: list[str]) -> StartSummary:
         """Return the report of a ready daemon to its starter."""
@@ -93,8 +95,8 @@ class StatusSource:
             "notes": [for_robot(note, self._options.robot) for note in notes],
         }
 
-    def _warnings(self) -> Iterator[str]:
-        yield from self._recording.warnings()
+    def _warnings(self, stats: RecorderStats) -> Iterator[str]:
+        yield from self._recording.warnings(stats)
         yield from self._robot.warnings()
         yield from filter(None, (part() for part in self._parts))
         if wider := wider_discovery():

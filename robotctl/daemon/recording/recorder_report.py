@@ -11,7 +11,7 @@ from robotctl.daemon.recording.loss_diagnosis import diagnose
 from robotctl.daemon.recording.topic_rates import HeavyTopics, RateMeter
 from robotctl.ipc.advice import for_robot
 from robotctl.ipc.answers import CountsAnswer, RecordingFacts
-from robotctl.recording import Recorder
+from robotctl.recording import Recorder, RecorderStats
 from robotctl.recording.format.message_counts import MessageCounts
 from robotctl.recording.format.topics import by_topic
 from robotctl.recording.write.topic_filter import TopicFilter
@@ -45,9 +45,12 @@ class RecorderReport:
         self._logged: set[str] = set()
         self._logged_memory = False
 
-    def facts(self) -> RecordingFacts:
+    def stats(self) -> RecorderStats:
+        """Return the counts of now, which the other methods explain."""
+        return self._recorder.stats()
+
+    def facts(self, stats: RecorderStats) -> RecordingFacts:
         """Return the recording's part of the status."""
-        stats = self._recorder.stats()
         return {
             "topics": [
                 {
@@ -70,12 +73,11 @@ class RecorderReport:
             },
         }
 
-    def warnings(self) -> Iterator[str]:
+    def warnings(self, stats: RecorderStats) -> Iterator[str]:
         """Yield what is not recorded and why, with commands for this robot."""
-        yield from (for_robot(text, self._robot) for text in self._warnings())
+        yield from (for_robot(text, self._robot) for text in self._warnings(stats))
 
-    def _warnings(self) -> Iterator[str]:
-        stats = self._recorder.stats()
+    def _warnings(self, stats: RecorderStats) -> Iterator[str]:
         yield from (text for text in (stats.failure, stats.warning) if text)
         if stats.no_memory:
             yield f"{stats.no_memory} messages {_NO_MEMORY}"
@@ -94,10 +96,9 @@ class RecorderReport:
         yield from (warning for _, warning in self._heavy_warnings())
         yield from self._problems()
 
-    def sample(self) -> None:
+    def sample(self, stats: RecorderStats) -> None:
         """Update the rates; called once a second."""
         now_ns = time.monotonic_ns()
-        stats = self._recorder.stats()
         topics = {(each.name, each.type_name): each for each in by_topic(stats.topics)}
         self._rates.sample(now_ns, {key: topic.received for key, topic in topics.items()})
         sizes = {key: topic.bytes for key, topic in topics.items()}
@@ -107,11 +108,10 @@ class RecorderReport:
             self._logged_memory = True
             _log.warning("messages %s", _NO_MEMORY)
 
-    def diagnosis(self) -> Diagnosis:
+    def diagnosis(self, stats: RecorderStats) -> Diagnosis:
         """Return the recorder's part of /diagnostics."""
-        stats = self._recorder.stats()
         told = replace(stats, failure=for_robot(stats.failure, self._robot))
-        return diagnose(told, list(self.warnings()))
+        return diagnose(told, list(self.warnings(stats)))
 
     def _heavy_warnings(self) -> Iterator[tuple[str, str]]:
         """Yield each heavy topic that can be excluded, with its warning."""

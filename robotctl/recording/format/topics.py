@@ -47,7 +47,9 @@ def by_topic(channels: Iterable[TopicStats]) -> list[TopicStats]:
     for channel in channels:
         groups.setdefault((channel.name, channel.type_name), []).append(channel)
     return [
-        TopicStats(
+        group[0]
+        if len(group) == 1
+        else TopicStats(
             name=name, type_name=type_name, bytes=sum(each.bytes for each in group), **total(group)
         )
         for (name, type_name), group in groups.items()
