@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from itertools import chain, islice
 from typing import Final
 
 from robotctl.doctor.finding import Finding, fault, ok, warning
@@ -18,6 +19,9 @@ _UNMATCHED: Final = (
 """What a publisher offers, and what a subscription then must not ask for."""
 
 MAX_NAMED: Final = 5
+
+MAX_ENDPOINTS: Final = 200
+"""Limit on what is compared with each other; a process may announce any number."""
 
 
 def check_command(topic: GraphTopic, *, has_odometry: bool) -> Iterator[Finding]:
@@ -81,10 +85,13 @@ def _check_topic(check: str, topic: GraphTopic, wanted: tuple[str, ...]) -> Iter
     elif topic["types"] and topic["types"][0] not in wanted:
         text = f"{topic['name']} has type {topic['types'][0]}, not {' or '.join(wanted)}"
         yield fault(check, text, f"set {check}.topic to the right topic")
-    for publisher in publishers:
-        for subscription in subscriptions:
-            if publisher["type"] == subscription["type"]:
-                yield from _check_pair(check, topic["name"], publisher, subscription)
+    pairs = (
+        _check_pair(check, topic["name"], publisher, subscription)
+        for publisher in publishers[:MAX_ENDPOINTS]
+        for subscription in subscriptions[:MAX_ENDPOINTS]
+        if publisher["type"] == subscription["type"]
+    )
+    yield from islice(chain.from_iterable(pairs), MAX_NAMED)
     if publishers or subscriptions:
         counts = f"{len(publishers)} publishers, {len(subscriptions)} subscriptions"
         yield ok(check, f"{topic['name']} ({', '.join(topic['types'])}): {counts}")
@@ -106,7 +113,9 @@ def _check_pair(
 
 
 def _names(endpoints: Sequence[GraphEndpoint]) -> str:
-    return " and ".join(sorted({_name(each) for each in endpoints}))
+    names = sorted({_name(each) for each in endpoints})
+    more = [f"{len(names) - MAX_NAMED} more"] if len(names) > MAX_NAMED else []
+    return " and ".join([*names[:MAX_NAMED], *more])
 
 
 def _name(endpoint: GraphEndpoint) -> str:

@@ -3,12 +3,25 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
+
+import pytest
 
 from tests.support.first_package import MISTAKES, healthy
 from tests.support.waiting import until
 from tests.support.world import Peer, World
+
+
+def findings(world: World, *options: str) -> list[dict[str, Any]]:
+    """Return the findings, whatever the exit code is."""
+    found: list[dict[str, Any]] = json.loads(world.here("doctor", *options, "--json").out)[
+        "findings"
+    ]
+    return found
 
 
 def test_a_daemon_and_its_robot_are_healthy_and_a_base_of_another_type_is_named(
@@ -38,19 +51,33 @@ def test_what_a_killed_daemon_left_is_cleaned_and_a_shell_in_another_domain_is_t
     world.ok("start", "--sim", "--robot", "r2")
     world.ok("start", "--sim")
     world.kill(world.status("r2")["pid"])
-    found = world.answer_here("doctor")["findings"]
+    found = findings(world)
     (left,) = (each for each in found if "robot r2" in each["text"])
     assert left["level"] == "warning"
     sockets = {path.name: path for path in world.sockets()}
-    answer = world.answer_here("doctor", "--clean")
+    answer = json.loads(world.here("doctor", "--clean", "--json").out)
     assert str(sockets["r2.sock"]) in answer["removed"]
     assert [path.name for path in world.sockets()] == ["robot.sock"]
     assert not [each for each in answer["findings"] if "robot r2" in each["text"]]
     assert world.status()["mode"] == "IDLE"
     world.environment["ROS_DOMAIN_ID"] = "0"
-    elsewhere = world.answer_here("doctor")["findings"]
+    elsewhere = findings(world)
     (told,) = (each for each in elsewhere if each["check"] == "discovery" and each["cure"])
     assert told["cure"] == f"export ROS_DOMAIN_ID={world.domain_id}"
+    world.ok("stop")
+
+
+@pytest.mark.slow
+def test_a_daemon_that_hangs_is_named(world: World) -> None:
+    world.ok("start", "--sim")
+    pid = world.status()["pid"]
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        ran = world.here("doctor")
+    finally:
+        os.kill(pid, signal.SIGCONT)
+    assert ran.exit_code == 4
+    assert "the daemon of robot 'robot' did not answer" in ran.out
     world.ok("stop")
 
 

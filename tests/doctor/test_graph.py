@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from robotctl.doctor.finding import Level
-from robotctl.doctor.graph import check_command, check_definitions, check_odometry
+from robotctl.doctor.graph import MAX_NAMED, check_command, check_definitions, check_odometry
 from robotctl.ipc.answers import GraphEndpoint, GraphTopic
 
 TWIST, STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
@@ -80,6 +80,14 @@ def test_what_keeps_a_command_from_arriving_is_named(
 ) -> None:
     (found,) = command_faults(topic("/cmd_vel", publishers, subscriptions))
     assert text in found
+
+
+def test_a_flood_of_endpoints_gives_a_few_findings_at_once() -> None:
+    weak = [endpoint(f"/p{number}", TWIST, "best_effort") for number in range(5_000)]
+    strong = [endpoint(f"/s{number}", TWIST) for number in range(5_000)]
+    found = command_faults(topic("/cmd_vel", weak, strong))
+    assert len(found) == MAX_NAMED + 1
+    assert max(map(len, found)) < 300
 
 
 def test_two_sources_of_odometry_are_a_fault() -> None:

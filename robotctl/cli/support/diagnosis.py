@@ -6,10 +6,11 @@ import os
 import sys
 import sysconfig
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
-from robotctl.cli.support import dead_daemons
+from robotctl.cli.support import dead_daemons, robots
 from robotctl.cli.support.look_process import look_processes
 from robotctl.cli.support.ros_view import RosView, ros_view
 from robotctl.config import Config, load
@@ -35,7 +36,22 @@ def diagnose(
     """
     chosen = Config() if config is None else load(config)
     removed = [*shared_memory.clean(), *dead_daemons.remove_sockets()] if clean else []
-    return [str(path) for path in removed], [*_computer(chosen), *_ros(robot, chosen, domain_id)]
+    silent = _silent_of(_silent_of(robots.names()))  # a busy machine gets a second chance
+    if domain_id is None and robot in silent:
+        domain_id = requested_domain(None) or 0  # it cannot tell its own
+    hanging = [_hangs(each, problem) for each, problem in silent.items()]
+    found = [*_computer(chosen), *hanging, *_ros(robot, chosen, domain_id)]
+    return [str(path) for path in removed], found
+
+
+def _silent_of(names: Iterable[str]) -> dict[str, str]:
+    """Return robot -> problem for the daemons that do not answer."""
+    return {each.robot: each.problem for each in robots.find(names) if each.problem}
+
+
+def _hangs(robot: str, problem: str) -> Finding:
+    cure = f"robotctl start --robot {robot} tells its pid: kill -9 it, then start again"
+    return fault("daemon", problem, cure)
 
 
 def _computer(config: Config) -> Iterator[Finding]:
@@ -74,9 +90,10 @@ def _ros(robot: str, config: Config, domain_id: int | None) -> Iterator[Finding]
             names = view.names()
             yield ok("nodes", ", ".join(names["nodes"]) or f"none in domain {view.domain_id}")
             kernel = config.kernel
-            odometry = _topic(view, kernel.odometry.topic)
+            used = {each["name"] for each in names["topics"]}
+            odometry = _topic(view, kernel.odometry.topic, used)
             has_odometry = bool(odometry["publishers"])
-            command = _topic(view, kernel.command.topic)
+            command = _topic(view, kernel.command.topic, used)
             yield from graph.check_command(command, has_odometry=has_odometry)
             yield from graph.check_odometry(odometry)
             yield from graph.check_definitions(names["topics"], _is_installed)
@@ -86,12 +103,12 @@ def _ros(robot: str, config: Config, domain_id: int | None) -> Iterator[Finding]
             yield fault("ROS", f"the graph cannot be seen: {error.cause or error}", error.cure)
 
 
-def _topic(view: RosView, name: str) -> GraphTopic:
+def _topic(view: RosView, name: str, used: set[str]) -> GraphTopic:
     full = view.full_name(name)
-    try:
-        return view.topic(full)
-    except UsageError:  # no node uses it
-        return {"name": full, "types": [], "publishers": [], "subscriptions": []}
+    with suppress(UsageError):  # its last node has just left
+        if full in used:
+            return view.topic(full)
+    return {"name": full, "types": [], "publishers": [], "subscriptions": []}
 
 
 def _is_installed(type_name: str) -> bool:
