@@ -13,7 +13,6 @@ from robotctl.kernel.lease import LeaseLost, LeaseRequested
 from robotctl.kernel.lifecycle import LifecycleChanged
 from robotctl.kernel.limits import limit, within
 from robotctl.kernel.modes import Mode, Trigger
-from robotctl.kernel.obstacles import farthest_m
 from robotctl.kernel.odometry import (
     dropped,
     is_finite,
@@ -201,9 +200,8 @@ class Kernel(Knowledge):
     def _tick(self, event: Tick) -> None:
         self._notice_gap(event.t_ns)
         scan = self.state.health.scan
-        if scan is not None and scan.nearest_m <= farthest_m(self.params.scan, self._reach_m()):
-            scan = self._looked_ahead(scan.t_ns, scan.sectors)  # the command has changed
-            self.state = replace(self.state, health=replace(self.state.health, scan=scan))
+        if scan is not None:
+            self._look_again(scan)
         state, params = self.state, self.params
         finding = raised(state.mode, state.health, params, event.t_ns)
         if state.mode is Mode.MOVING and finding is None:

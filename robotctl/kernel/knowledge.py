@@ -8,7 +8,7 @@ from math import inf
 from robotctl.kernel.battery import counts_in_percent, level_of
 from robotctl.kernel.health import Scan, Stalls
 from robotctl.kernel.modes import Mode, Trigger
-from robotctl.kernel.obstacles import distance_ahead
+from robotctl.kernel.obstacles import distance_ahead, farthest_m, free_beside_m, is_free
 from robotctl.kernel.parameter_control import ParameterControl
 from robotctl.kernel.safety import RULE_OF, Finding
 from robotctl.kernel.types import ZERO, BatteryReceived, Cause, LoopStalled
@@ -39,9 +39,27 @@ class Knowledge(ParameterControl):
         ahead_m = distance_ahead(sectors, self.state.command, self.params.scan, self._reach_m())
         return Scan(t_ns, sectors, min(sectors, default=inf), ahead_m)
 
+    def _look_again(self, scan: Scan) -> None:
+        """Look at the last scan again: the command has changed."""
+        command, params, reach_m = self.state.command, self.params.scan, self._reach_m()
+        if scan.nearest_m > farthest_m(params, reach_m):
+            return
+        ahead_m = inf
+        free_m = free_beside_m(
+            scan.sectors, params, self._reach_at_m(self.params.limits.linear_mps)
+        )
+        if not is_free(free_m, command, params, reach_m):
+            ahead_m = distance_ahead(scan.sectors, command, params, reach_m)
+        if ahead_m != scan.ahead_m:
+            scan = Scan(scan.t_ns, scan.sectors, scan.nearest_m, ahead_m)
+            self.state = replace(self.state, health=replace(self.state.health, scan=scan))
+
     def _reach_m(self) -> float:
         """Return how far ahead of the robot nothing may be: stop and braking distance."""
-        speed_mps, params = self.state.command.linear, self.params
+        return self._reach_at_m(self.state.command.linear)
+
+    def _reach_at_m(self, speed_mps: float) -> float:
+        params = self.params
         braking_m = speed_mps * speed_mps / (2.0 * params.limits.linear_accel_mps2)
         return params.scan.stop_distance_m + braking_m
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from math import atan2, cos, hypot, inf, pi, sin, tau
 
 from robotctl.kernel.ranges import Change, bounded, setting, topic
@@ -11,6 +12,9 @@ from robotctl.kernel.types import Twist
 
 STRAIGHT_RADIUS_M = 1e3
 """An arc of a larger radius counts as a straight line."""
+
+ROUNDING_M = 1e-6
+"""More than the computation of a path can be wrong by."""
 
 STANDING_MPS = 1e-3
 """A slower command only turns."""
@@ -43,16 +47,63 @@ def distance_ahead(
     `sectors` are the nearest ranges by direction; an obstacle may be anywhere in its sector. Only
     what is at most `reach_m` away along the path counts. A command of zero looks straight ahead.
     """
-    nearest_m = inf
-    far_m = farthest_m(params, reach_m)
-    for number, range_m in enumerate(sectors):
-        if range_m > far_m:
-            continue
-        for edge in (0.0, 0.5, 1.0):
-            angle = -pi + (number + edge) * tau / len(sectors) + params.yaw_rad
-            x, y = params.x_m + range_m * cos(angle), params.y_m + range_m * sin(angle)
+    nearest_m, side_m = inf, _side_m(command, params, reach_m)
+    for x, y in _points(sectors, params, farthest_m(params, reach_m)):
+        if abs(y) <= side_m:
             nearest_m = min(nearest_m, _along_path(x, y, command, params))
     return nearest_m if nearest_m <= reach_m else inf
+
+
+@lru_cache(maxsize=2)
+def free_beside_m(sectors: tuple[float, ...], params: ScanParams, reach_m: float) -> float:
+    """Return how far to either side nothing is [m], as far as `reach_m` along any path goes."""
+    points = _points(sectors, params, farthest_m(params, reach_m))
+    return min([abs(y) for _, y in points], default=inf)
+
+
+def is_free(free_m: float, command: Twist, params: ScanParams, reach_m: float) -> bool:
+    """Return whether nothing can be in the path, as nothing is nearer than `free_m` beside it.
+
+    Where this is False, `distance_ahead` has to tell.
+    """
+    return _side_m(command, params, reach_m) < free_m
+
+
+def _side_m(command: Twist, params: ScanParams, reach_m: float) -> float:
+    """Return how far to a side the robot can touch something [m]; inf where it turns sharply.
+
+    On an arc of radius r it comes sideways by r * (1 - cos(s / r)) <= s^2 / 2r within the way s.
+    """
+    way_m = reach_m + params.half_length_m
+    radius_m = abs(command.linear / command.angular) if command.angular else inf
+    if (abs(command.linear) < STANDING_MPS and command.angular) or radius_m < way_m:
+        return inf
+    return params.half_width_m + way_m * way_m / (2.0 * radius_m) + ROUNDING_M
+
+
+def _points(
+    sectors: tuple[float, ...], params: ScanParams, far_m: float
+) -> list[tuple[float, float]]:
+    """Return the places of obstacles that are near: the edges and the middle of each sector."""
+    x, y = params.x_m, params.y_m
+    return [
+        (x + range_m * ahead, y + range_m * left)
+        for range_m, rays in zip(sectors, _rays(len(sectors), params.yaw_rad), strict=True)
+        if range_m <= far_m
+        for ahead, left in rays
+    ]
+
+
+@lru_cache(maxsize=8)
+def _rays(count: int, yaw_rad: float) -> tuple[tuple[tuple[float, float], ...], ...]:
+    """Return the directions of the edges and the middle of each sector, as cosine and sine."""
+    return tuple(
+        tuple(
+            (cos(angle), sin(angle))
+            for angle in (-pi + (number + edge) * tau / count + yaw_rad for edge in (0.0, 0.5, 1.0))
+        )
+        for number in range(count)
+    )
 
 
 def farthest_m(params: ScanParams, reach_m: float) -> float:

@@ -10,7 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.obstacles import ScanParams, distance_ahead
+from robotctl.kernel.obstacles import (
+    ScanParams,
+    _along_path,
+    _side_m,
+    distance_ahead,
+    free_beside_m,
+    is_free,
+)
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.safety_inputs import Use
 from robotctl.kernel.types import Cause, ScanReceived, Twist
@@ -67,6 +74,85 @@ def test_the_distance_is_that_of_the_front() -> None:
 
 RANGES = st.lists(st.floats(0.05, 2.0), min_size=SECTORS, max_size=SECTORS)
 COMMANDS = st.builds(Twist, st.floats(-1.0, 1.0), st.floats(-2.0, 2.0))
+
+
+MOUNTED = ScanParams(use=Use.OPTIONAL, half_width_m=0.2, half_length_m=0.3, x_m=0.1, yaw_rad=0.5)
+COURSES = st.builds(Twist, st.floats(-1.0, 1.0), st.floats(-0.5, 0.5) | st.just(0.0))
+WIDE = st.lists(st.floats(0.05, 3.0), min_size=SECTORS, max_size=SECTORS)
+BETWEEN_WALLS = tuple(
+    0.5 / max(abs(sin(-pi + (number + 0.5) * tau / SECTORS)), 1e-9) for number in range(SECTORS)
+)
+
+
+@given(WIDE, COURSES, st.sampled_from([PARAMS, MOUNTED]), st.floats(0.0, 1.5))
+def test_what_is_left_out_beside_the_path_is_in_no_path(
+    ranges: list[float], command: Twist, params: ScanParams, reach_m: float
+) -> None:
+    sectors = tuple(ranges)
+    ahead_m = distance_ahead(sectors, command, params, reach_m)
+    alone_m = min(
+        distance_ahead(
+            tuple(r if i == n else inf for i in range(SECTORS)), command, params, reach_m
+        )
+        for n, r in enumerate(sectors)
+    )
+    assert ahead_m == alone_m
+    if is_free(free_beside_m(sectors, params, 1.5), command, params, reach_m):
+        assert ahead_m == inf
+
+
+@given(
+    st.floats(0.05, 1.0),
+    st.sampled_from([0.0, 0.01, -0.1, 0.3, -0.6, 1.0, 2.5]),
+    st.floats(0.1, 1.5),
+    st.floats(0.0, 1.0),
+    st.floats(0.0, 1.0),
+    st.sampled_from([1.0, -1.0]),
+)
+def test_the_side_of_a_path_reaches_as_far_as_the_path(
+    linear: float, angular: float, reach_m: float, along: float, across: float, way: float
+) -> None:
+    command = Twist(way * linear, angular)
+    radius_m = linear / abs(angular) if angular else 1e4
+    turned_rad = along * (reach_m + PARAMS.half_length_m) / radius_m
+    half_m = PARAMS.half_width_m
+    off_m = radius_m + half_m * (2.0 * across - 1.0)
+    x = way * off_m * sin(turned_rad)
+    y = (radius_m - off_m * cos(turned_rad)) * (1.0 if angular * way >= 0.0 else -1.0)
+    if _along_path(x, y, command, PARAMS) <= reach_m:
+        assert abs(y) <= _side_m(command, PARAMS, reach_m)
+
+
+def test_the_side_of_a_path_is_no_wider_than_its_end_needs() -> None:
+    assert _side_m(Twist(0.5, 0.0), PARAMS, 0.5) == pytest.approx(0.25, abs=1e-5)
+    assert _side_m(Twist(0.5, 0.1), PARAMS, 0.5) == pytest.approx(0.25 + 0.75**2 / 10.0, abs=1e-5)
+    assert _side_m(Twist(0.5, 0.66), PARAMS, 0.5) < inf
+    for sharp in (Twist(0.5, 0.67), Twist(-0.5, -0.67), Twist(0.0, 0.1), Twist(0.0005, 0.0001)):
+        assert _side_m(sharp, PARAMS, 0.5) == inf
+
+
+def test_between_walls_a_straight_path_is_free_and_a_sharp_turn_is_looked_at() -> None:
+    free_m = free_beside_m(BETWEEN_WALLS, PARAMS, 1.0)
+    assert 0.4 < free_m < 0.5
+    assert is_free(free_m, Twist(0.3, 0.0), PARAMS, 0.5)
+    assert is_free(free_m, Twist(0.3, 0.05), PARAMS, 0.5)
+    assert not is_free(free_m, Twist(0.3, 0.6), PARAMS, 0.5)
+    assert not is_free(free_m, Twist(0.0, 0.6), PARAMS, 0.5)
+    assert not is_free(0.25, Twist(0.3, 0.0), PARAMS, 0.5)
+    assert free_beside_m(FREE, PARAMS, 1.0) == inf
+    assert free_beside_m((), PARAMS, 1.0) == inf
+
+
+def test_a_turn_towards_a_wall_is_noticed_at_the_next_tick() -> None:
+    bench = moving(replace(KernelParams(), scan=PARAMS))
+    bench.give(ScanReceived(bench.t_ns, seen(0.45, 0.32)))
+    scan = bench.state.health.scan
+    assert scan is not None
+    assert scan.ahead_m == inf
+    kernel = bench.kernel
+    kernel.state = replace(kernel.state, command=Twist(0.3, 0.9))
+    bench.tick()
+    assert bench.state.cause is Cause.OBSTACLE_NEAR
 
 
 @given(RANGES, COMMANDS)
