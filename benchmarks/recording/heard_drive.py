@@ -44,7 +44,7 @@ class _Listener:
     def __init__(self, kernel: HearingKernel) -> None:
         self._kernel = kernel
         self._mode = kernel.state.mode
-        self._due_ns = 0
+        self._due_ns = START_NS + BEGIN_NS + _STATUS_PERIOD_NS
         self._shown = 0
         self._has_begun = False
 
