@@ -20,6 +20,8 @@ class DriveFacts(TypedDict):
     true_cross_track_rms_m: float | None
     """By the true pose of a robot that the daemon simulates; None for any other."""
     true_cross_track_max_m: float | None
+    true_heading_rms_rad: float | None
+    true_heading_max_rad: float | None
     heading_rms_rad: float
     heading_max_rad: float
 
@@ -50,6 +52,9 @@ class DriveAnswer(ModeAnswer, total=False):
     cross_track_max_m: float | None
     true_cross_track_rms_m: float | None
     true_cross_track_max_m: float | None
+    true_heading_rms_rad: float | None
+    true_heading_max_rad: float | None
+    true_closure_m: float | None
     closure_m: float | None
     heading_rms_rad: float | None
     heading_max_rad: float | None

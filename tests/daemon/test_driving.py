@@ -79,6 +79,9 @@ async def test_a_drive_that_ended_early_is_refused_and_gives_its_numbers() -> No
         "cross_track_max_m": 0.02,
         "true_cross_track_rms_m": None,
         "true_cross_track_max_m": None,
+        "true_heading_rms_rad": None,
+        "true_heading_max_rad": None,
+        "true_closure_m": None,
         "closure_m": 0.005,
         "heading_rms_rad": 0.03,
         "heading_max_rad": 0.06,
@@ -91,7 +94,7 @@ async def test_an_unknown_figure_of_a_drive_is_null() -> None:
     ended = replace(ENDED, completed=False, reason="stopped", report=report)
     with pytest.raises(Refused) as refused:
         await wait_for(ended, Mode.IDLE, laps=2)
-    assert json.dumps(refused.value.answer, allow_nan=False).count("null") == 8
+    assert json.dumps(refused.value.answer, allow_nan=False).count("null") == 11
 
 
 @pytest.mark.parametrize("mode", [Mode.ERROR, Mode.EMERGENCY_STOP])

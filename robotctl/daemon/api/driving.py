@@ -238,7 +238,7 @@ class DrivingMethods:
 
 
 def _drive_answer(ended: DriveEnded, mode: Mode, truth: GroundTruth) -> DriveAnswer:
-    report, true_errors = ended.report, truth.errors(ended.request_id)
+    report, true = ended.report, truth.errors(ended.request_id)
     return {
         "message": ended.reason,
         "mode": mode.name,
@@ -246,8 +246,11 @@ def _drive_answer(ended: DriveEnded, mode: Mode, truth: GroundTruth) -> DriveAns
         "distance_m": _known(report.distance_m),
         "cross_track_rms_m": _known(report.cross_track_rms_m),
         "cross_track_max_m": _known(report.cross_track_max_m),
-        "true_cross_track_rms_m": None if true_errors is None else true_errors.rms_m,
-        "true_cross_track_max_m": None if true_errors is None else true_errors.max_m,
+        "true_cross_track_rms_m": None if true is None else true.cross_track_rms_m,
+        "true_cross_track_max_m": None if true is None else true.cross_track_max_m,
+        "true_heading_rms_rad": None if true is None else true.heading_rms_rad,
+        "true_heading_max_rad": None if true is None else true.heading_max_rad,
+        "true_closure_m": None if true is None else _known(true.closure_m),
         "closure_m": _known(report.closure_m),
         "heading_rms_rad": _known(report.heading_rms_rad),
         "heading_max_rad": _known(report.heading_max_rad),

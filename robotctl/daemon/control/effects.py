@@ -103,8 +103,8 @@ class Effects:
             ended.reason,
             report.laps,
             report.cross_track_max_m if isfinite(report.cross_track_max_m) else None,
-            None if true is None else true.rms_m,
-            None if true is None else true.max_m,
+            None if true is None else true.cross_track_rms_m,
+            None if true is None else true.cross_track_max_m,
         )
 
     def _with_cure(self, effect: ModeChanged | DriveEnded) -> str:

@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import sqrt
+from dataclasses import replace
+from math import nan, sqrt
 from typing import NamedTuple
 
-from robotctl.kernel.drive import Drive
+from robotctl.kernel.drive import Drive, Score
 from robotctl.kernel.geometry import Pose
 
 
 class TrueErrors(NamedTuple):
-    """The true distance from the path: root mean square, and largest [m]."""
+    """The errors of a drive by the true pose, as `kernel.types.DriveReport` has them by odometry.
 
-    rms_m: float
-    max_m: float
+    `closure_m` is NaN before a lap is complete.
+    """
+
+    cross_track_rms_m: float
+    cross_track_max_m: float
+    heading_rms_rad: float
+    heading_max_rad: float
+    closure_m: float
 
 
 class GroundTruth:
@@ -28,9 +35,9 @@ class GroundTruth:
         self._drive_id: int | None = None
         self._measured_start = Pose()
         self._true_start = Pose()
-        self._samples = 0
-        self._squared_sum = 0.0
-        self._max_m = 0.0
+        self._score = Score()
+        self._laps = 0
+        self._closure_m = nan
 
     def follow(self, drive: Drive, measured: Pose) -> None:
         """Take the true pose of the moment at which odometry measured a pose."""
@@ -40,14 +47,24 @@ class GroundTruth:
         if drive.request_id != self._drive_id:
             self._drive_id = drive.request_id
             self._measured_start, self._true_start = measured, true
-            self._samples, self._squared_sum, self._max_m = 0, 0.0, 0.0
-        off_m = drive.cross_track_m(self._measured_start.compose(self._true_start.express(true)))
-        self._samples += 1
-        self._squared_sum += off_m * off_m
-        self._max_m = max(self._max_m, off_m)
+            self._score, self._laps, self._closure_m = Score(), 0, nan
+        pose = self._measured_start.compose(self._true_start.express(true))
+        self._score = replace(drive, score=self._score).measured(pose, 0.0).score
+        if drive.progress.laps != self._laps:
+            self._laps = drive.progress.laps
+            is_at_end = drive.finished and not drive.path.closed
+            end = drive.origin.compose(drive.path.end) if is_at_end else drive.origin
+            self._closure_m = end.distance(pose)
 
     def errors(self, request_id: int) -> TrueErrors | None:
         """Return the errors of the drive that this request began, None if they are not known."""
         if request_id != self._drive_id:
             return None
-        return TrueErrors(sqrt(self._squared_sum / self._samples), self._max_m)
+        score = self._score
+        return TrueErrors(
+            sqrt(score.squared_error_sum / score.samples),
+            score.max_error_m,
+            sqrt(score.squared_heading_sum / score.samples),
+            score.max_heading_rad,
+            self._closure_m,
+        )

@@ -192,7 +192,7 @@ def _drive_facts(state: State, truth: GroundTruth) -> DriveFacts | None:
     if drive is None or odometry is None:
         return None
     report = drive.report(state.tick_t_ns or drive.begin_t_ns)
-    true_errors = truth.errors(drive.request_id)
+    true = truth.errors(drive.request_id)
     return {
         "what": named(drive.pattern, drive.course),
         "lap": report.laps + 1,
@@ -202,8 +202,10 @@ def _drive_facts(state: State, truth: GroundTruth) -> DriveFacts | None:
         "cross_track_m": drive.cross_track_m(odometry.pose),
         "cross_track_rms_m": report.cross_track_rms_m,
         "cross_track_max_m": report.cross_track_max_m,
-        "true_cross_track_rms_m": None if true_errors is None else true_errors.rms_m,
-        "true_cross_track_max_m": None if true_errors is None else true_errors.max_m,
+        "true_cross_track_rms_m": None if true is None else true.cross_track_rms_m,
+        "true_cross_track_max_m": None if true is None else true.cross_track_max_m,
+        "true_heading_rms_rad": None if true is None else true.heading_rms_rad,
+        "true_heading_max_rad": None if true is None else true.heading_max_rad,
         "heading_rms_rad": report.heading_rms_rad,
         "heading_max_rad": report.heading_max_rad,
     }

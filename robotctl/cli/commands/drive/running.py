@@ -74,8 +74,17 @@ def tracking_lines(result: Mapping[str, Any]) -> list[str]:
         f"  heading     {heading_rms} rad RMS, {heading_worst} rad at most",
     ]
     if result.get("true_cross_track_rms_m") is not None:
-        rms, worst = (number(result.get(f"true_cross_track_{n}_m"), ".3f") for n in ("rms", "max"))
-        lines.insert(2, f"  in truth    {rms} m RMS, {worst} m at most (simulated)")
+        lines.append(_true_line(result))
     if laps:  # no closure before the first lap is complete
         lines.append(f"  closure     {closure} m from where the lap ends")
     return lines
+
+
+def _true_line(result: Mapping[str, Any]) -> str:
+    """Return the errors by the true pose of a simulated robot."""
+    rms, worst, heading, closure = (
+        number(result.get(f"true_{name}"), ".3f")
+        for name in ("cross_track_rms_m", "cross_track_max_m", "heading_rms_rad", "closure_m")
+    )
+    closed = f", closure {closure} m" if result.get("true_closure_m") is not None else ""
+    return f"  in truth    {rms} m RMS, {worst} m at most, heading {heading} rad RMS{closed}"
