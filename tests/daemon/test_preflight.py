@@ -56,3 +56,18 @@ def test_a_preflight_without_a_robot_names_what_is_missing_and_waits(world: Worl
     sim.terminate()
     sim.communicate()
     world.ok("stop")
+
+
+def test_an_input_of_another_type_prevents_motion_and_status_names_the_types(
+    world: World, new_peer: Callable[[World], Peer]
+) -> None:
+    new_peer(world)("publish", kind="Twist", topic="estop_pressed")
+    settings = world.folder / "odd.yaml"
+    settings.write_text("inputs.estop.use: required\n")
+    world.ok("start", "--sim", "--config", str(settings))
+    refused = world.robotctl("set-mode", "moving")
+    assert refused.exit_code == 4
+    assert "nothing was received on estop_pressed" in refused.err
+    types = "geometry_msgs/msg/Twist, std_msgs/msg/Bool"
+    until(lambda: any(types in text for text in world.status()["warnings"]))
+    world.ok("stop")

@@ -198,6 +198,10 @@ class Tap:
         """Leave out a topic that cannot be subscribed to, until it is tried again."""
         if isinstance(error, TooManyTopics):
             problem = f"there are {error}"
+        elif len(type_names) > 1:
+            types = ", ".join(map(short_name, sorted(type_names)[:MAX_TYPES_NAMED]))
+            problem = f"its publishers and subscribers differ in its type: {types}"
+            self._failed.add(topic)
         else:
             reason = printable(f"{type(error).__name__}: {error}")
             problem = f"it cannot be subscribed to ({reason})"
