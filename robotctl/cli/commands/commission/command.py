@@ -36,7 +36,7 @@ def commission(
     robot: Robot = DEFAULT_ROBOT,
     as_json: Json = False,
 ) -> None:
-    """Measure the robot's base by two short motions, and propose limits and gains for it.
+    """Measure the base by two short motions, and propose limits and gains.
 
     Straight ahead, twice: one motion is stopped by a zero command, and after the other nothing is
     commanded, to see when the base stops by itself. The report tells rate and delay of odometry,
