@@ -14,7 +14,8 @@ Between the two stands one process a role on the AsyncioExecutor: simulated robo
 Each is measured with the other absent, in turn, so that a noisy machine is noisy for both; ratios
 are taken within a round. Shown are medians over the rounds, and the lowest and highest in
 brackets. CPU is user and system time of all threads (/proc/PID/stat), PSS what is in memory at the
-end (/proc/PID/smaps_rollup). Messages are those of /cmd_vel and /odom that were recorded.
+end (/proc/PID/smaps_rollup). Messages are those of /cmd_vel and /odom that were recorded. Wake-ups
+are voluntary context switches of all threads (/proc/PID/task/TID/status).
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -51,12 +52,13 @@ MOVING = 1
 
 @dataclass(frozen=True)
 class Usage:
-    """What processes used together: CPU [%], its part for recording, PSS [MB], messages."""
+    """What processes used together: CPU and its part for recording [%], PSS [MB], what they did."""
 
     cpu: float
     recorder_cpu: float
     pss: float
     messages_per_second: float
+    wake_ups_per_second: float
 
 
 def environment(folder: Path, domain: int) -> dict[str, str]:
@@ -167,6 +169,15 @@ def cpu_s(pid: int) -> float:
     return (int(after_name[11]) + int(after_name[12])) / os.sysconf("SC_CLK_TCK")
 
 
+def wake_ups(pid: int) -> int:
+    """How often the threads of a process have gone to sleep so far."""
+    total = 0
+    for status in Path(f"/proc/{pid}/task").glob("*/status"):
+        with suppress(FileNotFoundError):  # the thread has just ended
+            total += int(status.read_text().split("\nvoluntary_ctxt_switches:")[1].split()[0])
+    return total
+
+
 def pss_mb(pid: int) -> float:
     """Memory of a process, shared pages divided among those who share them [MB]."""
     for line in Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines():
@@ -185,14 +196,17 @@ def measure(name: str, rate_hz: float, options: argparse.Namespace, domain: int)
         folder = Path(temporary)
         with ARRANGEMENTS[name](rate_hz, folder, domain) as pids:
             time.sleep(options.warm_up)
+            woken = -sum(map(wake_ups, pids))
             before, begun = [cpu_s(pid) for pid in pids], time.monotonic()
             time.sleep(options.seconds)
             after, took_s = [cpu_s(pid) for pid in pids], time.monotonic() - begun
+            woken += sum(map(wake_ups, pids))
             pss = sum(map(pss_mb, pids))
         shares = [
             100.0 * (late - early) / took_s for early, late in zip(before, after, strict=True)
         ]
-        return Usage(sum(shares), shares[-1], pss, recorded_per_second(folder))
+        recorded = recorded_per_second(folder)
+        return Usage(sum(shares), shares[-1], pss, recorded, woken / took_s)
 
 
 def recorded_per_second(folder: Path) -> float:
@@ -221,6 +235,7 @@ def show(rate_hz: float, rounds: list[dict[str, Usage]]) -> bool:
         line = f"  {name:8} CPU {spread([each.cpu for each in used], '5.2f')} %"
         line += f"   PSS {spread([each.pss for each in used], '5.1f')} MB"
         line += f"   {statistics.median(each.messages_per_second for each in used):.1f} messages/s"
+        line += f"   {statistics.median(each.wake_ups_per_second for each in used):.0f} wake-ups/s"
         print(line)
     recorder = statistics.median(results["classic"].recorder_cpu for results in rounds)
     print(f"  of the classic CPU the recorder takes {recorder:.2f} %")

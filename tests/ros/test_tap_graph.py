@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from robotctl.ros.executor import self_test
+from robotctl.ros.graph.changes import GraphChanges
 from robotctl.ros.messages import qos
 from robotctl.ros.session import Session
 from robotctl.ros.tap import tap
@@ -78,6 +79,25 @@ async def test_a_topic_that_vanishes_and_comes_back_is_taken_again(
     sequences = [message[3] for message in taken.messages[topic]]
     assert sequences == [1, 1]
     assert len({message[4] for message in taken.messages[topic]}) == 2  # it is another publisher
+
+
+async def test_in_a_calm_graph_the_announcement_of_rcl_alone_finds_a_topic(
+    taken: Any, other: Any, topic: str, until: Until, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    long_s = 1000.0
+    monkeypatch.setattr(tap, "CALM_S", long_s)
+    monkeypatch.setattr(tap, "LOOKS_PER_INSPECTION", 2)
+    waits: list[float] = []
+    wait = GraphChanges.wait
+
+    async def noted(changes: GraphChanges, at_most_s: float) -> bool:
+        waits.append(at_most_s)
+        return await wait(changes, at_most_s)
+
+    monkeypatch.setattr(GraphChanges, "wait", noted)
+    await until(lambda: waits[-1:] == [long_s])
+    publisher(other, topic)
+    await until(lambda: topic in taken.topics)
 
 
 async def test_a_topic_that_comes_back_with_another_type_is_taken_as_that(
