@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from robotctl.cli.support.interrupted_drive import (
     stop_drive,
     wait_while_stdout_open,
 )
-from robotctl.cli.support.quick_actions import asked_by
+from robotctl.cli.support.quick_actions import asked_by, lease_of_shell
 from robotctl.cli.support.signals import interrupted_by
 from robotctl.errors import Refused, RobotctlError
 from robotctl.ipc.answers import DriveAnswer
@@ -57,9 +58,13 @@ def drive_twice(robot: str, speed_mps: float) -> Path:
         Interrupted: Ctrl-C or a signal ended it; the robot stands.
         RobotctlError: A motion was refused, or ended by a fault.
     """
-    with interrupted_by(CLOSING_SIGNALS), HeldLease(robot, COMMAND) as held:
+    with ExitStack() as stack:
+        stack.enter_context(interrupted_by(CLOSING_SIGNALS))
+        lease = lease_of_shell()
+        if not lease:
+            lease = {"lease": stack.enter_context(HeldLease(robot, COMMAND)).token}
         begun = call(robot, RECORD_SPLIT, deadline_s=_SPLIT_DEADLINE_S)["file"]
-        common = {**asked_by(COMMAND), "lease": held.token, "angular_rps": 0.0}
+        common = {**asked_by(COMMAND), **lease, "angular_rps": 0.0}
         common |= {"linear_mps": speed_mps, "wait": True}
         time.sleep(STANDING_S)
         _stop_by_zero(robot, common | {"for_s": _LATEST_S, "reason": "stopping distance"})
