@@ -45,13 +45,23 @@ class StatusCheck:
         self._newest = 0
         self._gaps = 0
         self._seen = 0
+        self._ahead: set[int] = set()
+        """The numbers of statuses that are recorded before they were sent, and did not come yet."""
+
         self._unordered = 0
         self._wrong = 0
         self._example = ""
         self._begin_ns = 0
 
     def message(self, message: Message) -> None:
-        """Take a status; the last one is repeated at the beginning of each file and clip."""
+        """Take a status; the last one is repeated at the beginning of each file and clip.
+
+        Where the recorder lags, the one it repeats is sent later, and comes again in the file.
+        """
+        if message.log_ns < message.publish_ns:
+            self._ahead.add(message.sequence)
+            return
+        self._ahead.discard(message.sequence)
         if message.sequence == self._newest and self._seen:
             return
         try:
@@ -121,6 +131,8 @@ class StatusCheck:
             missing.append(f"{self._gaps} robot statuses are missing")
         elif not self._seen and ending.is_whole and end_ns - self._begin_ns > UNDER_WAY_NS:
             missing.append("no robot status is recorded")
+        if self._ahead and ending.is_whole:
+            missing.append(f"{len(self._ahead)} robot statuses are recorded before they were sent")
         for text in missing:
             if ending.ledger is None:
                 report.miss(f"{text}; {ending.unknown_losses}")

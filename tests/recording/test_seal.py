@@ -15,6 +15,7 @@ from mcap.stream_reader import StreamReader
 
 from robotctl.recording import Compression, Recorder, RecorderOptions, read_messages
 from robotctl.recording.format.seal_records import Link, Opening, SealOfFile
+from robotctl.recording.keep.repair import repair
 from robotctl.recording.read.seal_chain import SealedFile, check_chain, find_head
 from robotctl.recording.read.seal_check import SealState
 from robotctl.recording.read.verified import Proof, verify_recording
@@ -26,6 +27,7 @@ from robotctl.recording.write import file_seal
 from robotctl.testing.drives import TWIST
 from tests.support.recordings import read_strictly, write_numbered
 from tests.support.sealed import keyring, record_sealed
+from tests.support.waiting import until
 
 
 @pytest.fixture(autouse=True)
@@ -253,3 +255,21 @@ def test_a_damaged_key_is_told_and_not_replaced(tmp_path: Path, keys: Keyring) -
     with pytest.raises(ValueError, match="damaged"):
         keys.open_file("run_0.mcap")
     assert path.read_text() == "{}"
+
+
+def test_a_repair_says_so_and_forges_no_link(tmp_path: Path, keys: Keyring) -> None:
+    options = RecorderOptions(sealer=keys, chunk_bytes=1024, flush_s=0.005)
+    recorder = Recorder(tmp_path / "runs" / "run", options, on_failure=pytest.fail)
+    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 200))
+    until(lambda: recorder.stats().queued == 0)
+    file = recorder.stats().file
+    killed = file.read_bytes()
+    recorder.close()
+    file.write_bytes(killed)
+    assert len(list(repair(tmp_path / "runs"))) == 1
+    found = verify_recording(tmp_path / "runs" / "run")
+    (seal,) = [each.seal for each in found.files]
+    assert seal.opening is not None
+    assert (found.proof, found.wrong, seal.state) == (Proof.WHOLE, (), SealState.PARTLY)
+    assert any("a repair has written the rest" in note for note in seal.notes)
+    assert all(is_signed(each.signed(), each.signature, seal.opening.key) for each in seal.links)

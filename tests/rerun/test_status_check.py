@@ -57,6 +57,16 @@ def test_a_wall_clock_that_is_set_is_held_against_no_status(
     assert (report.verdict, report.missing) == (Verdict.SAME, [])
 
 
+def test_a_status_that_a_file_repeats_before_it_was_sent_is_not_compared(
+    tmp_path: Path, heard: Contents
+) -> None:
+    edited = heard.copy()
+    last = [each for each in heard.messages if each.topic == STATUS][-1]
+    edited.messages.insert(0, replace(last, log_ns=heard.messages[0].log_ns))
+    report = check_recording(write_contents(tmp_path / "run", edited))
+    assert (report.verdict, report.missing) == (Verdict.SAME, [])
+
+
 def renamed(contents: Contents, topic: str) -> Contents:
     """Return the recording with statuses on another topic, as its metadata says."""
     edited = edit(contents, STATUS, lambda at, each: replace(each, topic=topic))

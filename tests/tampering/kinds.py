@@ -218,7 +218,7 @@ FOUND: Mapping[str, Kind] = {
     "odometry: one with another number": changed(ODOMETRY, numbered, anywhere),
     "odometry: all removed": all_changed(ODOMETRY, lambda m: None),
     "odometry: topic removed": removed(ODOMETRY),
-    "battery: one dropped": dropped(BATTERY),
+    "battery: one dropped": dropped(BATTERY, 1, not_first),
     "battery: one changed": changed(BATTERY, level, anywhere),
     "battery: one repeated": repeated(BATTERY),
     "battery: topic removed": removed(BATTERY),
@@ -309,6 +309,7 @@ FOUND: Mapping[str, Kind] = {
 
 ONLY_IF_CLOSED: Mapping[str, Kind] = {
     "odometry: the first dropped": dropped(ODOMETRY, 1, lambda each: each.sequence == 1),
+    "battery: the first dropped": dropped(BATTERY, 1, lambda each: each.sequence == 1),
     "journal: the last entries dropped": journal(last_dropped),
     "journal: the last entries dropped, chained anew": journal(last_dropped, careful=True),
     "commands: any dropped, the others renumbered": dropped_and_renumbered(COMMANDS),
@@ -325,7 +326,7 @@ ONLY_IF_CLOSED: Mapping[str, Kind] = {
 }
 """Edits that are found in a recording that was closed. One that was killed ends anywhere, has no
 ledger, and no snapshot after its last entries: an end cut off at a commit is what a kill leaves.
-Its first odometry may lack, because the recorder finds a publisher later than the control loop."""
+The first inputs may lack, because the recorder finds a publisher later than the control loop."""
 
 ACCEPTED: Mapping[str, tuple[Kind, str]] = {
     "commands: one 100 ms late": (
