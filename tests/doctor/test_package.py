@@ -89,6 +89,19 @@ def test_a_fifo_and_a_link_to_nowhere_hold_nothing_up(tmp_path: Path) -> None:
     assert {each.check for each in faults(package)} == {"syntax"}
 
 
+def test_a_sum_without_end_and_an_entity_that_grows_are_no_trap(tmp_path: Path) -> None:
+    package = healthy(tmp_path)
+    setup = (package / "setup.py").read_text()
+    long = "'a' + " * 2_500 + "'a'"
+    (package / "setup.py").write_text(f"{setup}\nlong = {long}\n")
+    assert faults(package) == []
+    entities = "".join(f"<!ENTITY e{level + 1} '{f'&e{level};' * 10}'>" for level in range(12))
+    bomb = f"<!DOCTYPE b [<!ENTITY e0 'x'>{entities}]><package><name>&e12;</name></package>"
+    (package / "package.xml").write_text(bomb)
+    with pytest.raises(UnreadableFile):
+        faults(package)
+
+
 def test_what_is_no_package_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"no package\.xml"):
         faults(tmp_path)

@@ -22,6 +22,13 @@ def text_of(node: ast.expr | None, names: Mapping[str, str]) -> str | None:
 
     It may be a constant, a name of `names`, a sum, an f-string, or a call of os.path.join.
     """
+    try:
+        return _text_of(node, names)
+    except RecursionError:  # nobody writes that by hand
+        return None
+
+
+def _text_of(node: ast.expr | None, names: Mapping[str, str]) -> str | None:
     match node:
         case ast.Constant(value=str() as text):
             return text
@@ -32,7 +39,7 @@ def text_of(node: ast.expr | None, names: Mapping[str, str]) -> str | None:
         case ast.JoinedStr(values=values):
             return _joined("", values, names)
         case ast.FormattedValue(value=value):
-            return text_of(value, names)
+            return _text_of(value, names)
         case ast.Call(func=ast.Attribute(attr="join"), args=parts, keywords=[]):
             return _joined("/", parts, names)
     return None
@@ -64,5 +71,5 @@ def calls(tree: ast.AST) -> Iterator[ast.Call]:
 
 
 def _joined(separator: str, parts: list[ast.expr], names: Mapping[str, str]) -> str | None:
-    texts = [text_of(part, names) for part in parts]
+    texts = [_text_of(part, names) for part in parts]
     return None if None in texts else separator.join(each for each in texts if each is not None)
