@@ -252,3 +252,39 @@ def test_whatever_is_held_and_whenever_no_command_outlives_the_silence(
                 commanded = effect.twist
     assert commanded == ZERO
     assert bench.t_ns - heard_ns <= 125 * MS or not due
+
+
+def test_the_limits_of_a_held_velocity_are_allowed_themselves() -> None:
+    for seconds in (0.02, 600.0):
+        assert Held(0.1, 0.0, seconds).refusal() == ""
+    for seconds in (0.019, 600.1):
+        assert "a velocity for" in Held(0.1, 0.0, seconds).refusal()
+    assert Held(0.1, 0.0, 0.125, 0).refusal() == ""
+    assert Held(0.1, 0.0, 0.126).refusal() == "", "it is not held to run"
+
+
+@pytest.mark.parametrize("period_s", [0.0625, 0.1, 1.0])
+def test_a_silence_is_too_long_if_it_would_be_at_the_next_tick_or_half_of_it_is_over(
+    period_s: float,
+) -> None:
+    held = Held(0.1, 0.0, 0.125, 1000 * MS)
+    assert not held.is_silent(1000 * MS + 62_500_000, period_s)
+    assert held.is_silent(1000 * MS + 62_500_001, period_s)
+    assert held.is_silent(1000 * MS - 62_500_001, period_s), "a clock that goes back"
+    assert not Held(0.1, 0.0, 0.125).is_silent(0, period_s)
+
+
+def test_a_velocity_is_let_go_if_both_its_parts_are_zero() -> None:
+    assert Held(0.0, 0.0, 0.125, 0).is_let_go
+    assert not Held(0.0, 0.1, 0.125, 0).is_let_go
+    assert not Held(0.1, 0.0, 0.125, 0).is_let_go
+    assert not Held(0.0, 0.0, 0.125).is_let_go
+
+
+def test_a_request_to_stop_during_the_ramp_is_the_reason_of_the_end() -> None:
+    bench, number = held()
+    hold(bench, number, 3, ZERO)
+    bench.request(Mode.IDLE)
+    hold(bench, number, 40, ZERO)
+    assert (bench.state.mode, bench.state.reason) == (Mode.IDLE, "requested by test")
+    assert not ended(bench).completed
