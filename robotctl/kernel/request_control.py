@@ -151,7 +151,7 @@ class RequestControl(LeaseControl):
         drive = Drive(request_id, pattern, laps, origin, course=course, begin_t_ns=t_ns)
         # A drive that replaces another one begins at the present speed.
         speed_mps = -command.linear if course.reverse else command.linear
-        if speed_mps > 0.0 and drive.path.segments:
+        if drive.path.segments:
             drive = drive.begin_at(
                 speed_mps, self.params.limits, 1.0 / self.params.rate_hz, self._rise_ticks()
             )

@@ -20,7 +20,7 @@ from robotctl.kernel.patterns import Pattern, PatternKind, named, path_of
 from robotctl.kernel.speed_plan import speed_plan
 from robotctl.kernel.tracking import Reference
 from robotctl.kernel.types import Cause, Twist
-from robotctl.kernel.waypoints import STRAIGHT_RAD, local_points, waypoint_path
+from robotctl.kernel.waypoints import START_RAD, STRAIGHT_RAD, local_points, waypoint_path
 from robotctl.sim.robot import SimParams
 from robotctl.testing.kernels import Driven, drive_simulated, ready
 
@@ -115,6 +115,9 @@ def test_a_path_through_any_waypoints_has_no_gap_and_no_kink(
 ) -> None:
     assume(not Course(waypoints=points).refusal())
     path = waypoint_path(points, corner_m, again=again)
+    first = path.segments[0].pose_at(0.0)
+    assert hypot(first.x, first.y) <= 1e-6
+    assert abs(first.theta) <= START_RAD
     for before, after in pairwise(path.segments):
         end, begin = before.pose_at(before.length), after.pose_at(0.0)
         assert end.distance(begin) <= 1e-6
@@ -209,6 +212,7 @@ def test_a_rounded_corner_fits_half_a_side(corner_m: float) -> None:
         (Pattern(), Course(corner_m=nan), "a corner of nan m"),
         (Pattern(), Course(angle_rad=0.0), "an angle of 0 rad"),
         (Pattern(PatternKind.ROUNDED_SQUARE), Course(corner_m=0.6), "0.02 to 0.5 m"),
+        (Pattern(PatternKind.ROUNDED_SQUARE, 2.0), Course(corner_m=1.1), "0.02 to 1 m"),
         (Pattern(PatternKind.LINE, 0.05), Course(), "a size of 0.05 m"),
     ],
 )

@@ -17,8 +17,15 @@ from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams, TrackingParams, VelocityLimits
 from robotctl.kernel.patterns import MIN_SIZE_M, SHAPES, Pattern, PatternKind, lap_of
 from robotctl.kernel.reference import Progress
-from robotctl.kernel.tracking import Reference, track
-from robotctl.kernel.types import ZERO, DriveEnded, DriveRequested, ModeChanged, ModeRequested
+from robotctl.kernel.tracking import Reference, follow_blindly, track
+from robotctl.kernel.types import (
+    ZERO,
+    DriveEnded,
+    DriveRequested,
+    ModeChanged,
+    ModeRequested,
+    Twist,
+)
 from robotctl.rerun.closed_loop import closed_loop
 from robotctl.sim.robot import SimParams
 from robotctl.testing.kernels import Driven, drive_simulated, moving, while_moving
@@ -264,6 +271,19 @@ def test_the_end_of_a_drive_is_told_with_its_report_while_the_command_is_zero() 
     assert ended.report.laps == 0
     assert ended.report.closure_m != ended.report.closure_m
     assert bench.commands[-1] == ZERO
+
+
+@pytest.mark.parametrize(
+    ("reference", "command"),
+    [
+        (Reference(ORIGIN, 0.4, 0.5, 0.0), Twist(0.4, 0.2)),
+        (Reference(ORIGIN, 0.0, 0.0, 0.7), Twist(0.0, 0.7)),
+    ],
+)
+def test_open_loop_moves_a_perfect_robot_like_the_reference(
+    reference: Reference, command: Twist
+) -> None:
+    assert follow_blindly(reference) == command
 
 
 def test_the_reference_keeps_below_the_limits() -> None:
