@@ -220,11 +220,12 @@ def _renumbered(entries: Sequence[JournalEntry | None]) -> list[JournalEntry | N
 def without(
     name: str,
 ) -> Callable[[list[JournalEntry], Random], Sequence[JournalEntry | None]]:
-    """Drop an event of this name with its effects, at a place that the generator chooses."""
+    """Drop an event of this name with its effects, but not the last one, as a kill does."""
 
     def change(entries: list[JournalEntry], random: Random) -> Sequence[JournalEntry | None]:
         left: list[JournalEntry | None] = list(entries)
-        places = [at for at, entry in enumerate(entries) if entry.name == name]
+        last = max(at for at, entry in enumerate(entries) if entry.kind is EntryKind.EVENT)
+        places = [at for at in range(last) if entries[at].name == name]
         at = random.choice(places)
         left[at] = None
         for after in range(at + 1, len(entries)):
