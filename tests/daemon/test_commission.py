@@ -58,6 +58,8 @@ def test_nobody_is_asked_without_a_terminal_and_nothing_moves(world: World) -> N
     asked = world.robotctl("commission", "--json")
     assert asked.exit_code == 2
     assert json.loads(asked.out)["error"]["cure"] == "give --yes"
+    lost = world.robotctl("commission", "--yes", "--out", "nowhere/robot.yaml")
+    assert (lost.exit_code, "nowhere cannot be written to" in lost.err) == (2, True)
     holder = world.spawn("lease", "take")
     until(lambda: world.answer("lease", "status")["holder"] is not None)
     refused = world.robotctl("commission", "--yes")

@@ -54,6 +54,8 @@ def commission(
         raise UsageError(f"--speed {speed:g}", f"use {MIN_SPEED_MPS:g} to {MAX_SPEED_MPS:g} m/s")
     if out is not None and os.path.lexists(out):
         raise UsageError(f"{out} exists already", "choose another name")
+    if out is not None and not os.access(out.parent, os.W_OK):
+        raise UsageError(f"{out.parent} cannot be written to", "choose another folder")
     _check_start_conditions(robot)
     if not yes:
         _confirm(speed)
@@ -63,8 +65,8 @@ def commission(
         for each in call(robot, PARAM_LIST)["parameters"]
         if each["value"] != each["default"]
     }
-    answer, lines = _report(robot, file, settings, out)
-    print_answer(answer, lines, as_json=as_json)
+    answer, lines, problem = _report(robot, file, settings, out)
+    print_answer(answer, lines, as_json=as_json, error=problem)
 
 
 def _check_start_conditions(robot: str) -> None:
@@ -87,8 +89,11 @@ def _confirm(speed_mps: float) -> None:
 
 def _report(
     robot: str, file: Path, settings: Mapping[str, Any], out: Path | None
-) -> tuple[dict[str, object], Iterator[str]]:
-    """Measure, write the configuration, and return the report as an object and as lines."""
+) -> tuple[dict[str, object], Iterator[str], UsageError | None]:
+    """Measure, and write the configuration; return the report as an object and as lines.
+
+    The last is why the configuration could not be written.
+    """
     from robotctl.commission.measure import measured
     from robotctl.commission.propose import proposals
     from robotctl.commission.report import file_lines, measured_lines, warnings
@@ -101,8 +106,10 @@ def _report(
         config = with_setting(config, key, value)
     base = measured(read_trial(file))
     proposed = proposals(base, config.kernel)
+    problem = None
     if out is not None:
-        _write(out, "\n".join(file_lines(robot, base, settings, proposed)) + "\n")
+        problem = _write(out, "\n".join(file_lines(robot, base, settings, proposed)) + "\n")
+    written = out if problem is None else None
 
     def lines() -> Iterator[str]:
         yield f"measured from {short_path(file)}"
@@ -110,22 +117,28 @@ def _report(
         yield "proposed"
         yield from (f"  {each.key}: {each.value:g}  # {each.why}" for each in proposed)
         yield from (f"warning: {printable(text)}" for text in warnings(base))
-        if out is not None:
-            yield f"written to {short_path(out)}: robotctl start --config {short_path(out)}"
+        if written is not None:
+            yield f"written to {short_path(written)}: robotctl start --config {short_path(written)}"
 
     answer: dict[str, object] = {
         "recording": str(file),
         "measured": asdict(base),
         "proposed": {each.key: each.value for each in proposed},
         "warnings": list(warnings(base)),
-        "configuration": None if out is None else str(out),
+        "configuration": None if written is None else str(written),
     }
-    return answer, lines()
+    return answer, lines(), problem
 
 
-def _write(out: Path, text: str) -> None:
+def _write(out: Path, text: str) -> UsageError | None:
+    """Write a new file, or none; return why it could not be written."""
+    created = False
     try:
         with out.open("x", encoding="utf-8") as file:
+            created = True
             file.write(text)
     except OSError as error:
-        raise UsageError(f"{out}: {error.strerror}", "choose another file") from None
+        if created:
+            out.unlink(missing_ok=True)
+        return UsageError(f"{out}: {error.strerror}", "choose another file")
+    return None
