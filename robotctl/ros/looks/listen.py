@@ -21,7 +21,7 @@ async def listen(visitor: Visitor, request: dict[str, Any], send: Send) -> None:
     """Report type and definition of a topic, then each message, until cancelled.
 
     The first report is {"type", "definition", "publishers"}; then {"received_ns", "source_ns",
-    "size"}, and "data" in base64 if the request wants it.
+    "size", "publisher"}, and "data" in base64 if the request wants it.
 
     Raises:
         UsageError: The topic is unknown or has several types, of which the request names none.
@@ -47,11 +47,12 @@ async def listen(visitor: Visitor, request: dict[str, Any], send: Send) -> None:
     definition = definition_of(type_name)
     send({"type": type_name, "definition": definition, "publishers": len(offered)})
 
-    def report(data: bytes, received_ns: int, source_ns: int, _: int, __: bytes) -> None:
+    def report(data: bytes, received_ns: int, source_ns: int, _: int, gid: bytes) -> None:
         told: dict[str, Any] = {
             "received_ns": received_ns,
             "source_ns": source_ns,
             "size": len(data),
+            "publisher": gid.hex(),
         }
         if request["data"]:
             told["data"] = base64.b64encode(data).decode()

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import base64
 import struct
+import time
+from collections.abc import Mapping
 from math import isfinite
 from typing import Any, Final, NamedTuple
 
@@ -11,6 +13,7 @@ from robotctl.cdr.definition import Definition, parse_definition
 from robotctl.cdr.values import decode
 from robotctl.cli.commands.teleop.hands import STAND, Wish
 from robotctl.cli.support.ros_view import Listener
+from robotctl.kernel.course import MAX_SILENCE_S
 
 JOY: Final = "sensor_msgs/msg/Joy"
 
@@ -24,7 +27,10 @@ class Controls(NamedTuple):
 
 
 class Gamepad:
-    """The gamepad of a topic. Its silence is that of the operator: nothing moves."""
+    """The gamepad of a topic. Its silence is that of the operator: nothing moves.
+
+    While one publisher is heard, those of others on the topic are ignored.
+    """
 
     def __init__(self, listener: Listener, topic: str, controls: Controls) -> None:
         self._listener = listener
@@ -32,6 +38,8 @@ class Gamepad:
         self._topic = topic
         self._controls = controls
         self._is_forgotten = True
+        self._publisher = ""
+        self._heard_s = float("-inf")
         self._problem = f"nothing was heard on {topic} yet"
 
     def __str__(self) -> str:
@@ -48,13 +56,25 @@ class Gamepad:
 
     def take(self) -> Wish | None:
         """Return what the last message wants, None if none is complete yet."""
-        messages = list(self._listener.receive(0.0))
-        if not messages:
+        ours = [each for each in self._listener.receive(0.0) if self._is_followed(each)]
+        if not ours:
             return None
-        wish = self._wish(base64.b64decode(messages[-1]["data"]))
+        wish = self._wish(base64.b64decode(ours[-1]["data"]))
         if wish == STAND:
             self._is_forgotten = False
         return STAND if self._is_forgotten else wish
+
+    def _is_followed(self, message: Mapping[str, Any]) -> bool:
+        """Return whether the message is of the gamepad that is followed; follow one if none is."""
+        now_s = time.monotonic()
+        if message["publisher"] != self._publisher:
+            if now_s - self._heard_s <= MAX_SILENCE_S:
+                self._problem = f"a second node publishes on {self._topic}: it is ignored"
+                return False
+            self._publisher = message["publisher"]
+            self.forget()
+        self._heard_s = now_s
+        return True
 
     def _wish(self, data: bytes) -> Wish:
         button, forward, left = self._controls
