@@ -158,7 +158,7 @@ def test_a_frozen_command_moves_nothing_and_goes_on_only_with_a_new_press(
     assert world.status()["mode_reason"] == "not held for 125 ms"
     terminal.press(W_AGAIN * 20)
     os.kill(terminal.pid, signal.SIGCONT)
-    terminal.until(r"rad/s\s+(nobody held it|this command was stopped)")
+    terminal.until(r"rad/s\s+(not held for|this command was stopped)")
     assert not moves(world)
     until_fast(world, lambda: terminal.press(W_AGAIN + W_UP + W_DOWN))
 
@@ -219,7 +219,7 @@ def test_another_stop_is_not_undone_by_a_key_that_is_still_down(
     with repeating(terminal, "w") as rest:
         until_fast(world, rest)
         assert world.here("set-mode", "idle").exit_code == 0
-        terminal.until("requested by robotctl set-mode|nobody held it")
+        terminal.until("requested by robotctl set-mode|not held for")
         assert not moves(world)
 
 

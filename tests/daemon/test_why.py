@@ -81,12 +81,13 @@ class SlowDisk:
 
     def __init__(self, takes: int, failure: str = "") -> None:
         self.failure = failure
-        self.report = SimpleNamespace(facts=lambda: {"recorder": {"file": "/a/run_0.mcap"}})
         self._written, self._takes = 0, takes
 
     def stats(self) -> Any:
         self._written = min(self._written + 1, self._takes)
-        return SimpleNamespace(received=100 + self._written, written=self._written, dropped=95)
+        return SimpleNamespace(
+            received=100 + self._written, written=self._written, dropped=95, file="/a/run_0.mcap"
+        )
 
 
 @pytest.mark.parametrize(

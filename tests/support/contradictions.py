@@ -13,10 +13,11 @@ from robotctl.rerun.check_report import Report, Verdict
 from robotctl.rerun.ending import IN_SOURCE
 
 
-def contradictions(folder: Path, *, may_lack: bool) -> list[str]:
+def contradictions(folder: Path, *, may_lack: bool, killed: bool) -> list[str]:
     """Return the recordings below a folder, also clips, that a check does not call the same.
 
-    They may be incomplete if they `may_lack` something, and clips of a recording with losses are.
+    They may be incomplete if they `may_lack` something, clips of a recording with losses are, and
+    so is a recording whose daemon was `killed` before its first entry was on the disk.
     """
     recordings = {
         path if path.parent.name == CLIPS_FOLDER else path.parent for path in folder.rglob("*.mcap")
@@ -27,6 +28,7 @@ def contradictions(folder: Path, *, may_lack: bool) -> list[str]:
         if report.verdict in (Verdict.DIVERGED, Verdict.BROKEN)
         or (
             (report.verdict is Verdict.INCOMPLETE and not may_lack and _decides(report))
+            and (report.events or not killed)
             and not all(IN_SOURCE in sentence for sentence in report.missing)
         )
     ]

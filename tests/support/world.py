@@ -268,7 +268,7 @@ class World:
             left += [f"memory {path}" for path in ours]
         for path in self.shared_memory():
             path.unlink(missing_ok=True)
-        left += contradictions(self.folder, may_lack=bool(self.may_lack))
+        left += contradictions(self.folder, may_lack=bool(self.may_lack), killed=self._killed)
         rmtree(self.folder)
         return left
 

@@ -86,5 +86,5 @@ def _true_line(result: Mapping[str, Any]) -> str:
         number(result.get(f"true_{name}"), ".3f")
         for name in ("cross_track_rms_m", "cross_track_max_m", "heading_rms_rad", "closure_m")
     )
-    closed = f", closure {closure} m" if result.get("true_closure_m") is not None else ""
-    return f"  in truth    {rms} m RMS, {worst} m at most, heading {heading} rad RMS{closed}"
+    closed = f", {closure} m closure" if result.get("true_closure_m") is not None else ""
+    return f"  in truth    {rms} m RMS, {worst} m at most, {heading} rad{closed}"
