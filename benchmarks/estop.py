@@ -35,8 +35,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # tests.support
 
 from recording import publisher
 from stopping.loads import SITUATIONS, Bench
-from stopping.witness import Witness, witness
+from stopping.witness import Witness
 
+from tests.support.spinning import node_in
 from tests.support.world import PATIENT, new_world
 
 P99_LIMIT_MS = 20.0
@@ -65,7 +66,8 @@ def main() -> int:
         world.ok("start", "--sim", "--config", str(config))
         socket = world.status()["socket"]
         bench = Bench(publisher.build(Path(scratch)), socket, world.environment, {})
-        with witness(world.domain_id) as beside:
+        with node_in(world.domain_id, "witness") as node:
+            beside = Witness(node)
             for number in range(arguments.rounds):
                 for name in arguments.situations:
                     print(f"round {number + 1}: {name}", file=sys.stderr)

@@ -22,21 +22,17 @@ import random
 import signal
 import statistics
 import sys
-import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # tests.support
 
-import rclpy
 from geometry_msgs.msg import Twist
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
+from tests.support.spinning import node_in
 from tests.support.terminals import Terminal
 from tests.support.waiting import until
 from tests.support.world import World, new_world
@@ -116,24 +112,6 @@ def measure(world: World, listener: Listener, what: str) -> float:
         until(lambda: world.status()["lease"] is None and world.status()["mode"] == "IDLE")
 
 
-@contextmanager
-def listening(domain_id: int) -> Iterator[Listener]:
-    context = Context()
-    rclpy.init(args=[], context=context, domain_id=domain_id)
-    node = Node("listener", context=context)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    thread = threading.Thread(target=executor.spin)
-    thread.start()
-    try:
-        yield Listener(node)
-    finally:
-        executor.shutdown()
-        thread.join()
-        node.destroy_node()
-        context.try_shutdown()
-
-
 def main() -> int:
     """Print the table; 1 if a time is above its limit."""
     parser = argparse.ArgumentParser(
@@ -147,7 +125,8 @@ def main() -> int:
     with new_world() as world:
         world.ok("start", "--sim")
         until(lambda: world.status()["pose"] and world.status()["battery"])
-        with listening(world.domain_id) as listener:
+        with node_in(world.domain_id, "listener") as node:
+            listener = Listener(node)
             taken: dict[str, list[float]] = {way: [] for way in ways}
             for _ in range(count):
                 for way, values in taken.items():

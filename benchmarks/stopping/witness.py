@@ -5,14 +5,11 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
-import rclpy
 from geometry_msgs.msg import Twist
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from robot_controller.srv import SetMode
@@ -122,22 +119,3 @@ class Witness:
                 raise TimeoutError
             time.sleep(0.0005)
         return future.result()
-
-
-@contextmanager
-def witness(domain_id: int) -> Iterator[Witness]:
-    """A witness whose node spins in a thread."""
-    context = Context()
-    rclpy.init(args=[], context=context, domain_id=domain_id)
-    node = Node("witness", context=context)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    thread = threading.Thread(target=executor.spin)
-    thread.start()
-    try:
-        yield Witness(node)
-    finally:
-        executor.shutdown()
-        thread.join()
-        node.destroy_node()
-        context.try_shutdown()

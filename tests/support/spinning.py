@@ -1,4 +1,4 @@
-"""A peer of plain rclpy: its process, and its node, whose callbacks run in a thread."""
+"""A peer of plain rclpy: its process or context, and its node, whose callbacks run in a thread."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from typing import Protocol
 
 import rclpy
+from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
@@ -33,7 +34,7 @@ def run_peer(make: Callable[[], HasNode]) -> None:
 @contextmanager
 def spinning(node: Node) -> Iterator[None]:
     """Run the callbacks of the node until the end of the block."""
-    executor = SingleThreadedExecutor()
+    executor = SingleThreadedExecutor(context=node.context)
     executor.add_node(node)
     spinner = threading.Thread(target=executor.spin)
     spinner.start()
@@ -42,3 +43,17 @@ def spinning(node: Node) -> Iterator[None]:
     finally:
         executor.shutdown()
         spinner.join()
+
+
+@contextmanager
+def node_in(domain_id: int, name: str) -> Iterator[Node]:
+    """Make a node in a context of its own, and run its callbacks until the end of the block."""
+    context = Context()
+    rclpy.init(args=[], context=context, domain_id=domain_id)
+    node = Node(name, context=context)
+    try:
+        with spinning(node):
+            yield node
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
