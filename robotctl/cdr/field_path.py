@@ -30,15 +30,15 @@ def parse_path(definition: Definition, path: str) -> Steps:
         name, indexes = match[1], [int(each) for each in _INDEX.findall(match[2])]
         fields = definition.types.get(type_name)
         if fields is None:
-            raise WrongValue(f"{_text(steps)} is a {type_name}, which has no fields")
+            raise WrongValue(f"{path_text(steps)} is a {type_name}, which has no fields")
         field = next((each for each in fields if each.name == name), None)
         if field is None:
             raise WrongValue(unknown_field(name, type_name, fields))
         steps += [name, *indexes]
         if len(indexes) > (field.shape is not Shape.ONE):
-            raise WrongValue(f"{_text(steps[: -len(indexes)])} is a {field.type_text}: no list")
+            raise WrongValue(f"{path_text(steps[: -len(indexes)])} is a {field.type_text}: no list")
         if field.shape is Shape.ARRAY and indexes and indexes[0] >= (field.length or 0):
-            raise WrongValue(f"{_text(steps[:-1])} has {field.length} values, from [0]")
+            raise WrongValue(f"{path_text(steps[:-1])} has {field.length} values, from [0]")
         is_list = field.shape is not Shape.ONE and not indexes
         type_name = field.type_text if is_list else field.type_name
     return tuple(steps)
@@ -56,9 +56,12 @@ def value_at(values: Mapping[str, Any], steps: Steps) -> Any:
             found = found[step]
         except IndexError:
             count = len(found)
-            raise WrongValue(f"{_text(steps[:place])} has {count} values, no [{step}]") from None
+            raise WrongValue(
+                f"{path_text(steps[:place])} has {count} values, no [{step}]"
+            ) from None
     return found
 
 
-def _text(steps: Steps | list[str | int]) -> str:
+def path_text(steps: Steps | list[str | int]) -> str:
+    """Return the path that leads along the steps, such as `a.b[0].c`."""
     return "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in steps)[1:]
