@@ -2,6 +2,7 @@
 
     python tests/mutation/run.py --count 300 --seed 1   300 mutants drawn by the seed
     python tests/mutation/run.py                        every mutant: more than an hour
+    python tests/mutation/run.py --part 3/16            every 16th mutant, from the third on
     python tests/mutation/run.py --only drive.Drive     those of one module, class or function
 
 cosmic-ray makes the mutants, in a copy of the tree; each one runs `tests/kernel`. A mutant that no
@@ -257,6 +258,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--count", type=int, help="how many mutants to draw; default: all")
     parser.add_argument("--seed", type=int, default=1, help="of the draw; default: 1")
+    parser.add_argument("--part", type=_part, default=slice(None), help="such as 3/16")
     parser.add_argument("--only", default="", help="a name such as drive. or drive.Drive.advance")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="robotctl-mutation-") as name:
@@ -272,7 +274,15 @@ def main() -> int:
             print((folder / "output").read_text(), "the tests fail without a mutant", sep="\n")
             return 1
         shutil.rmtree(folder / KERNEL / "__pycache__")  # may be taken for that of a mutant
-        return report(drawn[: options.count], listed, folder)
+        return report(drawn[: options.count][options.part], listed, folder)
+
+
+def _part(text: str) -> slice:
+    """Return which mutants the part `text` has: 3/16 is every 16th from the third on."""
+    number, parts = map(int, text.split("/"))
+    if not 1 <= number <= parts:
+        raise ValueError(text)
+    return slice(number - 1, None, parts)
 
 
 def report(drawn: Sequence[Site], listed: Mapping[Key, str], folder: Path) -> int:
