@@ -136,9 +136,10 @@ class InputPairs:
     def end(self, t_ns: int) -> int:
         """Count what still waits at the journal's end `t_ns`; return the inputs near the end."""
         near = 0
+        newest = max(self._messages, default=0) if self.has_one_publisher else 0
         for sequence, inputs in self._inputs.items():
             for each in inputs:
-                is_last = sequence > self._found.get(each.source, 0)
+                is_last = sequence > max(newest, self._found.get(each.source, 0))
                 if is_last and sequence not in self._messages and t_ns - each.t_ns <= EDGE_NS:
                     near += 1
                 else:

@@ -113,3 +113,19 @@ def test_the_first_messages_may_lack_where_no_losses_are_known(
         edited.metadata = [each for each in edited.metadata if each[0] != LEDGER_RECORD]
     report = check(tmp_path, edited)
     assert report.verdict is verdict, report
+
+
+@pytest.mark.parametrize(("closed", "verdict"), [(True, "broken"), (False, "incomplete")])
+def test_the_last_message_with_another_number_is_missed(
+    tmp_path: Path, heard: Contents, closed: bool, verdict: str
+) -> None:
+    """It was not under way at the end: a later one of its publisher is there."""
+    last = heard.counts[ODOMETRY] - 1
+    edited = edit(
+        heard,
+        ODOMETRY,
+        lambda at, each: replace(each, sequence=each.sequence + 5_000) if at == last else each,
+    )
+    if not closed:
+        edited.metadata = [each for each in edited.metadata if each[0] != LEDGER_RECORD]
+    assert check(tmp_path, edited).verdict.value == verdict
