@@ -9,9 +9,11 @@ import signal
 import subprocess
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import pytest
+from PIL import Image
 
 from robotctl import processes
 from robotctl.cli.support import interrupted_drive, quick_actions
@@ -22,6 +24,8 @@ from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
 from robotctl.kernel.modes import Mode
 from robotctl.mode_names import MODES
 from tests.support.waiting import until
+
+PICTURE = Path("recordings/robot_20260101_120000/path.png")
 
 
 def mode() -> str:
@@ -140,10 +144,35 @@ def test_drive_wait_ends_with_the_tracking_numbers(daemon: None, cli: Callable[.
         "  off track   0.008 m RMS, 0.021 m at most",
         "  heading     0.020 rad RMS, 0.050 rad at most",
         "  closure     0.012 m from where the lap ends",
+        f"  picture     {PICTURE}",
     ]
     answer = json.loads(cli("drive", "square", "--wait", "--json").out)
     numbers = {"laps", "distance_m", "cross_track_rms_m", "cross_track_max_m", "closure_m"}
     assert answer.keys() >= numbers
+
+
+def test_a_drive_that_is_waited_for_leaves_its_picture_beside_the_recording(
+    daemon: None, cli: Callable[..., Any]
+) -> None:
+    cli("drive", "square", "--replace")
+    assert not PICTURE.exists()
+    answer = json.loads(cli("drive", "square", "--wait", "--replace", "--json").out)
+    assert Path(answer["picture"]) == PICTURE.absolute()
+    with Image.open(PICTURE) as image:
+        assert image.size == (800, 800)
+
+
+def test_a_picture_that_cannot_be_drawn_changes_nothing_but_is_told(
+    daemon: None, cli: Callable[..., Any], tmp_path: Path
+) -> None:
+    other = tmp_path / "other"
+    other.write_text("of another user")
+    PICTURE.symlink_to(other)
+    ran = cli("drive", "square", "--wait", "--json")
+    assert ran.exit_code == 0
+    assert json.loads(ran.out)["picture"] is None
+    assert "no path.png was drawn" in ran.err
+    assert other.read_text() == "of another user"
 
 
 def test_status_tells_the_errors_of_a_drive_that_goes_on(

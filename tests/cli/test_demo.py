@@ -14,6 +14,7 @@ import pytest
 
 from robotctl.cli.commands import demo
 from robotctl.cli.commands.demo import CONFIG
+from robotctl.cli.terminal import text
 from robotctl.config import Config, load
 from robotctl.ipc.client import call
 from robotctl.recording import read_info
@@ -31,7 +32,7 @@ def test_the_demo_shows_recording_numbers_picture_and_what_comes_next(
     assert ran.exit_code == 0, ran.err
     folder = next(Path("recordings").glob("demo_*"))
     assert (folder / "path.png").stat().st_size > 1000
-    for text in (
+    for shown in (
         f"recording   {folder}",
         f"picture     {folder}/path.png",
         "messages    20, 0 lost",
@@ -40,10 +41,22 @@ def test_the_demo_shows_recording_numbers_picture_and_what_comes_next(
         "closure     0.012 m",
         "\u2502",
     ):
-        assert text in ran.out
+        assert shown in ran.out
     assert max(len(line) for line in ran.out.splitlines()) <= 80
     assert sockets(home) == []
     assert read_info(folder).missing == ()
+
+
+def test_the_last_screen_of_80_by_24_shows_every_number(
+    cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(demo, "terminal_lines", lambda: 24)
+    monkeypatch.setattr(text, "_terminal_columns", lambda: 80)
+    out = cli("demo").out
+    last_screen = "\n".join(out.splitlines()[-23:])  # the prompt is below
+    for label in ("driven path", "recording", "picture", "messages", "off track", "closure"):
+        assert label in last_screen
+    assert "next:" in last_screen
 
 
 def test_a_busy_machine_does_not_end_the_demo(cli: Callable[..., Any], home: Path) -> None:

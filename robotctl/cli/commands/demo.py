@@ -19,18 +19,19 @@ from robotctl.cli.commands.drive import tracking_lines
 from robotctl.cli.commands.watch.polling import POLL_S, polled_until, show
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.support.background import Background
+from robotctl.cli.support.drive_picture import write_picture
 from robotctl.cli.support.launch import INTERRUPTIONS, StartOptions, launch
 from robotctl.cli.support.quick_actions import request_source, stop_daemon
 from robotctl.cli.support.signals import ignoring, interrupted_by
-from robotctl.cli.terminal.path_picture import Path2D, braille, write_png
+from robotctl.cli.terminal.path_picture import Path2D, braille
 from robotctl.cli.terminal.text import (
     can_show_braille,
     is_terminal,
     json_text,
-    number,
     printable,
     short_path,
     size,
+    terminal_lines,
 )
 from robotctl.cli.terminal.topic_table import TopicTable
 from robotctl.domains import reserved_domain
@@ -47,6 +48,12 @@ SIDE_M = 1.0
 
 SENSORS_DEADLINE_S = 20.0
 """How long the first odometry and battery may take; usually a second, more under load."""
+
+MAP_ROWS = range(5, 19)
+"""How high the map of the path may be."""
+
+LINES_AROUND_MAP = 10
+"""What stands on the last screen beside map and figures: captions, commands, the next prompt."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,8 +106,7 @@ def demo(
             print(f"starting a simulated robot: {robot}, ROS domain {domain_id}", flush=True)
         with _daemon(options, keep=keep):
             result = _drive_one_lap(robot, quiet=as_json)
-    png = result.folder / "path.png"
-    write_png(png, result.reference, result.driven, _title(robot, result.drive))
+    png = write_picture(result.folder, robot, result.reference, result.driven, result.drive)
     if as_json:
         print(json_text(_as_object(robot, result, png)))
     else:
@@ -193,10 +199,6 @@ def _report(robot: str, result: DemoResult, png: Path, *, keep: bool) -> Iterato
 
     found = read_info(result.folder)
     folder = short_path(result.folder)
-    yield f"\n  recording   {folder} ({size(found.size_bytes)})"
-    yield f"  picture     {short_path(png)}"
-    yield f"  messages    {found.message_count}, {result.missing_messages} lost"
-    yield from tracking_lines(result.drive)
     heard = [topic for topic in found.topics if topic.message_count]
     table = TopicTable((topic.name, topic.type_name) for topic in heard)
     yield f"\n{table.header}"
@@ -204,10 +206,20 @@ def _report(robot: str, result: DemoResult, png: Path, *, keep: bool) -> Iterato
         yield table.row(topic.name, topic.type_name, topic.message_count, topic.rate_hz)
     if len(heard) < len(found.topics):
         yield f"  and {len(found.topics) - len(heard)} more without messages"
+    figures = [
+        f"  recording   {folder} ({size(found.size_bytes)})",
+        f"  picture     {short_path(png)}",
+        f"  messages    {found.message_count}, {result.missing_messages} lost",
+        *tracking_lines(result.drive),
+    ]
     if can_show_braille():
         colour = is_terminal() and not os.environ.get("NO_COLOR")
+        rows = terminal_lines() - len(figures) - LINES_AROUND_MAP
+        rows = min(max(rows, min(MAP_ROWS)), max(MAP_ROWS))
         yield "\n  driven path (line) and reference path (dots)"
-        yield from braille(result.reference, result.driven, colour=colour)
+        yield from braille(result.reference, result.driven, rows=rows, colour=colour)
+    yield ""
+    yield from figures
     yield "\nnext:"
     yield from (f"  {command}" for command in _next_commands(robot, folder, keep=keep))
 
@@ -222,10 +234,3 @@ def _next_commands(robot: str, folder: str, *, keep: bool) -> list[str]:
             command_for(robot, "stop"),
         ]
     return [f"robotctl info {recording}", f"robotctl replay {recording}", "robotctl start"]
-
-
-def _title(robot: str, drive: DriveAnswer) -> str:
-    rms, worst = (
-        number(drive.get(key), ".3f") for key in ("cross_track_rms_m", "cross_track_max_m")
-    )
-    return f"{robot}: {SIDE_M:g} m square, off track {rms} m RMS, {worst} m at most"

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from robotctl.recording.disk.access import open_private, share_like
+from robotctl.recording.disk.replaced_file import replaced_file
 
 if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
@@ -101,6 +100,8 @@ def braille(
 def write_png(file: Path, reference: Path2D, driven: Path2D, title: str) -> None:
     """Write the picture as a PNG, with axes of equal scale and the access rights of its folder.
 
+    A picture that is there is replaced.
+
     Raises:
         OSError: The file cannot be written.
     """
@@ -111,9 +112,8 @@ def write_png(file: Path, reference: Path2D, driven: Path2D, title: str) -> None
     plot.axes(title)
     plot.path(reference, "#9db8d9", 6, "reference", 0)
     plot.path(driven, "#d1481f", 2, "driven", 1)
-    with open(open_private(file, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), "wb") as stream:
+    with replaced_file(file) as stream:
         canvas.resize((_Plot.SIZE,) * 2, Image.Resampling.LANCZOS).save(stream, "PNG")
-    share_like(file, file.parent)
 
 
 def finite(path: Path2D) -> list[tuple[float, float]]:

@@ -63,6 +63,14 @@ def columns() -> int:
     return UNLIMITED if wide is None else min(wide or COLUMNS, COLUMNS)
 
 
+def terminal_lines() -> int:
+    """Return the lines of the terminal, UNLIMITED without one or where it does not know them."""
+    try:
+        return os.get_terminal_size(sys.stdout.fileno()).lines or UNLIMITED
+    except (OSError, ValueError):
+        return UNLIMITED
+
+
 def _terminal_columns() -> int | None:
     """Return the columns of the terminal, 0 if it does not know them, None without a terminal."""
     try:

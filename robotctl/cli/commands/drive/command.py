@@ -108,7 +108,8 @@ def drive(
     wait: Annotated[
         bool,
         typer.Option(
-            "--wait", help="Wait for the end, then print the tracking error; Ctrl-C stops."
+            "--wait",
+            help="Wait for the end, print the tracking error and draw path.png; Ctrl-C stops.",
         ),
     ] = False,
     reason: Reason = "",
@@ -120,7 +121,8 @@ def drive(
 
     Size and speed default to the daemon's configuration. With --wait the drive ends with this
     command: Ctrl-C, SIGHUP, SIGTERM and a lost connection ramp the robot down, and a second
-    Ctrl-C is the emergency stop. Without --wait the robot continues after this command.
+    Ctrl-C is the emergency stop. path.png beside the recording shows the last drive. Without
+    --wait the robot continues after this command.
 
     \b
     Examples:
@@ -187,7 +189,7 @@ def drive(
     if wait:
         answer = drive_and_wait(robot, method, params, as_json=as_json)
     else:
-        answer = call(robot, method, params)
+        answer = {**call(robot, method, params)}
     lines = [printable(answer.get("message", "done"))]
     if wait and motion == VELOCITY:
         lines.append(f"  driven      {number(answer.get('distance_m'), '.3f')} m")

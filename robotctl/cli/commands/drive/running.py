@@ -9,13 +9,14 @@ from typing import Any
 from robotctl.cli.commands.watch.polling import polled_until, show
 from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.background import Background
+from robotctl.cli.support.drive_picture import leave_picture
 from robotctl.cli.support.interrupted_drive import (
     CLOSING_SIGNALS,
     stop_drive,
     wait_while_stdout_open,
 )
 from robotctl.cli.support.signals import interrupted_by
-from robotctl.cli.terminal.text import is_terminal, number
+from robotctl.cli.terminal.text import is_terminal, number, short_path
 from robotctl.errors import RobotctlError
 from robotctl.ipc.answers import DriveAnswer
 from robotctl.ipc.client import call
@@ -24,8 +25,8 @@ from robotctl.ipc.method_names import MethodName
 
 def drive_and_wait(
     robot: str, method: MethodName[DriveAnswer], params: dict[str, Any], *, as_json: bool
-) -> DriveAnswer:
-    """Show the live view until the drive ends, and return the daemon's answer.
+) -> dict[str, Any]:
+    """Show the live view until the drive ends, and return the daemon's answer with its picture.
 
     For a drive that was stopped, the numbers are printed as well before the error is raised.
 
@@ -43,18 +44,28 @@ def drive_and_wait(
                 show(polled_until(driving, robot))
             else:
                 wait_while_stdout_open(driving)
-            return driving.result()
+            answer = driving.result()
         except KeyboardInterrupt:
             error: RobotctlError = stop_drive(robot, driving)
         except RobotctlError as refused:
             error = refused
-    if error.answer and not as_json:
-        print_answer(dict(error.answer), tracking_lines(error.answer), as_json=False, error=error)
+        else:
+            return _with_picture(robot, answer)
+    if error.answer:
+        error.answer = _with_picture(robot, error.answer)
+        if not as_json:
+            lines = tracking_lines(error.answer)
+            print_answer(error.answer, lines, as_json=False, error=error)
     raise error
 
 
+def _with_picture(robot: str, answer: Mapping[str, Any]) -> dict[str, Any]:
+    picture = leave_picture(robot, answer)
+    return {**answer, "picture": None if picture is None else str(picture)}
+
+
 def tracking_lines(result: Mapping[str, Any]) -> list[str]:
-    """Return the lines on distance and tracking error, from the result of a finished drive."""
+    """Return the lines on distance, tracking error and picture of a finished drive."""
     rms, worst, closure, distance = (
         number(result.get(key), ".3f")
         for key in ("cross_track_rms_m", "cross_track_max_m", "closure_m", "distance_m")
@@ -77,6 +88,8 @@ def tracking_lines(result: Mapping[str, Any]) -> list[str]:
         lines.append(_true_line(result))
     if laps:  # no closure before the first lap is complete
         lines.append(f"  closure     {closure} m from where the lap ends")
+    if result.get("picture"):
+        lines.append(f"  picture     {short_path(result['picture'])}")
     return lines
 
 

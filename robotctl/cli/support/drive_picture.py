@@ -1,0 +1,52 @@
+"""The picture of a drive, beside its recording: `path.png`, the path driven over the wanted one."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from robotctl.cli.terminal.path_picture import Path2D, write_png
+from robotctl.cli.terminal.text import number, printable
+from robotctl.errors import RobotctlError
+from robotctl.ipc.client import call
+from robotctl.ipc.method_names import PATH, STATUS
+
+PICTURE: Final = "path.png"
+"""Its name in the folder of the recording; that of the last drive replaces an earlier one."""
+
+
+def leave_picture(robot: str, drive: Mapping[str, Any]) -> Path | None:
+    """Draw the last drive of a robot beside its recording, and return where.
+
+    `drive` is the answer that tells its figures. The drive is over and recorded, so a picture that
+    fails is no error: a note on stderr says why, and None is returned.
+    """
+    try:
+        path = call(robot, PATH)
+        folder = Path(call(robot, STATUS)["recorder"]["file"]).parent
+        return write_picture(folder, robot, path["reference"], path["driven"], drive)
+    except RobotctlError as error:
+        reason = str(error)
+    except OSError as error:
+        reason = error.strerror or repr(error)
+    print(f"note: no {PICTURE} was drawn: {printable(reason)}", file=sys.stderr)
+    return None
+
+
+def write_picture(
+    folder: Path, robot: str, reference: Path2D, driven: Path2D, drive: Mapping[str, Any]
+) -> Path:
+    """Write the picture into a folder, and return its path.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    rms, worst = (
+        number(drive.get(key), ".3f") for key in ("cross_track_rms_m", "cross_track_max_m")
+    )
+    picture = folder / PICTURE
+    title = f"{robot}: off track {rms} m RMS, {worst} m at most"
+    write_png(picture, reference, driven, title)
+    return picture
