@@ -50,6 +50,7 @@ class StatusSource:
         self._robot = robot
         self._scheduling = scheduling
         self._parts = parts
+        self._socket = str(socket_path(options.robot))
         self._started = time.monotonic()
 
     def status(self) -> Status:
@@ -70,7 +71,7 @@ class StatusSource:
             "domain_id": self._options.domain_id,
             "discovery_range": discovery_range(),
             "scheduling": self._scheduling,
-            "socket": str(socket_path(self._options.robot)),
+            "socket": self._socket,
             "uptime_s": round(time.monotonic() - self._started, 3),
         }
 

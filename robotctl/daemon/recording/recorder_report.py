@@ -10,9 +10,8 @@ from dataclasses import replace
 from robotctl.daemon.recording.loss_diagnosis import diagnose
 from robotctl.daemon.recording.topic_rates import HeavyTopics, RateMeter
 from robotctl.ipc.advice import for_robot
-from robotctl.ipc.answers import CountsAnswer, RecordingFacts
+from robotctl.ipc.answers import RecordingFacts
 from robotctl.recording import Recorder, RecorderStats
-from robotctl.recording.format.message_counts import MessageCounts
 from robotctl.recording.format.topics import by_topic
 from robotctl.recording.write.topic_filter import TopicFilter
 from robotctl.ros.nodes.diagnostics_publisher import Diagnosis
@@ -59,7 +58,10 @@ class RecorderReport:
                     "count": topic.received,
                     "rate": self._rates.rate((topic.name, topic.type_name)),
                     "bytes": topic.bytes,
-                    **_counts(topic),
+                    "written": topic.written,
+                    "queued": topic.queued,
+                    "dropped": topic.dropped,
+                    "lost": topic.lost,
                     "unseen": topic.unseen,
                 }
                 for topic in sorted(by_topic(stats.topics), key=lambda t: (t.name, t.type_name))
@@ -69,7 +71,10 @@ class RecorderReport:
                 "file": str(stats.file),
                 "bytes": stats.bytes,
                 "received": stats.received,
-                **_counts(stats),
+                "written": stats.written,
+                "queued": stats.queued,
+                "dropped": stats.dropped,
+                "lost": stats.lost,
             },
         }
 
@@ -127,12 +132,3 @@ class RecorderReport:
             if topic not in self._logged:
                 self._logged.add(topic)
                 _log.warning("%s", warning)
-
-
-def _counts(counts: MessageCounts) -> CountsAnswer:
-    return {
-        "written": counts.written,
-        "queued": counts.queued,
-        "dropped": counts.dropped,
-        "lost": counts.lost,
-    }

@@ -19,7 +19,7 @@ TopicKey = tuple[str, str]
 
 
 class RateMeter:
-    """Rates [1/s] from counts, over the time between the last two samples."""
+    """Rates [1/s] to two digits, from counts, over the time between the last two samples."""
 
     def __init__(self) -> None:
         self._counts: Mapping[TopicKey, int] = {}
@@ -28,16 +28,16 @@ class RateMeter:
 
     def sample(self, t_ns: int, counts: Mapping[TopicKey, int]) -> None:
         """Add the counts at steady time `t_ns`."""
-        elapsed_s = (t_ns - self._t_ns) / NS_PER_S
+        hundredths = 100 * NS_PER_S / (t_ns - self._t_ns)
         self._rates = {
-            topic: (count - self._counts.get(topic, 0)) / elapsed_s
+            topic: round((count - self._counts.get(topic, 0)) * hundredths) / 100
             for topic, count in counts.items()
         }
         self._counts, self._t_ns = counts, t_ns
 
     def rate(self, topic: TopicKey) -> float:
         """Return the latest rate, 0 before the first."""
-        return round(self._rates.get(topic, 0.0), 2)
+        return self._rates.get(topic, 0.0)
 
 
 class HeavyTopics:

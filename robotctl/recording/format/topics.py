@@ -32,12 +32,12 @@ class Topic:
         return LATCHED_QOS in self.offered_qos
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True)
 class TopicStats(MessageCounts):
     """The counts of one topic; `bytes` counts the data of received messages."""
 
-    name: str
-    type_name: str
+    name: str = ""
+    type_name: str = ""
     bytes: int = 0
 
 

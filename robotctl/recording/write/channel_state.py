@@ -114,15 +114,17 @@ class ChannelState:
         """Return a copy in which the counts agree."""
         written, dropped = self.written, self.dropped_by_loop + self.dropped_by_writer
         received = self.received  # read last, so that queued is never negative
-        return TopicStats(
-            name=self.topic.name,
-            type_name=self.topic.type_name,
-            received=received,
-            written=written,
-            queued=received - written - dropped,
-            dropped=dropped,
-            lost=self.gaps.lost,
-            unseen=self.gaps.unseen,
-            bytes=self.size,
-            not_repeated=self.not_kept + self.not_repeated,
+        queued, not_repeated = received - written - dropped, self.not_kept + self.not_repeated
+        gaps, topic = self.gaps, self.topic
+        return TopicStats(  # by position, which is twice as fast
+            received,
+            written,
+            queued,
+            dropped,
+            gaps.lost,
+            gaps.unseen,
+            not_repeated,
+            topic.name,
+            topic.type_name,
+            self.size,
         )

@@ -18,7 +18,7 @@ class RecorderState(StrEnum):
     CLOSED = "closed"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True, kw_only=True)
 class RecorderStats(MessageCounts):
     """The recorder at one instant; the counts are the sums over `topics`.
 
