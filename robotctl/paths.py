@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 from robotctl.errors import UsageError
-from robotctl.trust import FolderChain
+from robotctl.trust import SYSTEM_RUNTIME, UNIT_PREFIX, FolderChain
 
 DEFAULT_ROBOT = "robot"
 MAX_SOCKET_PATH_BYTES = 107
@@ -69,6 +69,11 @@ def runtime_folder() -> Path:
     return Path(base) / "robotctl"
 
 
+def unit_runtime_base(robot: str) -> Path:
+    """Return what RUNTIME_VARIABLE is for a daemon that a unit of the machine starts."""
+    return SYSTEM_RUNTIME / f"{UNIT_PREFIX}{robot}"
+
+
 def state_folder() -> Path:
     """Return the folder of logs and emergency-stop latches, which survives a reboot.
 
@@ -89,7 +94,7 @@ def chain_to(folder: Path) -> FolderChain:
     """
     runtime = runtime_folder()
     if folder.is_relative_to(runtime):
-        return FolderChain(runtime.parent, folder, RUNTIME_VARIABLE)
+        return FolderChain(runtime.parent, folder, RUNTIME_VARIABLE, may_be_shared=True)
     state = state_folder()
     base = state.parent if folder.is_relative_to(state) else folder
     return FolderChain(base, folder, STATE_VARIABLE)

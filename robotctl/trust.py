@@ -16,6 +16,16 @@ from robotctl.errors import UsageError
 
 ROOT_UID: Final = 0
 
+SYSTEM_RUNTIME: Final = Path("/run")
+"""Where root alone makes folders: the unit of a robot gets `robotctl-ROBOT` there."""
+
+UNIT_PREFIX: Final = "robotctl-"
+
+PRIVATE_MODE: Final = 0o700
+
+SHARED_MODE: Final = 0o750
+"""The mode of a folder with sockets that a group may use; the group can replace nothing in it."""
+
 OVERFLOW_UID: Final = 65534
 """The uid of every user that a container does not know (user_namespaces(7))."""
 
@@ -26,27 +36,39 @@ class FolderChain:
     Folders above `base` are not checked: they belong to the system, or the user chose them.
     """
 
-    def __init__(self, base: Path, folder: Path, variable: str, guest: int | None = None) -> None:
+    def __init__(
+        self,
+        base: Path,
+        folder: Path,
+        variable: str,
+        guest: int | None = None,
+        *,
+        may_be_shared: bool = False,
+    ) -> None:
         self.base = base
         self.folder = folder
         self.variable = variable
+        self.may_be_shared = may_be_shared
         self._trusted = (ROOT_UID, os.getuid(), guest)
 
     def for_client(self) -> FolderChain:
-        """Return the chain for a client: root may also use the folder of another user.
+        """Return the chain for a client, which may also use these folders of another user.
 
-        This lets `sudo -E robotctl estop` stop the robot of the user who runs it.
+        Root may use each: `sudo -E robotctl estop` stops the robot of the user who runs it.
+        Everyone may use the folder that root has made for a unit of the machine.
         """
-        if os.getuid() != ROOT_UID or not os.environ.get(self.variable):
+        if not os.environ.get(self.variable):
             return self
         try:
+            if os.getuid() != ROOT_UID and not self._is_of_a_unit():
+                return self
             guest = self.base.stat().st_uid
         except OSError:  # there is no daemon either
             return self
         return FolderChain(self.base, self.folder, self.variable, guest)
 
     def trusts(self, uid: int) -> bool:
-        """Return whether a user is trusted: this user, root and, for root, the folder's owner."""
+        """Return whether a user is trusted: this user, root and the owner of a client's folder."""
         return uid in self._trusted
 
     def check(self) -> None:
@@ -63,6 +85,8 @@ class FolderChain:
     def make(self) -> None:
         """Create missing folders for this user alone, and make `folder` private.
 
+        With `may_be_shared`, a folder that another robot of this user shares with a group stays so.
+
         Raises:
             UsageError: Another user could change one of the folders, `folder` belongs to another
                 user, or a folder cannot be created.
@@ -71,7 +95,7 @@ class FolderChain:
         for path in (*reversed(missing), *self._folders()):
             if not os.path.lexists(path):
                 try:
-                    path.mkdir(mode=0o700, exist_ok=True)
+                    path.mkdir(mode=PRIVATE_MODE, exist_ok=True)
                 except OSError as error:
                     raise self._error(path, f"cannot be created: {error.strerror}") from error
             if path.is_relative_to(self.base):
@@ -79,8 +103,9 @@ class FolderChain:
         found = self.folder.stat()
         if found.st_uid != os.getuid():
             raise self._error(self.folder, f"belongs to {user_text(found.st_uid)}")
-        if stat.S_IMODE(found.st_mode) != 0o700:
-            self.folder.chmod(0o700)
+        kept = (PRIVATE_MODE, SHARED_MODE) if self.may_be_shared else (PRIVATE_MODE,)
+        if stat.S_IMODE(found.st_mode) not in kept:
+            self.folder.chmod(PRIVATE_MODE)
 
     def group_writable(self) -> list[str]:
         """Return a warning for each folder that a group can change.
@@ -96,6 +121,13 @@ class FolderChain:
             and not found.st_mode & stat.S_ISVTX
             and not found.st_gid == found.st_uid == os.getuid()
         ]
+
+    def _is_of_a_unit(self) -> bool:
+        """Return whether only root can have made `base`, for the user to whom it belongs."""
+        if self.base.parent != SYSTEM_RUNTIME or not self.base.name.startswith(UNIT_PREFIX):
+            return False
+        above = SYSTEM_RUNTIME.stat()
+        return above.st_uid == ROOT_UID and not above.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
     def _folders(self) -> Iterator[Path]:
         path = self.base

@@ -78,6 +78,8 @@ def _allowed(value: object, metadata: Mapping[str, Any]) -> str:
         return 'a topic; "" for none' if metadata["optional"] else "a topic"
     if metadata.get("command"):
         return 'a command line; "" for none'
+    if metadata.get("group"):
+        return 'a Unix group; "" for none'
     if metadata.get("frame"):
         return 'the name of a frame; "" for any' if metadata["optional"] else "the name of a frame"
     if isinstance(value, bool):

@@ -57,6 +57,15 @@ class DecisionParams:
 
 
 @dataclass(frozen=True, slots=True)
+class SocketParams:
+    """Who may give commands on the control socket besides its owner and root."""
+
+    group: str = setting(
+        "", "Unix group whose members may give every command (0660, 0750)", Change.START, group=True
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class Config:
     """Every setting. In a file, the kernel's parameters have no prefix.
 
@@ -69,6 +78,7 @@ class Config:
     sim: SimParams = field(default_factory=SimParams)
     recording: RecordingParams = field(default_factory=RecordingParams)
     decisions: DecisionParams = field(default_factory=DecisionParams)
+    socket: SocketParams = field(default_factory=SocketParams)
     fifo_priority: int = bounded(
         0, 0, 99, about="SCHED_FIFO priority of the loop's thread", change=Change.START
     )

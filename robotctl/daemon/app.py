@@ -31,6 +31,7 @@ from robotctl.ipc.answers import StartSummary
 from robotctl.ipc.listener import remove_stale
 from robotctl.ipc.request_handler import Identity
 from robotctl.ipc.server import ControlServer
+from robotctl.ipc.socket_group import socket_group
 from robotctl.paths import chain_to, robot_state_folder, socket_path
 from robotctl.ros.session import RECORDER_NODE, Naming, ros_session
 
@@ -49,6 +50,7 @@ async def serve(
     manager = ServiceManager()
     settings = options.applied_to(load(options.config) if options.config else Config())
     config = settings.config
+    group = socket_group(config.socket.group)
     address = socket_path(options.robot)
     # A daemon whose lock file was deleted may still own the robot: it answers at the socket.
     remove_stale(address)
@@ -78,6 +80,8 @@ async def serve(
         ]
         for folder in (address.parent, robot_state_folder(options.robot)):
             notes += chain_to(folder).group_writable()
+        if group is not None:
+            notes.append(f"each member of group {group.name} may give commands (socket.group)")
         host = Host(
             options,
             config,
@@ -103,7 +107,11 @@ async def serve(
         session.last.push_async_callback(daemon.recorder.close)  # when no message comes any more
         identity = Identity(options.robot, __version__, os.getpid())
         server = ControlServer(
-            address, daemon.methods(), identity, on_unreachable=supervisor.unreachable
+            address,
+            daemon.methods(),
+            identity,
+            group=group,
+            on_unreachable=supervisor.unreachable,
         )
         host.warnings.append(server.warning)
         try:

@@ -1,4 +1,4 @@
-"""The listening socket: a private file, created again if it is removed or replaced."""
+"""The listening socket: a file for its owner or a group, created again if it is removed."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from pathlib import Path
 from robotctl.errors import AlreadyRunning, RobotctlError, UsageError
 from robotctl.ipc.peer import peer_of
 from robotctl.ipc.readiness import until_readable
+from robotctl.ipc.socket_group import SocketGroup, open_folder, open_socket
 from robotctl.paths import chain_to, make_private
 
 _log = logging.getLogger(__name__)
@@ -34,8 +35,9 @@ _RETRY_ACCEPT_S = 0.1
 class Listener:
     """A listening socket at `path`; `close` removes the file if it is still the listener's own."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, group: SocketGroup | None = None) -> None:
         self._path = path
+        self._group = group
         self._id = (0, 0)
         self._sock: socket.socket
 
@@ -43,11 +45,13 @@ class Listener:
         """Bind and listen; from now on the connect of a client succeeds.
 
         Raises:
-            UsageError: The folder belongs to another user, or `path` is not a socket.
+            UsageError: The folder belongs to another user or is open to another group, or `path`
+                is not a socket.
             AlreadyRunning: Another process answers at `path`.
         """
         make_private(self._path.parent)
         remove_stale(self._path)
+        open_folder(self._path, self._group)
         self._sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             previous = os.umask(0o177)  # with a chmod after bind, any user could connect before it
@@ -58,6 +62,8 @@ class Listener:
             finally:
                 os.umask(previous)
             self._id = _id_of(self._path)
+            if self._group is not None:
+                open_socket(self._path, self._group)
             self._sock.listen(BACKLOG)
             self._sock.setblocking(False)
         except BaseException:

@@ -18,6 +18,7 @@ from robotctl.ipc.answers import Hello
 from robotctl.ipc.client_limits import ClientLimits
 from robotctl.ipc.method import Method
 from robotctl.ipc.params import HelloParams, decode
+from robotctl.ipc.peer import guest_of
 from robotctl.ipc.protocol import (
     MAX_RESPONSE_BYTES,
     PROTOCOL_VERSION,
@@ -104,7 +105,7 @@ class RequestHandler:
         if method is None:
             text = f"robotctl {self._identity.version} has no method {request.method[:40]!r}"
             raise _Rejected(Code.METHOD_NOT_FOUND, UsageError(text))
-        params = _decode(request, method.params)
+        params = self._vouched(_decode(request, method.params))
         try:
             async with asyncio.timeout(method.deadline_s) as deadline:
                 if method.deadline_s is not None:
@@ -132,6 +133,14 @@ class RequestHandler:
             "robot": identity.robot,
             "pid": identity.pid,
         }
+
+    def _vouched(self, params: P) -> P:
+        """Return the parameters with the uid of a guest, which Linux tells, behind its name."""
+        guest, source = guest_of(self._sock), getattr(params, "source", None)
+        if guest is None or source is None:
+            return params
+        named: P = msgspec.structs.replace(params, source=f"{source} of uid {guest}")  # type: ignore[type-var]
+        return named
 
     def _check_admitted(self) -> None:
         if self._over_cap:

@@ -16,9 +16,10 @@ from robotctl.ipc.client_limits import DEFAULT_LIMITS, ClientLimits
 from robotctl.ipc.connection import Connection
 from robotctl.ipc.listener import Listener
 from robotctl.ipc.method import Method
-from robotctl.ipc.peer import peer_of
+from robotctl.ipc.peer import groups_of, guest_of
 from robotctl.ipc.protocol import Code
 from robotctl.ipc.request_handler import Identity, log_failure
+from robotctl.ipc.socket_group import SocketGroup
 
 _log = logging.getLogger(__name__)
 
@@ -41,12 +42,14 @@ class ControlServer:
         methods: Mapping[str, Method[Any]],
         identity: Identity,
         *,
+        group: SocketGroup | None = None,
         limits: ClientLimits = DEFAULT_LIMITS,
         on_unreachable: Callable[[str], None] = lambda problem: None,
     ) -> None:
         """`on_unreachable(problem)` gets the reason why no client can connect, "" once one can."""
         self._path = path
-        self._listener = Listener(path)
+        self._group = group
+        self._listener = Listener(path, group)
         self._on_unreachable = on_unreachable
         self._lost = 0
         self._methods = dict(methods)
@@ -139,13 +142,13 @@ class ControlServer:
     async def _handle(self, sock: socket.socket, connection: Connection) -> None:
         """Serve one client; no failure here affects the others."""
         try:
-            uid = peer_of(sock).uid
-            if uid not in (0, os.getuid()):
+            uid = guest_of(sock)
+            if uid is None or (self._group is not None and self._group.gid in groups_of(sock)):
+                await connection.run()
+            else:
                 _log.warning("uid %d was refused", uid)
                 text = f"robot {self._identity.robot!r} belongs to uid {os.getuid()}, not {uid}"
                 await connection.refuse(Code.FORBIDDEN, Refused(text))
-            else:
-                await connection.run()
         except OSError as error:  # including TimeoutError: the client does not read its reply
             _log.debug("a client is gone: %s", error)
         except Exception:  # noqa: BLE001 - it ends this connection, not the daemon

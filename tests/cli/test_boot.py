@@ -42,6 +42,7 @@ def test_a_unit_of_the_machine_has_a_user_and_a_runtime_folder(home: Path) -> No
     made = unit("robot", (), system=True, user="nobody")
     assert made.path == Path("/etc/systemd/system/robotctl-robot.service")
     assert "User=nobody" in made.text
+    assert "RuntimeDirectoryMode=0711" in made.text, "socket.group may come in; the rest is private"
     assert "Environment=XDG_RUNTIME_DIR=/run/robotctl-robot" in made.text
     assert "WantedBy=multi-user.target" in made.text
 

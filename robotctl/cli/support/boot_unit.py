@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from robotctl.errors import UsageError
-from robotctl.paths import STATE_VARIABLE, state_folder
+from robotctl.paths import RUNTIME_VARIABLE, STATE_VARIABLE, state_folder, unit_runtime_base
 
 SYSTEM_FOLDER = Path("/etc/systemd/system")
 
@@ -93,13 +93,13 @@ def unit(robot: str, arguments: tuple[str, ...], *, system: bool, user: str) -> 
             if key in os.environ
         ),
     ]
-    runtime = f"/run/robotctl-{robot}" if system else ""
+    runtime = str(unit_runtime_base(robot)) if system else ""
     if system:
         lines += [
             f"User={user}",
             f"RuntimeDirectory={Path(runtime).name}",
-            "RuntimeDirectoryMode=0700",
-            f"Environment=XDG_RUNTIME_DIR={runtime}",
+            "RuntimeDirectoryMode=0711",  # the folder in it is private, or of `socket.group`
+            f"Environment={RUNTIME_VARIABLE}={runtime}",
         ]
     lines += ["", "[Install]", f"WantedBy={'multi-user' if system else 'default'}.target", ""]
     scope = () if system else ("--user",)

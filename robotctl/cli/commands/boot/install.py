@@ -51,6 +51,9 @@ def install(
         wanted = " ".join(("systemctl", *made.scope, "enable --now", made.name))
         lines.append(f"systemd did not take it ({problem}); once it runs: {wanted}")
     if made.runtime:
-        lines.append(f"commands of {runner} reach it by: export {RUNTIME_VARIABLE}={made.runtime}")
+        variable = f"export {RUNTIME_VARIABLE}={made.runtime}"
+        lines.append(
+            f"commands of {runner}, and of members of socket.group, reach it by: {variable}"
+        )
     answer = {"path": str(made.path), "enabled": not problem, "problem": problem}
     print_answer(answer, lines, as_json=as_json)
