@@ -19,6 +19,15 @@ BUILT_HERE = "robot_controller"
 """The interfaces of msg/, srv/ and action/."""
 
 
+EXTRAS: list[str] = [
+    requirement
+    for name, requirements in PROJECT["optional-dependencies"].items()
+    if name not in ("test", "dev")
+    for requirement in requirements
+]
+"""What commands need that not every user wants."""
+
+
 def name_of(requirement: str) -> str:
     """Return the normalized name of the distribution that a requirement asks for."""
     name = re.match(r"[A-Za-z0-9._-]+", requirement)
@@ -57,7 +66,7 @@ def imported_modules() -> dict[str, Path]:
 
 
 def test_every_import_is_declared_or_comes_with_the_ros_wheels() -> None:
-    declared = {name_of(requirement) for requirement in PROJECT["dependencies"]}
+    declared = {name_of(requirement) for requirement in [*PROJECT["dependencies"], *EXTRAS]}
     for name in [name for name in declared if name.startswith("ros-")]:
         declared |= {each for each in brought_by(name) if each.startswith("ros-")}
     provided = packages_distributions()
@@ -71,7 +80,7 @@ def test_every_import_is_declared_or_comes_with_the_ros_wheels() -> None:
 def test_every_dependency_is_imported() -> None:
     provided = packages_distributions()
     used = {name_of(name) for module in imported_modules() for name in provided.get(module, ())}
-    declared = {name_of(requirement) for requirement in PROJECT["dependencies"]}
+    declared = {name_of(requirement) for requirement in [*PROJECT["dependencies"], *EXTRAS]}
     assert {name for name in declared - used if not name.startswith("ros-")} == set()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from functools import lru_cache
 from typing import Any, Final
 
 ENCAPSULATION: Final = b"\x00\x01\x00\x00"
@@ -13,6 +14,9 @@ BIG_ENDIAN: Final = b"\x00\x00"
 
 BODY: Final = len(ENCAPSULATION)
 """Where the fields begin; alignment counts from here."""
+
+_LARGEST: Final = 8
+"""The largest alignment of plain CDR [bytes]."""
 
 
 class CdrReader:
@@ -42,6 +46,17 @@ class CdrReader:
         self._position += size * count
         return numbers
 
+    def run(self, codes: str) -> tuple[Any, ...]:
+        """Return one number for each of `codes`, of which `x` is a byte without a value.
+
+        Raises:
+            struct.error: The message is cut short.
+        """
+        layout = _aligned(self._order, codes, (self._position - BODY) % _LARGEST)
+        numbers = layout.unpack_from(self._data, self._position)
+        self._position += layout.size
+        return numbers
+
     def text(self) -> str:
         """Return the next string; bytes that are not UTF-8 are replaced.
 
@@ -61,3 +76,15 @@ class CdrReader:
         if self._position > len(self._data):
             raise struct.error("a string or an array is longer than its message")
         return self._data[begin : self._position]
+
+
+@lru_cache(maxsize=1024)
+def _aligned(order: str, codes: str, phase: int) -> struct.Struct:
+    """Return the layout of numbers that begin `phase` bytes after a multiple of 8."""
+    layout, position = [order], phase
+    for code in codes:
+        size = struct.calcsize(f"<{code}")
+        padding = -position % size
+        layout.append(f"{padding}x{code}" if padding else code)
+        position += padding + size
+    return struct.Struct("".join(layout))

@@ -60,10 +60,15 @@ def _read(definition: Definition, type_name: str, reader: CdrReader) -> dict[str
     fields = definition.types[type_name]
     if not fields:
         reader.take(_EMPTY)
-    return {field.name: _read_field(definition, field, reader) for field in fields}
+    return {field.name: read_field(definition, field, reader) for field in fields}
 
 
-def _read_field(definition: Definition, field: Field, reader: CdrReader) -> Any:
+def read_field(definition: Definition, field: Field, reader: CdrReader) -> Any:
+    """Return the value of the next field.
+
+    Raises:
+        struct.error: The message is cut short.
+    """
     code = NUMBERS.get(field.type_name)
     if field.shape is Shape.ONE:
         return reader.take(code)[0] if code else _read_item(definition, field.type_name, reader)

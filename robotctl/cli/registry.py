@@ -28,7 +28,7 @@ SECTIONS = {
     ),
     "ROS": ("topic", "node", "service"),
     "Recordings": (
-        *("record", "mark", "recordings", "info", "clip", "recover", "replay", "why"),
+        *("record", "mark", "recordings", "info", "clip", "recover", "export", "replay", "why"),
         *("verify", "key", "evidence"),
     ),
 }

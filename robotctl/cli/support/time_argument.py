@@ -20,7 +20,7 @@ def is_offset(text: str) -> bool:
     return True
 
 
-def parse_moment(text: str, start_ns: int, end_ns: int) -> int:
+def parse_moment(text: str, start_ns: int, end_ns: int, option: str = "--at") -> int:
     """Return a time in a recording from `start_ns` to `end_ns`, as nanoseconds since the epoch.
 
     A time of day belongs to the day on which the recording begins, or to the next day if only that
@@ -42,7 +42,7 @@ def parse_moment(text: str, start_ns: int, end_ns: int) -> int:
         if next_ns is not None and same_ns is not None:
             return next_ns if same_ns < start_ns and next_ns <= end_ns else same_ns
     raise UsageError(
-        f"--at {text} is not a time",
+        f"{option} {text} is not a time",
         "give seconds into the recording, a time such as 12:03:04, "
         "or a date such as 2026-01-01T12:03:04",
     )

@@ -41,6 +41,15 @@ def make_folder(path: Path, *, shared: bool) -> None:
         _set(folder, (_GROUP_READS if shared else _OWNER_READS)[True])
 
 
+def protect_like(path: Path, source: Path) -> None:
+    """Let only this user read `path`, and its group if that may read `source`.
+
+    Raises:
+        OSError: One of them does not exist.
+    """
+    _set(path, (_GROUP_READS if is_shared(source) else _OWNER_READS)[path.is_dir()])
+
+
 def share_with_group(path: Path) -> None:
     """Let the group read a file or folder of this user.
 

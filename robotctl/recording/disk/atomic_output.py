@@ -1,0 +1,58 @@
+"""A file or folder that appears under its name when it is complete, or not at all."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from shutil import rmtree
+from tempfile import mkdtemp
+
+from robotctl.errors import Refused
+from robotctl.recording.disk.access import protect_like
+from robotctl.recording.disk.disk_errors import cure_of, reason_of
+
+
+@contextmanager
+def atomic_output(target: Path, source: Path) -> Iterator[Path]:
+    """Yield a path to create; what the block leaves there becomes `target` if it does not raise.
+
+    It is in a hidden, private folder beside `target`, which only a killed process leaves. Its
+    owner may read the result, and the group if that may read `source`, from which it is made.
+
+    Raises:
+        Refused: `target` exists already, or cannot be written.
+    """
+    folder: Path | None = None
+    try:
+        _check_free(target)
+        folder = Path(mkdtemp(prefix=f".{target.name[:100]}.", dir=target.parent))
+        unfinished = folder / target.name
+        yield unfinished
+        for path in (*(unfinished.rglob("*") if unfinished.is_dir() else ()), unfinished):
+            protect_like(path, source)
+            _sync(path)
+        _check_free(target)
+        unfinished.rename(target)
+        _sync(target.parent)
+    except OSError as error:
+        cure = "choose another name" if error.errno == errno.EEXIST else cure_of(error)
+        raise Refused(f"cannot write {target}: {reason_of(error)}", cure) from error
+    finally:
+        if folder is not None:
+            rmtree(folder, ignore_errors=True)
+
+
+def _check_free(target: Path) -> None:
+    if os.path.lexists(target):
+        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST))
+
+
+def _sync(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,178 @@
+"""Tables as Parquet files, written by duckdb (the extra `parquet`)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import count
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from robotctl.cdr.definition import NUMBERS, TEXT, WIDE_TEXT
+from robotctl.cdr.flat import Column, ColumnKind
+from robotctl.errors import Refused, RobotctlError, UnreadableFile, UsageError
+from robotctl.recording.table.text_tables import json_of
+from robotctl.recording.table.topic_table import Row
+
+if TYPE_CHECKING:
+    from duckdb import DuckDBPyConnection
+
+_SQL_TYPES: Final = {
+    "bool": "BOOLEAN",
+    "byte": "UTINYINT",
+    "char": "UTINYINT",
+    "uint8": "UTINYINT",
+    "int8": "TINYINT",
+    "int16": "SMALLINT",
+    "uint16": "USMALLINT",
+    "int32": "INTEGER",
+    "uint32": "UINTEGER",
+    "int64": "BIGINT",
+    "uint64": "UBIGINT",
+    "float32": "FLOAT",
+    "float64": "DOUBLE",
+    TEXT: "VARCHAR",
+    WIDE_TEXT: "VARCHAR",
+}
+_FLOATS: Final = ("float32", "float64")
+
+MAX_VALUES: Final = 1_000_000
+"""Values in memory at a time; a list or bytes count by their length."""
+
+_MEMORY_LIMIT: Final = "1GB"
+_GROUP_BYTES: Final = "64MB"
+
+
+def write_parquet(columns: Sequence[Column], rows: Iterable[Row], target: Path) -> int:
+    """Write the rows into the new file `target`; return their number.
+
+    Lists of numbers or texts are lists, lists of messages JSON, bytes a BLOB. Beside `target`
+    temporary files need as much space again.
+
+    Raises:
+        UsageError: duckdb is not installed.
+        UnreadableFile: A number does not fit into its column.
+        Refused: The disk is full or fails.
+    """
+    duckdb = _duckdb()
+    parts: list[Path] = []
+    written = 0
+    try:
+        with duckdb.connect() as database:
+            database.execute(f"SET threads=1; SET memory_limit='{_MEMORY_LIMIT}'")
+            for number, batch in zip(count(), _batches(columns, rows), strict=False):
+                parts.append(target.with_name(f"part{number}"))
+                _write_part(database, columns, batch, parts[-1])
+                written += len(batch)
+            _join(database, columns, parts, target)
+    except duckdb.IOException as error:
+        raise Refused(
+            f"cannot write {target.name}: {_first_line(error)}", "free disk space"
+        ) from None
+    except duckdb.Error as error:
+        raise RobotctlError(f"duckdb cannot write {target.name}: {_first_line(error)}") from error
+    return written
+
+
+def _duckdb() -> Any:
+    try:
+        import duckdb
+    except ImportError:
+        raise UsageError(
+            "Parquet needs duckdb, which is not installed", "pip install 'robotctl[parquet]'"
+        ) from None
+    return duckdb
+
+
+def _batches(columns: Sequence[Column], rows: Iterable[Row]) -> Iterator[list[Row]]:
+    """Yield the rows in batches that fit into memory; one without rows if there are none."""
+    long = [place for place, column in enumerate(columns) if column.kind is not ColumnKind.NUMBER]
+    batch: list[Row] = []
+    values = 0
+    any_batch = False
+    for row in rows:
+        batch.append(row)
+        values += len(row) + sum(len(row[place]) for place in long)
+        if values >= MAX_VALUES:
+            yield batch
+            batch, values, any_batch = [], 0, True
+    if batch or not any_batch:
+        yield batch
+
+
+def _write_part(
+    database: DuckDBPyConnection, columns: Sequence[Column], batch: Sequence[Row], path: Path
+) -> None:
+    """Write a batch into a file of its own."""
+    values = zip(*batch, strict=True) if batch else ((),) * len(columns)
+    try:
+        arrays = {
+            f"c{place}": _array(column, cells)
+            for place, (column, cells) in enumerate(zip(columns, values, strict=True))
+        }
+    except OverflowError:
+        raise UnreadableFile("a time of a message is beyond the year 2262") from None
+    selected = ", ".join(
+        f"{_restored(column, f'c{place}')} AS {_quoted(column.name)}"
+        for place, column in enumerate(columns)
+    )
+    # A list's type is found by looking at all its values.
+    database.execute(f"SET pandas_analyze_sample={len(batch) + 1}")
+    database.register("batch", arrays)
+    database.execute(f"COPY (SELECT {selected} FROM batch) TO {_text(path)} (FORMAT parquet)")
+    database.unregister("batch")
+
+
+def _array(column: Column, cells: Sequence[Any]) -> np.ndarray[Any, Any]:
+    if column.kind is ColumnKind.NUMBER:
+        return np.array(cells, dtype=NUMBERS[column.type_name])
+    array = np.empty(len(cells), dtype=object)
+    nested = column.kind is ColumnKind.NESTED
+    for place, value in enumerate(cells):
+        array[place] = json_of(value) if nested else value
+    return array
+
+
+def _restored(column: Column, name: str) -> str:
+    """Return the SQL of a column with its type; duckdb takes NaN of numpy for NULL."""
+    if column.kind is ColumnKind.BYTES:
+        return f"CAST({name} AS BLOB)"
+    if column.kind is ColumnKind.NESTED:
+        return f"CAST({name} AS VARCHAR)"
+    kind = _SQL_TYPES[column.type_name]
+    if column.kind is ColumnKind.LIST:
+        cast = f"CAST({name} AS {kind}[])"
+        nan = f"list_transform({cast}, lambda x: coalesce(x, CAST('nan' AS {kind})))"
+        return nan if column.type_name in _FLOATS else cast
+    if column.type_name in _FLOATS:
+        return f"coalesce({name}, CAST('nan' AS {kind}))"
+    return f"CAST({name} AS {kind})"
+
+
+def _join(
+    database: DuckDBPyConnection, columns: Sequence[Column], parts: Sequence[Path], target: Path
+) -> None:
+    if len(parts) == 1:
+        parts[0].rename(target)
+        return
+    listed = ", ".join(map(_text, parts))
+    # With one thread the rows keep their order; only without the promise of it are groups of rows
+    # limited in bytes.
+    database.execute("SET preserve_insertion_order=false")
+    database.execute(
+        f"COPY (SELECT * FROM read_parquet([{listed}])) TO {_text(target)} "
+        f"(FORMAT parquet, ROW_GROUP_SIZE_BYTES '{_GROUP_BYTES}')"
+    )
+
+
+def _quoted(name: str) -> str:
+    return '"' + name.replace('"', '""') + '"'
+
+
+def _text(path: Path) -> str:
+    return "'" + str(path).replace("'", "''") + "'"
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).partition("\n")[0]

@@ -1,0 +1,87 @@
+"""The messages of one topic as rows."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator
+from typing import Any, Final
+
+from robotctl.cdr.definition import UnreadableType, parse_definition
+from robotctl.cdr.flat import Column, ColumnKind, FlatDecoder
+from robotctl.errors import UnreadableFile
+from robotctl.kernel.units import NS_PER_S
+from robotctl.recording.read.info import TopicInfo
+from robotctl.recording.read.messages import ALWAYS, Window
+from robotctl.recording.read.reader import Recording
+
+Row = list[Any]
+
+TIME_COLUMNS: Final = (
+    Column("log_ns", ColumnKind.NUMBER, "int64"),
+    Column("publish_ns", ColumnKind.NUMBER, "int64"),
+    Column("time_s", ColumnKind.NUMBER, "float64"),
+)
+"""The first columns of each table: when a message was received and published [ns since the epoch],
+and the seconds from the first message of the recording to its reception."""
+
+_DESCRIBED_IN: Final = "ros2msg"
+
+
+class TopicTable:
+    """The rows of a topic; times of the recording come first in each."""
+
+    def __init__(self, recording: Recording, topic: TopicInfo) -> None:
+        """Plan the columns.
+
+        Raises:
+            UnreadableFile: The recording does not describe the type so that it can be read.
+        """
+        self._recording = recording
+        self.topic = topic
+        self._start_ns = recording.info().start_ns
+        self._decoder = _decoder(topic)
+        self.columns = (*TIME_COLUMNS, *map(_beside_times, self._decoder.columns))
+        """The columns, in the order of the values of a row."""
+
+    def rows(self, on_missing: Callable[[str], None], window: Window = ALWAYS) -> Iterator[Row]:
+        """Yield the rows in the order of their log time [ns], those in `window` (both included).
+
+        `on_missing` gets a sentence about each part that cannot be read, and at the end one about
+        the messages that do not fit their type.
+        """
+        row_of, start_ns, type_name = self._decoder.row, self._start_ns, self.topic.type_name
+        misfits, reason = 0, ""
+        for message in self._recording.messages({self.topic.name}, on_missing, window):
+            if message.type_name != type_name:
+                continue
+            try:
+                values = row_of(message.data)
+            except struct.error as error:
+                misfits, reason = misfits + 1, reason or str(error)
+                continue
+            log_ns = message.log_ns
+            yield [log_ns, message.publish_ns, (log_ns - start_ns) / NS_PER_S, *values]
+        if misfits:
+            on_missing(f"{misfits} messages of {self.topic.name} cannot be decoded: {reason}")
+
+
+def _decoder(topic: TopicInfo) -> FlatDecoder:
+    is_empty = topic.type_name.endswith("/Empty")
+    if not topic.definition.strip() and not is_empty:
+        raise UnreadableFile(f"the recording does not describe the type {topic.type_name}")
+    if topic.schema_encoding not in (_DESCRIBED_IN, "") and not is_empty:
+        raise UnreadableFile(
+            f"the type {topic.type_name} is described in {topic.schema_encoding}, "
+            f"not in {_DESCRIBED_IN}"
+        )
+    try:
+        return FlatDecoder(parse_definition(topic.type_name, topic.definition))
+    except UnreadableType as error:
+        raise UnreadableFile(f"the type {topic.type_name} cannot be read: {error}") from None
+
+
+def _beside_times(column: Column) -> Column:
+    """Return the column of a field with another name, if that is the name of a time."""
+    if column.name in {each.name for each in TIME_COLUMNS}:
+        return Column(f"message.{column.name}", column.kind, column.type_name)
+    return column

@@ -1,0 +1,279 @@
+"""export: the messages of a topic as CSV, JSON lines or Parquet."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from math import inf, isnan, nan
+from pathlib import Path
+from typing import Any
+
+import duckdb
+import pytest
+
+from robotctl.cdr.definition import parse_definition
+from robotctl.cdr.field_path import parse_path, value_at
+from robotctl.cdr.values import decode, encode
+from robotctl.recording import Recorder, Topic, read_info, read_messages
+from robotctl.recording.table import parquet_table
+from robotctl.testing.drives import GID
+from tests.cli.conftest import Ran
+
+DRIVE = Path(__file__).parents[1] / "golden" / "stopped"
+START_NS = 1_700_000_000_000_000_000
+
+DEFINITION = """\
+float64 x
+string name
+bool is_on
+float32[2] pair
+float64[] ranges
+uint8[] image
+Part[] parts
+================================================================================
+MSG: p/Part
+float64 y
+"""
+TOPIC = Topic("/all", "p/msg/All", DEFINITION)
+
+Cli = Callable[..., Ran]
+
+
+def message(number: int) -> dict[str, Any]:
+    return {
+        "x": [0.1, nan, inf, -inf][number % 4],
+        "name": f'{number}: a "quote", a comma\nand a line ä\0\x1b',
+        "is_on": number % 2 == 0,
+        "pair": [float(number), nan],
+        "ranges": [nan, inf, 0.5][: number % 4],
+        "image": bytes([number % 256, 255]),
+        "parts": [{"y": nan}] * (number % 2),
+    }
+
+
+def written(folder: Path, count: int = 8) -> Path:
+    """Return a recording with `count` messages, one second apart."""
+    recorder = Recorder(folder / "run", on_failure=print)
+    channel = recorder.add_topic(TOPIC)
+    definition = parse_definition(TOPIC.type_name, DEFINITION)
+    for number in range(count):
+        log_ns = START_NS + number * 1_000_000_000
+        recorder.write(channel, encode(definition, message(number)), log_ns, log_ns - 5, 1, GID)
+    recorder.close()
+    return folder / "run"
+
+
+def test_csv_holds_each_field_of_each_message_and_its_times(cli: Cli) -> None:
+    ran = cli("export", str(DRIVE), "--topic", "/odom")
+    assert (ran.exit_code, ran.err) == (0, "")
+    rows = list(csv.DictReader(io.StringIO(ran.out)))
+    info = next(each for each in read_info(DRIVE).topics if each.name == "/odom")
+    definition = parse_definition(info.type_name, info.definition)
+    messages = list(read_messages(DRIVE, {"/odom"}))
+    assert len(rows) == len(messages) == info.message_count
+    for row, recorded in zip(rows, messages, strict=True):
+        assert int(row.pop("log_ns")) == recorded.log_ns
+        assert int(row.pop("publish_ns")) == recorded.publish_ns
+        assert float(row.pop("time_s")) >= 0
+        values = decode(definition, recorded.data)
+        for path, text in row.items():
+            assert text == str(value_at(values, parse_path(definition, path))), path
+
+
+def test_csv_keeps_what_is_no_number_lists_bytes_and_any_text(cli: Cli, tmp_path: Path) -> None:
+    ran = cli("export", str(written(tmp_path)), "--topic", "all", "--csv")
+    rows = list(csv.DictReader(io.StringIO(ran.out, newline="")))
+    assert [row["x"] for row in rows[:4]] == ["0.1", "nan", "inf", "-inf"]
+    assert [row["name"] for row in rows] == [message(number)["name"] for number in range(8)]
+    assert [row["is_on"] for row in rows[:2]] == ["True", "False"]
+    assert [row["ranges"] for row in rows[:4:3]] == ["[]", '["NaN", "Infinity", 0.5]']
+    assert rows[1]["parts"] == '[{"y": "NaN"}]'
+    assert rows[1]["image"] == "Af8="
+    assert [row["time_s"] for row in rows[:2]] == ["0.0", "1.0"]
+
+
+def test_json_lines_are_valid_json_and_say_nan(cli: Cli, tmp_path: Path) -> None:
+    ran = cli("export", str(written(tmp_path)), "--topic", "/all", "--json")
+
+    def no_constant(text: str) -> None:
+        raise AssertionError(text)
+
+    rows = [json.loads(line, parse_constant=no_constant) for line in ran.out.splitlines()]
+    assert [row["x"] for row in rows[:4]] == [0.1, "NaN", "Infinity", "-Infinity"]
+    assert rows[3]["ranges"] == ["NaN", "Infinity", 0.5]
+    assert (rows[1]["image"], rows[1]["parts"]) == ("Af8=", [{"y": "NaN"}])
+    assert (rows[1]["log_ns"], rows[1]["publish_ns"]) == (START_NS + 10**9, START_NS + 10**9 - 5)
+
+
+@pytest.mark.parametrize("most_values", [parquet_table.MAX_VALUES, 20])
+def test_parquet_has_the_types_and_values_of_the_messages(
+    cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, most_values: int
+) -> None:
+    """The smaller limit writes it in parts."""
+    monkeypatch.setattr(parquet_table, "MAX_VALUES", most_values)
+    target = tmp_path / "o'ut.parquet"
+    ran = cli("export", str(written(tmp_path, 9)), "--topic", "/all", "-o", str(target))
+    assert ran.exit_code == 0, ran.err
+    table = duckdb.read_parquet(str(target))
+    assert dict(zip(table.columns, map(str, table.types), strict=True)) == {
+        "log_ns": "BIGINT",
+        "publish_ns": "BIGINT",
+        "time_s": "DOUBLE",
+        "x": "DOUBLE",
+        "name": "VARCHAR",
+        "is_on": "BOOLEAN",
+        "pair[0]": "FLOAT",
+        "pair[1]": "FLOAT",
+        "ranges": "DOUBLE[]",
+        "image": "BLOB",
+        "parts": "VARCHAR",
+    }
+    rows = [dict(zip(table.columns, row, strict=True)) for row in table.fetchall()]
+    assert [row["log_ns"] for row in rows] == [START_NS + n * 10**9 for n in range(9)]
+    for number, row in enumerate(rows):
+        sent = message(number)
+        for name in ("name", "is_on", "image"):
+            assert row[name] == sent[name]
+        assert row["x"] == sent["x"] or (isnan(row["x"]) and isnan(sent["x"]))
+        assert isnan(row["pair[1]"])
+        assert repr(row["ranges"]) == repr(sent["ranges"])
+        assert row["parts"] == ('[{"y": "NaN"}]' if number % 2 else "[]")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["cwd", "o'ut.parquet", "run"]
+
+
+def test_without_duckdb_one_sentence_says_what_to_install(
+    cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "duckdb", None)
+    ran = cli("export", str(DRIVE), "--topic", "/odom", "-o", str(tmp_path / "x.parquet"))
+    assert ran.exit_code == 2
+    assert ran.err == (
+        "robotctl: Parquet needs duckdb, which is not installed: pip install 'robotctl[parquet]'\n"
+    )
+    assert not list(tmp_path.glob("*parquet*"))
+
+
+@pytest.mark.parametrize(
+    ("name", "begin"),
+    [("x.csv", "log_ns,"), ("x.jsonl", "{"), ("x.json", "{"), ("x.txt", "log_ns,")],
+)
+def test_the_name_of_the_file_chooses_the_format(
+    cli: Cli, tmp_path: Path, name: str, begin: str
+) -> None:
+    ran = cli("export", str(DRIVE), "--topic", "/odom", "-o", str(tmp_path / name))
+    assert ran.exit_code == 0
+    assert "83 rows, 92 columns" in ran.out
+    assert (tmp_path / name).read_text().startswith(begin)
+
+
+def test_only_the_given_time_is_exported(cli: Cli, tmp_path: Path) -> None:
+    run = str(written(tmp_path))
+    ran = cli("export", run, "--topic", "/all", "--from", "2", "--to", "5", "--json")
+    assert [json.loads(line)["time_s"] for line in ran.out.splitlines()] == [2.0, 3.0, 4.0, 5.0]
+    nothing = cli("export", run, "--topic", "/all", "--from", "20")
+    assert (nothing.exit_code, nothing.out.count("\n")) == (0, 1)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--topic", "/odm"], f"no topic /odm in {DRIVE}: did you mean /odom?"),
+        (["--topic", "/xyz"], f"no topic /xyz in {DRIVE}: see: robotctl topic list --file {DRIVE}"),
+        (["--topic", "/odom", "--csv", "--json"], "--csv and --json: give one of them"),
+        (["--topic", "/odom", "--parquet"], "--parquet needs a file: give one: -o FILE.parquet"),
+        (["--topic", "/odom", "--from", "soon"], "--from soon is not a time: "),
+        (["--topic", "/odom", "--from", "2", "--to", "1"], "--to 1 is before --from 2"),
+        ([], "Missing option '--topic' (see: robotctl export --help)"),
+    ],
+)
+def test_a_wrong_argument_is_named_with_its_cure(
+    cli: Cli, arguments: list[str], sentence: str
+) -> None:
+    ran = cli("export", str(DRIVE), *arguments)
+    assert ran.exit_code == 2
+    assert ran.err.startswith(f"robotctl: {sentence}")
+
+
+def test_no_file_is_overwritten_and_none_remains_after_a_failure(cli: Cli, tmp_path: Path) -> None:
+    target = tmp_path / "kept.csv"
+    target.write_text("mine")
+    ran = cli("export", str(DRIVE), "--topic", "/odom", "-o", str(target))
+    assert (ran.exit_code, target.read_text()) == (4, "mine")
+    assert ran.err == f"robotctl: cannot write {target}: File exists: choose another name\n"
+    missing = tmp_path / "nowhere" / "x.csv"
+    assert cli("export", str(DRIVE), "--topic", "/odom", "-o", str(missing)).exit_code == 4
+    link = tmp_path / "link.csv"
+    link.symlink_to(tmp_path / "else.csv")
+    assert cli("export", str(DRIVE), "--topic", "/odom", "-o", str(link)).exit_code == 4
+    assert not (tmp_path / "else.csv").exists()
+    assert sorted(path.name for path in tmp_path.glob("*.csv*")) == ["kept.csv", "link.csv"]
+
+
+def test_the_file_is_private_as_its_recording(cli: Cli, tmp_path: Path) -> None:
+    run = written(tmp_path)
+    for mode, wanted in ((0o700, 0o600), (0o750, 0o640)):
+        run.chmod(mode)
+        target = tmp_path / f"{mode}.csv"
+        assert cli("export", str(run), "--topic", "/all", "-o", str(target)).exit_code == 0
+        assert target.stat().st_mode & 0o777 == wanted
+
+
+def test_messages_that_do_not_fit_their_type_are_left_out_and_told(
+    cli: Cli, tmp_path: Path
+) -> None:
+    recorder = Recorder(tmp_path / "bad", on_failure=print)
+    channel = recorder.add_topic(Topic("/n", "p/msg/N", "int64 n\n"))
+    for data in (b"\0\1\0\0" + bytes(8), b"\0\1\0\0" + bytes(3)):
+        recorder.write(channel, data, START_NS, START_NS, 1, GID)
+    recorder.close()
+    ran = cli("export", str(tmp_path / "bad"), "--topic", "/n")
+    assert (ran.exit_code, ran.out.count("\n")) == (8, 2)
+    assert "1 messages of /n cannot be decoded" in ran.err
+
+
+def test_a_field_with_the_name_of_a_time_keeps_a_column_of_its_own(
+    cli: Cli, tmp_path: Path
+) -> None:
+    recorder = Recorder(tmp_path / "named", on_failure=print)
+    channel = recorder.add_topic(Topic("/n", "p/msg/N", "int64 log_ns\n"))
+    recorder.write(channel, b"\0\1\0\0\x07" + bytes(7), START_NS, START_NS, 1, GID)
+    recorder.close()
+    ran = cli("export", str(tmp_path / "named"), "--topic", "/n", "--json")
+    row = json.loads(ran.out)
+    assert (row["log_ns"], row["message.log_ns"]) == (START_NS, 7)
+
+
+def test_a_reader_that_closes_the_pipe_ends_the_export_quietly(
+    command: list[str], tmp_path: Path
+) -> None:
+    run = written(tmp_path, 3000)
+    with subprocess.Popen(
+        [*command, "export", str(run), "--topic", "/all"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        assert process.stdout.readline().startswith("log_ns,")
+        process.stdout.close()
+        assert process.stderr.read() == ""
+        assert process.wait(60) == 0
+
+
+def test_control_characters_reach_a_file_but_no_terminal(
+    command: list[str], tmp_path: Path
+) -> None:
+    run = written(tmp_path, 1)
+    leader, follower = os.openpty()
+    subprocess.run([*command, "export", str(run), "--topic", "/all"], stdout=follower, check=True)
+    os.close(follower)
+    shown = os.read(leader, 65536)
+    os.close(leader)
+    assert b"\x1b" not in shown
+    assert b"0: a " in shown
