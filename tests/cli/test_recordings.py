@@ -12,7 +12,7 @@ import pytest
 from robotctl.paths import recordings_note_path
 from robotctl.recording import Recorder, Topic
 from robotctl.recording.format.event_kind import EventKind
-from robotctl.recording.format.events import RecordedEvent
+from robotctl.recording.format.events import ERRORS, RecordedEvent
 from robotctl.testing.drives import START_NS, TWIST
 from tests.support.recordings import read_strictly, write_numbered
 
@@ -64,8 +64,7 @@ def test_the_list_for_machines_has_every_fact(library: Path, cli: Cli) -> None:
         "size_bytes": first["size_bytes"],
         "files": 1,
         "laps": 0,
-        "cross_track_max_m": None,
-        "true_cross_track_max_m": None,
+        **dict.fromkeys(ERRORS),
         "worst": "estop",
         "readable": True,
         "damage": [],

@@ -14,6 +14,8 @@ from typing import Any
 import pytest
 
 from robotctl.ipc.answers import Status
+from robotctl.recording import read_info
+from robotctl.recording.format.events import ERRORS
 from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.rerun.rerun import first_divergence
 from tests.support.waiting import until
@@ -186,6 +188,14 @@ def test_a_simulated_drive_tells_how_far_the_robot_truly_was_off_its_path(sessio
     drive = session.drive
     assert 0.0 < drive["true_cross_track_rms_m"] <= drive["true_cross_track_max_m"] < 0.05
     assert drive["true_cross_track_max_m"] != drive["cross_track_max_m"]
+
+
+def test_the_recording_holds_every_error_that_the_drive_told(session: Session) -> None:
+    events = [each for each in read_info(session.folder).events if each.laps == 1]
+    assert [{name: getattr(each, name) for name in ERRORS} for each in events] == [
+        {name: session.drive[name] for name in ERRORS}
+    ]
+    assert None not in [session.drive[name] for name in ERRORS]
 
 
 def test_the_driven_path_lies_on_the_wanted_one(session: Session) -> None:

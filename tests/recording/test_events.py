@@ -24,6 +24,16 @@ EVENTS = (
     RecordedEvent(
         EventKind.DRIVE_ENDED, START_NS + 4, "drive finished: 1 lap", 1, 0.02, 0.01, 0.03
     ),
+    RecordedEvent(
+        EventKind.DRIVE_ENDED,
+        START_NS + 5,
+        "drive finished: 1 lap",
+        1,
+        0.02,
+        closure_m=0.03,
+        true_heading_max_rad=0.1,
+        true_closure_m=0.04,
+    ),
 )
 
 
@@ -73,6 +83,7 @@ def test_events_without_end_go_on_in_another_file(
         {"cross_track_max_m": "nan"},
         {"true_cross_track_rms_m": "inf"},
         {"true_cross_track_max_m": "far"},
+        {"true_closure_m": "nan"},
     ],
 )
 def test_what_is_no_event_of_ours_is_passed_over(damage: dict[str, str]) -> None:

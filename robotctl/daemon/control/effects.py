@@ -97,14 +97,18 @@ class Effects:
 
     def _as_event(self, ended: DriveEnded) -> RecordedEvent:
         report, true = ended.report, self._true_errors(ended.request_id)
+        errors = {
+            "cross_track_max_m": report.cross_track_max_m,
+            "cross_track_rms_m": report.cross_track_rms_m,
+            "heading_rms_rad": report.heading_rms_rad,
+            "heading_max_rad": report.heading_max_rad,
+            "closure_m": report.closure_m,
+        }
+        if true is not None:
+            errors |= {f"true_{name}": value for name, value in true._asdict().items()}
+        known = {name: value for name, value in errors.items() if isfinite(value)}
         return RecordedEvent(
-            EventKind.DRIVE_ENDED,
-            time.time_ns(),
-            ended.reason,
-            report.laps,
-            report.cross_track_max_m if isfinite(report.cross_track_max_m) else None,
-            None if true is None else true.cross_track_rms_m,
-            None if true is None else true.cross_track_max_m,
+            EventKind.DRIVE_ENDED, time.time_ns(), ended.reason, report.laps, **known
         )
 
     def _with_cure(self, effect: ModeChanged | DriveEnded) -> str:

@@ -20,16 +20,27 @@ from robotctl.recording.format.records import MAX_TIME_NS
 MAX_LAPS = 1_000_000
 """A record that claims more was not written by robotctl."""
 
-DISTANCES = ("cross_track_max_m", "true_cross_track_rms_m", "true_cross_track_max_m")
-"""The distances of a drive that ended, each left out where it is not known."""
+ERRORS = (
+    "cross_track_max_m",
+    "true_cross_track_rms_m",
+    "true_cross_track_max_m",
+    "cross_track_rms_m",
+    "heading_rms_rad",
+    "heading_max_rad",
+    "closure_m",
+    "true_heading_rms_rad",
+    "true_heading_max_rad",
+    "true_closure_m",
+)
+"""The errors of a drive that ended, each left out where it is not known."""
 
 
 @dataclass(frozen=True, slots=True)
 class RecordedEvent:
     """One event; `log_ns` since the epoch.
 
-    Of a drive that ended: its `laps`, and how far it was off its path at most, None if not known;
-    of a robot that the daemon simulated also the true distances, root mean square and largest.
+    Of a drive that ended: its `laps`, and its errors (see kernel.types.DriveReport), None if not
+    known; of a robot that the daemon simulated also the true ones, which odometry cannot see.
     """
 
     kind: EventKind
@@ -39,14 +50,21 @@ class RecordedEvent:
     cross_track_max_m: float | None = None
     true_cross_track_rms_m: float | None = None
     true_cross_track_max_m: float | None = None
+    cross_track_rms_m: float | None = None
+    heading_rms_rad: float | None = None
+    heading_max_rad: float | None = None
+    closure_m: float | None = None
+    true_heading_rms_rad: float | None = None
+    true_heading_max_rad: float | None = None
+    true_closure_m: float | None = None
 
     def values(self) -> Mapping[str, str]:
         """Return the event as the metadata of a file holds it."""
         values = {"kind": self.kind.value, "log_ns": str(self.log_ns), "text": self.text}
         if self.kind is EventKind.DRIVE_ENDED:
             values["laps"] = str(self.laps)
-            distances_m: dict[str, float | None] = {name: getattr(self, name) for name in DISTANCES}
-            values |= {name: repr(m) for name, m in distances_m.items() if m is not None}
+            errors: dict[str, float | None] = {name: getattr(self, name) for name in ERRORS}
+            values |= {name: repr(each) for name, each in errors.items() if each is not None}
         return values
 
     @classmethod
@@ -60,10 +78,10 @@ class RecordedEvent:
         log_ns, laps = int(values["log_ns"]), int(values.get("laps", 0))
         if not (0 <= log_ns <= MAX_TIME_NS and 0 <= laps <= MAX_LAPS):
             raise ValueError("a number is out of range")
-        off_m = [float(values[name]) if name in values else None for name in DISTANCES]
-        if not all(each is None or isfinite(each) for each in off_m):
-            raise ValueError("a distance is not finite")
-        return cls(EventKind(values["kind"]), log_ns, values["text"], laps, *off_m)
+        errors = {name: float(values[name]) for name in ERRORS if name in values}
+        if not all(map(isfinite, errors.values())):
+            raise ValueError("an error is not finite")
+        return cls(EventKind(values["kind"]), log_ns, values["text"], laps, **errors)
 
 
 def events_in(metadata: Iterable[Metadata]) -> list[RecordedEvent]:

@@ -58,19 +58,13 @@ class ListedRecording:
         """Completed laps of the drives that have ended."""
         return sum(event.laps for event in self.events)
 
-    @property
-    def cross_track_max_m(self) -> float | None:
-        """How far the robot was off the path of a drive at most, None if that is not known."""
-        known_m = [
-            event.cross_track_max_m for event in self.events if event.cross_track_max_m is not None
-        ]
-        return max(known_m, default=None)
+    def largest(self, error: str) -> float | None:
+        """Return the largest of an error of its drives, None if that is not known.
 
-    @property
-    def true_cross_track_max_m(self) -> float | None:
-        """The same by the true pose of a simulated robot, None if that is not known."""
-        known_m = [each.true_cross_track_max_m for each in self.events]
-        return max((m for m in known_m if m is not None), default=None)
+        `error` is one of recording.format.events.ERRORS.
+        """
+        known: list[float | None] = [getattr(event, error) for event in self.events]
+        return max((each for each in known if each is not None), default=None)
 
     @property
     def worst(self) -> EventKind | None:

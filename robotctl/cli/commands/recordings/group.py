@@ -172,6 +172,8 @@ def _set_kept(name: str, folder: Path | None, robot: str | None, *, kept: bool) 
 
 
 def _as_object(each: ListedRecording) -> dict[str, Any]:
+    from robotctl.recording.format.events import ERRORS
+
     return {
         "name": each.path.name,
         "path": str(each.path),
@@ -181,8 +183,7 @@ def _as_object(each: ListedRecording) -> dict[str, Any]:
         "size_bytes": each.size_bytes,
         "files": each.files,
         "laps": each.laps,
-        "cross_track_max_m": each.cross_track_max_m,
-        "true_cross_track_max_m": each.true_cross_track_max_m,
+        **{error: each.largest(error) for error in ERRORS},
         "worst": None if each.worst is None else each.worst.value,
         "readable": each.readable,
         "damage": list(each.damage),
@@ -214,15 +215,21 @@ def _lines(place: Path, found: Sequence[ListedRecording], robot: str) -> Iterato
         yield "for damaged ones, robotctl recover NAME saves what can be read"
 
 
+def _error(each: ListedRecording, name: str, what: str) -> Iterator[str]:
+    """Yield the largest of an error of the drives, and the true one, where they are known."""
+    measured, true = each.largest(name), each.largest(f"true_{name}")
+    if measured is not None:
+        in_truth = "" if true is None else f" ({true:.3f} in truth)"
+        yield f"{measured:.3f} {what}{in_truth}"
+
+
 def _remarks(each: ListedRecording) -> Iterator[str]:
     if each.live:
         yield "live"
     if each.kept:
         yield "kept"
-    if each.cross_track_max_m is not None:
-        true_m = each.true_cross_track_max_m
-        in_truth = "" if true_m is None else f" ({true_m:.3f} in truth)"
-        yield f"{each.cross_track_max_m:.3f} m off track{in_truth}"
+    yield from _error(each, "cross_track_max_m", "m off track")
+    yield from _error(each, "closure_m", "m closure")
     if each.clips:
         yield f"{len(each.clips)} clip{'s' * (len(each.clips) > 1)}"
     if not each.readable:
