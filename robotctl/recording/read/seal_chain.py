@@ -48,9 +48,19 @@ def check_chain(files: Iterable[SealedFile]) -> Chain:
         if opening is not None and file.state is not FileState.CLIP:
             by_root.setdefault(opening.root, []).append((opening, file))
     for pairs in by_root.values():
-        pairs.sort(key=lambda pair: pair[0].number)
-        _compare(pairs, chain)
+        _compare(_without_copies(pairs), chain)
     return chain
+
+
+def _without_copies(
+    pairs: Sequence[tuple[Opening, SealedFile]],
+) -> list[tuple[Opening, SealedFile]]:
+    """Return the files by their numbers; copies only of those that are not here themselves."""
+    originals = {opening.number for opening, file in pairs if not file.seal.is_copy}
+    copies = {opening.number: (opening, file) for opening, file in pairs if file.seal.is_copy}
+    left = [pair for pair in pairs if not pair[1].seal.is_copy]
+    left += [pair for number, pair in copies.items() if number not in originals]
+    return sorted(left, key=lambda pair: pair[0].number)
 
 
 def _compare(pairs: Sequence[tuple[Opening, SealedFile]], chain: Chain) -> None:
@@ -70,7 +80,7 @@ def _compare(pairs: Sequence[tuple[Opening, SealedFile]], chain: Chain) -> None:
             chain.wrong.append(f"the key of {next_name} is not signed by that of {name}")
         elif following.previous_file != opening.file:
             chain.absent.append(f"{next_name} knows no end of {name}")
-        elif not file.seal.knows(following.previous):
+        elif not file.seal.is_copy and not file.seal.knows(following.previous):
             chain.wrong.append(
                 f"{next_name} continues another end of {name}: "
                 "that file was changed, or its tail was cut"

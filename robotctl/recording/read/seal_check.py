@@ -50,6 +50,9 @@ class SealOfRead:
 
     opening: Opening | None = None
     links: list[Link] = field(default_factory=list)
+    is_copy: bool = False
+    """Whether the file is what a repair could read of a sealed one: nothing in it is signed."""
+
     state: SealState = SealState.NONE
     wrong: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -152,10 +155,13 @@ def _pieces(file: InputFile, start: int, end: int) -> Iterator[bytes]:
 def _judge(whole: WholeFile, links: list[Link], found: SealOfRead) -> None:
     end = whole.data.end - min(whole.loose, whole.data.end)
     repaired = any(link.kind is LinkKind.REPAIRED for link in links)
+    found.is_copy = repaired and found.head is None
     if found.wrong:
         found.state = SealState.BROKEN
     elif found.head is not None and found.head.covered >= end and not repaired:
         found.state = SealState.SEALED
+    elif found.is_copy:
+        found.notes.append("a repair copied it from a sealed file: nothing in it is signed")
     elif found.head is None:
         found.notes.append("it was to be sealed, but no link was signed")
     else:
