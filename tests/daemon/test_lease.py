@@ -7,7 +7,7 @@ from collections.abc import Callable
 from signal import SIGCONT, SIGINT, SIGSTOP
 
 from tests.support.waiting import DEADLINE_S, until
-from tests.support.world import Peer, World
+from tests.support.world import ROBOTCTL, Peer, World
 
 
 def test_the_holder_alone_moves_the_robot_and_its_death_ramps_it_down(
@@ -43,11 +43,12 @@ def test_the_holder_alone_moves_the_robot_and_its_death_ramps_it_down(
     assert "lost the lease: its connection closed" in told
     del world.environment["ROBOTCTL_LEASE"]
     third = world.spawn("lease", "take")
-    until(lambda: world.answer("lease", "status")["holder"] is not None)
-    third.send_signal(SIGINT)
+    assert third.stdout is not None
+    assert third.stdout.readline().startswith("Lease taken.")
+    third.send_signal(SIGINT)  # however soon after the line
     out, _ = third.communicate(timeout=DEADLINE_S)
     assert (third.returncode, "Lease released" in out) == (0, True)
-    ran = world.robotctl("lease", "take", "--", "robotctl", "lease", "status", "--json")
+    ran = world.robotctl("lease", "take", "--", ROBOTCTL, "lease", "status", "--json")
     assert (ran.exit_code, '"yours": true' in ran.out) == (0, True), ran
     world.ok("set-mode", "moving")
     world.ok("stop")

@@ -55,8 +55,8 @@ def take(
                     held.result()
                 sys.exit(exit_code)
             token = f"export {LEASE_VARIABLE}={held.token}"
-            print(f"Lease taken. In another shell: {token}", flush=True)
             with suppress(KeyboardInterrupt):
+                print(f"Lease taken. In another shell: {token}", flush=True)
                 while not held.is_over:
                     time.sleep(POLL_S)
         print(printable(held.result()["message"]))
