@@ -21,15 +21,16 @@ from robotctl.recording.read.journal_reader import (
 from robotctl.recording.read.messages import Message
 from robotctl.recording.read.source import Source
 from robotctl.rerun.bytes_check import BytesFound, check_bytes
-from robotctl.rerun.check_reading import CheckReading, Item, LogTimes, Readers
+from robotctl.rerun.check_reading import CheckReading, Readers
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.comparison import Comparison
 from robotctl.rerun.comparisons import Comparisons
 from robotctl.rerun.divergence import Divergence
 from robotctl.rerun.journal_format import JournalFormat
-from robotctl.rerun.journal_steps import Gap, Step
+from robotctl.rerun.journal_steps import Gap, Item, LogTimes, Step
 from robotctl.rerun.journal_values import read_effect, read_event, read_snapshot
 from robotctl.rerun.measured import Measured
+from robotctl.rerun.ordinary_run import OrdinaryRun, ordinary_runs
 from robotctl.rerun.piece_pool import PiecePool, pool_for
 from robotctl.rerun.rare_collections import rare_collections
 from robotctl.rerun.recording_ends import RecordingEnds
@@ -132,11 +133,17 @@ class _Check:
     def _take(self, batch: list[tuple[Item, LogTimes]], readers: Readers) -> None:
         """Look at what was read."""
         rerun = self._rerun
-        taken = [item for item, _ in batch if isinstance(item, Step)]
-        agreed = iter(() if rerun is None else rerun.ahead(taken))
-        for item, self._log_ns in batch:
+        agreed: list[Agreed] = []
+        if rerun is not None:
+            steps = [(item, log_ns) for item, log_ns in batch if isinstance(item, Step)]
+            agreed = rerun.ahead([step for step, _ in steps], [log_ns for _, log_ns in steps])
+        for part in ordinary_runs(batch, agreed, self._compared.ordinary_topics):
+            if isinstance(part, OrdinaryRun):
+                self._run(part)
+                continue
+            item, self._log_ns, decided = part
             if isinstance(item, Step):
-                self._step(item, next(agreed, None))
+                self._step(item, decided)
             elif isinstance(item, Message):
                 readers[item.topic](item)
             elif isinstance(item, Gap):
@@ -144,6 +151,12 @@ class _Check:
                 self._stop()
             else:
                 self._snapshot(item)
+
+    def _run(self, run: OrdinaryRun) -> None:
+        report, rerun = self._report, self._rerun
+        report.events += len(run.steps)
+        report.effects += sum(len(step.effects) for step in run.steps)
+        self._compared.run(run, was_checked=rerun is not None and rerun.is_trusting)
 
     def _snapshot(self, entry: JournalEntry) -> None:
         report = self._report

@@ -11,18 +11,12 @@ from robotctl.recording.read.journal_reader import EntryDecoder
 from robotctl.recording.read.messages import Message
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.journal_chain import JournalChain
-from robotctl.rerun.journal_steps import Gap, Step, steps
+from robotctl.rerun.journal_steps import Item, LogTimes, Step, steps
 from robotctl.rerun.reading_position import ReadingPosition
 from robotctl.rerun.recording_ends import RecordingEnds
 
 MAX_BATCH = 512
 """How many items are read before they are looked at."""
-
-LogTimes = tuple[int, int]
-"""When the last two events were recorded, in nanoseconds since the epoch."""
-
-Item = Step | Message | JournalEntry | Gap
-"""A step, a message of a compared topic, a snapshot, or a gap in the journal."""
 
 Readers = Mapping[str, Callable[[Message], None]]
 """What takes the messages of each compared topic."""

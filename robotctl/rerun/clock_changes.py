@@ -15,13 +15,15 @@ class ClockChanges:
     """The changes of the wall clock against the steady clock of the journal."""
 
     def __init__(self) -> None:
-        self._offset_ns: int | None = None
+        self.offset_ns: int | None = None
+        """Wall clock - steady clock at the last moment."""
+
         self._changed_ns: list[int] = []
 
     def look(self, steady_ns: int, wall_ns: int) -> None:
         """Take one moment by both clocks."""
         offset_ns = wall_ns - steady_ns
-        before_ns, self._offset_ns = self._offset_ns, offset_ns
+        before_ns, self.offset_ns = self.offset_ns, offset_ns
         if before_ns is not None and abs(offset_ns - before_ns) > CLOCK_NS:
             self._changed_ns.append(steady_ns)
 

@@ -8,7 +8,7 @@ message with another number or velocity is of another publisher, or was not deci
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from robotctl.kernel.snapshot import Proof
 from robotctl.kernel.types import (
@@ -23,8 +23,13 @@ from robotctl.kernel.types import (
 )
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.records import MAX_SEQUENCE
+from robotctl.recording.read.messages import Message
 from robotctl.rerun.command_bytes import STILL, is_zero, numbers_of, serialized, shown_command
+from robotctl.rerun.command_run import LATE_NS, CommandRun, Decided, command_run
+from robotctl.rerun.journal_steps import Moments
+from robotctl.rerun.ordinary_run import OrdinaryRun
 from robotctl.rerun.other_commands import OtherCommands
+from robotctl.rerun.rerun import Agreed
 
 MAX_WAITING = 20_000
 """The number of commands, decided or sent, that may wait for their counterpart."""
@@ -32,21 +37,12 @@ MAX_WAITING = 20_000
 TAIL_NS = 2 * NS_PER_S
 """How long before the end of a journal a decision may lack its message: it was under way."""
 
-LATE_NS = NS_PER_S // 2
-"""How far the time of a command may lie outside of its step."""
-
 LAST_ZEROS = 2
 """How many zeros a daemon that fails while it moves the robot may send after its kernel's last
 command."""
 
 SEND_FAILED = f"{PublishTwist.__name__} failed"
 """How the fault of a command that could not be sent begins."""
-
-Moments = tuple[int, int, int]
-"""The begin of a step by steady clock and wall clock, and its end by the wall clock [ns]."""
-
-Decided = tuple[bytes, Moments]
-"""The six numbers of a decided command, and the step that decided it."""
 
 Early = tuple[bytes, int, int]
 """A message before its decision: its six numbers, publish time and journal time [ns]."""
@@ -197,6 +193,60 @@ class CommandPairs:
         for effect in effects:
             if isinstance(effect, PublishTwist):
                 self._decide(serialized(effect.twist), moments)
+
+    # Both
+
+    def run(self, run: OrdinaryRun, messages: Sequence[Message]) -> bool:
+        """Take many steps and messages, if each message in them is what was decided for it.
+
+        Return False otherwise; then nothing is taken.
+        """
+        found = command_run(run, messages, self._number + 1)
+        if found is None or not self._can_take(found):
+            return False
+        for message in found.sent_before:
+            self.message(message.sequence, message.data, message.publish_ns)
+        for decided in found.decided_before:
+            self._decide(*decided)
+        numbers = range(self._number + 1, self._number + 1 + len(found.decided))
+        self._recent.extend(zip(numbers, (each for each, _ in found.decided), strict=True))
+        if self._first is None:
+            self._first = numbers[0]
+        self._number = self._newest = numbers[-1]
+        self.paired += len(numbers)
+        for decided in found.decided_after:
+            self._decide(*decided)
+        for message in found.sent_after:
+            self._reach(run.last_step(message))
+            self.message(message.sequence, message.data, message.publish_ns)
+        self._reach(run.last_step())
+        return True
+
+    def _can_take(self, found: CommandRun) -> bool:
+        """Return whether a run follows what was taken before it, and fits what waits."""
+        first = self._number + 1
+        begin = first + len(found.decided_before)
+        end = begin + len(found.decided)
+        return (
+            self.is_counting
+            and not (self._has_ended or self._instead or self.others.are_waiting)
+            and (self._first is None or _follows(first, self._newest))
+            and end + len(found.decided_after) <= MAX_SEQUENCE
+            and self._early.keys().isdisjoint(range(begin, end))
+            and all(map(self._is_wanted, found.sent_before))
+            and all(map(self._is_early, range(first, begin), found.decided_before))
+        )
+
+    def _is_wanted(self, message: Message) -> bool:
+        wanted = self._wanted.get(message.sequence)
+        return wanted is not None and wanted[0] == numbers_of(message.data)
+
+    def _is_early(self, number: int, decided: Decided) -> bool:
+        return [each[0] for each in self._early.get(number, ())] == [decided[0]]
+
+    def _reach(self, step: Agreed | None) -> None:
+        if step is not None:
+            self._t_ns = step.event.t_ns
 
     def _decide(self, numbers: bytes, moments: Moments) -> None:
         self._number = number = (self._number + 1) & MAX_SEQUENCE

@@ -5,18 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from robotctl.kernel.snapshot import Snapshot
-from robotctl.kernel.types import Effect, Event, OdomReceived
+from robotctl.kernel.types import Effect, Event, OdomReceived, Tick
 from robotctl.recording import RecordingInfo
 from robotctl.recording.read.messages import Message
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.clock_changes import ClockChanges
 from robotctl.rerun.command_bytes import command_topic
 from robotctl.rerun.command_check import CommandCheck
-from robotctl.rerun.command_pairs import Moments
 from robotctl.rerun.ending import Ending
 from robotctl.rerun.input_check import input_checks
 from robotctl.rerun.invariants import Invariants
+from robotctl.rerun.journal_steps import Moments
 from robotctl.rerun.measured import Measured
+from robotctl.rerun.ordinary_run import OrdinaryRun
 from robotctl.rerun.service_check import ServiceChecks
 from robotctl.rerun.status_check import StatusCheck
 from robotctl.rerun.tick_schedule import TickSchedule
@@ -32,6 +33,9 @@ class Comparisons:
         self._commands = CommandCheck(report, clock)
         self._command_topic = command_topic(info, journal_topic)
         self._inputs = input_checks(report, info, journal_topic)
+        self.ordinary_topics = {*self._inputs.readers(), self._command_topic or ""}
+        """The topics whose messages can be taken with ordinary steps."""
+
         self._services = ServiceChecks(report, info, journal_topic, clock)
         self._status = StatusCheck(report, info, journal_topic, clock)
 
@@ -83,6 +87,15 @@ class Comparisons:
             self.invariants.pass_over(seq, event, effects)
         else:
             self.invariants.step(seq, event, effects)
+
+    def run(self, run: OrdinaryRun, *, was_checked: bool) -> None:
+        """Take many ordinary steps, and the messages of commands and inputs among them."""
+        self._inputs.run(run)
+        self._status.run(run)
+        for step in run.by_kind[Tick]:
+            self._ticks.step(step.event, step.seq)
+        self._commands.run(run, self._command_topic)
+        self.invariants.run(run, was_checked=was_checked)
 
     def stop(self) -> None:
         """Pause until the next snapshot: events are missing."""

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from math import nan
 from typing import Any
 
 from robotctl.cdr.battery import read_battery_level
-from robotctl.cdr.motion import decode_twist, decode_twist_stamped, read_sample, sample_of
+from robotctl.cdr.motion import decode_twist, decode_twist_stamped, read_sample
 from robotctl.kernel.safety_inputs import Use
 from robotctl.kernel.types import (
     COMMAND_TYPES,
     TWIST_STAMPED,
-    BatteryReceived,
     Event,
-    GuardedCommandReceived,
-    OdomReceived,
-    ScanReceived,
     Twist,
 )
 from robotctl.recording import RecordingInfo
@@ -27,9 +23,13 @@ from robotctl.recording.format.topics import LATCHED_QOS
 from robotctl.recording.read.messages import Message
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.ending import Ending
+from robotctl.rerun.input_kinds import BATTERY, ODOMETRY, SCAN, WANTED, InputKind, sequence_of
 from robotctl.rerun.input_pairs import Input, InputPairs
 from robotctl.rerun.invariants import Invariants
+from robotctl.rerun.lockstep import lockstep
+from robotctl.rerun.ordinary_run import OrdinaryRun
 from robotctl.rerun.own_topics import full_name
+from robotctl.rerun.rerun import Agreed
 
 _NOTHING = "[]"
 """An empty list of topics in the metadata."""
@@ -41,14 +41,14 @@ class InputCheck:
     def __init__(
         self,
         report: Report,
-        name: str,
+        kind: InputKind,
         topic: str | None,
         read: Callable[[bytes], Any],
         info: RecordingInfo,
         *,
         is_always_heard: bool = True,
     ) -> None:
-        """`name` is that of the input, `topic` its topic, None if it is not recorded.
+        """`topic` is that of the input, None if it is not recorded.
 
         `read(data)` returns the value of a message. What is not always heard becomes an input in
         some modes only.
@@ -61,7 +61,8 @@ class InputCheck:
         self._last: tuple[int, bytes] | None = None
         self.is_on = False
         self._report = report
-        self._name = name
+        self.kind = kind
+        self._name = kind.name
         self._read = read
         self._pairs = InputPairs()
 
@@ -74,24 +75,50 @@ class InputCheck:
         if self.is_on:
             self._pairs.message(message.sequence, self._read(message.data))
 
-    def received(
-        self,
-        event: OdomReceived | BatteryReceived | ScanReceived | GuardedCommandReceived,
-        seq: int,
-    ) -> None:
+    def received(self, event: Event, seq: int) -> None:
         """Take an input; `seq` is the number of its entry."""
-        if not self.is_on:
-            return
-        sequence = event.sequence & MAX_SEQUENCE
-        if isinstance(event, OdomReceived):
-            found = Input(event.t_ns, event.source, sample_of(event.odometry), seq)
-        elif isinstance(event, BatteryReceived):
-            found = Input(event.t_ns, event.publisher, event.level, seq)
-        elif isinstance(event, ScanReceived):
-            found = Input(event.t_ns, event.publisher, event.sectors, seq)
-        else:
-            found = Input(event.t_ns, event.publisher, event.twist, seq)
-        self._pairs.received(sequence, found)
+        if self.is_on:
+            self._pairs.received(sequence_of(event) & MAX_SEQUENCE, self._input(event, seq))
+
+    def _input(self, event: Event, seq: int) -> Input:
+        return Input(event.t_ns, self.kind.source(event), self.kind.value(event), seq)
+
+    def run(self, steps: Sequence[Agreed], messages: Sequence[Message]) -> None:
+        """Take the steps of many inputs, and messages of the topic.
+
+        It does not matter which of an input and its message comes first.
+        """
+        parts = self._equal_parts(steps, messages)
+        of_messages, of_steps = parts or (slice(0, 0), slice(0, 0))
+        self._each(steps[: of_steps.start], messages[: of_messages.start])
+        if parts is not None:
+            first, last = steps[of_steps.start], steps[of_steps.stop - 1]
+            sequences = [message.sequence for message in messages[of_messages]]
+            self._pairs.run(sequences, self._input(first.event, first.seq), last.event.t_ns)
+        self._each(steps[of_steps.stop :], messages[of_messages.stop :])
+
+    def _each(self, steps: Sequence[Agreed], messages: Sequence[Message]) -> None:
+        for message in messages:
+            self.message(message)
+        for step in steps:
+            self.received(step.event, step.seq)
+
+    def _equal_parts(
+        self, steps: Sequence[Agreed], messages: Sequence[Message]
+    ) -> tuple[slice, slice] | None:
+        """Return which messages are equal to which inputs, one by one; None if any differs."""
+        if not self.is_on or self._is_latched:
+            return None
+        sent = [message.sequence for message in messages]
+        parts = lockstep(sent, [sequence_of(step.event) & MAX_SEQUENCE for step in steps])
+        if parts is None or not self._pairs.are_new(sent, sent[parts[0]]):
+            return None
+        events = [step.event for step in steps[parts[1]]]
+        if len(set(map(self.kind.source, events))) > 1:
+            return None
+        heard = [*map(self.kind.value, events)]
+        is_equal = heard == [self._read(message.data) for message in messages[parts[0]]]
+        return parts if is_equal else None
 
     def snapshot(self, has_proof: bool) -> None:
         """Compare from this snapshot on, if it is one of this version."""
@@ -150,19 +177,23 @@ def input_checks(report: Report, info: RecordingInfo, journal_topic: str) -> Inp
     """Return the checks of the inputs of a recording."""
     return Inputs(
         InputCheck(
-            report, "odometry", _topic(info, journal_topic, "odometry", "odom"), read_sample, info
+            report,
+            ODOMETRY,
+            _topic(info, journal_topic, "odometry", "odom"),
+            read_sample,
+            info,
         ),
         InputCheck(
             report,
-            "the battery",
+            BATTERY,
             _topic(info, journal_topic, "battery", "battery_state"),
             read_battery_level,
             info,
         ),
-        InputCheck(report, "the scan", _scan_topic(info, journal_topic), _read_sectors, info),
+        InputCheck(report, SCAN, _scan_topic(info, journal_topic), _read_sectors, info),
         InputCheck(
             report,
-            "the wanted velocity",
+            WANTED,
             _guard_topic(info, journal_topic),
             _read_wanted(info, journal_topic),
             info,
@@ -174,14 +205,9 @@ def input_checks(report: Report, info: RecordingInfo, journal_topic: str) -> Inp
 class Inputs:
     """The checks of all inputs that are compared."""
 
-    def __init__(
-        self, odometry: InputCheck, battery: InputCheck, scan: InputCheck, wanted: InputCheck
-    ) -> None:
-        self._odometry = odometry
-        self._battery = battery
-        self._scan = scan
-        self._wanted = wanted
-        self._all = odometry, battery, scan, wanted
+    def __init__(self, *checks: InputCheck) -> None:
+        self._all = checks
+        self._by_event = {each.kind.event: each for each in checks}
 
     def readers(self) -> dict[str, Callable[[Message], None]]:
         """Return for each recorded topic what takes its messages."""
@@ -189,14 +215,14 @@ class Inputs:
 
     def step(self, event: Event, seq: int) -> None:
         """Take an event of the journal, with the number of its entry."""
-        if isinstance(event, OdomReceived):
-            self._odometry.received(event, seq)
-        elif isinstance(event, BatteryReceived):
-            self._battery.received(event, seq)
-        elif isinstance(event, ScanReceived) and event.sequence:  # 0: before it was told
-            self._scan.received(event, seq)
-        elif isinstance(event, GuardedCommandReceived) and event.sequence:
-            self._wanted.received(event, seq)
+        check = self._by_event.get(type(event))
+        if check is not None:
+            check.received(event, seq)
+
+    def run(self, run: OrdinaryRun) -> None:
+        """Take many steps and messages."""
+        for each in self._all:
+            each.run(run.by_kind[each.kind.event], run.messages[each.topic])
 
     def snapshot(self, has_proof: bool) -> None:
         """Take a snapshot."""

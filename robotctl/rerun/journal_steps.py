@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from heapq import heappop, heappush
 
 from robotctl.recording.format.journal import EntryKind, JournalEntry
+from robotctl.recording.read.messages import Message
 
 MAX_DISORDER = 4096
 """How many entries are held back to put them in the order of their `seq`.
@@ -14,6 +15,13 @@ MAX_DISORDER = 4096
 Our files are in order; in a file that another program sorted by time, entries are out of order
 around a change of the clock.
 """
+
+
+LogTimes = tuple[int, int]
+"""When the last two events were recorded, in nanoseconds since the epoch."""
+
+Moments = tuple[int, int, int]
+"""The begin of a step by steady clock and wall clock, and its end by the wall clock [ns]."""
 
 
 @dataclass(slots=True)
@@ -31,6 +39,10 @@ class Gap:
     """A place where journal entries are missing or out of order; `text` says which."""
 
     text: str
+
+
+Item = Step | Message | JournalEntry | Gap
+"""A step, a message of a compared topic, a snapshot, or a gap in the journal."""
 
 
 def steps(entries: Iterable[JournalEntry]) -> Iterator[Step | JournalEntry | Gap]:

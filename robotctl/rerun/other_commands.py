@@ -31,6 +31,11 @@ class OtherCommands:
         self._waiting: deque[tuple[int, bytes]] = deque()
         """Messages that a publisher may still explain: time, numbers."""
 
+    @property
+    def are_waiting(self) -> bool:
+        """Whether a publisher may still explain messages."""
+        return bool(self._waiting)
+
     def hear(self, t_ns: int) -> None:
         """Note that another publisher was noticed."""
         self._heard_ns = t_ns

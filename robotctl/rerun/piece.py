@@ -132,7 +132,7 @@ class _Piece:
         agreed = self._rerun.ahead(steps) if self._is_right else []
         is_whole = len(agreed) == len(steps) and len(self._unused) <= MAX_UNUSED
         self._is_right = self._is_right and is_whole
-        for step, (event, effects, odometry_t_ns, _) in zip(steps, agreed, strict=False):
-            self._invariants.step(step.event.seq, event, effects)
+        for seq, event, effects, odometry_t_ns, _, _ in agreed:
+            self._invariants.step(seq, event, effects)
             if isinstance(event, OdomReceived) and odometry_t_ns != event.t_ns:
-                self._unused.add(step.event.seq)
+                self._unused.add(seq)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from itertools import repeat
 from typing import Any, NamedTuple
 
 from robotctl.errors import UnreadableFile
@@ -16,7 +17,7 @@ from robotctl.kernel.types import Decision, Effect, Event
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.rerun.comparison import DECISION_NAMES, Comparison
 from robotctl.rerun.divergence import Divergence
-from robotctl.rerun.journal_steps import Gap, Step, steps
+from robotctl.rerun.journal_steps import Gap, LogTimes, Moments, Step, steps
 from robotctl.rerun.journal_values import (
     KERNEL_FAILURES,
     read_effect,
@@ -25,6 +26,9 @@ from robotctl.rerun.journal_values import (
     text_of,
 )
 from robotctl.rerun.measured import Followed, Measured
+
+_new = tuple.__new__
+"""Makes a named tuple in a third of the time of its class."""
 
 MAX_SHAPES = 4096
 """The number of entry shapes that are remembered: a source may be any text."""
@@ -48,12 +52,17 @@ class Decided(NamedTuple):
 
 
 class Agreed(NamedTuple):
-    """A step that a kernel decides as it is recorded, and what is measured after it."""
+    """A step that a kernel decides as it is recorded, and what is measured after it.
 
+    `seq` is the number of the event's entry.
+    """
+
+    seq: int
     event: Event
     effects: tuple[Effect, ...]
     odometry_t_ns: int
     battery_level: float | None
+    moments: Moments
 
 
 class Rerun:
@@ -154,16 +163,19 @@ class Rerun:
             return self._diverged(event, None, mine[len(theirs)], before)
         return Decided(event, decided)
 
-    def ahead(self, steps: Sequence[Step]) -> list[Agreed]:
+    def ahead(
+        self, steps: Sequence[Step], log_times: Iterable[LogTimes] = repeat((0, 0))
+    ) -> list[Agreed]:
         """Decide on many steps at once, and return those before the first that `step` must take.
 
-        One kind of work after the other takes a fifth less time than step by step.
+        `log_times` are those of each step. One kind of work after the other takes a fifth less
+        time than step by step.
         """
         kernel = self.kernel
         if kernel is None or not self._same_version:
             return []
         if self._followed is not None:
-            return _followed_steps(self._followed, steps)
+            return _followed_steps(self._followed, steps, log_times)
         before = kernel.params, kernel.state
         events: list[Event] = []
         with suppress(UnreadableFile):
@@ -171,9 +183,11 @@ class Rerun:
                 events.append(read_event(step.event))  # noqa: PERF401 - an error keeps the others
         agreed: list[Agreed] = []
         with suppress(*KERNEL_FAILURES):
-            for event in events:
+            for step, event, (begin_ns, end_ns) in zip(steps, events, log_times, strict=False):
                 effects, health = kernel.step(event), kernel.state.health
-                agreed.append(Agreed(event, effects, health.odometry_t_ns, health.battery_level))
+                measured = health.odometry_t_ns, health.battery_level
+                moments = event.t_ns, begin_ns, end_ns
+                agreed.append(_new(Agreed, (step.event.seq, event, effects, *measured, moments)))
         count = self._agreeing(steps, agreed)
         if count < len(steps):
             del agreed[count:]
@@ -185,8 +199,8 @@ class Rerun:
     def _agreeing(self, steps: Sequence[Step], decided: Sequence[Agreed]) -> int:
         """Return how many steps were recorded as they were decided, before the first other one."""
         are_known = {_shape(step.event) for step in steps} <= self._shapes
-        for number, (step, (event, effects, _, _)) in enumerate(zip(steps, decided, strict=False)):
-            entry, theirs = step.event, step.effects
+        for number, (step, mine) in enumerate(zip(steps, decided, strict=False)):
+            entry, theirs, event, effects = step.event, step.effects, mine.event, mine.effects
             is_same = entry.t_ns == event.t_ns and len(theirs) == len(effects)
             if not (is_same and (are_known or self._is_untouched(entry, event))):
                 return number
@@ -266,15 +280,18 @@ def first_divergence(entries: Iterable[JournalEntry]) -> Divergence | None:
     return None
 
 
-def _followed_steps(followed: Followed, steps: Iterable[Step]) -> list[Agreed]:
+def _followed_steps(
+    followed: Followed, steps: Iterable[Step], log_times: Iterable[LogTimes]
+) -> list[Agreed]:
     """Return steps that were re-run elsewhere, up to the first that cannot be read."""
     agreed: list[Agreed] = []
     with suppress(UnreadableFile):
-        for step in steps:
+        for step, (begin_ns, end_ns) in zip(steps, log_times, strict=False):
             event, effects = read_event(step.event), tuple(map(read_effect, step.effects))
             followed.step(step.event.seq, event)
             measured = followed.odometry_t_ns, followed.battery_level
-            agreed.append(Agreed(event, effects, *measured))
+            moments = event.t_ns, begin_ns, end_ns
+            agreed.append(_new(Agreed, (step.event.seq, event, effects, *measured, moments)))
     return agreed
 
 

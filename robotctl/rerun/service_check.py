@@ -17,9 +17,10 @@ from robotctl.recording.format.journal import TOPIC
 from robotctl.recording.read.messages import Message
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.clock_changes import ClockChanges
-from robotctl.rerun.command_pairs import LATE_NS, Moments
+from robotctl.rerun.command_run import LATE_NS
 from robotctl.rerun.ending import Ending
 from robotctl.rerun.invariants import Invariants
+from robotctl.rerun.journal_steps import Moments
 from robotctl.rerun.own_topics import own_name
 from robotctl.rerun.service_events import SERVICES, Service, read_service_event
 from robotctl.rerun.service_pairs import Asked, Call, ServicePairs

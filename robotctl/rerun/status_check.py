@@ -13,10 +13,11 @@ from robotctl.recording import RecordingInfo
 from robotctl.recording.read.messages import Message
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.clock_changes import ClockChanges
-from robotctl.rerun.command_pairs import Moments
 from robotctl.rerun.ending import Ending
 from robotctl.rerun.invariants import Invariants
+from robotctl.rerun.journal_steps import Moments
 from robotctl.rerun.measured import Measured
+from robotctl.rerun.ordinary_run import OrdinaryRun
 from robotctl.rerun.own_topics import own_name
 from robotctl.rerun.status_times import Status, StatusTimes
 
@@ -102,6 +103,15 @@ class StatusCheck:
         for effect in effects:
             if isinstance(effect, ModeChanged):
                 self._times.mode(effect.mode, moments)
+
+    def run(self, run: OrdinaryRun) -> None:
+        """Take many steps."""
+        if not self._times.run(run):
+            for step in run.steps:
+                self.step(step.event, step.effects, step, step.moments)
+            return
+        for step in run.by_kind[BatteryReceived]:
+            self._times.level(step.battery_level, step.moments)
 
     def stop(self) -> None:
         """Pause until the next snapshot: events are missing."""

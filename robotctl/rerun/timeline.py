@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Final, Generic, TypeVar
 
 from robotctl.kernel.units import NS_PER_S
-from robotctl.rerun.command_pairs import Moments
+from robotctl.rerun.journal_steps import Moments
 
 EDGE_NS: Final = NS_PER_S // 200
 """How near to the begin of a step either value may be shown: two clocks are compared."""

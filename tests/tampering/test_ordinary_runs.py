@@ -1,0 +1,95 @@
+"""A check finds the same in an edited recording, whether it compares runs of steps or each step."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from random import Random
+
+import pytest
+
+from robotctl.rerun import check
+from robotctl.rerun.check_report import Report
+from robotctl.rerun.journal_steps import Item, LogTimes, Step
+from robotctl.rerun.ordinary_run import OrdinaryRun, Single, ordinary_runs
+from robotctl.rerun.rerun import Agreed
+from tests.support.edited_recordings import Contents, write_contents
+from tests.tampering.sources import sources
+from tests.tampering.test_tampering import plans
+
+ATTEMPTS = 40
+MANY = 2_000
+
+
+def each_alone(
+    batch: Iterable[tuple[Item, LogTimes]], agreed: Iterable[Agreed], topics: Container[str]
+) -> Iterator[Single]:
+    following = iter(agreed)
+    for item, log_times in batch:
+        yield item, log_times, next(following, None) if isinstance(item, Step) else None
+
+
+def reported(path: Path) -> Report:
+    return replace(check.check_recording(path), took_s=0.0)
+
+
+def differing(
+    folder: Path,
+    honest: dict[str, Contents],
+    monkeypatch: pytest.MonkeyPatch,
+    seed: int,
+    count: int,
+) -> list[str]:
+    """Return the edits of which the two ways tell different things."""
+    found = []
+    for number, (name, kind, recording, place) in enumerate(plans(seed, count)):
+        try:
+            edited = kind(honest[recording], Random(place))
+        except IndexError:
+            continue  # this recording has no such place
+        path = write_contents(folder / str(number) / "run", edited)
+        together = reported(path)
+        with monkeypatch.context() as patched:
+            patched.setattr(check, "ordinary_runs", each_alone)
+            alone = reported(path)
+        if together != alone:
+            found.append(f"{name} ({recording}, {place}): {together} {alone}")
+    return found
+
+
+@pytest.fixture(scope="module")
+def honest(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Contents]:
+    return sources(tmp_path_factory.mktemp("honest"))
+
+
+def test_almost_all_steps_of_an_honest_recording_are_ordinary(
+    tmp_path: Path, honest: dict[str, Contents], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    alone: list[Single] = []
+
+    def noted(
+        batch: Iterable[tuple[Item, LogTimes]], agreed: Iterable[Agreed], topics: Container[str]
+    ) -> Iterator[OrdinaryRun | Single]:
+        for part in ordinary_runs(batch, agreed, topics):
+            if not isinstance(part, OrdinaryRun):
+                alone.append(part)
+            yield part
+
+    monkeypatch.setattr(check, "ordinary_runs", noted)
+    report = reported(write_contents(tmp_path / "run", honest["stopped"]))
+    assert report.events > 300
+    assert len(alone) < 30
+
+
+def test_a_report_does_not_depend_on_how_much_is_compared_at_once(
+    tmp_path: Path, honest: dict[str, Contents], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert differing(tmp_path, honest, monkeypatch, 3, ATTEMPTS) == []
+
+
+@pytest.mark.slow
+def test_thousands_of_reports_do_not_depend_on_how_much_is_compared_at_once(
+    tmp_path: Path, honest: dict[str, Contents], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert differing(tmp_path, honest, monkeypatch, 4, MANY) == []
