@@ -15,6 +15,8 @@ from enum import Enum
 from functools import cache
 from typing import Any
 
+from rclpy.utilities import get_rmw_implementation_identifier
+
 from robotctl.ros.executor import rcutils
 from robotctl.ros.executor.errors import RclCallFailed, UnsupportedPlatform
 
@@ -57,6 +59,15 @@ def check_platform() -> None:
         raise UnsupportedPlatform(
             "AsyncioExecutor needs a 64-bit Python; use an executor of rclpy here"
         )
+
+
+@cache
+def counts_each_message() -> bool:
+    """Return whether the middleware announces as many messages as it has, or more, never fewer.
+
+    rmw_fastrtps does: it announces those that nobody has counted yet.
+    """
+    return str(get_rmw_implementation_identifier()) == "rmw_fastrtps_cpp"
 
 
 def watch(announcement: Announcement, pointer: int, fd: int) -> None:

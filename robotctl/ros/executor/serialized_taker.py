@@ -123,6 +123,11 @@ class SerializedTaker:
             f"rcl_take_serialized_message failed with {code}: {rcutils.take_error_text()}"
         )
 
+    @property
+    def lends(self) -> bool:
+        """Whether a large message was handed over, whose memory the next take may free."""
+        return self._lent is not None
+
     def info(self) -> dict[str, int | None]:
         """Return the message info of the last message, as rclpy passes it to a callback."""
         source_ns, received_ns, sent, received, _, _ = _MESSAGE_INFO.unpack_from(self._info)

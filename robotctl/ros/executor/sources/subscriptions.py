@@ -6,12 +6,12 @@ import time
 from collections.abc import Callable, Coroutine
 from contextlib import suppress
 from types import CoroutineType
-from typing import Any
+from typing import Any, Final
 
 from rclpy.qos import HistoryPolicy, QoSProfile
 from rclpy.subscription import Subscription
 
-from robotctl.ros.executor.announcements import Announcement
+from robotctl.ros.executor.announcements import Announcement, counts_each_message
 from robotctl.ros.executor.decoder import decoder_of
 from robotctl.ros.executor.errors import RclCallFailed
 from robotctl.ros.executor.runtime import Runtime
@@ -26,9 +26,16 @@ from robotctl.ros.executor.time_limits import (
     SLOW_CALLBACK_NS,
 )
 
+UNKNOWN_COUNT: Final = 1 << 62
+"""More than any queue holds: messages are taken until none is left."""
+
 
 class _TakenSource(EventFdSource):
-    """The base of subscriptions, whose messages are taken serialized."""
+    """The base of subscriptions, whose messages are taken serialized.
+
+    As many are taken as were announced, where the middleware counts them: a take that finds nothing
+    costs half as much as one that finds a message.
+    """
 
     announcements = (Announcement.MESSAGE,)
 
@@ -37,6 +44,9 @@ class _TakenSource(EventFdSource):
     ) -> None:
         super().__init__(runtime, subscription, subscription.handle, where)
         self._taker = SerializedTaker(self.handle.pointer, views=views)
+        self._counts = counts_each_message()
+        self._is_counted = False
+        """Whether no more messages wait than the eventfd counts."""
 
     def receiver(self) -> Callable[..., Any]:
         """Return the function that gets the fields of each `TakenMessage`."""
@@ -46,6 +56,14 @@ class _TakenSource(EventFdSource):
         if not self.closed:
             self._taker.free()
         super().detach()
+
+    def resume(self) -> None:
+        self._is_counted = False
+        super().resume()
+
+    def continue_later(self) -> bool:
+        self._is_counted = False
+        return super().continue_later()
 
     def take(self) -> Any:
         try:
@@ -60,8 +78,10 @@ class _TakenSource(EventFdSource):
         if self._custom_group:
             return super().drain()
         # The same as the base class does, without its calls, for speed.
-        runtime = self.runtime
-        take, receive = self._taker.take, self.receiver()
+        runtime, taker = self.runtime, self._taker
+        take, receive = taker.take, self.receiver()
+        left = self.announced if self._is_counted else UNKNOWN_COUNT
+        self._is_counted = self._counts
         clock = time.monotonic_ns
         last = clock()
         end = last + runtime.slice_ns
@@ -91,6 +111,10 @@ class _TakenSource(EventFdSource):
                 runtime.sync()
                 if self.closed:
                     return False
+            left -= 1
+            if left <= 0 and not taker.lends:
+                runtime.mark_drained(self)
+                return False
             if now > end:
                 return self.continue_later()
 
