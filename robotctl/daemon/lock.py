@@ -46,9 +46,11 @@ def owned(path: Path, robot: str) -> Iterator[None]:
 
 
 def is_owned(path: Path) -> bool:
-    """Return whether a running daemon owns the lock."""
+    """Return whether a running daemon owns the lock; of another user's lock, that it may."""
     try:
         fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+    except PermissionError:
+        return True
     except OSError:
         return False
     try:

@@ -65,7 +65,7 @@ def check_folders(*folders: Path) -> Iterator[Finding]:
     """Tell whether sockets, latches and keys are safe from other users."""
     wrong = []
     for folder in folders:
-        chain = chain_to(folder)
+        chain = chain_to(folder).for_client()
         try:
             chain.check()
         except RobotctlError as error:

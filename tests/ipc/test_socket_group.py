@@ -243,3 +243,37 @@ def test_a_socket_that_was_removed_is_made_again_for_the_group(base: Path, serve
     until(served.exists)
     until(lambda: mode_of(served) == 0o660)
     assert "of uid" in asked(MEMBER, [ROBOTS.gid], base)
+
+
+SEEN = """
+print(names(), killed(), [each.level.value for each in check_folders(runtime_folder())])
+"""
+
+SEEN_IMPORTS = """
+import robotctl.trust
+from pathlib import Path
+from robotctl.cli.support.dead_daemons import killed
+from robotctl.cli.support.robots import names
+from robotctl.doctor.machine import check_folders
+from robotctl.errors import Refused
+from robotctl.paths import runtime_folder
+robotctl.trust.SYSTEM_RUNTIME = Path(os.environ["UNITS"])
+"""
+
+
+@as_root
+def test_a_member_finds_the_robot_and_the_doctor_nothing_wrong(base: Path, served: Path) -> None:
+    served.with_suffix(".lock").touch(mode=0o600)  # as the daemon does, which a member cannot open
+    member = process_of(MEMBER, [ROBOTS.gid], SEEN_IMPORTS, SEEN, environment(base))
+    out, err = member.communicate(timeout=DEADLINE_S)
+    assert (out, err) == ("['robot'] [] ['ok']\n", "")
+
+
+@as_root
+def test_a_stranger_is_told_that_it_may_not_see_which_robots_there_are(
+    base: Path, served: Path
+) -> None:
+    code = "try:\n    names()\nexcept Refused as error:\n    print(error)"
+    stranger = process_of(STRANGER, [], SEEN_IMPORTS, code, environment(base))
+    out, _ = stranger.communicate(timeout=DEADLINE_S)
+    assert out == f"{served.parent} belongs to another user\n"

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable
 from functools import partial
 from typing import NamedTuple, TypeVar
 
 from robotctl.cli.support.background import Background
-from robotctl.errors import NoDaemon, RobotctlError
+from robotctl.errors import NoDaemon, Refused, RobotctlError
 from robotctl.ipc.answers import Status
 from robotctl.ipc.client import Client
 from robotctl.ipc.method_names import STATUS
 from robotctl.paths import runtime_folder
+
+SUFFIX = ".sock"
 
 ANSWER_S = 2.0
 """How long a daemon may take to tell its status; the daemons are asked at the same time."""
@@ -33,8 +36,19 @@ class Found(NamedTuple):
 
 
 def names() -> list[str]:
-    """Return the robots that have a socket, also one that a killed daemon has left."""
-    return sorted(path.stem for path in runtime_folder().glob("*.sock"))
+    """Return the robots that have a socket, also one that a killed daemon has left.
+
+    Raises:
+        Refused: Only another user may see them.
+    """
+    folder = runtime_folder()
+    try:
+        found = os.listdir(folder)
+    except (FileNotFoundError, NotADirectoryError):
+        return []
+    except PermissionError:
+        raise Refused(f"{folder} belongs to another user") from None
+    return sorted(name.removesuffix(SUFFIX) for name in found if name.endswith(SUFFIX))
 
 
 def find(robots: Iterable[str]) -> list[Found]:
