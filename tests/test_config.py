@@ -51,7 +51,10 @@ BAD = {
         "fifo_priority: 100 is not allowed: use 0 to 99",
     ),
     "unknown pattern": ("pattern.kind: star", "pattern.kind: 'star' is not allowed: use square"),
-    "unknown compression": ("recording.compression: zip", "'zip' is not allowed: use zstd, none"),
+    "unknown compression": (
+        "recording.compression: zip",
+        "'zip' is not allowed: use zstd, lz4, none",
+    ),
     "no topic": ("odometry.topic: ''", "odometry.topic: '' is not allowed: use the name of a ROS"),
     "topic with a space": ("command.topic: 'a b'", "command.topic: 'a b' is not allowed"),
     "topic with //": ("battery.topic: 'a//b'", "battery.topic: 'a//b' is not allowed"),

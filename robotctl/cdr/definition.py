@@ -116,6 +116,15 @@ def parse_definition(type_name: str, text: str) -> Definition:
     return Definition(root, types)
 
 
+def needed_types(owner: str, text: str) -> list[str]:
+    """Return, as `pkg/T`, the types that the own text of the type `owner` names.
+
+    Raises:
+        UnreadableType: A line is no field.
+    """
+    return [each.type_name for each in _fields(owner, text) if not is_built_in(each.type_name)]
+
+
 def _fields(owner: str, text: str) -> tuple[Field, ...]:
     package = owner.partition("/")[0]
     found = []

@@ -28,7 +28,18 @@ SECTIONS = {
     ),
     "ROS": ("topic", "node", "service"),
     "Recordings": (
-        *("record", "mark", "recordings", "info", "clip", "recover", "export", "replay", "why"),
+        *(
+            "record",
+            "mark",
+            "recordings",
+            "info",
+            "clip",
+            "recover",
+            "convert",
+            "export",
+            "replay",
+            "why",
+        ),
         *("verify", "key", "evidence"),
     ),
 }

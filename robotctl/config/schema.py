@@ -14,9 +14,10 @@ from robotctl.sim.robot import SimParams
 class RecordingParams:
     """What is recorded, and how long recordings are kept.
 
-    `compression` is zstd or none. The oldest recordings are removed until at most `max_total_gb`
-    are left and none is older than `max_age_days`; 0 means no limit. A topic is recorded if a
-    pattern of `include` matches it, or `include` is empty, and no pattern of `exclude` matches it.
+    `compression` is zstd, lz4 or none. The oldest recordings are removed until at most
+    `max_total_gb` are left and none is older than `max_age_days`; 0 means no limit. A topic is
+    recorded if a pattern of `include` matches it, or `include` is empty, and no pattern of
+    `exclude` matches it.
     A clip is cut around each emergency stop and error, from `clip_before_s` before it to
     `clip_after_s` after it; with `clip_before_s` 0 no clips are cut. `group_readable` lets the
     group read the recordings, otherwise only their owner may. `seal` signs them with a key of the

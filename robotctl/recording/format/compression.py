@@ -9,6 +9,7 @@ class Compression(Enum):
     """How the recorder stores chunks; the values are those of `recording.compression`."""
 
     ZSTD = "zstd"
+    LZ4 = "lz4"
     NONE = "none"
 
     @property

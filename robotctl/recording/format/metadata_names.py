@@ -33,10 +33,13 @@ CLIP_RECORD = "robotctl.clip"
 RECOVERY_RECORD = "robotctl.recovery"
 """In a recovered file: the file it was made from, and what is lost."""
 
+CONVERSION_RECORD = "robotctl.conversion"
+"""In a converted file: the files it was made from, and what is missing."""
+
 OWN_RECORDS = frozenset(
     (
         *(INFO_RECORD, SOFTWARE_RECORD, FOXGLOVE_RECORD, EVENT_RECORD, LEDGER_RECORD),
-        *(CLIP_RECORD, RECOVERY_RECORD),
+        *(CLIP_RECORD, RECOVERY_RECORD, CONVERSION_RECORD),
     )
 )
 """The names of all metadata records that robotctl writes, beside that of rosbag2."""

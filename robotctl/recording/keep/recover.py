@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,29 +12,18 @@ from robotctl.recording.disk.new_file import new_file
 from robotctl.recording.disk.storage import DiskFile, Storage
 from robotctl.recording.format.compression import Compression
 from robotctl.recording.format.metadata_names import LIBRARY, RECOVERY_RECORD
-from robotctl.recording.format.records import PlainMessage
 from robotctl.recording.format.rosbag2 import METADATA_RECORD, metadata_text
-from robotctl.recording.keep.repaired_seal import seal_of_copy
 from robotctl.recording.read.compressed_messages import without_compression
 from robotctl.recording.read.count_check import find_shortfalls
-from robotctl.recording.read.damage import BeyondLimit, Damaged, Unreadable
-from robotctl.recording.read.file_index import (
-    FileIndex,
-    Place,
-    note_missing,
-    read_attachment,
-    read_record_head,
-)
+from robotctl.recording.read.damage import Damaged, Unreadable
+from robotctl.recording.read.file_index import FileIndex
 from robotctl.recording.read.indexing import index_of
 from robotctl.recording.read.mcap_input import InputFile
-from robotctl.recording.read.messages import ALWAYS, OpenFile, PlaceReader, names_of
+from robotctl.recording.read.messages import OpenFile
+from robotctl.recording.read.readable_file import ReadableFile
 from robotctl.recording.write.buffer import pack
 from robotctl.recording.write.chunk_encoder import ChunkEncoder
 from robotctl.recording.write.mcap_writer import McapFile
-
-_BATCH_BYTES = 8 << 20
-"""Messages that become one chunk of the copy, because a chunk of the original may be much
-larger."""
 
 Progress = Callable[[int, int], None]
 """Gets bytes done, and in total."""
@@ -107,12 +96,9 @@ class _RecoveryWriter:
     def __init__(
         self, file: InputFile, index: FileIndex, on_progress: Callable[[int], None]
     ) -> None:
-        self._file = file
         self._index = index
-        self._open_file = OpenFile(file.path, file, index)
-        self._names = names_of(index)
-        self._on_progress = on_progress
-        self.lost = list(index.missing)
+        self._source = ReadableFile(file, index, on_progress)
+        self.lost = self._source.lost
         self.message_count = 0
         self.attachment_count = 0
 
@@ -125,8 +111,6 @@ class _RecoveryWriter:
         index = self._index
         library = f"{LIBRARY}, recovered from {index.library}"
         mcap = McapFile(storage, profile=index.profile, library=library)
-        for sealed in seal_of_copy(self._file):
-            mcap.add_sealed(sealed)
         for schema in index.schemas.values():
             if schema.id:  # 0 means no schema
                 mcap.add_schema(schema)
@@ -134,14 +118,13 @@ class _RecoveryWriter:
             known = channel.schema_id in index.schemas
             mcap.add_channel(channel if known else replace(channel, schema_id=0))
         encoder = ChunkEncoder(Compression.ZSTD, 1)
-        for place in index.places:
-            for messages in self._read(place):
-                mcap.commit(encoder.encode(pack(messages)), finished=False)
-                self.message_count += len(messages)
-            self._on_progress(place.offset)
-        if sentence := index.unaccounted():
-            note_missing(self.lost, sentence)
-        self._copy_attachments(mcap)
+        for messages in self._source.batches():
+            mcap.commit(encoder.encode(pack(messages)), finished=False)
+            self.message_count += len(messages)
+        for attachment in self._source.attachments():
+            mcap.add_attachment(attachment)
+            mcap.commit(finished=False)  # one at a time in memory
+            self.attachment_count += 1
         for record in index.metadata:
             values = record.metadata
             if record.name == METADATA_RECORD:
@@ -150,41 +133,6 @@ class _RecoveryWriter:
         mcap.add_metadata(RECOVERY_RECORD, {"lost": "\n".join(self.lost)})
         mcap.commit()
         mcap.sync()
-
-    def _copy_attachments(self, mcap: McapFile) -> None:
-        behind = 0
-        for offset in sorted(self._index.attachments):
-            try:
-                if offset < behind:
-                    raise Damaged("it overlaps another attachment")
-                _, length = read_record_head(self._file, offset)
-                behind = offset + length
-                mcap.add_attachment(read_attachment(self._file, offset))
-            except Damaged as damage:
-                self._index.limit_reached |= isinstance(damage, BeyondLimit)
-                note_missing(self.lost, f"the attachment at byte {offset} is lost: {damage}")
-            else:
-                mcap.commit(finished=False)  # one at a time in memory
-                self.attachment_count += 1
-
-    def _read(self, place: Place) -> Iterator[list[PlainMessage]]:
-        """Yield the messages at a place, some megabytes at a time."""
-        source = PlaceReader(self._open_file, place, self._names, ALWAYS)
-        messages: list[PlainMessage] = []
-        size = 0
-        try:
-            for message in source.plain_messages():
-                messages.append(message)
-                size += len(message[1])
-                if size >= _BATCH_BYTES:
-                    yield messages
-                    messages, size = [], 0
-        except Damaged as damage:
-            self._index.limit_reached |= isinstance(damage, BeyondLimit)
-            end = place.offset + place.length
-            note_missing(self.lost, f"bytes {place.offset} to {end} are lost: {damage}")
-        if messages:
-            yield messages
 
 
 def _reason(error: Exception) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 from shlex import quote
 from stat import S_ISDIR, S_ISREG
 
-from robotctl.errors import IN_PARENTHESES, UnreadableFile
+from robotctl.errors import UnreadableFile
 from robotctl.recording.format.records import MAGIC
 from robotctl.recording.format.rosbag2 import METADATA_FILE, files_in
 from robotctl.recording.read.zstd_file import SUFFIX
@@ -39,7 +39,8 @@ def recording_files(path: Path) -> list[Path]:
         raise UnreadableFile(f"{path} is not a file", "give an MCAP file or a recording's folder")
     if path.suffix == SQLITE_SUFFIX or (not found and any(path.glob(f"*{SQLITE_SUFFIX}*"))):
         raise UnreadableFile(
-            f"{path} is a bag in sqlite3 format", _conversion(path), sentence=IN_PARENTHESES
+            f"{path} is a bag in sqlite3 format",
+            f"robotctl convert {quote(str(path))} {quote(path.stem + '_mcap')}",
         )
     if not found:
         raise UnreadableFile(f"{path} holds no .mcap file")
@@ -76,16 +77,6 @@ def files_of_bag(folder: Path) -> list[Path]:
     names = {path.name for path in files}
     packed = [path for path in folder.glob(f"*.mcap{SUFFIX}") if path.stem not in names]
     return sorted([*files, *packed], key=natural_order)
-
-
-def _conversion(path: Path) -> str:
-    """Return the command line that converts an sqlite3 bag to MCAP."""
-    target = quote(f"{path.stem}_mcap")
-    options = f"output_bags: [{{uri: {target}, storage_id: mcap, all: true}}]"
-    return (
-        f"convert it: echo {quote(options)} > convert.yaml && "
-        f"ros2 bag convert -i {quote(str(path))} -o convert.yaml"
-    )
 
 
 def absent_files(text: str, present: list[Path]) -> list[str]:

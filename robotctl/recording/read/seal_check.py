@@ -85,6 +85,8 @@ def check_seal(file: InputFile, whole: WholeFile) -> SealOfRead:
         if links:
             found.wrong.append("links of a seal are there without the record that opens it")
             found.state = SealState.BROKEN
+        elif whole.state is FileState.CONVERTED:
+            found.notes.append("it was converted: a seal of the original does not hold for it")
         return found
     if not is_signed(opening.signed(), bytes.fromhex(opening.certificate), opening.previous_key):
         found.wrong.append("the key of the file is not signed by the key of the file before")

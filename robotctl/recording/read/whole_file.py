@@ -17,7 +17,12 @@ from mcap.opcode import Opcode
 from mcap.records import Footer
 
 from robotctl.errors import UnreadableFile
-from robotctl.recording.format.metadata_names import CLIP_RECORD, LEDGER_RECORD, RECOVERY_RECORD
+from robotctl.recording.format.metadata_names import (
+    CLIP_RECORD,
+    CONVERSION_RECORD,
+    LEDGER_RECORD,
+    RECOVERY_RECORD,
+)
 from robotctl.recording.format.records import MAGIC
 from robotctl.recording.read.damage import Damaged
 from robotctl.recording.read.data_section import read_data_section
@@ -57,6 +62,9 @@ class FileState(StrEnum):
 
     REPAIRED = "repaired"
     """robotctl read it after a kill, and wrote its end again or all of it."""
+
+    CONVERTED = "converted"
+    """robotctl wrote it from another recording."""
 
     CLIP = "clip"
     FOREIGN = "of another program"
@@ -162,6 +170,8 @@ def _state(data: WholeData) -> FileState:
         return FileState.CLIP
     if data.has_metadata(RECOVERY_RECORD):
         return FileState.REPAIRED
+    if data.has_metadata(CONVERSION_RECORD):
+        return FileState.CONVERTED
     return FileState.FINISHED if data.has_metadata(LEDGER_RECORD) else FileState.NOT_CLOSED
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import assert_never
 
+import lz4.frame
 from isal.isal_zlib import crc32
 from zstandard import ZstdCompressionParameters, ZstdCompressor, ZstdError
 
@@ -66,6 +67,8 @@ class ChunkEncoder:
                 return parts
             case Compression.ZSTD:
                 return self._zstd(parts, size)
+            case Compression.LZ4:
+                return [lz4.frame.compress(b"".join(parts))]
             case _:
                 assert_never(self._compression)
 

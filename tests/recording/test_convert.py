@@ -1,0 +1,316 @@
+"""A conversion changes the files of a recording, and no message."""
+
+from __future__ import annotations
+
+import resource
+import shutil
+import sqlite3
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer as McapWriter
+from rosbags.highlevel import AnyReader
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from robotctl.errors import Refused, UnreadableFile
+from robotctl.recording import Compression, Recorder, RecorderOptions, read_info, read_messages
+from robotctl.recording.convert.conversion import convert
+from robotctl.recording.convert.converter import Form
+from robotctl.recording.read.verified import Proof, verify_recording
+from robotctl.rerun import Verdict, check_recording
+from robotctl.testing.drives import TWIST, drive, record
+from tests.support.recordings import read_strictly, write_numbered
+from tests.support.sealed import keyring, record_sealed
+
+GOLDEN = Path(__file__).parents[1] / "golden"
+SAMPLES = Path(__file__).parents[3] / "shared" / "samples" / "rosbag2"
+START_NS = 1_700_000_000_000_000_000
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+TEXT = "std_msgs/msg/String"
+LATCHED = Qos(
+    QosHistory.KEEP_LAST,
+    1,
+    QosReliability.RELIABLE,
+    QosDurability.TRANSIENT_LOCAL,
+    QosTime(9223372036, 854775807),
+    QosTime(9223372036, 854775807),
+    QosLiveliness.AUTOMATIC,
+    QosTime(9223372036, 854775807),
+    False,
+)
+
+FORMS = [
+    Form(),
+    Form(Compression.NONE),
+    Form(Compression.LZ4, one_file=True),
+    Form(split_bytes=20_000),
+]
+
+
+def text_message(number: int) -> bytes:
+    message = STORE.types[TEXT](data=f"message {number} " + "x" * (number % 7))
+    return bytes(STORE.serialize_cdr(message, TEXT))
+
+
+def sqlite_bag(folder: Path, count: int = 50, version: Any = 9, mode: Any = None) -> Path:
+    """Return a bag in sqlite3 with two topics."""
+    writer = Writer(folder, version=version, storage_plugin=StoragePlugin.SQLITE3)
+    if mode is not None:
+        writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        topics = [
+            writer.add_connection(
+                name, TEXT, typestore=STORE, offered_qos_profiles=[LATCHED] if latched else []
+            )
+            for name, latched in (("/latched", True), ("/plain", False))
+        ]
+        for number in range(count):
+            writer.write(topics[number % 2], START_NS + number * 1000, text_message(number))
+    return folder
+
+
+def data_of(message: Any) -> str:
+    return str(message.data)
+
+
+def contents(path: Path) -> list[tuple[str, int, bytes]]:
+    return [(each.topic, each.log_ns, each.data) for each in read_messages(path)]
+
+
+@pytest.mark.parametrize("form", FORMS, ids=str)
+@pytest.mark.parametrize("name", ["foreign", "stopped", "killed"])
+def test_messages_order_topics_and_metadata_stay(tmp_path: Path, name: str, form: Form) -> None:
+    source, target = GOLDEN / name, tmp_path / "copy"
+    done = convert(source, target, form)
+    assert not done.lost
+    assert list(read_messages(target)) == list(read_messages(source))
+    before, after = read_info(source), read_info(target)
+    assert after.topics == before.topics
+    assert after.events == before.events
+    assert after.metadata["robotctl.conversion"]["of"]
+    ledger, shown = "robotctl.ledger", {"rosbag2", "robotctl.conversion", "robotctl"}
+    assert after.metadata.get(ledger) == before.metadata.get(ledger)
+    assert set(after.metadata) - shown == set(before.metadata) - shown
+    for path in after.files:
+        read_strictly(path)
+    with AnyReader([target], default_typestore=STORE) as bag:
+        assert bag.message_count == before.message_count
+
+
+@pytest.mark.parametrize("form", FORMS, ids=str)
+def test_a_check_of_the_result_gives_the_same_verdict(tmp_path: Path, form: Form) -> None:
+    source = record(tmp_path / "run", drive())
+    assert check_recording(source).verdict is Verdict.SAME
+    convert(source, tmp_path / "copy", form)
+    assert check_recording(tmp_path / "copy").verdict is Verdict.SAME
+    convert(source, tmp_path / "copy.mcap", Form(one_file=True))
+    assert check_recording(tmp_path / "copy.mcap").verdict is Verdict.SAME
+
+
+def test_the_result_of_a_sealed_recording_is_whole_and_says_that_it_is_not_sealed(
+    tmp_path: Path,
+) -> None:
+    record_sealed(tmp_path / "run", keyring(tmp_path / "keys"), splits=2)
+    assert verify_recording(tmp_path / "run").proof is Proof.SEALED
+    convert(tmp_path / "run", tmp_path / "copy", Form())
+    found = verify_recording(tmp_path / "copy")
+    assert (found.proof, found.wrong) == (Proof.WHOLE, ())
+    notes = [note for file in found.files for note in file.seal.notes]
+    assert notes == ["it was converted: a seal of the original does not hold for it"] * 3
+
+
+def test_files_are_split_by_size_and_joined(tmp_path: Path) -> None:
+    options = RecorderOptions(compression=Compression.NONE, chunk_bytes=1 << 12)
+    recorder = Recorder(tmp_path / "run", options, on_failure=print)
+    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 4001))
+    recorder.close()
+    convert(tmp_path / "run", tmp_path / "split", Form(Compression.NONE, split_bytes=50_000))
+    sizes = [path.stat().st_size for path in (tmp_path / "split").glob("*.mcap")]
+    assert len(sizes) > 3
+    assert max(sizes) < 70_000
+    convert(tmp_path / "split", tmp_path / "joined", Form(one_file=True))
+    assert [path.name for path in (tmp_path / "joined").iterdir() if path.suffix == ".mcap"] == [
+        "joined_0.mcap"
+    ]
+    assert contents(tmp_path / "joined") == contents(tmp_path / "run")
+
+
+@pytest.mark.parametrize("compression", Compression)
+def test_chunks_are_compressed_as_asked(tmp_path: Path, compression: Compression) -> None:
+    convert(GOLDEN / "stopped", tmp_path / "copy.mcap", Form(compression, one_file=True))
+    with (tmp_path / "copy.mcap").open("rb") as stream:
+        summary = make_reader(stream, validate_crcs=True).get_summary()
+        assert summary is not None
+        names = {chunk.compression for chunk in summary.chunk_indexes}
+    assert names == {compression.mcap_name}
+
+
+def test_attachments_and_foreign_metadata_come_along(tmp_path: Path) -> None:
+    source = tmp_path / "bag.mcap"
+    with source.open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start("other")
+        channel = writer.register_channel("/n", "json", writer.register_schema("n", "", b""))
+        writer.add_message(channel, 5, b"{}", 4, 3)
+        writer.add_attachment(1, 2, "calibration.yaml", "text/yaml", b"k: 1")
+        writer.add_metadata("mine", {"key": "value"})
+        writer.finish()
+    done = convert(source, tmp_path / "copy", Form())
+    assert (done.message_count, done.attachment_count) == (1, 1)
+    with (tmp_path / "copy" / "copy_0.mcap").open("rb") as stream:
+        reader = make_reader(stream)
+        (attachment,) = reader.iter_attachments()
+        assert (attachment.name, attachment.data) == ("calibration.yaml", b"k: 1")
+        assert {record.name: record.metadata for record in reader.iter_metadata()}["mine"] == {
+            "key": "value"
+        }
+        ((_, _, message),) = reader.iter_messages()
+        assert (message.log_time, message.publish_time, message.sequence) == (5, 4, 3)
+
+
+@pytest.mark.parametrize("version", [8, 9])
+@pytest.mark.parametrize("mode", [None, CompressionMode.FILE, CompressionMode.MESSAGE])
+def test_a_bag_in_sqlite3_becomes_one_that_every_reader_opens(
+    tmp_path: Path, version: int, mode: CompressionMode | None
+) -> None:
+    bag, target = sqlite_bag(tmp_path / "bag", version=version, mode=mode), tmp_path / "copy"
+    done = convert(bag, target, Form())
+    assert not done.lost
+    sent = [
+        (("/latched", "/plain")[number % 2], START_NS + number * 1000, text_message(number))
+        for number in range(50)
+    ]
+    assert contents(target) == sent
+    with AnyReader([target]) as reader:
+        heard = [
+            (connection.topic, time_ns, data_of(reader.deserialize(data, TEXT)))
+            for connection, time_ns, data in reader.messages()
+        ]
+        assert [text[:9] for _, _, text in heard[:2]] == ["message 0", "message 1"]
+        qos = {each.topic: each.ext.offered_qos_profiles for each in reader.connections}  # type: ignore[union-attr]
+        assert qos == {"/latched": [LATCHED], "/plain": []}
+    info = read_info(target)
+    assert {each.type_name for each in info.topics} == {TEXT}
+    assert {each.definition.splitlines()[-1] for each in info.topics} == {"string data"}
+
+
+def test_an_old_bag_without_definitions_takes_those_that_are_installed(tmp_path: Path) -> None:
+    bag = sqlite_bag(tmp_path / "bag")
+    alter(bag, "DROP TABLE message_definitions")
+    alter(bag, "UPDATE topics SET type = 'nav_msgs/msg/Odometry', type_description_hash = ''")
+    alter(bag, "UPDATE topics SET type_description_hash = 'RIHS01_aa' WHERE name = '/plain'")
+    convert(bag, tmp_path / "copy", Form())
+    definitions = {each.name: each.definition for each in read_info(tmp_path / "copy").topics}
+    assert definitions["/plain"] == ""
+    golden = {each.name: each.definition for each in read_info(GOLDEN / "stopped").topics}
+    assert definitions["/latched"] == golden["/odom"]
+
+
+@pytest.mark.parametrize("type_name", ["../../etc/msg/x", "a/msg/b/../c", "no_such/msg/T", ""])
+def test_a_type_with_any_name_is_converted_without_a_definition(
+    tmp_path: Path, type_name: str
+) -> None:
+    bag = sqlite_bag(tmp_path / "bag")
+    alter(bag, "DROP TABLE message_definitions")
+    alter(bag, f"UPDATE topics SET type = '{type_name}'")
+    assert convert(bag, tmp_path / "copy", Form()).message_count == 50
+    assert {each.definition for each in read_info(tmp_path / "copy").topics} == {""}
+
+
+def test_odd_rows_are_left_out_and_told(tmp_path: Path) -> None:
+    bag = sqlite_bag(tmp_path / "bag")
+    alter(bag, "UPDATE messages SET timestamp = -1 WHERE id = 1")
+    alter(bag, "UPDATE messages SET data = 7 WHERE id = 2")
+    alter(bag, "UPDATE messages SET topic_id = 99 WHERE id = 3")
+    done = convert(bag, tmp_path / "copy", Form())
+    assert done.message_count == 47
+    assert done.lost == ["bag.db3: 3 messages have no valid topic, time or data"]
+
+
+def test_what_a_damaged_database_still_holds_is_converted_and_the_loss_told(
+    tmp_path: Path,
+) -> None:
+    bag = sqlite_bag(tmp_path / "bag", count=3000)
+    (path,) = bag.glob("*.db3")
+    data = bytearray(path.read_bytes())
+    half = len(data) // 2
+    data[half : half + 20_000] = b"\xff" * 20_000
+    path.write_bytes(data)
+    done = convert(bag, tmp_path / "copy", Form())
+    assert 0 < done.message_count < 3000
+    assert "the database is damaged after" in done.lost[0]
+    assert contents(tmp_path / "copy") == contents(tmp_path / "copy")[: done.message_count]
+
+
+@pytest.mark.parametrize("content", [b"", b"SQLite format 3\0", b"no database" * 1000])
+def test_what_is_no_database_is_named_and_leaves_nothing(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "bag.db3"
+    path.write_bytes(content)
+    with pytest.raises(UnreadableFile, match=r"bag\.db3: it is no bag of rosbag2"):
+        convert(path, tmp_path / "copy", Form())
+    assert [each.name for each in tmp_path.iterdir()] == ["bag.db3"]
+
+
+def test_reading_a_database_writes_nothing_beside_it(tmp_path: Path) -> None:
+    bag = sqlite_bag(tmp_path / "bag")
+    before = {path.name: path.read_bytes() for path in bag.iterdir()}
+    convert(bag, tmp_path / "copy", Form())
+    assert {path.name: path.read_bytes() for path in bag.iterdir()} == before
+
+
+def test_a_file_that_is_missing_is_told(tmp_path: Path) -> None:
+    shutil.copytree(GOLDEN / "foreign", tmp_path / "run")
+    next((tmp_path / "run").glob("*_1.mcap")).unlink()
+    done = convert(tmp_path / "run", tmp_path / "copy", Form())
+    assert done.message_count == 97
+    assert "metadata.yaml names it, but it is not there" in done.lost[0]
+
+
+def test_nothing_is_overwritten_and_a_full_disk_leaves_nothing(tmp_path: Path) -> None:
+    (tmp_path / "copy").mkdir()
+    with pytest.raises(Refused, match="File exists: choose another name"):
+        convert(GOLDEN / "stopped", tmp_path / "copy", Form())
+    program = (
+        "import sys\nfrom pathlib import Path\n"
+        "from robotctl.recording.convert.conversion import convert\n"
+        "from robotctl.recording.convert.converter import Form\n"
+        "convert(Path(sys.argv[1]), Path(sys.argv[2]), Form())\n"
+    )
+    ran = subprocess.run(
+        [sys.executable, "-c", program, str(GOLDEN / "stopped"), str(tmp_path / "full")],
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000)),
+        capture_output=True,
+        text=True,
+    )
+    assert "File too large: raise the limit of file sizes" in ran.stderr
+    assert [each.name for each in tmp_path.iterdir()] == ["copy"]
+
+
+@pytest.mark.skipif(not SAMPLES.is_dir(), reason="the sample bags of rosbag2 are not here")
+def test_the_bags_of_the_real_rosbag2_are_converted(tmp_path: Path) -> None:
+    for bag in SAMPLES.iterdir():
+        done = convert(bag, tmp_path / bag.name, Form(one_file=True))
+        assert not done.lost
+        assert list(read_messages(tmp_path / bag.name)) == list(read_messages(bag))
+
+
+def alter(bag: Path, statement: str) -> None:
+    """Change the database of a bag."""
+    (path,) = bag.glob("*.db3")
+    with sqlite3.connect(path) as database:
+        database.execute(statement)
+    database.close()
