@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from robotctl.recording.read.journal_reader import RecordedEntry, read_journal
     from robotctl.recording.read.messages import Message
     from robotctl.recording.read.reader import Recording, read_info, read_messages
+    from robotctl.recording.table.arrays import TopicArrays, read_arrays
     from robotctl.recording.write.recorder import Recorder
     from robotctl.recording.write.recorder_options import RecorderOptions
     from robotctl.recording.write.recorder_stats import RecorderState, RecorderStats
@@ -46,10 +47,12 @@ __all__ = [
     "RecordingInfo",
     "RecoveryReport",
     "Topic",
+    "TopicArrays",
     "TopicInfo",
     "TopicStats",
     "cut_clip",
     "list_recordings",
+    "read_arrays",
     "read_info",
     "read_journal",
     "read_messages",
@@ -71,6 +74,7 @@ _NAMES_OF_MODULE = {
     "read.journal_reader": ("RecordedEntry", "read_journal"),
     "read.messages": ("Message",),
     "read.reader": ("Recording", "read_info", "read_messages"),
+    "table.arrays": ("TopicArrays", "read_arrays"),
     "write.recorder": ("Recorder",),
     "write.recorder_options": ("RecorderOptions",),
     "write.recorder_stats": ("RecorderState", "RecorderStats"),

@@ -6,7 +6,7 @@ import struct
 from collections.abc import Callable, Iterator
 from typing import Any, Final
 
-from robotctl.cdr.definition import UnreadableType, parse_definition
+from robotctl.cdr.definition import Definition, UnreadableType, parse_definition
 from robotctl.cdr.flat import Column, ColumnKind, FlatDecoder
 from robotctl.errors import UnreadableFile
 from robotctl.kernel.units import NS_PER_S
@@ -39,7 +39,11 @@ class TopicTable:
         self._recording = recording
         self.topic = topic
         self._start_ns = recording.info().start_ns
-        self._decoder = _decoder(topic)
+        self.definition = _definition(topic)
+        try:
+            self._decoder = FlatDecoder(self.definition)
+        except UnreadableType as error:
+            raise _unreadable(topic, error) from None
         self.columns = (*TIME_COLUMNS, *map(_beside_times, self._decoder.columns))
         """The columns, in the order of the values of a row."""
 
@@ -65,7 +69,7 @@ class TopicTable:
             on_missing(f"{misfits} messages of {self.topic.name} cannot be decoded: {reason}")
 
 
-def _decoder(topic: TopicInfo) -> FlatDecoder:
+def _definition(topic: TopicInfo) -> Definition:
     is_empty = topic.type_name.endswith("/Empty")
     if not topic.definition.strip() and not is_empty:
         raise UnreadableFile(f"the recording does not describe the type {topic.type_name}")
@@ -75,9 +79,13 @@ def _decoder(topic: TopicInfo) -> FlatDecoder:
             f"not in {_DESCRIBED_IN}"
         )
     try:
-        return FlatDecoder(parse_definition(topic.type_name, topic.definition))
+        return parse_definition(topic.type_name, topic.definition)
     except UnreadableType as error:
-        raise UnreadableFile(f"the type {topic.type_name} cannot be read: {error}") from None
+        raise _unreadable(topic, error) from None
+
+
+def _unreadable(topic: TopicInfo, error: UnreadableType) -> UnreadableFile:
+    return UnreadableFile(f"the type {topic.type_name} cannot be read: {error}")
 
 
 def _beside_times(column: Column) -> Column:

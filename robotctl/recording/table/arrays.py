@@ -1,0 +1,124 @@
+"""Fields of a topic over time, as arrays of numpy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from robotctl.cdr.definition import NUMBERS
+from robotctl.cdr.field_path import parse_path
+from robotctl.cdr.flat import Column, ColumnKind
+from robotctl.cdr.given import WrongValue
+from robotctl.errors import UnreadableFile, UsageError
+from robotctl.recording.read.file_index import note_missing
+from robotctl.recording.read.reader import Recording
+from robotctl.recording.table.topic_choice import choose_topic
+from robotctl.recording.table.topic_table import TIME_COLUMNS, TopicTable
+
+Array = np.ndarray[Any, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class TopicArrays:
+    """The fields of a topic, one entry for each message, in the order of `log_ns`.
+
+    `log_ns` and `publish_ns` are when a message was received and published [ns since the epoch],
+    `time_s` the seconds from the first message of the recording. `arrays["a.b"]` is a field:
+    numbers have their own type, a field that is an array of n numbers gives n columns, and texts,
+    bytes and sequences are objects.
+    """
+
+    topic: str
+    type_name: str
+    log_ns: Array
+    publish_ns: Array
+    time_s: Array
+    fields: Mapping[str, Array]
+
+    def __getitem__(self, path: str) -> Array:
+        """Return the array of a field that was read."""
+        return self.fields[path]
+
+    def __len__(self) -> int:
+        """Return the number of messages."""
+        return len(self.log_ns)
+
+
+def read_arrays(
+    path: Path,
+    topic: str,
+    *fields: str,
+    type_name: str = "",
+    on_missing: Callable[[str], None] | None = None,
+) -> TopicArrays:
+    """Return fields of a topic, such as `pose.pose.position.x`; without `fields`, all of them.
+
+    `on_missing` gets a sentence about each part that cannot be read. `type_name` chooses where the
+    topic has several.
+
+    Raises:
+        UsageError: The recording has no such topic, or its type no such field.
+        UnreadableFile: Nothing can be read; or, without `on_missing`, not everything.
+    """
+    missing: list[str] = []
+    tell = on_missing or (lambda sentence: note_missing(missing, sentence))
+    with Recording(path) as recording:
+        listing = f"robotctl topic list --file {path}"
+        chosen = choose_topic(recording.info(), topic, type_name, listing=listing)
+        for sentence in recording.missing:
+            tell(sentence)
+        table = TopicTable(recording, chosen)
+        wanted = {each: _places(table, each) for each in fields} or {
+            column.name: range(place, place + 1)
+            for place, column in enumerate(table.columns)
+            if column not in TIME_COLUMNS
+        }
+        used = sorted({0, 1, 2, *(place for places in wanted.values() for place in places)})
+        values: dict[int, list[Any]] = {place: [] for place in used}
+        for row in table.rows(tell):
+            for place, column_values in values.items():
+                column_values.append(row[place])
+    if missing:
+        raise UnreadableFile(f"{path} is incomplete: {'; '.join(missing)}")
+    arrays = {place: _array(table.columns[place], values[place]) for place in used}
+    return TopicArrays(
+        topic=chosen.name,
+        type_name=chosen.type_name,
+        log_ns=arrays[0],
+        publish_ns=arrays[1],
+        time_s=arrays[2],
+        fields={name: _joined([arrays[each] for each in at]) for name, at in wanted.items()},
+    )
+
+
+def _places(table: TopicTable, path: str) -> Sequence[int]:
+    """Return where the columns of a field are in a row: one, or those of the items of an array."""
+    try:
+        parse_path(table.definition, path)
+    except WrongValue as error:
+        raise UsageError(str(error)) from None
+    names = [column.name for column in table.columns]
+    if path in names:
+        return [names.index(path)]
+    items = [place for place, name in enumerate(names) if name.startswith(f"{path}[")]
+    if items and all("." not in names[place][len(path) :] for place in items):
+        return items
+    raise UsageError(f"{path} is no number, text or list of them", "name a field below it")
+
+
+def _array(column: Column, values: Sequence[Any]) -> Array:
+    if column.kind is ColumnKind.NUMBER:
+        return np.array(values, dtype=NUMBERS[column.type_name])
+    items = column.kind is ColumnKind.LIST and NUMBERS.get(column.type_name)
+    array = np.empty(len(values), dtype=object)
+    for place, value in enumerate(values):
+        array[place] = np.array(value, dtype=items) if items else value
+    return array
+
+
+def _joined(columns: Sequence[Array]) -> Array:
+    return columns[0] if len(columns) == 1 else np.stack(columns, axis=1)
