@@ -39,6 +39,7 @@ SECTIONS = {
             "export",
             "replay",
             "why",
+            "report",
         ),
         *("verify", "key", "evidence"),
     ),

@@ -1,0 +1,48 @@
+"""Where a robot was, thinned out while it is read."""
+
+from __future__ import annotations
+
+from math import hypot, isfinite
+from typing import Final, NamedTuple
+
+MAX_PLACES: Final = 3000
+"""Above this every second place is removed, and the spacing doubles."""
+
+SPACING_M: Final = 0.002
+MAX_COORDINATE_M: Final = 1e6
+
+
+class Place(NamedTuple):
+    """A position [m] and when the robot was there [s]."""
+
+    t_s: float
+    x: float
+    y: float
+
+
+class DrivenPath:
+    """The places of a robot in the order of time, no two nearer to each other than the spacing."""
+
+    def __init__(self) -> None:
+        self.places: list[Place] = []
+        self._spacing_m = SPACING_M
+        self._last: Place | None = None
+
+    def add(self, t_s: float, x: float, y: float) -> None:
+        """Take a position; one that is not finite, or out of this world, is left out."""
+        if not (isfinite(x) and isfinite(y) and max(abs(x), abs(y)) <= MAX_COORDINATE_M):
+            return
+        self._last = Place(t_s, x, y)
+        if self.places:
+            before = self.places[-1]
+            if hypot(x - before.x, y - before.y) < self._spacing_m:
+                return
+        self.places.append(self._last)
+        if len(self.places) > MAX_PLACES:
+            del self.places[1::2]
+            self._spacing_m *= 2.0
+
+    def whole(self) -> list[Place]:
+        """Return the places, and where the robot was last."""
+        ends = self._last is not None and self._last != self.places[-1]
+        return [*self.places, self._last] if ends and self._last is not None else self.places

@@ -1,0 +1,240 @@
+"""The page of one recording: it needs no network, and is complete without its script."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Final
+
+from robotctl import __version__
+from robotctl.kernel.units import NS_PER_S
+from robotctl.report.axis import Axis
+from robotctl.report.cursor_data import cursor_data
+from robotctl.report.figures import Figure, figures_of
+from robotctl.report.judged import Explanation, Judged, Judgement
+from robotctl.report.markup import Content, Markup, joined, tag
+from robotctl.report.path_plot import Ground, Track, ground_of, marks_on, path_plot
+from robotctl.report.recorded import Recorded
+from robotctl.report.tables import (
+    drives_table,
+    messages_table,
+    modes_table,
+    moments_table,
+    parameters_table,
+    provenance_table,
+)
+from robotctl.report.time_plot import (
+    LEAST_ERROR_M,
+    LEAST_SPEED,
+    Line,
+    Plot,
+    mode_band,
+    time_axis,
+    time_plot,
+)
+from robotctl.report.traces import Traces
+
+_FOLDER: Final = Path(__file__).parent
+
+LEAST_BATTERY_PERCENT, LEAST_LATE_MS = 2.0, 2.0
+"""The least height of these plots: smaller differences are shown small."""
+
+
+def report_page(recorded: Recorded, judged: Judged) -> str:
+    """Return the page of a recording."""
+    name, traces = recorded.info.path.resolve().name, recorded.traces
+    axis, ground = time_axis(traces.duration_s), _ground(traces)
+    body = joined(
+        _header(recorded, judged.judgements),
+        _notes(recorded),
+        _figures(figures_of(recorded)),
+        *_sections(recorded, judged, axis, ground),
+        footer(),
+    )
+    places = traces.driven.whole()
+    data = cursor_data(axis, _plots(traces), traces.modes, places, ground)
+    return document(f"{name}: robotctl report", body, data)
+
+
+def document(title: str, body: Markup, data: dict[str, object]) -> str:
+    """Return a whole page; its policy lets nothing but its own script and style take effect."""
+    style, script = (_FOLDER.joinpath(name).read_text("utf-8") for name in ("page.css", "page.js"))
+    policy = (
+        f"default-src 'none'; style-src '{_digest(style)}'; script-src '{_digest(script)}'; "
+        "base-uri 'none'; form-action 'none'"
+    )
+    # Only `<` could end the element early.
+    numbers = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
+    head = tag(
+        "head",
+        tag("meta", charset="utf-8"),
+        tag("meta", http_equiv="Content-Security-Policy", content=Markup(policy)),
+        tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        tag("meta", name="color-scheme", content="light dark"),
+        tag("title", title),
+        tag("style", Markup(style)),
+    )
+    scripts = joined(
+        tag("script", Markup(numbers), type="application/json", id="data"),
+        tag("script", Markup(script)),
+    )
+    whole = tag("html", head, tag("body", tag("main", body), scripts), lang="en")
+    return f"<!doctype html>\n{whole}\n"
+
+
+def section(name: str, title: str, *content: Content) -> Markup:
+    """Return a part of the page with its heading."""
+    return tag("section", tag("h2", title), *content, id=name)
+
+
+def _digest(text: str) -> str:
+    return f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}"
+
+
+def _header(recorded: Recorded, judgements: Sequence[Judgement]) -> Markup:
+    info = recorded.info
+    began = time.strftime("%Y-%m-%d %H:%M:%S %z", time.localtime(_seconds(info.start_ns)))
+    badges = [
+        tag(
+            "a",
+            f"{each.command}: {each.verdict}",
+            href="#verdicts",
+            class_=f"badge {each.tone.value}",
+        )
+        for each in judgements
+    ]
+    return tag(
+        "header",
+        tag("p", "robotctl report", class_="product"),
+        tag("h1", info.path.resolve().name),
+        tag("p", f"{began}, {info.duration_s:.1f} s", class_="when") if info.message_count else "",
+        tag("p", *badges, class_="badges"),
+    )
+
+
+def _seconds(time_ns: int) -> int:
+    """Return a time that the calendar knows; a file may hold any number."""
+    return min(time_ns // NS_PER_S, 253_402_300_799)
+
+
+def _notes(recorded: Recorded) -> Markup | None:
+    notes = []
+    if recorded.is_live:
+        notes.append("This recording is being written: the report shows what it held until now.")
+    if recorded.is_cut_off:
+        notes.append("This recording was never closed: the daemon was killed, or recording failed.")
+    if not recorded.has_journal:
+        drawn = ", ".join(recorded.drawn) or "no topic that can be drawn"
+        notes.append(
+            f"There is no journal of robotctl in it: drawn is {drawn}; wanted path, error, modes, "
+            "ticks and reasons are not known."
+        )
+    notes += [f"Not read: {sentence}" for sentence in recorded.missing]
+    if recorded.traces.left_out:
+        notes.append(f"{recorded.traces.left_out} more modes, moments or drives are not shown.")
+    return tag("ul", *(tag("li", note) for note in notes), class_="notes") if notes else None
+
+
+def _figures(figures: Sequence[Figure]) -> Markup:
+    return tag(
+        "dl",
+        *(
+            tag("div", tag("dt", each.name), tag("dd", each.text), id=f"figure-{each.key}")
+            for each in figures
+        ),
+        class_="figures",
+    )
+
+
+def _sections(
+    recorded: Recorded, judged: Judged, axis: Axis, ground: Ground | None
+) -> Iterator[Content]:
+    traces = recorded.traces
+    if ground is not None:
+        yield section("path", "Path", _path(traces, ground))
+    yield section("time", "Over time", *_time_plots(traces, axis))
+    if traces.moments:
+        yield section("moments", "What happened", moments_table(traces.moments))
+    if judged.explanations:
+        yield section("why", "Why", *map(_explanation, judged.explanations))
+    if traces.drives:
+        yield section("drives", "Drives", drives_table(traces.drives))
+    if traces.modes:
+        yield section("modes", "Modes", modes_table(traces.modes))
+    if judged.judgements:
+        yield section("verdicts", "Verdicts", *map(_judgement, judged.judgements))
+    yield section("messages", "Messages", messages_table(recorded))
+    yield section("provenance", "Provenance", provenance_table(recorded))
+    parameters = parameters_table(recorded)
+    if parameters is not None:
+        folded = tag("details", tag("summary", "Parameters of the last file"), parameters)
+        yield section("parameters", "Parameters", folded)
+
+
+def _ground(traces: Traces) -> Ground | None:
+    points = [(place.x, place.y) for place in traces.driven.whole()]
+    points += [point for outline in traces.wanted for point in outline]
+    return ground_of(points) if points else None
+
+
+def _path(traces: Traces, ground: Ground) -> Markup:
+    places = traces.driven.whole()
+    tracks = [Track(outline, "wanted") for outline in traces.wanted]
+    tracks.append(Track([(place.x, place.y) for place in places], "driven"))
+    legend = [tag("span", "driven, by odometry", class_="key driven")]
+    if traces.wanted:
+        legend.append(tag("span", "wanted", class_="key wanted"))
+    picture = path_plot(tracks, ground, marks_on(places, traces.moments, ground))
+    return tag("figure", tag("figcaption", *legend), picture)
+
+
+def _time_plots(traces: Traces, axis: Axis) -> Iterator[Content]:
+    if traces.modes or traces.moments:
+        yield mode_band(traces.modes, traces.moments, axis)
+    for number, plot in enumerate(_plots(traces), 1):
+        yield time_plot(plot, axis, number)
+    odd = sum(series.odd for series in traces.series())
+    if odd:
+        yield tag("p", f"{odd} values are not drawn: no numbers, or impossible.", class_="note")
+
+
+def _plots(traces: Traces) -> list[Plot]:
+    speeds = (
+        Line(traces.commanded_linear, "command", "command"),
+        Line(traces.linear, "measured", "driven"),
+    )
+    turns = (
+        Line(traces.commanded_angular, "command", "command"),
+        Line(traces.angular, "measured", "driven"),
+    )
+    off, level = (Line(traces.error, "", "error"),), (Line(traces.battery, "", "battery"),)
+    late = (Line(traces.lateness, "", "late"),)
+    return [
+        Plot("Speed", "m/s", speeds, LEAST_SPEED),
+        Plot("Turn rate", "rad/s", turns, LEAST_SPEED),
+        Plot("Off track", "m", off, LEAST_ERROR_M, from_zero=True),
+        Plot("Battery", "%", level, LEAST_BATTERY_PERCENT),
+        Plot("Tick later than planned", "ms", late, LEAST_LATE_MS),
+    ]
+
+
+def _explanation(why: Explanation) -> Markup:
+    rows = [tag("div", tag("dt", label), tag("dd", text)) for label, text in why.rows]
+    moment = tag("a", f"{why.t_s:.3f} s", href="#time", data_t=f"{why.t_s:.4f}")
+    return tag("article", tag("h3", moment, "  ", why.what), tag("dl", *rows, class_="why"))
+
+
+def _judgement(each: Judgement) -> Markup:
+    badge = tag("span", each.verdict, class_=f"badge {each.tone.value}")
+    sentences = tag("ul", *(tag("li", sentence) for sentence in each.sentences))
+    head = tag("h3", tag("code", f"robotctl {each.command}"), " ", badge)
+    return tag("article", head, sentences if each.sentences else None)
+
+
+def footer() -> Markup:
+    """Return the end of a page."""
+    return tag("footer", tag("p", f"Made by robotctl {__version__} from the recording alone."))

@@ -1,0 +1,158 @@
+"""The tables of a report."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from math import isfinite
+from typing import Final
+
+from robotctl.recording import TopicInfo
+from robotctl.recording.format.ledger_record import read_ledger
+from robotctl.recording.format.metadata_names import INFO_RECORD
+from robotctl.report.markup import Content, Markup, joined, plain, tag
+from robotctl.report.recorded import Recorded
+from robotctl.report.traces import EndedDrive, ModeSpan, Moment
+
+MAX_ROWS: Final = 150
+"""The rows of a table; a recording may hold any number of topics and parameters."""
+
+RATE_WIDTH, RATE_HEIGHT = 120, 18
+PARAMETER: Final = "parameter."
+
+
+def table(heads: Sequence[str], rows: Iterable[Sequence[Content]]) -> Markup:
+    """Return a table of at most MAX_ROWS rows, and a line that tells how many more there are."""
+    kept = list(rows)
+    body = [tag("tr", *(tag("td", cell) for cell in row)) for row in kept[:MAX_ROWS]]
+    head = tag("thead", tag("tr", *(tag("th", text, scope="col") for text in heads)))
+    more = len(kept) - MAX_ROWS
+    made = tag("div", tag("table", head, tag("tbody", *body)), class_="scroll")
+    return joined(made, tag("p", f"and {more} more", class_="note") if more > 0 else None)
+
+
+def drives_table(drives: Sequence[EndedDrive]) -> Markup:
+    """Return the drives with their figures."""
+    heads = ("End", "Laps", "Distance", "Duration", "Off track RMS", "at most", "Closure", "Ended")
+    rows = [
+        (
+            f"{drive.t_s:.2f} s",
+            drive.report.laps,
+            _number(drive.report.distance_m, "m"),
+            _number(drive.report.duration_s, "s"),
+            _number(drive.report.cross_track_rms_m, "m"),
+            _number(drive.report.cross_track_max_m, "m"),
+            _number(drive.report.closure_m, "m"),
+            drive.reason,
+        )
+        for drive in drives
+    ]
+    return table(heads, rows)
+
+
+def moments_table(moments: Sequence[Moment]) -> Markup:
+    """Return what happened; each row is a link to its place in the plots."""
+    rows = [
+        (
+            tag("span", str(number), class_="number"),
+            tag(
+                "a",
+                f"{moment.t_s:.3f} s",
+                href=f"#moment-{number}",
+                data_t=f"{moment.t_s:.4f}",
+            ),
+            moment.kind,
+            moment.text,
+        )
+        for number, moment in enumerate(moments, 1)
+    ]
+    return table(("", "Moment", "Kind", "What"), rows)
+
+
+def modes_table(spans: Sequence[ModeSpan]) -> Markup:
+    """Return the modes with their reasons."""
+    rows = [
+        (
+            f"{span.begin_s:.2f} s",
+            f"{span.end_s - span.begin_s:.2f} s",
+            span.mode.replace("_", " "),
+            span.reason,
+        )
+        for span in spans
+    ]
+    return table(("From", "For", "Mode", "Why"), rows)
+
+
+def messages_table(recorded: Recorded) -> Markup:
+    """Return the topics with their rates and losses."""
+    ledger = read_ledger(recorded.info.metadata)
+    heads = ("Topic", "Type", "Messages", "Rate", "Over time", "Longest pause", "Lost", "Dropped")
+    topics = sorted(recorded.info.topics, key=lambda topic: not topic.message_count)
+    return table(heads, [_topic_row(topic, ledger, recorded) for topic in topics])
+
+
+def _topic_row(
+    topic: TopicInfo, ledger: dict[str, dict[str, int]], recorded: Recorded
+) -> Sequence[Content]:
+    rates, counts = recorded.traces.rates, ledger.get(topic.name, {})
+    pause_s = rates.pauses_s.get(topic.name)
+    return (
+        topic.name,
+        topic.type_name,
+        topic.message_count,
+        f"{topic.rate_hz:.1f} Hz" if topic.message_count else "",
+        rate_picture(rates.counts.get(topic.name, ())),
+        f"{pause_s:.2f} s" if pause_s is not None and topic.message_count > 1 else "",
+        counts.get("lost", "not known"),
+        counts.get("dropped", "not known"),
+    )
+
+
+def rate_picture(counts: Sequence[int]) -> Markup | None:
+    """Return a small picture of how many messages came over time."""
+    most = max(counts, default=0)
+    if not most:
+        return None
+    step = RATE_WIDTH / len(counts)
+    tops = [plain(RATE_HEIGHT - (RATE_HEIGHT - 1) * count / most) for count in counts]
+    steps = "".join(f"V{top}h{plain(step)}" for top in tops)
+    return tag(
+        "svg",
+        tag("path", d=Markup(f"M0 {RATE_HEIGHT}{steps}V{RATE_HEIGHT}z"), class_="rate"),
+        viewBox=f"0 0 {RATE_WIDTH} {RATE_HEIGHT}",
+        class_="rates",
+        role="img",
+        aria_label="messages over time",
+    )
+
+
+def provenance_table(recorded: Recorded) -> Markup:
+    """Return what made the recording."""
+    info = recorded.info
+    told = info.metadata.get(INFO_RECORD, {})
+    known = {key: value for key, value in told.items() if not key.startswith(PARAMETER) and value}
+    own = {
+        "files": ", ".join(path.name for path in info.files),
+        "writer": info.library,
+        "profile": info.profile,
+    }
+    return table(("What", "Value"), (own | known).items())
+
+
+def parameters_table(recorded: Recorded) -> Markup | None:
+    """Return the parameters that the robot had when the last file began, None if not known."""
+    found = parameter_values(recorded)
+    return table(("Parameter", "Value"), found.items()) if found else None
+
+
+def parameter_values(recorded: Recorded) -> dict[str, str]:
+    """Return the parameters that the metadata of the last file tells."""
+    told = recorded.info.metadata.get(INFO_RECORD, {})
+    return {
+        key.removeprefix(PARAMETER): value
+        for key, value in told.items()
+        if key.startswith(PARAMETER)
+    }
+
+
+def _number(value: float, unit: str) -> str:
+    return f"{value:.3f} {unit}" if isfinite(value) else ""

@@ -1,0 +1,91 @@
+"""`report` writes one page beside the recording, and says what is in it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robotctl.testing.drives import drive, record
+from tests.support.bags import talk, write_bag
+from tests.support.html_page import HtmlPage
+
+
+@pytest.fixture
+def folder() -> Path:
+    return record(Path("recordings/robot_20260101_120000"), drive(1.0))
+
+
+def test_the_page_is_written_beside_the_recording(folder: Path, cli: Callable[..., Any]) -> None:
+    ran = cli("report", "last")
+    assert ran.exit_code == 0, ran.err
+    assert f"{folder}/report.html" in ran.out
+    assert "replay --check: same, verify: whole" in ran.out
+    page = HtmlPage((folder / "report.html").read_text())
+    assert page.wrong == []
+    assert "same" in page.sections["verdicts"]
+    assert cli("report", "last").exit_code == 0  # again: the page is replaced
+    assert cli("replay", "last", "--check").exit_code == 0
+    assert cli("verify", "last").exit_code == 4  # whole, not sealed: as before
+
+
+def test_the_page_of_a_file_stands_beside_the_file(cli: Callable[..., Any]) -> None:
+    write_bag(Path("run.mcap"), talk("/chat", 3))
+    assert cli("report", "run.mcap").exit_code == 0
+    assert Path("run.report.html").exists()
+
+
+def test_json_tells_what_was_written(folder: Path, cli: Callable[..., Any]) -> None:
+    answer = json.loads(cli("report", "last", "-o", "page.html", "--json").out)
+    assert answer["report"] == "page.html"
+    assert answer["bytes"] == Path("page.html").stat().st_size
+    (about,) = answer["recordings"]
+    assert about["verdicts"] == {"replay --check": "same", "verify": "whole"}
+    assert about["figures"]["messages"] > 100
+    assert about["missing"] == []
+
+
+def test_a_damaged_recording_is_shown_as_far_as_it_can_be_read(
+    folder: Path, cli: Callable[..., Any]
+) -> None:
+    (file,) = folder.glob("*.mcap")
+    data = file.read_bytes()
+    Path("cut.mcap").write_bytes(data[: len(data) // 2])
+    ran = cli("report", "cut.mcap")
+    assert ran.exit_code == 6
+    assert "robotctl recover" in ran.err
+    assert "Not read:" in Path("cut.report.html").read_text()
+
+
+def test_what_is_no_recording_is_refused_and_nothing_is_written(cli: Callable[..., Any]) -> None:
+    Path("notes.txt").write_text("no recording")
+    assert cli("report", "notes.txt").exit_code == 6
+    assert cli("report", "nowhere").exit_code == 6
+    assert [path.name for path in Path().iterdir()] == ["notes.txt"]
+
+
+def test_a_page_that_cannot_be_written_is_refused_with_the_reason(
+    folder: Path, cli: Callable[..., Any]
+) -> None:
+    target = Path("elsewhere.html")
+    target.symlink_to(folder / "metadata.yaml")
+    before = (folder / "metadata.yaml").read_text()
+    for name in ("elsewhere.html", "no/such/folder.html", str(folder)):
+        ran = cli("report", "last", "-o", name)
+        assert ran.exit_code == 4
+        assert f"cannot write {name}" in ran.err
+        assert "-o FILE" in ran.err
+    assert (folder / "metadata.yaml").read_text() == before
+
+
+def test_two_recordings_are_compared_on_one_page(folder: Path, cli: Callable[..., Any]) -> None:
+    record(Path("recordings/robot_20260101_130000"), drive(1.5))
+    ran = cli("report", "--compare", str(folder), "last")
+    assert ran.exit_code == 0
+    page = folder / "compared_with_robot_20260101_130000.html"
+    assert HtmlPage(page.read_text()).wrong == []
+    for words in (("report", "last", str(folder)), ("report", "--compare", "last")):
+        assert cli(*words).exit_code == 2

@@ -1,0 +1,213 @@
+"""The page of a recording needs no network, shows every figure, and takes no markup from it."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from robotctl.kernel.modes import Mode
+from robotctl.kernel.types import Event, ModeRequested
+from robotctl.recording.format.journal import JournalEntry
+from robotctl.report.compare import comparison_page
+from robotctl.report.figures import figures_of
+from robotctl.report.judged import Explanation, Judged, Judgement, Tone
+from robotctl.report.page import report_page
+from robotctl.report.recorded import read_recorded
+from robotctl.testing.drives import BEGIN_NS, START_NS, Written, drive, drive_requested, record
+from tests.support.bags import in_order, odometry, talk, write_bag
+from tests.support.edited_recordings import Contents, recorded, write_contents
+from tests.support.html_page import HtmlPage
+
+GOLDEN = Path(__file__).parents[1] / "golden"
+HOSTILE = "<script>alert(1)</script>\"'&<img src=x onerror=alert(1)>\x1b[2J\u202e]]>-->"
+LIMIT_BYTES = 1_000_000
+SECTIONS = {
+    *("path", "time", "moments", "why", "drives", "modes", "verdicts"),
+    *("messages", "provenance", "parameters"),
+}
+JUDGED = Judged(
+    (Judgement("replay --check", "same", Tone.GOOD, ("compared bit for bit",)),),
+    (Explanation(1.0, "MOVING -> IDLE: stopped", (("known", "battery 80 %"),)),),
+)
+
+
+@pytest.fixture(scope="module")
+def written() -> list[Written]:
+    """A drive of a second, then a request to stand, and its refusal of nonsense."""
+    requests: list[Event] = [
+        drive_requested(laps=1),
+        ModeRequested(BEGIN_NS + 1_000_000_000, 2, 77, "operator"),
+        ModeRequested(BEGIN_NS + 1_200_000_000, 3, Mode.IDLE.value, "operator"),
+    ]
+    return drive(2.5, requests=requests)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory, written: list[Written]) -> Path:
+    return record(tmp_path_factory.mktemp("report") / "robot_20260101_120000", written)
+
+
+def page_of(path: Path, judged: Judged = JUDGED) -> tuple[str, HtmlPage]:
+    text = report_page(read_recorded(path), judged)
+    return text, HtmlPage(text)
+
+
+def assert_harmless(text: str, page: HtmlPage) -> None:
+    assert page.wrong == []
+    assert page.tags["script"] == 2
+    assert not page.tags.keys() & {"img", "iframe", "object", "embed", "link", "base", "form"}
+    assert [name for name in page.attributes if name.startswith("on")] == []
+    assert "http" not in text.replace("http-equiv", "")
+    assert not re.search(r"[\x00-\x08\x0b-\x1f\u202e]", text)
+    assert len(text.encode()) <= LIMIT_BYTES
+
+
+def test_the_page_of_a_drive_has_every_part_and_refers_to_nothing(folder: Path) -> None:
+    text, page = page_of(folder)
+    assert_harmless(text, page)
+    assert page.ids.keys() >= SECTIONS
+    assert page.ids.keys() >= {"plot-path", "plot-modes", *(f"plot-{n}" for n in range(1, 6))}
+
+
+def test_every_figure_is_on_the_page_with_its_value(folder: Path) -> None:
+    text, page = page_of(folder)
+    for figure in figures_of(read_recorded(folder)):
+        assert f"figure-{figure.key}" in page.ids
+        assert f"<dt>{figure.name}</dt><dd>{figure.text}</dd>" in text
+
+
+def test_the_figures_are_those_of_the_drive(folder: Path, written: list[Written]) -> None:
+    found = read_recorded(folder)
+    (ended,) = found.traces.drives
+    figures = {figure.key: figure.value for figure in figures_of(found)}
+    assert figures["drives"] == 1
+    assert figures["distance_m"] == ended.report.distance_m
+    assert figures["cross_track_max_m"] == ended.report.cross_track_max_m
+    assert figures["cross_track_rms_m"] == pytest.approx(ended.report.cross_track_rms_m)
+    assert figures["lost"] == 0
+    assert [span.mode for span in found.traces.modes] == ["IDLE", "MOVING", "IDLE"]
+    (wanted,) = found.traces.wanted
+    assert wanted[0] == pytest.approx(wanted[-1], abs=1e-9)  # a square is closed
+    assert max(x for x, _ in wanted) == pytest.approx(1.0, abs=0.01)
+
+
+def test_reasons_verdicts_and_explanations_stand_in_their_parts(folder: Path) -> None:
+    _, page = page_of(folder)
+    assert "requested by operator" in page.sections["modes"]
+    assert "refused" in page.sections["moments"]
+    assert "battery 80 %" in page.sections["why"]
+    assert "compared bit for bit" in page.sections["verdicts"]
+    assert "/cmd_vel" in page.sections["messages"]
+    assert "limits.linear_mps" in page.sections["parameters"]
+
+
+def test_a_moment_is_a_link_to_its_mark_in_the_plots(folder: Path) -> None:
+    text, page = page_of(folder)
+    moments = read_recorded(folder).traces.moments
+    assert moments
+    for number, moment in enumerate(moments, 1):
+        assert f"moment-{number}" in page.ids
+        assert f'href="#moment-{number}" data-t="{moment.t_s:.4f}"' in text
+
+
+def test_the_policy_of_the_page_allows_its_own_script_and_no_other(folder: Path) -> None:
+    text, _ = page_of(folder)
+    policy = re.search(r'Content-Security-Policy" content="([^"]+)"', text)
+    assert policy is not None
+    assert policy[1].startswith("default-src 'none'; style-src 'sha256-")
+    assert "unsafe" not in policy[1]
+
+
+def hostile(contents: Contents, texts: int) -> Contents:
+    """Return a recording with hostile text wherever a recording may hold text."""
+    contents = contents.copy()
+    channel, schema = contents.types[0]
+    for number in range(texts):
+        topic = f"/{number}{HOSTILE}"
+        contents.types.append((replace(channel, topic=topic), replace(schema, name=HOSTILE)))
+        values = {"kind": "mark", "log_ns": str(START_NS + number), "text": HOSTILE * 20}
+        contents.metadata.append(("robotctl.event", values))
+    _, values = next(each for each in contents.metadata if each[0] == "robotctl")
+    values |= {f"{HOSTILE}{number}": HOSTILE * 20 for number in range(texts)}
+    values |= {f"parameter.{HOSTILE}{number}": HOSTILE * 20 for number in range(texts)}
+    return contents
+
+
+@pytest.mark.parametrize("texts", [1, 2000])
+def test_text_of_a_recording_never_becomes_markup_nor_too_long_a_page(
+    tmp_path: Path, written: list[Written], texts: int
+) -> None:
+    made = write_contents(tmp_path / "h", hostile(recorded(tmp_path / "r", written), texts))
+    judged = Judged(
+        (Judgement(HOSTILE, HOSTILE, Tone.BAD, (HOSTILE,)),),
+        (Explanation(1.0, HOSTILE, ((HOSTILE, HOSTILE),)),),
+    )
+    text, page = page_of(made, judged)
+    assert_harmless(text, page)
+    for part in ("moments", "why", "verdicts", "messages", "provenance", "parameters"):
+        assert "<script>alert(1)</script>" in page.sections[part]  # as text
+    assert_harmless(*page_of_two(made, made))
+
+
+def page_of_two(first: Path, second: Path) -> tuple[str, HtmlPage]:
+    text = comparison_page((read_recorded(first), JUDGED), (read_recorded(second), JUDGED))
+    return text, HtmlPage(text)
+
+
+def test_the_name_of_a_recording_is_text_too(tmp_path: Path, folder: Path) -> None:
+    named = tmp_path / "<b>robot & 'x'"
+    named.symlink_to(folder)
+    renamed = tmp_path / "a<script>b.mcap"
+    renamed.write_bytes(next(folder.glob("*.mcap")).read_bytes())
+    assert_harmless(*page_of(renamed))
+
+
+@pytest.mark.parametrize("name", ["stopped", "killed", "foreign"])
+def test_recordings_of_the_first_version_are_shown(name: str) -> None:
+    text, page = page_of(GOLDEN / name)
+    assert_harmless(text, page)
+    assert ("was never closed" in text) == (name == "killed")
+
+
+def test_a_bag_of_another_recorder_is_shown_as_far_as_it_goes(tmp_path: Path) -> None:
+    lines = in_order([odometry(20.0 * n, n / 100) for n in range(50)], talk("/chat", 40))
+    bag = write_bag(tmp_path / "bag.mcap", lines)
+    text, page = page_of(bag, Judged())
+    assert_harmless(text, page)
+    assert "There is no journal of robotctl in it: drawn is /odom" in text
+    assert page.ids.keys() >= {"path", "plot-1", "messages"}
+    assert not page.ids.keys() & {"modes", "drives", "why", "verdicts"}
+    assert "/chat" in page.sections["messages"]
+
+
+def test_a_bag_without_anything_to_draw_is_a_page_too(tmp_path: Path) -> None:
+    text, page = page_of(write_bag(tmp_path / "bag.mcap", talk("/chat", 1)), Judged())
+    assert_harmless(text, page)
+    assert "no topic that can be drawn" in text
+    empty = write_bag(tmp_path / "empty.mcap", [])
+    assert_harmless(*page_of(empty, Judged()))
+
+
+def test_odometry_that_is_no_number_is_counted_and_not_drawn(tmp_path: Path) -> None:
+    places = [0.0, float("nan"), float("inf"), 1e300, 0.5]
+    bag = write_bag(tmp_path / "bag.mcap", [odometry(10.0 * n, x) for n, x in enumerate(places)])
+    text, page = page_of(bag, Judged())
+    assert_harmless(text, page)
+    assert len(read_recorded(bag).traces.driven.whole()) == 2
+    assert "nan" not in text.lower().replace("provenance", "")
+
+
+def test_two_recordings_are_compared_figure_by_figure(
+    tmp_path: Path, folder: Path, written: list[Written]
+) -> None:
+    shorter = [each for each in written if not isinstance(each, JournalEntry) or each.seq < 300]
+    other = record(tmp_path / "other", shorter)
+    text, page = page_of_two(folder, other)
+    assert_harmless(text, page)
+    for figure in figures_of(read_recorded(folder)):
+        assert figure.name in page.sections["figures"]
+    assert page.ids.keys() >= {"figures", "path", "plot-1", "plot-2", "plot-3", "parameters"}
+    assert page.tags["h1"] == 2
