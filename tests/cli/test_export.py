@@ -171,6 +171,12 @@ def test_the_name_of_the_file_chooses_the_format(
     assert (tmp_path / name).read_text().startswith(begin)
 
 
+def test_the_answer_about_a_json_file_is_json(cli: Cli, tmp_path: Path) -> None:
+    target = tmp_path / "x.jsonl"
+    ran = cli("export", str(DRIVE), "--topic", "/odom", "--json", "-o", str(target))
+    assert json.loads(ran.out) == {"target": str(target), "rows": 83, "columns": 92, "lost": []}
+
+
 def test_only_the_given_time_is_exported(cli: Cli, tmp_path: Path) -> None:
     run = str(written(tmp_path))
     ran = cli("export", run, "--topic", "/all", "--from", "2", "--to", "5", "--json")

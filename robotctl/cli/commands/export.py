@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from robotctl.cli.options import new_app
+from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.recording_paths import RecordedBy, RecordingsFolder, find_recording
 from robotctl.cli.support.time_argument import parse_moment
 from robotctl.cli.terminal.progress import Progress, progress_bar
@@ -108,16 +109,23 @@ def export(
         table = TopicTable(recording, chosen_topic)
         missing = list(info.missing)
         window = _window(begin, end, info)
-        with progress_bar("exporting", quiet=output is None) as on_progress:
+        with progress_bar("exporting", quiet=output is None or as_json) as on_progress:
             rows = _told(table.rows(missing.append, window), on_progress, window, info)
-            if output is None:
+            count = (
                 _print(form, table, rows)
-            else:
-                count = _write(form, table, rows, output, source)
-        if output is not None:
-            print(f"{short_path(output)}: {count} rows, {len(table.columns)} columns")
+                if output is None
+                else _write(form, table, rows, output, source)
+            )
+    error = None
     if missing:
-        raise RecoveredWithLoss(f"{source} could not be read completely: {'; '.join(missing)}")
+        error = RecoveredWithLoss(f"{source} could not be read completely: {'; '.join(missing)}")
+    if output is not None:
+        columns = len(table.columns)
+        answer = {"target": str(output), "rows": count, "columns": columns, "lost": missing}
+        line = f"{short_path(output)}: {count} rows, {columns} columns"
+        print_answer(answer, [line], as_json=as_json, error=error)
+    elif error is not None:
+        raise error
 
 
 def _format(chosen: list[TableFormat], output: Path | None) -> TableFormat:
@@ -153,17 +161,16 @@ def _told(
         yield row
 
 
-def _print(form: TableFormat, table: TopicTable, rows: Iterable[Row]) -> None:
+def _print(form: TableFormat, table: TopicTable, rows: Iterable[Row]) -> int:
     from robotctl.recording.table.text_tables import write_csv, write_json_lines
 
     if form is TableFormat.JSON:
-        write_json_lines(table.columns, rows, sys.stdout)
-        return
+        return write_json_lines(table.columns, rows, sys.stdout)
     if sys.stdout.isatty():
         rows = (
             [printable(value) if isinstance(value, str) else value for value in row] for row in rows
         )
-    write_csv(table.columns, rows, sys.stdout)
+    return write_csv(table.columns, rows, sys.stdout)
 
 
 def _write(
