@@ -14,7 +14,7 @@ from robotctl.errors import IN_PARENTHESES, UsageError
 
 SECTIONS = {
     "Without a robot": ("demo", "sim", "doctor", "completion"),
-    "The daemon": ("start", "status", "ps", "watch", "logs", "stop", "boot", "config"),
+    "The daemon": ("start", "status", "ps", "watch", "view", "logs", "stop", "boot", "config"),
     "The robot": (
         "preflight",
         "commission",

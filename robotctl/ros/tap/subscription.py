@@ -33,8 +33,9 @@ class TappedSubscription:
         type_name: str,
         sink: ViewSink,
         offered: Sequence[QoSProfile],
+        latency_s: float = LATENCY_S,
     ) -> None:
-        """Subscribe to publishers that offer these profiles."""
+        """Subscribe to publishers that offer these profiles; take messages `latency_s` late."""
         self.topic = topic
         self.type_name = type_name
         self.publishers = 0
@@ -44,11 +45,18 @@ class TappedSubscription:
         """When the last publisher went, on the steady clock [s]; None while there is one."""
 
         self._node = node
+        self._latency_s = latency_s
         self._sink = sink
         self._merge = LatchedMerge(sink)
         self._subscriptions: list[Any] = []
         self._requests = self._requests_for(offered)
         self._subscribe(self._requests)
+
+    @property
+    def is_latched(self) -> bool:
+        """Whether a new subscription gets messages that were sent before."""
+        requested, latched = self._requests
+        return latched is not None or requested.durability is DurabilityPolicy.TRANSIENT_LOCAL
 
     def adapt(self, offered: Sequence[QoSProfile]) -> None:
         """Subscribe again where publishers now offer other profiles.
@@ -93,7 +101,7 @@ class TappedSubscription:
         return qos.recording(offered, bulky=bulky), qos.recording_latched(offered, bulky=bulky)
 
     def _create(self, sink: ViewSink, requested: QoSProfile) -> Any:
-        tap = RawTap(sink, latency_s=LATENCY_S, views=True)
+        tap = RawTap(sink, latency_s=self._latency_s, views=True)
         # rclpy's types allow a callback of one argument only.
         callback: Any = tap
         return self._node.create_subscription(

@@ -1,0 +1,98 @@
+"""Start the process of a view, tell where to connect, and end it."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from contextlib import suppress
+from typing import Any, Final
+
+from robotctl.cli.support.signals import interrupted_by
+from robotctl.cli.terminal.text import json_text, printable
+from robotctl.errors import Interrupted, NoDaemon, RobotctlError, error_for_exit_code
+from robotctl.ipc.client import call
+from robotctl.ipc.method_names import STATUS
+from robotctl.processes import Child, program, start
+from robotctl.view.view_job import LiveTarget, ViewJob
+
+VIEW: Final = program("robotctl.view")
+
+READY_S: Final = 30.0
+"""How long the process may take to listen; it needs half a second."""
+
+END_S: Final = 10.0
+"""How long the process may take to leave the domain."""
+
+
+def live_target(robot: str) -> LiveTarget:
+    """Return the running daemon of a robot, and its domain.
+
+    Raises:
+        NoDaemon: None runs.
+    """
+    status = call(robot, STATUS)
+    return LiveTarget(
+        robot, status["pid"], status["namespace"], status["domain_id"], status["discovery_range"]
+    )
+
+
+def start_view(job: ViewJob) -> tuple[Child, dict[str, Any]]:
+    """Start the process of a view, and return it with its report `ready`.
+
+    Raises:
+        RobotctlError: The view cannot be served; the process has ended.
+    """
+    child = start(VIEW, with_stdin=True)
+    try:
+        with suppress(BrokenPipeError):  # it has ended; the next line notices
+            child.send(f"{job.to_json()}\n".encode())
+        for said in reports_of(child, READY_S):
+            if "ready" in said:
+                return child, said["ready"]
+        raise RobotctlError("the process of the view has ended")
+    except BaseException:
+        child.close(END_S)
+        raise
+
+
+def show_view(job: ViewJob, what: str, *, as_json: bool) -> None:
+    """Serve a view until Ctrl-C or its own end, and print where to connect.
+
+    Raises:
+        NoDaemon: The daemon has ended.
+        RobotctlError: The view cannot be served.
+    """
+    with interrupted_by((signal.SIGTERM, signal.SIGHUP)):
+        child, ready = start_view(job)
+        try:
+            print(json_text(ready) if as_json else "\n".join(ready_lines(what, ready)), flush=True)
+            for said in reports_of(child):
+                if "ended" in said:
+                    raise NoDaemon(said["ended"])
+            raise RobotctlError("the process of the view has ended")
+        except KeyboardInterrupt:
+            raise Interrupted from None
+        finally:
+            child.close(END_S)
+
+
+def ready_lines(what: str, ready: dict[str, Any]) -> Iterator[str]:
+    """Yield what a user needs to connect."""
+    yield f"{what} for Foxglove and Lichtblick, read-only; Ctrl-C ends it"
+    yield f"  connect to  {ready['url']}"
+    yield f"  or open     {ready['open']}"
+
+
+def reports_of(child: Child, seconds: float | None = None) -> Iterator[dict[str, Any]]:
+    """Yield the reports until the process ends; raise the error that one tells."""
+    while True:
+        try:
+            reports = child.receive(seconds)
+        except EOFError:
+            return
+        except TimeoutError:
+            raise RobotctlError(f"the view was not ready within {seconds:g} s") from None
+        for said in reports:
+            if "error" in said:
+                raise error_for_exit_code(said["exit_code"], printable(said["error"]), said)
+            yield said

@@ -1,0 +1,157 @@
+"""Tells which topics there are, and subscribes to a topic only while its messages are wanted."""
+
+from __future__ import annotations
+
+from typing import Final, Protocol
+
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+
+from robotctl.printable import short_name
+from robotctl.ros.executor import ViewSink, self_test
+from robotctl.ros.graph import endpoints
+from robotctl.ros.graph.changes import GraphChanges
+from robotctl.ros.messages.type_definition import definition_of
+from robotctl.ros.tap.subscription import TappedSubscription
+from robotctl.ros.tap.type_loader import TypeLoader
+
+LATENCY_S: Final = 0.01
+"""How long messages of a topic are collected: one wake-up costs as much as ten messages."""
+
+POLL_S: Final = 0.1
+"""The time between two looks while the graph changes."""
+
+CALM_S: Final = 1.0
+"""The time between two looks while rcl announces no change: a QoS may change without one."""
+
+MAX_TOPICS: Final = 5_000
+"""Limit on the topics that are told; other processes may create any number."""
+
+
+class TopicWatcher(Protocol):
+    """Hears which topics there are."""
+
+    def appeared(self, topic: str, type_name: str, definition: str) -> None:
+        """Take a topic that has a publisher, with the ros2msg text of its type."""
+
+    def vanished(self, topic: str) -> None:
+        """Take that a topic has no publisher of its type any more."""
+
+    def unusable(self, topic: str, problem: str) -> None:
+        """Take why a topic cannot be shown, "" once it is gone."""
+
+
+class OnDemandTap:
+    """Watches the graph that `node` sees; the loop's thread only."""
+
+    def __init__(self, node: Node, watcher: TopicWatcher) -> None:
+        self._node = node
+        self._watcher = watcher
+        self._types = TypeLoader()
+        self._known: dict[str, str] = {}
+        """Topic -> its type."""
+
+        self._problems: dict[str, str] = {}
+        self._sinks: dict[str, ViewSink] = {}
+        self._tapped: dict[str, TappedSubscription] = {}
+
+    async def run(self) -> None:
+        """Watch the graph until cancelled."""
+        with GraphChanges(self._node) as changes:
+            while True:
+                is_loading = self._look()
+                await self._types.pause(POLL_S)
+                await changes.wait(0.0 if is_loading else CALM_S)
+
+    def want(self, topic: str, sink: ViewSink) -> None:
+        """Hand the messages of a known topic to `sink`, at first those that are latched.
+
+        Where a sink is there already, it is replaced if that brings the latched messages again.
+        """
+        if topic in self._tapped and not self._tapped[topic].is_latched:
+            return
+        self.unwant(topic)
+        self._sinks[topic] = sink
+        self._tap(topic)
+
+    def unwant(self, topic: str) -> None:
+        """Subscribe to a topic no longer."""
+        self._sinks.pop(topic, None)
+        if topic in self._tapped:
+            self._tapped.pop(topic).close()
+
+    def _look(self) -> bool:
+        """Compare the graph with what is known; return whether a type is loading."""
+        present = list(endpoints.topics(self._node))[:MAX_TOPICS]
+        is_loading = False
+        for topic in present:
+            if not topic.startswith(self_test.TOPIC_PREFIX):
+                is_loading |= self._look_at(topic)
+        for topic in (self._known.keys() | self._problems.keys()) - set(present):
+            self._forget(topic)
+        return is_loading
+
+    def _look_at(self, topic: str) -> bool:
+        """Tell what is new about a topic; return whether its type is loading."""
+        if not endpoints.is_topic_name(topic) or not endpoints.publisher_count(self._node, topic):
+            self._forget(topic)
+            return False
+        if topic in self._known and topic not in self._sinks:
+            return False
+        offered = self._offered(topic)
+        if topic in self._known:
+            if offered.get(self._known[topic]):
+                self._tap(topic, offered)
+                return False
+            self._forget(topic)
+        is_loading = False
+        problem = ""
+        for type_name in offered:
+            unusable = self._types.problem(type_name)
+            if unusable == "":
+                self._tell(topic, "")
+                self._known[topic] = type_name
+                self._watcher.appeared(topic, type_name, definition_of(type_name))
+                return False
+            is_loading |= unusable is None
+            problem = f"its type {short_name(type_name)} {unusable}"
+        if not is_loading:
+            self._tell(topic, f"{short_name(topic)} is not shown: {problem}" if problem else "")
+        return is_loading
+
+    def _forget(self, topic: str) -> None:
+        self._tell(topic, "")
+        if self._known.pop(topic, None) is not None:
+            self.unwant(topic)
+            self._watcher.vanished(topic)
+
+    def _tell(self, topic: str, problem: str) -> None:
+        if self._problems.get(topic, "") == problem:
+            return
+        if problem:
+            self._problems[topic] = problem
+        else:
+            del self._problems[topic]
+        self._watcher.unusable(topic, problem)
+
+    def _tap(self, topic: str, offered: dict[str, list[QoSProfile]] | None = None) -> None:
+        """Subscribe to a wanted topic, or follow publishers that now offer another QoS."""
+        type_name = self._known[topic]
+        profiles = (offered or self._offered(topic)).get(type_name, [])
+        try:
+            if topic in self._tapped:
+                self._tapped[topic].adapt(profiles)
+            else:
+                self._tapped[topic] = TappedSubscription(
+                    self._node, topic, type_name, self._sinks[topic], profiles, LATENCY_S
+                )
+        except Exception as error:  # noqa: BLE001 - a foreign topic must not end the others
+            reason = short_name(f"{type(error).__name__}: {error}")
+            self._tell(topic, f"{topic} is not shown: it cannot be subscribed to ({reason})")
+
+    def _offered(self, topic: str) -> dict[str, list[QoSProfile]]:
+        """Return type -> the profiles of its publishers."""
+        found: dict[str, list[QoSProfile]] = {}
+        for info in endpoints.publishers(self._node, topic):
+            found.setdefault(info.topic_type, []).append(info.qos_profile)
+        return found

@@ -1,0 +1,10 @@
+"""The live view: topics or a recording, for Foxglove and Lichtblick, over a guarded WebSocket.
+
+- `foxglove_messages`, `foxglove_requests`: the protocol, as bytes out and requests in.
+- `admission`: who may connect; `outbox`: what waits for one viewer, bounded.
+- `viewer`: one connection; `view_server`: all of them, and the channels.
+- `live_view`, `recorded_view`: what feeds it, a ROS domain or a file.
+- `__main__`: the process around them, started by `robotctl view`.
+
+Only `viewer` needs the `websockets` package, the extra `[view]`.
+"""

@@ -1,0 +1,66 @@
+"""`python -m robotctl.view --report-fd N`: serve the view that the first line on stdin asks for.
+
+The line is a `ViewJob`. The reports are {"ready"} with `url` and `port`, {"viewers"} with their
+number, {"note"}, {"ended"} with the reason, and {"error", "exit_code"} with details of the error.
+A signal, the end of the daemon and, unless the job says otherwise, of stdin end the process.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import sys
+from contextlib import ExitStack, suppress
+from functools import partial
+from typing import Any, Final
+
+from robotctl import environment
+from robotctl.errors import RobotctlError
+from robotctl.processes import report_fd, send_report
+from robotctl.view.serving import serve
+from robotctl.view.view_job import ViewJob
+
+_STDIN: Final = 0
+
+
+def main(arguments: list[str]) -> int:
+    """Serve one view, and return the exit code."""
+    with ExitStack() as at_end:
+        return _main(arguments, at_end)
+
+
+def _main(arguments: list[str], at_end: ExitStack) -> int:
+    """Do the work of `main`; `at_end` gets what must be closed last."""
+    note = environment.prepare()
+    report = partial(_report, report_fd(arguments))
+    line = _first_line()
+    if not line:
+        return 0
+    if note:
+        report({"note": note})
+    try:
+        asyncio.run(serve(ViewJob.from_json(line), report, at_end))
+    except RobotctlError as error:
+        report({"error": str(error), "exit_code": error.exit_code, **error.details()})
+        return error.exit_code
+    except Exception as error:  # noqa: BLE001 - the command shows it
+        text = f"unexpected {type(error).__name__}: {error}"
+        report({"error": text, "exit_code": RobotctlError.exit_code})
+        return RobotctlError.exit_code
+    return 0
+
+
+def _report(descriptor: int, said: dict[str, Any]) -> None:
+    with suppress(BrokenPipeError):  # the command has ended, or has left this process alone
+        send_report(descriptor, said)
+
+
+def _first_line() -> bytes:
+    line = b""
+    while not line.endswith(b"\n") and (piece := os.read(_STDIN, 1 << 16)):
+        line += piece
+    return line
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

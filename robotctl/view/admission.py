@@ -1,0 +1,70 @@
+"""Who may connect: by the Host, the Origin and the token of the first request.
+
+A page of any origin may open a WebSocket to this machine, and DNS rebinding gives it a name of its
+own for it. So the Host must be no name that others control, the Origin must be known, and the URL
+must have the token of this run, which other users of the machine do not know either.
+"""
+
+from __future__ import annotations
+
+import hmac
+import ipaddress
+import secrets
+import socket
+from collections.abc import Iterable, Sequence
+from typing import Final
+from urllib.parse import parse_qs, urlsplit
+
+KNOWN_ORIGINS: Final = (
+    "https://app.foxglove.dev",
+    "https://studio.foxglove.dev",
+    "file://",
+    "http://localhost:8080",
+    "http://127.0.0.1:8080",
+)
+"""The pages of Foxglove, the desktop applications, and Lichtblick where its container serves it."""
+
+_TOKEN_BYTES: Final = 24
+
+
+def new_token() -> str:
+    """Return a token that cannot be guessed."""
+    return secrets.token_urlsafe(_TOKEN_BYTES)
+
+
+class Admission:
+    """Checks the first request of a connection."""
+
+    def __init__(self, token: str, origins: Iterable[str] = ()) -> None:
+        """Admit requests with this token from KNOWN_ORIGINS, from `origins` and from no page."""
+        self._token = token.encode()
+        self._origins = {*KNOWN_ORIGINS, *origins}
+
+    def refusal(self, target: str, hosts: Sequence[str], origins: Sequence[str]) -> str:
+        """Return why a request is refused, "" where it is admitted.
+
+        `target` is its path with the query; `hosts` and `origins` are all headers of these names.
+        """
+        if len(hosts) != 1 or not _is_own_host(hosts[0]):
+            return "the Host header names no address of this computer"
+        if len(origins) > 1 or not self._origins.issuperset(origins):
+            return "pages of this origin may not connect (robotctl view --origin allows one)"
+        given = parse_qs(target.partition("?")[2]).get("token", [])
+        if len(given) != 1 or not hmac.compare_digest(given[0].encode(), self._token):
+            return "the URL does not have the token of this run: copy it from robotctl view"
+        return ""
+
+
+def _is_own_host(header: str) -> bool:
+    """Return whether a Host header holds an address, or a name that only this machine gives."""
+    try:
+        host = urlsplit(f"//{header}").hostname
+    except ValueError:
+        return False
+    if not host:
+        return False
+    try:
+        ipaddress.ip_address(host)
+    except ValueError:
+        return host in ("localhost", socket.gethostname().lower())
+    return True

@@ -1,0 +1,118 @@
+"""What a client of the Foxglove WebSocket protocol asks for, decoded strictly."""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from dataclasses import dataclass
+from typing import Any, Final
+
+_PLAYBACK: Final = struct.Struct("<BfBQI")
+_SERVICE_CALL: Final = struct.Struct("<III")
+
+_MAX_ID: Final = (1 << 32) - 1
+_MAX_REQUEST_ID_BYTES: Final = 256
+
+
+class WrongRequest(Exception):
+    """A message that is none of the protocol, or one that this server does not take."""
+
+
+@dataclass(frozen=True, slots=True)
+class Subscribe:
+    """Send the messages of channels: subscription id -> channel id."""
+
+    channels: dict[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Unsubscribe:
+    """Send no more messages for these subscription ids."""
+
+    subscriptions: list[int]
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceCall:
+    """Call a service that takes no parameters."""
+
+    service_id: int
+    call_id: int
+
+
+@dataclass(frozen=True, slots=True)
+class PlaybackRequest:
+    """Play or pause at a rate, from another time [ns] unless `seek_ns` is None."""
+
+    play: bool
+    rate: float
+    seek_ns: int | None
+    request_id: str
+
+
+ViewRequest = Subscribe | Unsubscribe | ServiceCall | PlaybackRequest
+
+
+def text_request(text: bytes) -> ViewRequest:
+    """Decode a text message.
+
+    Raises:
+        WrongRequest: It is none of the protocol, or one that this server does not take.
+    """
+    try:
+        said = json.loads(text)
+    except (ValueError, RecursionError):
+        raise WrongRequest("a message that is no JSON") from None
+    match said:
+        case {"op": "subscribe", "subscriptions": list(wanted)}:
+            return Subscribe({_id(each, "id"): _id(each, "channelId") for each in wanted})
+        case {"op": "unsubscribe", "subscriptionIds": list(ids)}:
+            return Unsubscribe([_checked_id(each) for each in ids])
+        case {"op": str(op)}:
+            raise WrongRequest(f"this server does not take {op[:40]!r}: it is read-only")
+    raise WrongRequest("a message without an operation")
+
+
+def binary_request(data: bytes) -> ViewRequest:
+    """Decode a binary message.
+
+    Raises:
+        WrongRequest: It is none of the protocol, or one that this server does not take.
+    """
+    opcode, content = data[:1], data[1:]
+    try:
+        if opcode == b"\x02":
+            return _service_call(content)
+        if opcode == b"\x03":
+            return _playback(content)
+    except (struct.error, UnicodeDecodeError):
+        raise WrongRequest("a binary message that is cut off") from None
+    raise WrongRequest("this server does not take messages of clients: it is read-only")
+
+
+def _service_call(content: bytes) -> ServiceCall:
+    service_id, call_id, _ = _SERVICE_CALL.unpack_from(content)
+    return ServiceCall(service_id, call_id)
+
+
+def _playback(content: bytes) -> PlaybackRequest:
+    command, rate, seeks, seek_ns, length = _PLAYBACK.unpack_from(content)
+    request_id = content[_PLAYBACK.size :]
+    if command not in (0, 1) or length != len(request_id) or length > _MAX_REQUEST_ID_BYTES:
+        raise WrongRequest("a playback request of an unknown form")
+    if not (math.isfinite(rate) and rate > 0.0):
+        raise WrongRequest("a playback rate that is not positive")
+    return PlaybackRequest(command == 0, rate, seek_ns if seeks else None, request_id.decode())
+
+
+def _id(given: Any, name: str) -> int:
+    if not isinstance(given, dict):
+        raise WrongRequest("a subscription that is no object")
+    return _checked_id(given.get(name))
+
+
+def _checked_id(given: Any) -> int:
+    if type(given) is not int or not 0 <= given <= _MAX_ID:
+        raise WrongRequest("an id that is no uint32")
+    return given

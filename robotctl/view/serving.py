@@ -1,0 +1,97 @@
+"""A view from its start to its end: the source, the server, and what ends both."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import Callable, Coroutine
+from contextlib import ExitStack
+from typing import Any, Final
+from urllib.parse import quote
+
+from robotctl import environment
+from robotctl.end_signals import end_signals
+from robotctl.processes import pidfd_of
+from robotctl.view.admission import Admission, new_token
+from robotctl.view.view_job import LiveTarget, ViewJob
+from robotctl.view.view_server import ViewServer
+
+Report = Callable[[dict[str, Any]], None]
+
+_STDIN: Final = 0
+
+
+async def serve(job: ViewJob, report: Report, at_end: ExitStack) -> None:
+    """Serve a view until something ends it; `at_end` gets what must be closed last.
+
+    Raises:
+        RobotctlError: The view cannot be served; the text says why.
+    """
+    view = Serving(job, report)
+    if job.live is not None:
+        await view.show_domain(job.live, at_end)
+
+
+class Serving:
+    """Serves one job."""
+
+    def __init__(self, job: ViewJob, report: Report) -> None:
+        self._job = job
+        self._report = report
+        self._token = new_token()
+        self._admission = Admission(self._token, job.origins)
+        self._ended = end_signals()
+        if not job.outlives_stdin:
+            asyncio.get_running_loop().add_reader(_STDIN, self._end_with_stdin)
+
+    async def show_domain(self, target: LiveTarget, at_end: ExitStack) -> None:
+        """Serve the topics of a domain until its daemon ends."""
+        os.environ.setdefault(environment.RANGE, target.discovery_range)
+        # After environment.prepare(), because they import rclpy.
+        from robotctl.ros.session import ros_session
+        from robotctl.view.live_view import LiveView
+
+        server = ViewServer(f"robotctl: robot {target.robot}", self._admission)
+        with pidfd_of(target.daemon_pid) as daemon:
+            if daemon is not None:
+                loop = asyncio.get_running_loop()
+                loop.add_reader(daemon, self._end_with_daemon, loop, daemon, target.robot)
+            async with ros_session(
+                domain_id=target.domain_id, namespace=target.namespace, at_end=at_end
+            ) as session:
+                await self._run(server, LiveView(session, server).run())
+
+    async def _run(self, server: ViewServer, feed: Coroutine[Any, Any, None]) -> None:
+        """Run the server with its source until the end."""
+        work: list[asyncio.Future[Any]] = [asyncio.ensure_future(feed)]
+        try:
+            port = await server.listen(self._job.host, self._job.port)
+            server.on_viewers = lambda count: self._report({"viewers": count})
+            work += [asyncio.ensure_future(server.run()), asyncio.ensure_future(self._ended.wait())]
+            self._report({"ready": self._address(port)})
+            done, _ = await asyncio.wait(work, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                task.result()
+        finally:
+            server.close()
+            for task in work:
+                task.cancel()
+            await asyncio.gather(*work, return_exceptions=True)
+
+    def _address(self, port: int) -> dict[str, Any]:
+        """Return the URL to connect to, and the one that opens the desktop application."""
+        host = f"[{self._job.host}]" if ":" in self._job.host else self._job.host
+        url = f"ws://{host}:{port}/?token={self._token}"
+        opens = f"foxglove://open?ds=foxglove-websocket&ds.url={quote(url, safe='')}"
+        return {"url": url, "open": opens, "port": port}
+
+    def _end_with_stdin(self) -> None:
+        asyncio.get_running_loop().remove_reader(_STDIN)
+        self._ended.set()
+
+    def _end_with_daemon(
+        self, loop: asyncio.AbstractEventLoop, descriptor: int, robot: str
+    ) -> None:
+        loop.remove_reader(descriptor)
+        self._report({"ended": f"the daemon of robot {robot!r} has ended"})
+        self._ended.set()

@@ -1,0 +1,45 @@
+"""What `robotctl view` asks its process for, as one line of JSON."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from typing import Self
+
+
+@dataclass(frozen=True, slots=True)
+class LiveTarget:
+    """A running daemon and its ROS domain."""
+
+    robot: str
+    daemon_pid: int
+    """Its end ends the view; 0 for a daemon whose pid is not known."""
+    namespace: str
+    domain_id: int
+    discovery_range: str
+
+
+@dataclass(frozen=True, slots=True)
+class ViewJob:
+    """What to show, and where to listen. Either `live` or `file` is given."""
+
+    live: LiveTarget | None = None
+    file: str = ""
+    host: str = "127.0.0.1"
+    port: int | None = None
+    """None is the usual port, or a free one where that is taken."""
+    origins: tuple[str, ...] = ()
+    outlives_stdin: bool = False
+    """Whether the process goes on when its stdin is closed; else it ends."""
+
+    def to_json(self) -> str:
+        """Return the line."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def from_json(cls, line: str | bytes) -> Self:
+        """Return the job of a line that `to_json` made."""
+        fields = json.loads(line)
+        live = fields.pop("live")
+        origins = tuple(fields.pop("origins"))
+        return cls(live=LiveTarget(**live) if live else None, origins=origins, **fields)

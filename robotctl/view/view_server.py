@@ -1,0 +1,308 @@
+"""The server: its viewers, the channels it offers them, and the messages for each."""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+import socket
+import time
+from collections.abc import Callable, Sequence
+from typing import Final
+
+from robotctl.errors import Refused
+from robotctl.view.admission import Admission
+from robotctl.view.foxglove_messages import (
+    StatusLevel,
+    ViewChannel,
+    ViewService,
+    advertise,
+    advertise_services,
+    message_head,
+    remove_status,
+    server_info,
+    status,
+    unadvertise,
+)
+from robotctl.view.foxglove_requests import (
+    PlaybackRequest,
+    ServiceCall,
+    Subscribe,
+    Unsubscribe,
+    ViewRequest,
+    WrongRequest,
+)
+from robotctl.view.outbox import BINARY, frame_head
+from robotctl.view.viewer import TRY_LATER, Viewer
+
+DEFAULT_PORT: Final = 8765
+"""The port that Foxglove proposes."""
+
+MAX_VIEWERS: Final = 128
+"""Limit on viewers; further ones are told to try later."""
+
+MAX_CONNECTIONS: Final = 2 * MAX_VIEWERS
+"""Limit on connections; further ones are closed at once, before any byte of theirs is read."""
+
+MAX_SUBSCRIPTIONS: Final = 10_000
+"""Limit on the subscriptions of one viewer."""
+
+HANDSHAKE_S: Final = 5.0
+"""How long a handshake may take."""
+
+STALL_S: Final = 30.0
+"""After this time in which its socket took nothing, a viewer is disconnected; it may come back."""
+
+_PERIOD_S: Final = 1.0
+_MESSAGE_HEAD_BYTES: Final = len(message_head(0, 0))
+
+
+class ViewServer:
+    """Offers channels, and sends their messages to the viewers that subscribe.
+
+    Everything happens in the loop's thread. The attributes `on_...` may be set before `listen`.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        admission: Admission,
+        *,
+        capabilities: Sequence[str] = (),
+        services: Sequence[ViewService] = (),
+        span_ns: tuple[int, int] | None = None,
+    ) -> None:
+        """`span_ns` is the first and last time of a recording."""
+        self._admission = admission
+        self._services = services
+        self._greeting = server_info(name, secrets.token_hex(8), capabilities, span_ns)
+        self._channels: dict[int, ViewChannel] = {}
+        self._last_channel = 0
+        self._notes: dict[str, tuple[StatusLevel, str]] = {}
+        self._connections: set[Viewer] = set()
+        self._viewers: set[Viewer] = set()
+        self._subscribers: dict[int, dict[Viewer, int]] = {}
+        """Channel id -> viewer -> the viewer's subscription id."""
+
+        self._unflushed: set[Viewer] = set()
+        self._listener: asyncio.Server | None = None
+        self.dropped = 0
+        """Messages that were dropped for viewers that have left."""
+
+        self.on_viewers: Callable[[int], None] = lambda count: None
+        """Called with the number of viewers when it changes."""
+
+        self.on_subscribed: Callable[[int], None] = lambda channel_id: None
+        """Called when a viewer has subscribed to a channel."""
+
+        self.on_unwatched: Callable[[int], None] = lambda channel_id: None
+        """Called when the last subscription to a channel has ended."""
+
+        self.on_playback: Callable[[PlaybackRequest], None] | None = None
+        self.on_call: Callable[[Viewer, ServiceCall], None] | None = None
+
+    # The life of the server
+
+    async def listen(self, host: str, port: int | None) -> int:
+        """Listen, and return the port: DEFAULT_PORT for None, or a free one where it is taken.
+
+        Raises:
+            Refused: The address cannot be listened on.
+        """
+        try:
+            try:
+                sock = _bound(host, DEFAULT_PORT if port is None else port)
+            except OSError:
+                if port is not None:
+                    raise
+                sock = _bound(host, 0)
+        except OSError as error:
+            where = f"{host} port {DEFAULT_PORT if port is None else port}"
+            raise Refused(
+                f"the view cannot listen on {where} ({error.strerror or error})",
+                "choose another --port, or leave it out for a free one",
+            ) from error
+        loop = asyncio.get_running_loop()
+        self._listener = await loop.create_server(self._connection, sock=sock, backlog=MAX_VIEWERS)
+        return int(sock.getsockname()[1])
+
+    async def run(self) -> None:
+        """Until cancelled, end what is late, and tell slow viewers what they missed."""
+        while True:
+            await asyncio.sleep(_PERIOD_S)
+            now_s = time.monotonic()
+            for viewer in list(self._connections):
+                limit_s = STALL_S if viewer.admitted else HANDSHAKE_S
+                is_waiting = viewer.is_stalled or not viewer.admitted
+                if is_waiting and now_s - viewer.since_s > limit_s:
+                    viewer.abort()
+                else:
+                    _tell_dropped(viewer)
+
+    def close(self) -> None:
+        """End every connection."""
+        if self._listener is not None:
+            self._listener.close()
+        for viewer in list(self._connections):
+            viewer.close(1001, "the view has ended")
+            if viewer.is_stalled or not viewer.admitted:
+                viewer.abort()
+
+    # The channels
+
+    def offer(self, topic: str, type_name: str, definition: str) -> int:
+        """Offer a topic to all viewers, and return the id of its channel."""
+        self._last_channel += 1
+        channel = ViewChannel(self._last_channel, topic, type_name, definition)
+        self._channels[channel.id] = channel
+        self._tell_all(advertise([channel]))
+        return channel.id
+
+    def withdraw(self, channel_id: int) -> None:
+        """Offer a channel no longer; its subscriptions end."""
+        del self._channels[channel_id]
+        for viewer, subscription in self._subscribers.pop(channel_id, {}).items():
+            del viewer.subscriptions[subscription]
+        self._tell_all(unadvertise([channel_id]))
+
+    def publish(self, channel_id: int, log_ns: int, data: bytes | memoryview) -> None:
+        """Send a message to the viewers of a channel, at the end of this turn of the loop."""
+        subscribers = self._subscribers.get(channel_id)
+        if not subscribers:
+            return
+        kept = bytes(data)
+        frame = frame_head(BINARY, _MESSAGE_HEAD_BYTES + len(kept))
+        if not self._unflushed:
+            asyncio.get_running_loop().call_soon(self._flush)
+        for viewer, subscription in subscribers.items():
+            viewer.outbox.put_message(frame + message_head(subscription, log_ns), kept)
+        self._unflushed.update(subscribers)
+
+    def tell_all(self, message: bytes) -> None:
+        """Send a state to all viewers; one whose socket is full gets the next."""
+        for viewer in list(self._viewers):
+            if not viewer.is_stalled:
+                viewer.tell(message)
+
+    def note(self, id: str, level: StatusLevel, message: str) -> None:  # noqa: A002 - the field's name
+        """Show a message to all viewers, later ones too, until `clear`."""
+        if self._notes.get(id) != (level, message):
+            self._notes[id] = (level, message)
+            self._tell_all(status(level, message, id))
+
+    def clear(self, id: str) -> None:  # noqa: A002 - the field's name
+        """Show a message no longer."""
+        if self._notes.pop(id, None) is not None:
+            self._tell_all(remove_status([id]))
+
+    # From the connections
+
+    def admit(self, viewer: Viewer) -> None:
+        """Greet a viewer, and offer it everything."""
+        if len(self._viewers) >= MAX_VIEWERS:
+            viewer.close(TRY_LATER, f"{MAX_VIEWERS} viewers are connected already")
+            return
+        self._viewers.add(viewer)
+        viewer.tell(self._greeting)
+        if self._channels:
+            viewer.tell(advertise(self._channels.values()))
+        if self._services:
+            viewer.tell(advertise_services(self._services))
+        for id_, (level, message) in self._notes.items():
+            viewer.tell(status(level, message, id_))
+        self.on_viewers(len(self._viewers))
+
+    def leave(self, viewer: Viewer) -> None:
+        """Forget a connection and its subscriptions."""
+        self._connections.discard(viewer)
+        self._unflushed.discard(viewer)
+        self.dropped += viewer.outbox.dropped
+        for subscription in list(viewer.subscriptions):
+            self._unsubscribe(viewer, subscription)
+        if viewer in self._viewers:
+            self._viewers.remove(viewer)
+            self.on_viewers(len(self._viewers))
+
+    def request(self, viewer: Viewer, request: ViewRequest) -> None:
+        """Do what a viewer asks for.
+
+        Raises:
+            WrongRequest: It is not possible.
+        """
+        match request:
+            case Subscribe():
+                for subscription, channel_id in request.channels.items():
+                    self._subscribe(viewer, subscription, channel_id)
+            case Unsubscribe():
+                for subscription in request.subscriptions:
+                    self._unsubscribe(viewer, subscription)
+            case PlaybackRequest() if self.on_playback is not None:
+                self.on_playback(request)
+            case ServiceCall() if self.on_call is not None:
+                self.on_call(viewer, request)
+            case _:
+                raise WrongRequest("this view does not offer that")
+
+    def wrong(self, viewer: Viewer, problem: str) -> None:
+        """Tell a viewer what is wrong with its message."""
+        viewer.tell(status(StatusLevel.WARNING, problem))
+
+    def _connection(self) -> Viewer:
+        viewer = Viewer(self, self._admission)
+        self._connections.add(viewer)
+        if len(self._connections) > MAX_CONNECTIONS:
+            asyncio.get_running_loop().call_soon(viewer.abort)
+        return viewer
+
+    def _subscribe(self, viewer: Viewer, subscription: int, channel_id: int) -> None:
+        if channel_id not in self._channels:
+            return  # withdrawn meanwhile
+        watching = self._subscribers.setdefault(channel_id, {})
+        taken = subscription in viewer.subscriptions or viewer in watching
+        if taken or len(viewer.subscriptions) >= MAX_SUBSCRIPTIONS:
+            raise WrongRequest(f"subscription {subscription}: one a channel, each with its own id")
+        viewer.subscriptions[subscription] = channel_id
+        watching[viewer] = subscription
+        self.on_subscribed(channel_id)
+
+    def _unsubscribe(self, viewer: Viewer, subscription: int) -> None:
+        channel_id = viewer.subscriptions.pop(subscription, None)
+        if channel_id is None:
+            return
+        watching = self._subscribers[channel_id]
+        del watching[viewer]
+        if not watching:
+            del self._subscribers[channel_id]
+            self.on_unwatched(channel_id)
+
+    def _flush(self) -> None:
+        unflushed, self._unflushed = self._unflushed, set()
+        for viewer in unflushed:
+            viewer.flush()
+
+    def _tell_all(self, message: str) -> None:
+        for viewer in list(self._viewers):
+            viewer.tell(message)
+
+
+def _tell_dropped(viewer: Viewer) -> None:
+    """Tell a viewer how many messages were dropped, unless it has not read the last such note."""
+    dropped = viewer.outbox.dropped
+    if dropped != viewer.told_dropped and not viewer.outbox.waits_for_control:
+        viewer.told_dropped = dropped
+        text = f"{dropped} messages were dropped: this connection takes less than is published"
+        viewer.tell(status(StatusLevel.WARNING, text, "dropped"))
+
+
+def _bound(host: str, port: int) -> socket.socket:
+    """Return a socket that is bound to an address; raise OSError."""
+    family, kind, protocol, _, address = socket.getaddrinfo(
+        host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+    )[0]
+    sock = socket.socket(family, kind, protocol)
+    try:
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        sock.bind(address)
+    except BaseException:
+        sock.close()
+        raise
+    return sock

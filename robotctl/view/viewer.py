@@ -1,0 +1,209 @@
+"""One connection: its handshake, what it asks for, and what is sent to it."""
+
+from __future__ import annotations
+
+import asyncio
+import http
+import logging
+import socket
+import time
+from collections.abc import Callable
+from typing import Final, Protocol, cast
+
+from websockets.frames import Frame, Opcode
+from websockets.http11 import Request
+from websockets.protocol import State
+from websockets.server import ServerProtocol
+from websockets.typing import Subprotocol
+
+from robotctl.view.admission import Admission
+from robotctl.view.foxglove_messages import SUBPROTOCOLS
+from robotctl.view.foxglove_requests import (
+    ViewRequest,
+    WrongRequest,
+    binary_request,
+    text_request,
+)
+from robotctl.view.outbox import BINARY, TEXT, Outbox, OverfullOutbox, frame_head
+
+MAX_REQUEST_BYTES: Final = 1 << 20
+"""Limit on a message of a client; a subscription to 10,000 channels has 400 kB."""
+
+SOCKET_BYTES: Final = 128 << 10
+"""What the kernel buffers for a viewer, which it doubles; by itself it would take megabytes."""
+
+TRY_LATER: Final = 1013
+"""The close code for a viewer beyond the limit or its own pace (RFC 6455, IANA registry)."""
+
+_LOGGER: Final = logging.getLogger("robotctl.view.websocket")
+_LOGGER.disabled = True  # what a stranger sends would fill the terminal
+
+
+class ViewerHost(Protocol):
+    """The server, as its connections see it."""
+
+    def admit(self, viewer: Viewer) -> None:
+        """Take a viewer whose handshake is done."""
+
+    def request(self, viewer: Viewer, request: ViewRequest) -> None:
+        """Do what a viewer asks for; raise WrongRequest for what is not possible."""
+
+    def wrong(self, viewer: Viewer, problem: str) -> None:
+        """Tell a viewer what is wrong with a message of its own."""
+
+    def leave(self, viewer: Viewer) -> None:
+        """Forget a connection that has ended, admitted or not."""
+
+
+class Viewer(asyncio.Protocol):
+    """A connection from its first byte to its last."""
+
+    def __init__(self, host: ViewerHost, admission: Admission) -> None:
+        self.outbox = Outbox()
+        self.subscriptions: dict[int, int] = {}
+        """Subscription id -> channel id."""
+
+        self.told_dropped = 0
+        """How many dropped messages the viewer has been told of."""
+
+        self.since_s = time.monotonic()
+        """When it connected, or when its socket last took anything, on the steady clock."""
+
+        self.admitted = False
+        self._host = host
+        self._admission = admission
+        self._transport: asyncio.Transport | None = None
+        self._websocket = ServerProtocol(
+            subprotocols=[Subprotocol(name) for name in SUBPROTOCOLS],
+            max_size=MAX_REQUEST_BYTES,
+            logger=_LOGGER,
+        )
+        self._fragments: list[Frame] = []
+        self._full = False
+
+    @property
+    def is_stalled(self) -> bool:
+        """Whether its socket takes nothing now."""
+        return self._full
+
+    # From the loop
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Bound what the transport and the kernel keep."""
+        self._transport = cast("asyncio.Transport", transport)
+        self._transport.set_write_buffer_limits(high=0)
+        sock = self._transport.get_extra_info("socket")
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SOCKET_BYTES)
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Leave the server."""
+        self._transport = None
+        self._host.leave(self)
+
+    def pause_writing(self) -> None:
+        """Send nothing until the socket takes more."""
+        self._full = True
+        self.since_s = time.monotonic()
+
+    def resume_writing(self) -> None:
+        """Send what waits."""
+        self._full = False
+        self.flush()
+
+    def data_received(self, data: bytes) -> None:
+        """Take bytes of the handshake, or of messages."""
+        self._websocket.receive_data(data)
+        self._take_events()
+
+    def eof_received(self) -> None:
+        """Take the end of the stream; the transport closes then."""
+        self._websocket.receive_eof()
+        self._take_events()
+
+    # From the server
+
+    def tell(self, message: str | bytes) -> None:
+        """Send an offer, a state or an answer, which is never dropped."""
+        kind, data = (TEXT, message.encode()) if isinstance(message, str) else (BINARY, message)
+        try:
+            self.outbox.put_control(frame_head(kind, len(data)) + data)
+        except OverfullOutbox:
+            self.abort()
+            return
+        self.flush()
+
+    def flush(self) -> None:
+        """Give the socket what waits, until it takes no more."""
+        transport = self._transport
+        while transport is not None and not self._full and (piece := self.outbox.take()):
+            transport.write(piece)
+
+    def close(self, code: int, reason: str) -> None:
+        """End the connection with a close frame."""
+        if self._websocket.state is State.OPEN:
+            self._websocket.send_close(code, reason)
+            self._send_protocol_bytes()
+
+    def abort(self) -> None:
+        """End the connection at once; what waits is lost."""
+        if self._transport is not None:
+            self._transport.abort()
+
+    # The handshake and the frames
+
+    def _take_events(self) -> None:
+        for event in self._websocket.events_received():
+            if isinstance(event, Request):
+                self._shake_hands(event)
+            elif isinstance(event, Frame):
+                self._take_frame(event)
+        self._send_protocol_bytes()
+
+    def _shake_hands(self, request: Request) -> None:
+        headers = request.headers
+        refusal = self._admission.refusal(
+            request.path, headers.get_all("Host"), headers.get_all("Origin")
+        )
+        if refusal:
+            response = self._websocket.reject(http.HTTPStatus.FORBIDDEN, f"{refusal}\n")
+        else:
+            response = self._websocket.accept(request)
+        self._websocket.send_response(response)
+        self._send_protocol_bytes()
+        if self._websocket.state is State.OPEN:
+            self.admitted = True
+            self._host.admit(self)
+
+    def _take_frame(self, frame: Frame) -> None:
+        if frame.opcode not in (Opcode.TEXT, Opcode.BINARY, Opcode.CONT):
+            return
+        self._fragments.append(frame)
+        if not frame.fin:
+            return
+        whole = b"".join(bytes(each.data) for each in self._fragments)
+        decode: Callable[[bytes], ViewRequest] = (
+            text_request if self._fragments[0].opcode is Opcode.TEXT else binary_request
+        )
+        self._fragments.clear()
+        try:
+            self._host.request(self, decode(whole))
+        except WrongRequest as error:
+            self._host.wrong(self, str(error))
+
+    def _send_protocol_bytes(self) -> None:
+        """Send what the handshake, a ping or a close frame asks for."""
+        for data in self._websocket.data_to_send():
+            if self._transport is None:
+                return
+            if not data:  # it wants the stream to end
+                self.flush()
+                self._transport.close()
+            elif not self.admitted:
+                self._transport.write(data)
+            else:  # never into the middle of a frame
+                try:
+                    self.outbox.put_control(data)
+                except OverfullOutbox:
+                    self.abort()
+        self.flush()

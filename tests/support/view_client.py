@@ -1,0 +1,152 @@
+"""A small client of the Foxglove WebSocket protocol."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import struct
+from collections.abc import AsyncIterator, Callable, Mapping
+from contextlib import asynccontextmanager
+from typing import Any, NamedTuple
+
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.typing import Subprotocol
+
+from tests.support.waiting import DEADLINE_S
+
+SDK = "foxglove.sdk.v1"
+
+
+class Received(NamedTuple):
+    """One message of a topic."""
+
+    subscription: int
+    log_ns: int
+    data: bytes
+
+
+class PlaybackPoint(NamedTuple):
+    """A playback state as the server sends it."""
+
+    status: int
+    at_ns: int
+    rate: float
+    did_seek: bool
+    request_id: str
+
+
+class ViewClient:
+    """A connection; what comes is sorted into lists."""
+
+    def __init__(self, socket: ClientConnection) -> None:
+        self.socket = socket
+        self.channels: dict[str, dict[str, Any]] = {}
+        """Topic -> its offer."""
+        self.said: list[dict[str, Any]] = []
+        """Everything in JSON."""
+        self.messages: list[Received] = []
+        self.playback: list[PlaybackPoint] = []
+        self.times_ns: list[int] = []
+        self.responses: list[dict[str, Any]] = []
+
+    async def until(self, condition: Callable[[], object]) -> None:
+        """Receive until a condition holds."""
+        async with asyncio.timeout(DEADLINE_S):
+            while not condition():
+                self._take(await self.socket.recv())
+
+    async def receive_for(self, seconds: float) -> None:
+        """Receive for a time."""
+        try:
+            async with asyncio.timeout(seconds):
+                while True:
+                    self._take(await self.socket.recv())
+        except TimeoutError:
+            pass
+
+    async def ask(self, **fields: Any) -> None:
+        """Send a request in JSON."""
+        await self.socket.send(json.dumps(fields))
+
+    async def subscribe(self, *topics: str) -> None:
+        """Subscribe to topics; the id of a subscription is 1000 above that of its channel."""
+        await self.until(lambda: set(topics) <= self.channels.keys())
+        ids = [self.channels[topic]["id"] for topic in topics]
+        wanted = [{"id": 1000 + each, "channelId": each} for each in ids]
+        await self.ask(op="subscribe", subscriptions=wanted)
+
+    async def unsubscribe(self, topic: str) -> None:
+        """Subscribe to a topic no longer."""
+        await self.ask(op="unsubscribe", subscriptionIds=[1000 + self.channels[topic]["id"]])
+
+    async def control(
+        self, *, play: bool, rate: float = 1.0, seek_ns: int | None = None, request_id: str = "r"
+    ) -> None:
+        """Ask for a playback."""
+        name = request_id.encode()
+        fields = (3, not play, rate, seek_ns is not None, seek_ns or 0, len(name))
+        await self.socket.send(struct.pack("<BBfBQI", *fields) + name)
+
+    async def call(self, service: str, call_id: int = 1) -> None:
+        """Call a service without parameters."""
+        offers = [each for said in self.said for each in said.get("services", ())]
+        (offer,) = (each for each in offers if each["name"] == service)
+        head = struct.pack("<BIII", 2, offer["id"], call_id, 4)
+        await self.socket.send(head + b"json{}")
+
+    def of(self, topic: str) -> list[Received]:
+        """Return the messages of a topic."""
+        subscription = 1000 + self.channels[topic]["id"]
+        return [each for each in self.messages if each.subscription == subscription]
+
+    def op(self, name: str) -> list[dict[str, Any]]:
+        """Return what was said with this operation."""
+        return [each for each in self.said if each["op"] == name]
+
+    def _take(self, received: str | bytes) -> None:
+        if isinstance(received, str):
+            said = json.loads(received)
+            self.said.append(said)
+            for channel in said["channels"] if said["op"] == "advertise" else ():
+                self.channels[channel["topic"]] = channel
+            return
+        match received[0]:
+            case 1:
+                subscription, log_ns = struct.unpack_from("<IQ", received, 1)
+                self.messages.append(Received(subscription, log_ns, received[13:]))
+            case 2:
+                self.times_ns += struct.unpack_from("<Q", received, 1)
+            case 3:
+                self.responses.append(json.loads(received[17:]))
+            case 5:
+                status, at_ns, rate, did_seek, length = struct.unpack_from("<BQfBI", received, 1)
+                name = received[19 : 19 + length].decode()
+                self.playback.append(PlaybackPoint(status, at_ns, rate, bool(did_seek), name))
+
+
+@asynccontextmanager
+async def view_client(
+    url: str,
+    *,
+    subprotocol: str = SDK,
+    origin: str | None = None,
+    headers: Mapping[str, str] | None = None,
+) -> AsyncIterator[ViewClient]:
+    """Connect for a block.
+
+    Raises:
+        InvalidHandshake: The server refuses it.
+    """
+    async with connect(
+        url,
+        subprotocols=[Subprotocol(subprotocol)],
+        origin=origin,  # type: ignore[arg-type]  # a NewType of str
+        additional_headers=headers,
+        max_size=None,
+        compression=None,
+        proxy=None,
+    ) as socket:
+        try:
+            yield ViewClient(socket)
+        finally:
+            socket.transport.abort()  # a closing handshake would wait behind unread messages

@@ -1,0 +1,92 @@
+"""Requests of viewers: decoded strictly, and anything else is one kind of error."""
+
+from __future__ import annotations
+
+import struct
+from contextlib import suppress
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robotctl.view.foxglove_requests import (
+    PlaybackRequest,
+    ServiceCall,
+    Subscribe,
+    Unsubscribe,
+    WrongRequest,
+    binary_request,
+    text_request,
+)
+
+
+def playback(command: int = 0, rate: float = 2.0, name: bytes = b"abc") -> bytes:
+    return struct.pack("<BBfBQI", 3, command, rate, 1, 5_000_000_000, len(name)) + name
+
+
+def test_subscriptions_are_pairs_of_ids() -> None:
+    text = b'{"op": "subscribe", "subscriptions": [{"id": 7, "channelId": 1}]}'
+    assert text_request(text) == Subscribe({7: 1})
+    text = b'{"op": "unsubscribe", "subscriptionIds": [7, 8]}'
+    assert text_request(text) == Unsubscribe([7, 8])
+
+
+def test_a_playback_request_is_read_as_the_sdk_reads_it() -> None:
+    """foxglove-sdk 0.30.3 read these bytes as play, 2.0, 5 s, "abc"."""
+    assert binary_request(playback()) == PlaybackRequest(True, 2.0, 5_000_000_000, "abc")
+    assert binary_request(playback(command=1)) == PlaybackRequest(False, 2.0, 5_000_000_000, "abc")
+
+
+def test_a_service_call_is_read() -> None:
+    assert binary_request(struct.pack("<BIII", 2, 4, 9, 4) + b"json{}") == ServiceCall(4, 9)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        b"",
+        b"{bad",
+        b"[]",
+        b"{}",
+        b'{"op": "advertise", "channels": []}',
+        b'{"op": "setParameters"}',
+        b'{"op": "subscribe"}',
+        b'{"op": "subscribe", "subscriptions": [3]}',
+        b'{"op": "subscribe", "subscriptions": [{"id": true, "channelId": 1}]}',
+        b'{"op": "subscribe", "subscriptions": [{"id": -1, "channelId": 1}]}',
+        b'{"op": "subscribe", "subscriptions": [{"id": 1e400, "channelId": 1}]}',
+        b"[" * 100_000,
+        b'"\xff"',
+    ],
+)
+def test_other_texts_are_refused_with_one_error(text: bytes) -> None:
+    with pytest.raises(WrongRequest):
+        text_request(text)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"\x01",
+        b"\x09",
+        b"\x02\x00",
+        playback()[:-1],
+        playback(command=2),
+        playback(rate=float("nan")),
+        playback(rate=0.0),
+        playback(rate=float("inf")),
+        playback(name=b"\xff"),
+        playback(name=b"x" * 300),
+    ],
+)
+def test_other_bytes_are_refused_with_one_error(data: bytes) -> None:
+    with pytest.raises(WrongRequest):
+        binary_request(data)
+
+
+@given(st.binary(max_size=64))
+def test_no_bytes_raise_anything_else(data: bytes) -> None:
+    for decode in (text_request, binary_request):
+        with suppress(WrongRequest):
+            decode(data)

@@ -1,0 +1,307 @@
+"""The server of the view, by a client of the protocol over real sockets."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import random
+import socket
+import time
+from contextlib import suppress
+
+import pytest
+from websockets.exceptions import ConnectionClosed, InvalidHandshake
+
+from robotctl.errors import Refused
+from robotctl.view import view_server
+from robotctl.view.admission import Admission, new_token
+from robotctl.view.foxglove_messages import StatusLevel
+from robotctl.view.foxglove_requests import PlaybackRequest
+from robotctl.view.outbox import MAX_MESSAGES
+from robotctl.view.view_server import ViewServer
+from robotctl.view.viewer import MAX_REQUEST_BYTES
+from tests.support.served_view import STRING, TOKEN, Served, served
+from tests.support.view_client import ViewClient, view_client
+from tests.support.waiting import loop_until
+
+
+@pytest.mark.parametrize("subprotocol", ["foxglove.sdk.v1", "foxglove.websocket.v1"])
+async def test_a_viewer_gets_the_messages_it_subscribes_to(subprotocol: str) -> None:
+    async with served() as view, view_client(view.url, subprotocol=subprotocol) as client:
+        assert client.socket.subprotocol == subprotocol
+        a, b = view.server.offer("/a", *STRING), view.server.offer("/b", *STRING)
+        await client.subscribe("/a")
+        await in_order(client)
+        view.server.publish(b, 1, b"unwanted")
+        view.server.publish(a, 2, b"wanted")
+        view.server.publish(a, 3, memoryview(bytes(3_000_000)))
+        await client.until(lambda: len(client.messages) == 2)
+        assert [(each.log_ns, len(each.data)) for each in client.of("/a")] == [
+            (2, 6),
+            (3, 3_000_000),
+        ]
+        assert client.channels["/a"]["schemaName"] == "std_msgs/msg/String"
+        assert client.channels["/a"]["schemaEncoding"] == "ros2msg"
+        assert client.op("serverInfo")[0]["capabilities"] == []
+        await client.unsubscribe("/a")
+        await in_order(client)
+        view.server.publish(a, 4, b"late")
+        view.server.withdraw(b)
+        await client.until(lambda: client.op("unadvertise"))
+        assert len(client.messages) == 2
+
+
+async def in_order(client: ViewClient) -> None:
+    """Wait until the server has taken all earlier requests."""
+    count = len(client.op("status"))
+    await client.ask(op="nonsense")
+    await client.until(lambda: len(client.op("status")) > count)
+
+
+async def test_it_tells_when_a_topic_begins_and_ends_to_be_watched() -> None:
+    async with served() as view:
+        watched: list[tuple[str, int]] = []
+        view.server.on_subscribed = lambda channel: watched.append(("on", channel))
+        view.server.on_unwatched = lambda channel: watched.append(("off", channel))
+        a = view.server.offer("/a", *STRING)
+        async with view_client(view.url) as one:
+            await one.subscribe("/a")
+            async with view_client(view.url) as two:
+                await two.subscribe("/a")
+                await loop_until(lambda: len(watched) == 2)
+            await one.unsubscribe("/a")
+            await loop_until(lambda: ("off", a) in watched)
+    assert watched == [("on", a), ("on", a), ("off", a)]
+
+
+async def test_a_view_is_read_only() -> None:
+    """What would publish, set or call is refused, and the connection goes on."""
+    async with served() as view, view_client(view.url) as client:
+        requests: list[str | bytes] = [
+            json.dumps({"op": "advertise", "channels": [{"id": 1, "topic": "/cmd_vel"}]}),
+            json.dumps({"op": "setParameters", "parameters": []}),
+            json.dumps({"op": "fetchAsset", "uri": "file:///etc/passwd", "requestId": 1}),
+            b"\x01" + bytes(8),
+            b"\x02" + bytes(12),
+            b"\x03" + bytes(2) + b"\x80\x3f" + bytes(13),
+        ]
+        for request in requests:
+            await client.socket.send(request)
+        await client.until(lambda: len(client.op("status")) == len(requests))
+
+
+async def test_none_of_200_foreign_pages_rebound_names_and_old_tokens_gets_through() -> None:
+    chance = random.Random(16)
+    async with served() as view:
+        admitted: list[int] = []
+        view.server.on_viewers = admitted.append
+        own, old = f"127.0.0.1:{view.port}", new_token()
+        for number in range(200):
+            host, origin, token = own, None, TOKEN
+            kind = number % 3
+            if kind == 0:
+                origin = f"http://{chance.choice(['evil.example', 'localhost:3000', '10.0.0.1'])}"
+            elif kind == 1:
+                host = f"{chance.choice(['evil', 'a.localhost', '127.0.0.1'])}.example:{view.port}"
+            else:
+                token = chance.choice([old, "", TOKEN[:-1], TOKEN.upper(), TOKEN + "0"])
+            assert b" 101 " not in await handshake(view, host, origin, token), number
+        assert admitted == []
+        assert b" 101 " in await handshake(view, own, None, TOKEN)
+
+
+async def handshake(view: Served, host: str, origin: str | None, token: str) -> bytes:
+    """Return the first line of the answer."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", view.port)
+    lines = [
+        f"GET /?token={token} HTTP/1.1",
+        f"Host: {host}",
+        "Upgrade: websocket",
+        "Connection: Upgrade",
+        "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==",
+        "Sec-WebSocket-Version: 13",
+        "Sec-WebSocket-Protocol: foxglove.sdk.v1",
+        *([f"Origin: {origin}"] if origin else []),
+    ]
+    writer.write("\r\n".join([*lines, "", ""]).encode())
+    first = await reader.readline()
+    writer.close()
+    return first
+
+
+async def test_a_token_is_of_one_run() -> None:
+    assert len({new_token() for _ in range(100)}) == 100
+
+
+async def test_a_client_without_one_of_the_protocols_is_refused() -> None:
+    async with served() as view:
+        with pytest.raises(InvalidHandshake):
+            async with view_client(view.url, subprotocol="chat"):
+                pass
+
+
+async def test_a_stalled_viewer_loses_its_oldest_messages_and_is_told() -> None:
+    async with served() as view:
+        channel = view.server.offer("/a", *STRING)
+        async with view_client(view.url) as slow, view_client(view.url) as quick:
+            for client in (slow, quick):
+                await client.subscribe("/a")
+                await in_order(client)
+            slow.socket.transport.pause_reading()
+            sent = 0
+            (viewer,) = (each for each in view.server._viewers if _is_of(each, slow))
+            while viewer.outbox.dropped < 100:
+                view.server.publish(channel, sent, bytes(10_000))
+                sent += 1
+                await quick.until(lambda: len(quick.messages) == sent)  # noqa: B023 - awaited here
+            last = sent - 1
+            slow.socket.transport.resume_reading()
+            await slow.until(lambda: slow.messages and slow.messages[-1].log_ns == last)
+            await slow.until(lambda: slow.op("status")[-1].get("id") == "dropped")
+            assert len(slow.messages) + viewer.outbox.dropped == sent
+            assert f"{viewer.outbox.dropped} messages" in slow.op("status")[-1]["message"]
+            assert all(each.get("id") != "dropped" for each in quick.op("status"))
+
+
+def _is_of(viewer: object, client: ViewClient) -> bool:
+    """Return whether a viewer is the other end of a client."""
+    transport = viewer._transport  # type: ignore[attr-defined]
+    ours = client.socket.transport.get_extra_info("sockname")
+    return bool(transport.get_extra_info("peername") == ours)
+
+
+async def test_a_viewer_that_takes_nothing_is_disconnected(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(view_server, "STALL_S", 0.1)
+    monkeypatch.setattr(view_server, "_PERIOD_S", 0.05)
+    async with served() as view, view_client(view.url) as client:
+        gone: list[int] = []
+        channel = view.server.offer("/a", *STRING)
+        await client.subscribe("/a")
+        await in_order(client)
+        view.server.on_viewers = gone.append
+        client.socket.transport.pause_reading()
+        while not gone:
+            view.server.publish(channel, 1, bytes(100_000))
+            await asyncio.sleep(0)
+        assert gone == [0]
+        client.socket.transport.abort()
+
+
+async def test_a_handshake_that_does_not_end_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(view_server, "HANDSHAKE_S", 0.1)
+    monkeypatch.setattr(view_server, "_PERIOD_S", 0.05)
+    async with served() as view:
+        reader, writer = await asyncio.open_connection("127.0.0.1", view.port)
+        writer.write(b"GET / HTTP/1.1\r\nHost: ")
+        with suppress(ConnectionError):
+            assert await reader.read() == b""
+        writer.close()
+
+
+@pytest.mark.parametrize(
+    "sent", [b"\x16\x03\x01\x02\x00\x01", b"GET / HTTP/1.1\r\n\r\n", b"x" * 20_000, b"\r\n\r\n"]
+)
+async def test_what_is_no_handshake_is_answered_or_ended(sent: bytes) -> None:
+    async with served() as view:
+        reader, writer = await asyncio.open_connection("127.0.0.1", view.port)
+        writer.write(sent)
+        writer.write_eof()
+        with suppress(ConnectionError):
+            assert b" 101 " not in await reader.read()
+        writer.close()
+        async with view_client(view.url) as client:
+            await client.until(lambda: client.op("serverInfo"))
+
+
+async def test_too_many_viewers_are_told_to_try_later(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(view_server, "MAX_VIEWERS", 1)
+    async with served() as view, view_client(view.url) as first:
+        await first.until(lambda: first.op("serverInfo"))
+        with pytest.raises(ConnectionClosed, match="1 viewers are connected already"):
+            async with view_client(view.url) as second:
+                await second.until(lambda: False)
+
+
+async def test_a_request_that_is_too_large_ends_only_its_connection() -> None:
+    async with served() as view, view_client(view.url) as other:
+        async with view_client(view.url) as client:
+            await client.socket.send(b" " * (MAX_REQUEST_BYTES + 1))
+            with pytest.raises(ConnectionClosed):
+                await client.until(lambda: False)
+        await in_order(other)
+
+
+async def test_a_later_viewer_sees_the_notes_that_still_hold() -> None:
+    async with served() as view:
+        view.server.note("/x", StatusLevel.WARNING, "/x is not shown")
+        view.server.note("/y", StatusLevel.WARNING, "/y is not shown")
+        async with view_client(view.url) as client:
+            await client.until(lambda: len(client.op("status")) == 2)
+            view.server.clear("/x")
+            await client.until(lambda: client.op("removeStatus"))
+            assert client.op("removeStatus")[0]["statusIds"] == ["/x"]
+        async with view_client(view.url) as client:
+            await in_order(client)
+            assert client.op("status")[0]["message"] == "/y is not shown"
+
+
+async def test_playback_requests_reach_the_source() -> None:
+    async with served(capabilities=("playbackControl",), span_ns=(0, 10)) as view:
+        asked: list[PlaybackRequest] = []
+        view.server.on_playback = asked.append
+        async with view_client(view.url) as client:
+            await client.control(play=True, rate=2.0, seek_ns=7, request_id="q")
+            await loop_until(lambda: asked)
+    assert asked == [PlaybackRequest(True, 2.0, 7, "q")]
+
+
+async def test_a_port_that_is_taken_is_named_and_the_usual_one_replaced(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        monkeypatch.setattr(view_server, "DEFAULT_PORT", port)
+        server = ViewServer("test", Admission(TOKEN))
+        with pytest.raises(Refused, match=f"port {port}.*--port"):
+            await server.listen("127.0.0.1", port)
+        assert await server.listen("127.0.0.1", None) != port
+        server.close()
+
+
+async def test_a_hundred_stalled_viewers_hold_little(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each waits for the same messages, and these are held once."""
+    async with served() as view:
+        channel = view.server.offer("/a", *STRING)
+        clients = []
+        try:
+            for _ in range(100):
+                manager = view_client(view.url)
+                client = await manager.__aenter__()
+                clients.append((manager, client))
+                await client.subscribe("/a")
+                client.socket.transport.pause_reading()
+            await loop_until(lambda: len(view.server._subscribers.get(channel, ())) == 100)
+            before, began = _resident_bytes(), time.process_time()
+            for number in range(4 * MAX_MESSAGES):
+                view.server.publish(channel, number, bytes(2000))
+                await asyncio.sleep(0)
+            assert time.process_time() - began < 30.0
+            assert _resident_bytes() - before < 64 << 20
+        finally:
+            for manager, client in clients:
+                client.socket.transport.abort()
+                await manager.__aexit__(None, None, None)
+
+
+def _resident_bytes() -> int:
+    with open("/proc/self/statm") as statm:
+        return int(statm.read().split()[1]) * 4096
+
+
+async def test_a_viewer_that_leaves_gets_the_end_of_the_closing_handshake() -> None:
+    async with served() as view, view_client(view.url) as client:
+        await client.until(lambda: client.op("serverInfo"))
+        await client.socket.close()
+        assert client.socket.close_code == 1000
