@@ -164,6 +164,39 @@ def test_every_number_has_limits_that_hold_at_both_ends() -> None:
     assert tried > 20
 
 
+@pytest.mark.parametrize(
+    "content",
+    [
+        'recording.throttle: {"/camera/*": 5, "type:sensor_msgs/msg/Image": 0.5}',
+        'recording:\n  throttle:\n    "/camera/*": 5\n    type:sensor_msgs/msg/Image: 0.5\n',
+        'recording.throttle: ["/camera/*=5", "type:sensor_msgs/msg/Image=0.5"]',
+        "n: {ros__parameters: {recording.throttle: [/camera/*=5, type:sensor_msgs/msg/Image=0.5]}}",
+    ],
+)
+def test_rates_by_topic_are_a_mapping_or_texts(tmp_path: Path, content: str) -> None:
+    config = load(write(tmp_path, content))
+    assert config.recording.throttle == ("/camera/*=5", "type:sensor_msgs/msg/Image=0.5")
+    assert load(write(tmp_path, yaml.safe_dump(flat(config)))) == config
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        "5",
+        '{"/camera": fast}',
+        '{"/camera": -1}',
+        "{camera: 5}",
+        '["/camera"]',
+        '{"/c": .nan}',
+        "[5]",
+    ],
+)
+def test_what_is_no_rate_of_a_topic_is_refused(tmp_path: Path, value: str) -> None:
+    with pytest.raises(ConfigError) as refused:
+        load(write(tmp_path, f"recording.throttle: {value}"))
+    assert 'such as {"/camera/*": 5}' in str(refused.value)
+
+
 def test_a_whole_number_is_a_number(tmp_path: Path) -> None:
     config = load(write(tmp_path, "rate_hz: 100"))
     assert config.kernel.rate_hz == 100.0

@@ -92,7 +92,7 @@ def test_the_parameters_are_documented_with_what_is_allowed() -> None:
     documented = dict(re.findall(r"^\| `([\w.]+)` \| \S* \| (.*) \|", table, re.MULTILINE))
     for key in flat(Config()):
         with pytest.raises(ConfigError) as refused:
-            with_setting(Config(), key, {})
+            with_setting(Config(), key, object())
         allowed = refused.value.cure.removeprefix("use ")
         number, _, limits = allowed.partition("a number from ")
         if not number:

@@ -72,6 +72,8 @@ def _allowed(value: object, metadata: Mapping[str, Any]) -> str:
         return ", ".join(member.value for member in type(value))
     if "choices" in metadata:
         return ", ".join(metadata["choices"])
+    if metadata.get("rates"):
+        return "topics, globs, types, each with a rate"
     if metadata.get("corners"):
         return '3 to 64 corners; "" for none'
     if metadata.get("topic"):

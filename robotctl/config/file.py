@@ -17,7 +17,7 @@ from reprlib import repr as short_repr
 from typing import Any
 
 from robotctl.config.schema import Config
-from robotctl.config.settings import check_together, with_setting
+from robotctl.config.settings import RATE_KEYS, check_together, with_setting
 from robotctl.errors import ConfigError
 from robotctl.regular_file import open_regular
 
@@ -113,10 +113,10 @@ def _parameters(content: Any, path: Path) -> Mapping[Any, Any]:
 def flatten(
     settings: Mapping[Any, Any], path: Path, prefix: str = ""
 ) -> Iterator[tuple[str, object]]:
-    """Yield each setting as a dotted key and its value."""
+    """Yield each setting as a dotted key and its value; rates by topic stay a mapping."""
     for name, value in settings.items():
         key = f"{prefix}{name}"
-        if isinstance(value, dict):
+        if isinstance(value, dict) and key not in RATE_KEYS:
             yield from flatten(value, path, f"{key}.")
         else:
             yield key, value

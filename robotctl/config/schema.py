@@ -17,11 +17,12 @@ class RecordingParams:
     `compression` is zstd, lz4 or none. The oldest recordings are removed until at most
     `max_total_gb` are left and none is older than `max_age_days`; 0 means no limit. A topic is
     recorded if a pattern of `include` matches it, or `include` is empty, and no pattern of
-    `exclude` matches it.
-    A clip is cut around each emergency stop and error, from `clip_before_s` before it to
-    `clip_after_s` after it; with `clip_before_s` 0 no clips are cut. `group_readable` lets the
-    group read the recordings, otherwise only their owner may. `seal` signs them with a key of the
-    robot; `publish_heads` publishes the newest head on a topic, and `head_command` is run with it.
+    `exclude` matches it. `throttle` and `expected_rates` give rates [1/s] to patterns, each as
+    PATTERN=RATE; the first pattern that matches counts. A clip is cut around each emergency stop
+    and error, from `clip_before_s` before it to `clip_after_s` after it; with `clip_before_s` 0 no
+    clips are cut. `group_readable` lets the group read the recordings, otherwise only their owner
+    may. `seal` signs them with a key of the robot; `publish_heads` publishes the newest head on a
+    topic, and `head_command` is run with it.
     """
 
     compression: Compression = setting(Compression.ZSTD, "compression of the chunks", Change.START)
@@ -35,6 +36,23 @@ class RecordingParams:
         30.0, 0.0, 3600.0, "s", "what a clip holds before its event; 0: no clips"
     )
     clip_after_s: float = bounded(5.0, 0.0, 600.0, "s", "what a clip holds after its event")
+    throttle: tuple[str, ...] = setting(
+        (), "messages a second that are recorded at most, by topic", Change.START, rates=True
+    )
+    expected_rates: tuple[str, ...] = setting(
+        (),
+        "messages a second that are expected, by topic; 0: no expectation",
+        Change.START,
+        rates=True,
+    )
+    min_free_gb: float = bounded(
+        0.0,
+        0.0,
+        1e6,
+        "GB",
+        "with less free on the disk, the heaviest topics are not recorded; 0: off",
+        Change.START,
+    )
     group_readable: bool = setting(False, "the group may read (0640, 0750)", Change.START)
     foxglove_events: bool = setting(
         False, "changes of the mode and marks are recorded as events of Foxglove", Change.START

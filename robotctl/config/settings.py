@@ -89,6 +89,12 @@ def keyed_leaves(config: Config) -> Iterator[tuple[str, Leaf]]:
         yield ".".join(leaf.path[1:] if leaf.path[0] == "kernel" else leaf.path), leaf
 
 
+RATE_KEYS = frozenset(
+    key for key, leaf in keyed_leaves(Config()) if leaf.declared.metadata.get("rates")
+)
+"""The keys whose value is a mapping of topics to rates."""
+
+
 @cache
 def _kinds(section: Any) -> dict[str, Any]:
     """Return the type of each field of a section."""

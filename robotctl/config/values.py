@@ -15,6 +15,8 @@ from robotctl.kernel.ranges import Range
 _TOPIC = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 _FRAME = re.compile(r"[A-Za-z0-9_/]{1,200}")
 _PATTERN = re.compile(r"(?:type:|(?=[/*?\[]))[A-Za-z0-9_/*?!\[\]-]{1,300}")
+MAX_RATE_HZ = 1e5
+RATES_HELP = 'use topics, globs or types with rates, such as {"/camera/*": 5}'
 PATTERN_HELP = "a topic (/scan), a glob (/camera/*) or a type (type:sensor_msgs/msg/Image)"
 
 
@@ -25,7 +27,7 @@ def checked_value(key: str, value: object, kind: Any, metadata: Mapping[str, Any
         ConfigError: The value is not allowed; the error says what is.
     """
     if kind == tuple[str, ...]:
-        return _checked_patterns(key, value)
+        return (_checked_rates if metadata.get("rates") else _checked_patterns)(key, value)
     if issubclass(kind, Enum):
         choices = {member.value: member for member in kind}
         # 100 and true are no text in YAML.
@@ -73,6 +75,26 @@ def _checked_patterns(key: str, value: object) -> tuple[str, ...]:
         if not is_topic_pattern(pattern):
             raise not_allowed(key, pattern, f"use {PATTERN_HELP}")
     return tuple(value)
+
+
+def _checked_rates(key: str, value: object) -> tuple[str, ...]:
+    """Return rates by topic as PATTERN=RATE; a file may give them as a mapping."""
+    if isinstance(value, dict):
+        value = [f"{pattern}={rate}" for pattern, rate in value.items()]
+    if not isinstance(value, list):
+        raise not_allowed(key, value, RATES_HELP)
+    for each in value:
+        pattern, _, rate = each.rpartition("=") if isinstance(each, str) else ("", "", "")
+        if not (is_topic_pattern(pattern) and _is_rate(rate)):
+            raise not_allowed(key, each, RATES_HELP)
+    return tuple(value)
+
+
+def _is_rate(text: str) -> bool:
+    try:
+        return 0.0 <= float(text) <= MAX_RATE_HZ
+    except ValueError:
+        return False
 
 
 def is_topic_pattern(value: object) -> bool:

@@ -30,13 +30,13 @@ class Diagnostics:
     async def run(self) -> None:
         """Publish until cancelled."""
         while True:
+            self._recorder.sample(self._recorder.stats())
             self.publish()
             await asyncio.sleep(PERIOD_S)
 
     def publish(self) -> None:
         """Publish once."""
         stats = self._recorder.stats()
-        self._recorder.sample(stats)
         warnings = self._status.warnings(stats)
         self._publisher.publish(self._recorder.diagnosis(stats), diagnose(warnings))
 

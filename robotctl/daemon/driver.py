@@ -151,6 +151,7 @@ class Driver:
             host.warnings,
         )
         self._diagnostics = Diagnostics(session, robot, self.recorder.report, self._status)
+        self.recorder.health.on_news = self._diagnostics.publish
         remote = RemoteRequests(self._velocity.gid)
         self._inputs = Inputs(self._control, self._robot_report, remote.is_remote)
         self._odometry = OdomSubscriber(

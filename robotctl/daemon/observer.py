@@ -44,6 +44,7 @@ class Observer:
         self._diagnostics = Diagnostics(
             host.session, host.options.robot, self.recorder.report, self._status
         )
+        self.recorder.health.on_news = self._diagnostics.publish
         host.supervisor.report_to(self._note)
 
     def methods(self) -> Mapping[str, Method[Any]]:

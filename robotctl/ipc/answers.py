@@ -68,6 +68,7 @@ class CountsAnswer(TypedDict):
     queued: int
     dropped: int
     lost: int
+    throttled: int
 
 
 class TopicAnswer(CountsAnswer):

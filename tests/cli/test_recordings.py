@@ -205,7 +205,9 @@ def test_info_tells_machines_events_ledger_and_metadata(library: Path, cli: Cli)
         {"kind": "estop", "time_ns": START_NS, "text": "requested by \x1b[2J"}
     ]
     counts = {"received": 100, "written": 100, "queued": 0, "dropped": 0, "lost": 0, "unseen": 0}
-    assert found["ledger"] == {"/cmd_vel": {**counts, "bytes": 5200, "not_repeated": 0}}
+    assert found["ledger"] == {
+        "/cmd_vel": {**counts, "bytes": 5200, "not_repeated": 0, "throttled": 0}
+    }
     assert found["metadata"] == {"robotctl": {}}
 
 

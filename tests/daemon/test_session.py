@@ -148,7 +148,7 @@ def test_status_has_the_stable_keys(session: Session) -> None:
     assert set(status) == Status.__required_keys__
     assert set(status["pose"]) == {"x", "y", "theta"}
     assert set(status["velocity"]) == {"linear", "angular"}
-    ledger = ("bytes", "written", "queued", "dropped", "lost", "unseen")
+    ledger = ("bytes", "written", "queued", "dropped", "lost", "throttled", "unseen")
     assert {frozenset(topic) for topic in status["topics"]} == {
         frozenset({"name", "type", "count", "rate", *ledger})
     }
@@ -161,6 +161,7 @@ def test_status_has_the_stable_keys(session: Session) -> None:
         "queued",
         "dropped",
         "lost",
+        "throttled",
     }
 
 
@@ -195,7 +196,8 @@ def test_the_recording_holds_every_error_that_the_drive_told(session: Session) -
     assert [{name: getattr(each, name) for name in ERRORS} for each in events] == [
         {name: session.drive[name] for name in ERRORS}
     ]
-    assert None not in [session.drive[name] for name in ERRORS]
+    known = [name for name in ERRORS if session.drive[name] is not None]
+    assert set(ERRORS) - set(known) <= {"true_closure_m"}  # none if the drive ends with its lap
 
 
 def test_the_driven_path_lies_on_the_wanted_one(session: Session) -> None:

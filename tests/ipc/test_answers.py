@@ -14,8 +14,8 @@ STABLE = {
         "odometry_dropped topics recorder warnings domain_id discovery_range scheduling socket "
         "uptime_s"
     ),
-    answers.TopicAnswer: "name type count rate bytes written queued dropped lost unseen",
-    answers.RecorderAnswer: "state file bytes received written queued dropped lost",
+    answers.TopicAnswer: "name type count rate bytes written queued dropped lost throttled unseen",
+    answers.RecorderAnswer: "state file bytes received written queued dropped lost throttled",
     answers.RecordStatus: "topics recorder warnings",
     answers.PoseAnswer: "x y theta",
     answers.VelocityAnswer: "linear angular",

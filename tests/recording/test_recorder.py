@@ -302,6 +302,7 @@ def test_the_file_describes_itself(folder: Path) -> None:
         "unseen": 4,
         "bytes": 12 * 52,
         "not_repeated": 0,
+        "throttled": 0,
     }
     (channel_record,) = summary.channels.values()
     assert channel_record.metadata == {"topic_type_hash": "RIHS01_ab", "offered_qos_profiles": QOS}

@@ -26,9 +26,11 @@ app.add_typer(group, name="record")
 SPLIT_DEADLINE_S = 15.0
 
 _COUNTS = {
-    name: max(len(name), 6) for name in ("received", *CountsAnswer.__annotations__, "unseen")
+    name: max(len(name), 6)
+    for name in ("received", *CountsAnswer.__annotations__, "unseen")
+    if name != "throttled"
 }
-"""The counters of a topic, and the widths of their columns."""
+"""The counters of a topic, and the widths of their columns; few topics are throttled."""
 
 _MIN_NAME_WIDTH = 24
 
@@ -51,7 +53,8 @@ def status(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
     """Show received, written and lost messages of each topic.
 
     received = written + queued + dropped. Messages that never arrived are counted as lost if they
-    were sent after the first one that arrived, and as unseen if before it.
+    were sent after the first one that arrived, and as unseen if before it. Throttled are those that
+    recording.throttle or recording.min_free_gb left out.
 
     \b
     Examples:
@@ -89,4 +92,7 @@ def status_lines(answer: RecordStatus) -> Iterator[str]:
         known = {"received": topic.get("count"), **topic}
         counts = " ".join(f"{known.get(key) or 0:>{width}}" for key, width in _COUNTS.items())
         yield f"  {elided(topic.get('name'), name_width):{name_width}} {counts}"
+    for topic in answer["topics"]:
+        if throttled := topic.get("throttled"):
+            yield f"throttled: {throttled} messages of {printable(topic.get('name'))}"
     yield from (f"warning: {printable(warning)}" for warning in answer["warnings"])

@@ -66,6 +66,8 @@ def status_rows(status: Status) -> Iterator[tuple[str, str]]:
     yield "recorder", f"{printable(recorder.get('state'))}, {size(recorder.get('bytes') or 0)}"
     counts = ("received", "written", "queued", "dropped", "lost")
     yield "messages", ", ".join(f"{recorder.get(name, 0)} {name}" for name in counts)
+    if recorder.get("throttled"):
+        yield "", f"{recorder['throttled']} throttled"
     if recorder.get("file"):
         yield "file", short_path(recorder["file"])
     domain, discovery = status.get("domain_id"), status.get("discovery_range")

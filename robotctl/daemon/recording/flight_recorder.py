@@ -15,11 +15,14 @@ from robotctl.config import Config, flat
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.recording.black_box import BlackBox
 from robotctl.daemon.recording.call_in_loop import in_loop
+from robotctl.daemon.recording.disk_reserve import DiskReserve
 from robotctl.daemon.recording.folder import open_recorder, retention_policy
 from robotctl.daemon.recording.head_forwarder import HeadForwarder
+from robotctl.daemon.recording.health_looks import HealthLooks
 from robotctl.daemon.recording.recorder_report import RecorderReport
 from robotctl.daemon.recording.robot_seal import RobotSealer
 from robotctl.daemon.recording.tidier import Tidier
+from robotctl.daemon.recording.topic_sinks import TopicSinks
 from robotctl.daemon.supervisor import Work
 from robotctl.ipc.advice import for_robot
 from robotctl.recording import RecorderStats, Topic
@@ -27,10 +30,10 @@ from robotctl.recording.format import foxglove
 from robotctl.recording.format.event_kind import EventKind
 from robotctl.recording.format.events import RecordedEvent
 from robotctl.recording.write.topic_filter import TopicFilter
-from robotctl.ros.executor import UNKNOWN_GID, ViewSink
-from robotctl.ros.messages.topic_description import TopicDescription
+from robotctl.ros.executor import UNKNOWN_GID
 from robotctl.ros.nodes import (
     diagnostics_publisher,
+    head_publisher,
     journal_publisher,
     mark_publisher,
     mode_service,
@@ -77,6 +80,7 @@ class FlightRecorder:
         self._config = config
         publish = HeadPublisher(session).publish if config.recording.publish_heads else None
         self._heads = HeadForwarder(config.recording.head_command, publish)
+        evidence = frozenset(map(session.resolve, _evidence_topics(config)))
         self._recorder = open_recorder(
             options.recordings,
             options.robot,
@@ -87,14 +91,20 @@ class FlightRecorder:
             in_loop(self._file_full),
             present=lambda: self._config,
             sealer=RobotSealer(options.robot, in_loop(self._heads.take)),
-            evidence=frozenset(map(session.resolve, _evidence_topics(config))),
+            evidence=evidence,
             names={} if options.observe else mode_service.names(session.resolve),
         )
         topics = (config.kernel.command.topic, config.kernel.odometry.topic)
         own = (mode_service.STATUS.name, journal_publisher.TOPIC.name)
         proof = map(session.resolve, (*topics, *own))
         topic_filter = TopicFilter(config.recording.include, config.recording.exclude, proof)
-        self.tap = Tap(session, self._open_sink, topic_filter.records)
+        self._sinks = TopicSinks(
+            self._recorder,
+            config.recording,
+            is_own=frozenset(map(session.resolve, _own_topics(config))).__contains__,
+            is_evidence=evidence.__contains__,
+        )
+        self.tap = Tap(session, self._sinks.open, topic_filter.records)
         for own_topic in (diagnostics_publisher.TOPIC, rosout_publisher.TOPIC):
             self.tap.subscribe_own(own_topic)
         self._marks = MarkPublisher(session)
@@ -107,6 +117,7 @@ class FlightRecorder:
         self.folder = self._recorder.stats().file.parent
         self._black_box = BlackBox(config.recording, self.folder)
         self.tidier = Tidier(retention_policy(config.recording), self.folder)
+        self._reserve = DiskReserve(round(config.recording.min_free_gb * 1e9), self._sinks.gates)
         self.report = RecorderReport(
             self._recorder,
             self.tap,
@@ -114,6 +125,7 @@ class FlightRecorder:
             self._problems,
             options.robot,
         )
+        self.health = HealthLooks(self._sinks.health)
 
     def reconfigure(self, config: Config) -> None:
         """Use the retention, the clips and the meaning of a failure of `config` from now on."""
@@ -129,6 +141,8 @@ class FlightRecorder:
             "black box": self._black_box.run,
             "tidier": self.tidier.run,
             "heads of the seal": self._heads.run,
+            "topic health": self.health.run,
+            "disk reserve": partial(self._reserve.run, self._recorder, self.folder),
         }
 
     def open_journal(self, publisher: JournalPublisher) -> Callable[[bytes, int], None]:
@@ -208,7 +222,12 @@ class FlightRecorder:
         await asyncio.to_thread(rmtree, stats.file.parent, ignore_errors=True)
 
     def _problems(self) -> list[str]:
-        return [*self.tidier.problems, *filter(None, [self._heads.problem])]
+        return [
+            *self._reserve.warnings(),
+            *self.health.warnings(),
+            *self.tidier.problems,
+            *filter(None, [self._heads.problem]),
+        ]
 
     def _failed(self, detail: str) -> None:
         _log.error("%s", for_robot(detail, self._robot))
@@ -223,11 +242,19 @@ class FlightRecorder:
         _log.info("recording continues in %s", path)
         self.tidier.file_finished()
 
-    def _open_sink(self, topic: TopicDescription) -> ViewSink:
-        described = Topic(
-            topic.name, topic.type_name, topic.definition, topic.type_hash, topic.offered_qos
-        )
-        return partial(self._recorder.write, self._recorder.add_topic(described))
+
+def _own_topics(config: Config) -> list[str]:
+    """Return the topics that the daemon publishes itself."""
+    own = (
+        journal_publisher.TOPIC,
+        mode_service.STATUS,
+        mark_publisher.TOPIC,
+        diagnostics_publisher.TOPIC,
+        rosout_publisher.TOPIC,
+        head_publisher.TOPIC,
+        *mode_service.CALLS,
+    )
+    return [config.kernel.command.topic, *(topic.name for topic in own)]
 
 
 def _evidence_topics(config: Config) -> list[str]:

@@ -62,6 +62,7 @@ class RecorderReport:
                     "queued": topic.queued,
                     "dropped": topic.dropped,
                     "lost": topic.lost,
+                    "throttled": topic.throttled,
                     "unseen": topic.unseen,
                 }
                 for topic in sorted(by_topic(stats.topics), key=lambda t: (t.name, t.type_name))
@@ -75,6 +76,7 @@ class RecorderReport:
                 "queued": stats.queued,
                 "dropped": stats.dropped,
                 "lost": stats.lost,
+                "throttled": stats.throttled,
             },
         }
 

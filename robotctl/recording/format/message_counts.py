@@ -29,6 +29,9 @@ class MessageCounts:
     not_repeated: int = 0
     """Latched messages that later files do not repeat, for lack of memory or room in the file."""
 
+    throttled: int = 0
+    """Left out before the recorder received them: throttled, or because the disk is full soon."""
+
 
 COUNTERS: Final = tuple(field.name for field in fields(MessageCounts))
 

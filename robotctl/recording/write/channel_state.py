@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -30,6 +30,17 @@ class LatchedMessage(NamedTuple):
     sequence: int
 
 
+class Arrivals(NamedTuple):
+    """What has arrived on a channel: how many messages, and the log time of the newest one [ns].
+
+    `next_numbers` maps each publisher (its gid) to the sequence number that it sends next.
+    """
+
+    messages: int
+    newest_ns: int
+    next_numbers: Mapping[bytes, int]
+
+
 @dataclass(slots=True)
 class ChannelState:
     """The running counts and latched messages of one channel; each count has one thread."""
@@ -49,6 +60,9 @@ class ChannelState:
 
     dropped_by_loop: int = 0
     """Changed by the loop: dropped because there was no room, or because the recorder has ended."""
+
+    throttled: int = 0
+    """Changed by the loop: left out before they are received."""
 
     gaps: SequenceGaps = field(default_factory=SequenceGaps)
     expected: dict[bytes, int] = field(init=False)
@@ -124,6 +138,7 @@ class ChannelState:
             gaps.lost,
             gaps.unseen,
             not_repeated,
+            self.throttled,
             topic.name,
             topic.type_name,
             self.size,

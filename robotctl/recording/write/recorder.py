@@ -27,7 +27,7 @@ from robotctl.recording.format.records import (
 from robotctl.recording.format.topics import Topic
 from robotctl.recording.write.bag_writer import begin_bag
 from robotctl.recording.write.buffer import LargeMessage, PackBuffer
-from robotctl.recording.write.channel_state import MAX_PACKERS, ChannelState, Packer
+from robotctl.recording.write.channel_state import MAX_PACKERS, Arrivals, ChannelState, Packer
 from robotctl.recording.write.recorder_options import RecorderOptions
 from robotctl.recording.write.recorder_stats import RecorderState, RecorderStats
 from robotctl.recording.write.writer_thread import WriterCommand, WriterThread
@@ -142,6 +142,18 @@ class Recorder:
             self._write_carefully(channel, data, log_ns, publish_ns, sequence)
         except MemoryError:
             self._drop_for_memory(state, channel)
+
+    def leave_out(self, channel: int, log_ns: int, sequence: int, gid: bytes) -> None:
+        """Count a message as throttled: it is not recorded, and its number leaves no gap."""
+        state = self._channels[channel]
+        state.throttled += 1
+        state.newest_ns = log_ns
+        state.gaps.note(gid, sequence)
+
+    def arrivals(self, channel: int) -> Arrivals:
+        """Return what has arrived on a channel, recorded or not."""
+        state = self._channels[channel]
+        return Arrivals(state.received + state.throttled, state.newest_ns, state.expected)
 
     def split(self) -> None:
         """Continue in a new file, without a gap: messages written from now on go into that one.

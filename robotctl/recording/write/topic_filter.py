@@ -10,6 +10,11 @@ TYPE_PREFIX = "type:"
 """Prefix of a pattern that is matched against the type instead of the name."""
 
 
+def is_plain_name(pattern: str) -> bool:
+    """Return whether a pattern is the name of one topic."""
+    return pattern.startswith("/") and not set(pattern) & set("*?[")
+
+
 class TopicFilter:
     """A filter that accepts a topic if `include` matches it or is empty, and `exclude` does not
     match.
@@ -25,8 +30,8 @@ class TopicFilter:
         exclude: Iterable[str] = (),
         always: Iterable[str] = (),
     ) -> None:
-        self._include = [_Pattern(text) for text in include]
-        self._exclude = [_Pattern(text) for text in exclude]
+        self._include = [TopicPattern(text) for text in include]
+        self._exclude = [TopicPattern(text) for text in exclude]
         self._always = frozenset(always)
 
     def records(self, topic: str, type_name: str) -> bool:
@@ -43,10 +48,13 @@ class TopicFilter:
         return topic not in self._always
 
 
-class _Pattern:
+class TopicPattern:
+    """A pattern as `TopicFilter` describes it."""
+
     def __init__(self, text: str) -> None:
         self._of_type = text.startswith(TYPE_PREFIX)
         self._match = re.compile(translate(text.removeprefix(TYPE_PREFIX))).match
 
     def matches(self, topic: str, type_name: str) -> bool:
+        """Return whether the pattern matches the topic's name, or its type."""
         return self._match(type_name if self._of_type else topic) is not None

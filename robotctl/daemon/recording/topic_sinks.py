@@ -1,0 +1,69 @@
+"""The sink of each recorded topic: throttled where configured, and under watch."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from functools import partial
+from math import inf
+
+from robotctl.config import RecordingParams
+from robotctl.daemon.recording.topic_health import TopicHealth, may_be_learned
+from robotctl.recording import Recorder, Topic
+from robotctl.recording.write.message_gate import MessageGate
+from robotctl.recording.write.rate_by_topic import RateByTopic
+from robotctl.recording.write.topic_filter import is_plain_name
+from robotctl.ros.executor import ViewSink
+from robotctl.ros.messages.topic_description import TopicDescription
+
+
+class TopicSinks:
+    """Opens the sinks; for the loop's thread.
+
+    `is_own(topic)` tells the topics of robotctl itself, `is_evidence(topic)` those that a check
+    needs. Both are recorded whole, and so are latched topics; only topics of others are learned.
+    """
+
+    def __init__(
+        self,
+        recorder: Recorder,
+        params: RecordingParams,
+        *,
+        is_own: Callable[[str], bool],
+        is_evidence: Callable[[str], bool],
+    ) -> None:
+        self._recorder = recorder
+        self._is_own = is_own
+        self._is_evidence = is_evidence
+        self._most = RateByTopic(params.throttle)
+        self._has_reserve = params.min_free_gb > 0.0
+        self.gates: dict[str, list[MessageGate]] = {}
+        """The gates of each topic that may be left out."""
+
+        expected = (each.rpartition("=") for each in params.expected_rates)
+        named = [name for name, _, rate in expected if is_plain_name(name) and float(rate)]
+        self.health = TopicHealth(RateByTopic(params.expected_rates), named, time.monotonic())
+
+    def open(self, topic: TopicDescription) -> ViewSink:
+        """Return the sink of a topic's messages."""
+        described = Topic(
+            topic.name, topic.type_name, topic.definition, topic.type_hash, topic.offered_qos
+        )
+        channel = self._recorder.add_topic(described)
+        is_own = self._is_own(topic.name)
+        learns = not (is_own or described.latched) and may_be_learned(topic.name, topic.type_name)
+        self.health.add(
+            topic.name,
+            topic.type_name,
+            partial(self._recorder.arrivals, channel),
+            learns=learns,
+            now_s=time.monotonic(),
+        )
+        if is_own or described.latched or self._is_evidence(topic.name):
+            return partial(self._recorder.write, channel)
+        most_hz = self._most.of(topic.name, topic.type_name)
+        if most_hz is None and not self._has_reserve:
+            return partial(self._recorder.write, channel)
+        gate = MessageGate(self._recorder, channel, inf if most_hz is None else most_hz)
+        self.gates.setdefault(topic.name, []).append(gate)
+        return gate

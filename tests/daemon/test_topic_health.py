@@ -1,0 +1,271 @@
+"""Topics that stop, slow down, speed up or restart are named in time; others never are."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robotctl.daemon.recording.learned_period import MINUTE_S, ROUNDS
+from robotctl.daemon.recording.topic_health import RECENT_S, TopicHealth, may_be_learned
+from robotctl.daemon.recording.topic_watch import LOOK_S
+from robotctl.recording.write.channel_state import Arrivals
+from robotctl.recording.write.rate_by_topic import RateByTopic
+
+WALL_NS = 1_800_000_000_000_000_000
+SCAN, SCAN_TYPE = "/scan", "sensor_msgs/msg/LaserScan"
+OLD, NEW = b"old".ljust(16), b"new".ljust(16)
+LATENCY_S = 0.05
+"""The tap collects messages for this time."""
+
+
+@dataclass
+class Source:
+    """A channel on a virtual clock: its messages have come at these times [s]."""
+
+    times_s: list[float]
+    count: int = 0
+    newest_s: float = 0.0
+    numbers: dict[bytes, int] = field(default_factory=dict)
+    gid: bytes = OLD
+
+    def arrive(self, now_s: float) -> None:
+        while self.count < len(self.times_s) and self.times_s[self.count] <= now_s - LATENCY_S:
+            self.newest_s = self.times_s[self.count]
+            self.count += 1
+            self.numbers[self.gid] = self.numbers.get(self.gid, 1) + 1
+
+    def arrivals(self) -> Arrivals:
+        return Arrivals(self.count, WALL_NS + round(self.newest_s * 1e9), self.numbers)
+
+
+class Watched:
+    """One topic under watch; `said` are the sentences with the time of the first look with each."""
+
+    def __init__(self, times_s: Iterable[float], rates: Iterable[str] = ()) -> None:
+        self.source = Source(sorted(times_s))
+        self.health = TopicHealth(RateByTopic(rates), (), 0.0)
+        self.health.add(SCAN, SCAN_TYPE, self.source.arrivals, learns=True, now_s=0.0)
+        self.now_s = 0.0
+        self.said: list[tuple[float, str]] = []
+
+    def run(self, until_s: float, look_s: Callable[[], float] = lambda: LOOK_S) -> list[str]:
+        """Look until a time; return what was said at the end."""
+        warnings: list[str] = []
+        while self.now_s < until_s:
+            self.now_s += look_s()
+            self.source.arrive(self.now_s)
+            self.health.look(self.now_s, WALL_NS + round(self.now_s * 1e9))
+            warnings = list(self.health.warnings(self.now_s))
+            self.said += [(self.now_s, text) for text in warnings]
+        return warnings
+
+    def first(self, what: str) -> float:
+        """When it was named first."""
+        return next(at_s for at_s, text in self.said if what in text)
+
+
+def regular(period_s: float, begin_s: float, end_s: float, jitter: float = 0.0) -> list[float]:
+    """Times of regular messages; jitter is a share of the period."""
+    draw = random.Random(7)
+    count = int((end_s - begin_s) / period_s)
+    return [begin_s + (k + jitter * (draw.random() - 0.5)) * period_s for k in range(1, count + 1)]
+
+
+PERIODS = st.floats(0.002, 2.5)
+JITTERS = st.sampled_from([0.0, 0.2])
+END_OF_LEARNING_S = MINUTE_S + 10.0
+FEW = settings(max_examples=40, deadline=None)
+
+
+def in_time(period_s: float) -> float:
+    """How long after its last message a topic may be silent unnamed; one look is lost at most."""
+    return max(1.0, 3.0 * period_s) + LOOK_S
+
+
+@FEW
+@given(PERIODS, JITTERS)
+def test_a_regular_topic_that_goes_on_is_never_named(period_s: float, jitter: float) -> None:
+    watched = Watched(regular(period_s, 0.0, 140.0, jitter))
+    watched.run(139.0 - 3.0 * period_s)
+    assert watched.said == []
+
+
+@FEW
+@given(PERIODS, JITTERS)
+def test_a_topic_that_stops_is_named_in_time(period_s: float, jitter: float) -> None:
+    watched = Watched(regular(period_s, 0.0, 80.0, jitter))
+    watched.run(95.0)
+    assert watched.first("silent") - watched.source.times_s[-1] <= in_time(period_s)
+
+
+@FEW
+@given(PERIODS, st.sampled_from([2.1, 2.5, 4.0]))
+def test_a_topic_below_half_of_its_rate_is_named_in_time(period_s: float, slower: float) -> None:
+    before = regular(period_s, 0.0, 80.0)
+    after = regular(slower * period_s, before[-1], 120.0)
+    watched = Watched(before + after)
+    watched.run(119.0)
+    assert watched.said[0][0] - before[-1] <= max(1.5, 3.0 * slower * period_s) + LOOK_S
+    assert watched.run(119.0) == []
+
+
+@FEW
+@given(PERIODS, st.sampled_from([2.0, 3.0]))
+def test_a_topic_of_twice_the_rate_is_named_in_time(period_s: float, faster: float) -> None:
+    before = regular(period_s, 0.0, 80.0)
+    watched = Watched(before + regular(period_s / faster, before[-1], 110.0))
+    watched.run(100.0)
+    assert "messages a second, expected are" in watched.said[0][1]
+    assert watched.said[0][0] - before[-1] <= max(1.5, 3.7 * period_s) + 2 * LOOK_S
+
+
+@FEW
+@given(st.floats(0.3, 2.5), st.integers(0, 10))
+def test_one_lost_message_of_a_slow_topic_is_no_trouble(period_s: float, which: int) -> None:
+    times_s = regular(period_s, 0.0, 120.0)
+    after = next(number for number, at_s in enumerate(times_s) if at_s > 70.0)
+    del times_s[after + which]
+    watched = Watched(times_s)
+    watched.run(115.0)
+    assert watched.said == []
+
+
+def test_messages_that_come_late_together_are_not_too_many() -> None:
+    times_s = regular(0.5, 0.0, 120.0)
+    late = [max(at_s, 80.7) if 79.9 < at_s < 80.8 else at_s for at_s in times_s]
+    watched = Watched(late)
+    watched.run(115.0)
+    assert watched.said == []
+
+
+@FEW
+@given(st.integers(0, 10_000), st.floats(0.005, 3.0))
+def test_random_events_are_never_named(seed: int, mean_s: float) -> None:
+    draw, at_s, times_s = random.Random(seed), 0.0, []
+    while at_s < 100.0:
+        at_s += draw.expovariate(1.0 / mean_s)
+        times_s.append(at_s)
+    watched = Watched(times_s)
+    watched.run(240.0)
+    if mean_s >= 0.05:  # as regular as a sensor otherwise
+        assert watched.said == []
+
+
+@pytest.mark.parametrize(
+    "times_s",
+    [
+        [1.0],
+        [1.0, 2.0, 3.0],
+        regular(0.1, 0.0, 30.0),
+        [begin + k * 0.05 for begin in range(0, 60, 5) for k in range(20)],
+        [10.0 * k for k in range(12)],
+    ],
+    ids=["one-shot", "three", "held for half a minute", "in bunches", "each 10 s"],
+)
+def test_what_is_not_regular_for_a_minute_is_never_named(times_s: list[float]) -> None:
+    watched = Watched(times_s)
+    watched.run(300.0)
+    assert watched.said == []
+
+
+def test_an_irregular_topic_costs_nothing_after_some_minutes() -> None:
+    watched = Watched([k**1.5 for k in range(60)])
+    watched.run((ROUNDS + 1) * MINUTE_S + 20.0)
+    assert watched.health.watched == 0
+
+
+def test_a_configured_rate_needs_no_minute() -> None:
+    watched = Watched(regular(0.1, 0.0, 5.0), ["/sc*=10"])
+    watched.run(4.9)
+    assert watched.said == []
+    (told,) = watched.run(6.2)
+    assert told.startswith("/scan is silent for 1.")
+    assert told.endswith(" s, 10 a second are expected")
+
+
+def test_a_rate_of_zero_expects_nothing() -> None:
+    watched = Watched(regular(0.1, 0.0, 80.0), ["/scan=0"])
+    watched.run(100.0)
+    assert watched.said == []
+
+
+def test_a_configured_topic_that_never_comes_is_named() -> None:
+    health = TopicHealth(RateByTopic(["/scan=10"]), ["/scan"], 0.0)
+    for look in range(1, 8):
+        health.look(look * LOOK_S, WALL_NS)
+    assert list(health.warnings(1.4)) == [
+        "/scan has no message for 1.4 s, 10 a second are expected"
+    ]
+
+
+def test_a_trouble_that_is_over_is_told_for_a_minute() -> None:
+    times_s = [each for each in regular(0.1, 0.0, 200.0) if not 70.0 < each < 73.0]
+    watched = Watched(times_s)
+    (told,) = watched.run(80.0)
+    assert told.startswith("/scan was silent for 3.")
+    assert watched.run(74.0 + RECENT_S) == []
+
+
+def test_a_loop_that_stood_still_blames_nobody() -> None:
+    draw = random.Random(3)
+    watched = Watched(regular(0.1, 0.0, 200.0))
+    watched.run(190.0, lambda: draw.choice([LOOK_S] * 20 + [0.5, 1.7, 4.0]))
+    assert watched.said == []
+
+
+def test_a_wall_clock_that_is_set_blames_nobody() -> None:
+    watched = Watched(regular(0.1, 0.0, 200.0))
+    watched.run(80.0)
+    for jump_s in (-3600.0, 3600.0):
+        for _ in range(20):
+            watched.now_s += LOOK_S
+            watched.source.arrive(watched.now_s)
+            watched.health.look(watched.now_s, WALL_NS + round((watched.now_s + jump_s) * 1e9))
+            assert list(watched.health.warnings(watched.now_s)) == []
+
+
+def test_a_publisher_that_is_replaced_was_restarted() -> None:
+    watched = Watched(regular(0.1, 0.0, 100.0))
+    watched.run(75.0)
+    watched.source.gid = NEW
+    (told,) = watched.run(76.4)
+    assert told.startswith("the publisher of /scan was restarted ")
+    assert watched.first("restarted") - 75.0 <= 1.0 + 2 * LOOK_S
+
+
+def test_one_more_publisher_is_no_restart() -> None:
+    watched = Watched(regular(0.1, 0.0, 100.0))
+    watched.run(75.0)
+    while watched.now_s < 80.0:
+        watched.source.gid = NEW if watched.source.gid == OLD else OLD
+        watched.run(watched.now_s + LOOK_S)
+    assert watched.said == []
+
+
+def test_at_many_topics_some_are_named_and_the_others_counted() -> None:
+    names = [f"/t{number}" for number in range(30)]
+    health = TopicHealth(RateByTopic(["/t*=10"]), names, 0.0)
+    health.look(0.2, WALL_NS)
+    for look in range(2, 9):
+        health.look(look * LOOK_S, WALL_NS)
+    told = list(health.warnings(1.6))
+    assert (len(told), told[-1]) == (21, "10 more topics have other rates than expected")
+
+
+@pytest.mark.parametrize(
+    ("topic", "type_name"),
+    [
+        ("/cmd_vel", "geometry_msgs/msg/Twist"),
+        ("/joy", "sensor_msgs/msg/Joy"),
+        ("/drive/_action/feedback", "a/action/Drive_FeedbackMessage"),
+        ("/set/_service_event", "std_srvs/srv/SetBool_Event"),
+    ],
+)
+def test_what_ends_when_its_work_is_done_is_not_learned(topic: str, type_name: str) -> None:
+    assert not may_be_learned(topic, type_name)
+    assert may_be_learned(SCAN, SCAN_TYPE)
