@@ -40,6 +40,7 @@ SECTIONS = {
             "replay",
             "why",
             "report",
+            "plot",
         ),
         *("verify", "key", "evidence"),
     ),

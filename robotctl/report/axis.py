@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import ceil, floor, log10
+from typing import Final
+
+RELATIVE_SPAN: Final = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,4 +46,11 @@ def axis_for(low: float, high: float, begin: float, end: float, *, least_span: f
 
 def label(value: float) -> str:
     """Return the text beside a tick."""
-    return f"{value:.6g}".replace("-", "\N{MINUS SIGN}") if abs(value) > 1e-12 else "0"
+    return f"{value:.10g}" if abs(value) > 1e-12 else "0"
+
+
+def least_span_of(low: float, high: float) -> float:
+    """Return how long an axis of such values must be, so that rounding is not drawn as a change."""
+    if low == high:
+        return abs(high) or 1.0
+    return RELATIVE_SPAN * max(abs(low), abs(high))

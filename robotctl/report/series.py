@@ -14,7 +14,7 @@ COLUMNS: Final = 600
 GAP: Final = 10.0
 """A pause of this many times the usual distance of two columns with values breaks the line."""
 
-MAX_VALUE: Final = 1e9
+MAX_VALUE: Final = 1e15
 """Larger values are no measurement; they are left out and counted."""
 
 Sample = tuple[float, float]

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from robotctl.report.axis import Axis, axis_for, label
-from robotctl.report.markup import Markup, plain, tag
+from robotctl.report.axis import Axis, axis_for, label, least_span_of
+from robotctl.report.markup import Content, Markup, plain, tag
 from robotctl.report.series import Sample, Series
 from robotctl.report.traces import ModeSpan, Moment
 
@@ -70,34 +70,48 @@ def plot_id(number: int) -> str:
 
 
 def time_plot(plot: Plot, time: Axis, number: int) -> Markup | None:
-    """Return a plot, None if no line has a value."""
-    lines = [line for line in plot.lines if line.series.count]
-    if not lines:
+    """Return a plot with its caption, None if no line has a value."""
+    drawn = plot_svg(plot, time, number, class_="time", role="img")
+    if drawn is None:
         return None
-    low = 0.0 if plot.from_zero else min(line.series.least or 0.0 for line in lines)
-    high = max(line.series.most or 0.0 for line in lines)
-    values = axis_for(low, high, BOTTOM, TOP, least_span=plot.least_span)
-    if plot.from_zero:
-        values = Axis(0.0, values.high, BOTTOM, TOP)
+    named = [line for line in plot.lines if line.name and line.series.count]
+    return _figure(
+        f"{plot.title} [{plot.unit}]", [(line.name, line.colour) for line in named], drawn
+    )
+
+
+def plot_svg(plot: Plot, time: Axis, number: int, **attributes: Content) -> Markup | None:
+    """Return the picture of a plot with further attributes, None if no line has a value."""
+    lines = [line for line in plot.lines if line.series.count]
+    values = value_axis([line.series for line in lines], plot.least_span, plot.from_zero)
+    if values is None:
+        return None
     drawn = [
         tag("path", d=path_data(line.runs(), time, values), class_=f"line {line.colour}")
         for line in lines
     ]
-    return _figure(
-        f"{plot.title} [{plot.unit}]",
-        [(line.name, line.colour) for line in lines if line.name],
-        tag(
-            "svg",
-            *_grid(time, values),
-            *drawn,
-            _cursor(TOP, BOTTOM),
-            viewBox=f"0 0 {WIDTH} {HEIGHT}",
-            class_="time",
-            role="img",
-            aria_label=f"{plot.title} over time",
-            id=plot_id(number),
-        ),
+    return tag(
+        "svg",
+        *_grid(time, values),
+        *drawn,
+        _cursor(TOP, BOTTOM),
+        viewBox=f"0 0 {WIDTH} {HEIGHT}",
+        aria_label=f"{plot.title} over time",
+        id=plot_id(number),
+        **attributes,
     )
+
+
+def value_axis(series: Sequence[Series], least_span: float, from_zero: bool = False) -> Axis | None:
+    """Return the axis of the values of a plot, None without a value."""
+    lows = [each.least for each in series if each.least is not None]
+    highs = [each.most for each in series if each.most is not None]
+    if not lows:
+        return None
+    low, high = 0.0 if from_zero else min(lows), max(highs)
+    least_span = max(least_span, least_span_of(low, high))
+    axis = axis_for(low, high, BOTTOM, TOP, least_span=least_span)
+    return Axis(0.0, axis.high, BOTTOM, TOP) if from_zero else axis
 
 
 def mode_band(spans: Sequence[ModeSpan], moments: Sequence[Moment], time: Axis) -> Markup:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from robotctl.cli.terminal.braille_canvas import BrailleCanvas
 from robotctl.recording.disk.replaced_file import replaced_file
 
 if TYPE_CHECKING:
@@ -21,10 +21,6 @@ Path2D = Sequence[Point]
 
 _MIN_SPAN_M = 0.1
 """The size of the picture of a robot that did not move."""
-
-_BRAILLE = 0x2800
-_DOTS = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
-"""The bit of each dot of a braille cell, by column and row (Unicode, Braille Patterns)."""
 
 _REFERENCE_EVERY = 3
 """The reference path is dotted, so that it differs from the driven one without colour."""
@@ -70,16 +66,12 @@ def braille(
             for x, y in finite(path)
         ]
 
-    cells: dict[tuple[int, int], int] = {}
-    driven_cells = set()
-    for index, (x, y) in enumerate(_dots(place(reference))):
-        if index % _REFERENCE_EVERY == 0:
-            _set(cells, x, y)
-    for x, y in _dots(place(driven)):
-        driven_cells.add(_set(cells, x, y))
+    canvas = BrailleCanvas()
+    canvas.line(place(reference), every=_REFERENCE_EVERY)
+    driven_cells = canvas.line(place(driven))
 
     def cell(column: int, row: int) -> str:
-        character = chr(_BRAILLE + cells[column, row]) if (column, row) in cells else " "
+        character = canvas.character(column, row)
         if not colour or character == " ":
             return character
         chosen = _DRIVEN_COLOUR if (column, row) in driven_cells else _REFERENCE_COLOUR
@@ -184,22 +176,6 @@ def _spread(values: list[float]) -> tuple[float, float]:
     low, high = min(values), max(values)
     missing = max(0.0, _MIN_SPAN_M - (high - low)) / 2
     return low - missing, high + missing
-
-
-def _dots(points: list[tuple[int, int]]) -> Iterator[tuple[int, int]]:
-    """Yield every dot on the lines between the points."""
-    for (x0, y0), (x1, y1) in pairwise(points):
-        steps = max(abs(x1 - x0), abs(y1 - y0))
-        for step in range(steps):
-            yield round(x0 + (x1 - x0) * step / steps), round(y0 + (y1 - y0) * step / steps)
-    yield from points[-1:]
-
-
-def _set(cells: dict[tuple[int, int], int], x: int, y: int) -> tuple[int, int]:
-    """Set the dot and return its cell."""
-    cell = x // 2, y // 4
-    cells[cell] = cells.get(cell, 0) | _DOTS[x % 2][y % 4]
-    return cell
 
 
 def _ticks(low: float, high: float) -> list[float]:

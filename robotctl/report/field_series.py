@@ -1,0 +1,148 @@
+"""Fields of a topic over time."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from typing import Final
+
+from robotctl.cdr.definition import NUMBERS, Definition, Shape, UnreadableType, parse_definition
+from robotctl.cdr.field_path import Steps, parse_path, value_at
+from robotctl.cdr.given import WrongValue
+from robotctl.cdr.leaf_fields import LeafField, leaf_fields
+from robotctl.cdr.values import decode
+from robotctl.errors import IN_PARENTHESES, UnreadableFile, UsageError
+from robotctl.kernel.units import NS_PER_S
+from robotctl.recording import Recording, TopicInfo
+from robotctl.report.series import Series
+
+MAX_SEARCHED: Final = 5000
+MAX_NAMED: Final = 24
+MAX_FIELDS: Final = 8
+"""Fields that are searched, that a message names, and that one picture shows."""
+
+
+@dataclass(frozen=True, slots=True)
+class FieldSeries:
+    """A field and its values; `absent` messages have a shorter list than the path asks for."""
+
+    path: str
+    series: Series
+    absent: int
+
+
+@dataclass(slots=True)
+class _Wanted:
+    path: str
+    steps: Steps
+    series: Series
+    absent: int = 0
+
+
+def number_fields(topic: TopicInfo, paths: Sequence[str]) -> list[tuple[str, Steps]]:
+    """Return path and steps of each number that is meant; a message stands for its numbers.
+
+    Raises:
+        UsageError: A path leads to no number; the error names those there are.
+        UnreadableFile: The recording does not describe the type.
+    """
+    definition = _definition(topic)
+    if not paths:
+        raise UsageError(f"no field of {topic.name} is given", _named(definition))
+    found: dict[str, Steps] = {}
+    for path in paths:
+        found |= _numbers_at(definition, path)
+    if len(found) > MAX_FIELDS:
+        raise UsageError(f"{len(found)} fields are too many for a picture", f"give {MAX_FIELDS}")
+    return list(found.items())
+
+
+def read_fields(
+    recording: Recording,
+    topic: TopicInfo,
+    fields: Sequence[tuple[str, Steps]],
+    on_missing: Callable[[str], None],
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
+) -> list[FieldSeries]:
+    """Read these fields of all messages of a topic; times count from the recording's first message.
+
+    `on_missing` gets a sentence about each part that cannot be read.
+    """
+    info = recording.info()
+    definition = _definition(topic)
+    wanted = [_Wanted(path, steps, Series(info.duration_s)) for path, steps in fields]
+    undecoded = 0
+    for message in recording.in_order_written({topic.name}, on_missing, on_progress):
+        if message.type_name != topic.type_name:
+            continue
+        try:
+            values = decode(definition, message.data)
+        except (struct.error, RecursionError, MemoryError):
+            undecoded += 1
+            continue
+        t_s = (message.log_ns - info.start_ns) / NS_PER_S
+        for each in wanted:
+            try:
+                each.series.add(t_s, float(value_at(values, each.steps)))
+            except WrongValue:
+                each.absent += 1
+    if undecoded:
+        on_missing(f"{undecoded} messages of {topic.name} cannot be decoded")
+    return [FieldSeries(each.path, each.series, each.absent) for each in wanted]
+
+
+def _definition(topic: TopicInfo) -> Definition:
+    if not topic.definition.strip():
+        raise UnreadableFile(f"the recording does not describe the type {topic.type_name}")
+    try:
+        return parse_definition(topic.type_name, topic.definition)
+    except UnreadableType as error:
+        raise UnreadableFile(f"the type {topic.type_name} cannot be read: {error}") from None
+
+
+def _numbers_at(definition: Definition, path: str) -> dict[str, Steps]:
+    try:
+        steps = parse_path(definition, path)
+    except WrongValue as error:
+        text = str(error)
+        cure = "" if "did you mean" in text else _named(definition)
+        raise UsageError(text, cure, sentence=IN_PARENTHESES) from None
+    leaves = _leaves(definition)
+    leaf = next((each for each in leaves if each.steps == steps), None)
+    if leaf is None and isinstance(steps[-1], int):
+        owner = next((each for each in leaves if each.steps == steps[:-1]), None)
+        if owner is not None and owner.is_number_list:
+            return {path: steps}
+    if leaf is not None and leaf.is_number:
+        return {path: steps}
+    if leaf is not None and leaf.field.shape is not Shape.ONE:
+        first = f"{path}[0]" + ("" if leaf.field.type_name in NUMBERS else ".x")
+        raise UsageError(f"{path} is a list: {leaf.field.type_text}", f"choose one value: {first}")
+    below = {
+        each.path: each.steps
+        for each in leaves
+        if each.is_number and each.steps[: len(steps)] == steps
+    }
+    if below:
+        return below
+    raise UsageError(f"{path} is no number", _named(definition))
+
+
+def _leaves(definition: Definition) -> list[LeafField]:
+    return list(islice(leaf_fields(definition), MAX_SEARCHED))
+
+
+def _named(definition: Definition) -> str:
+    """Return the numbers of a type, as a sentence."""
+    names = [
+        f"{leaf.path}[0]" if leaf.is_number_list else leaf.path
+        for leaf in _leaves(definition)
+        if leaf.is_number or leaf.is_number_list
+    ]
+    if not names:
+        return "it has no numbers"
+    more = len(names) - MAX_NAMED
+    rest = f" and {more} more" if more > 0 else ""
+    return f"its numbers are {', '.join(names[:MAX_NAMED])}{rest}"

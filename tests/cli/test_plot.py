@@ -1,0 +1,152 @@
+"""`plot` draws the fields that are asked for, and names those there are."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from math import inf, nan
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+from mcap.writer import Writer
+from PIL import Image
+
+DEFINITION = """\
+float64 x
+Point place
+float32[] ranges
+string name
+================
+MSG: a/Point
+float64 x
+float64 y
+"""
+START_NS = 1_700_000_000_000_000_000
+
+
+def write(path: Path, rows: list[tuple[float, list[float]]], definition: str = DEFINITION) -> None:
+    """Write messages 0.1 s apart: x, and ranges."""
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2")
+        schema = writer.register_schema("a/msg/T", "ros2msg", definition.encode())
+        channel = writer.register_channel("/t", "cdr", schema)
+        for number, (x, ranges) in enumerate(rows):
+            data = b"\0\1\0\0" + struct.pack("<3dI", x, 2 * x, 3 * x, len(ranges))
+            data += struct.pack(f"<{len(ranges)}fI5s", *ranges, 5, b"name\0")
+            at_ns = START_NS + number * 100_000_000
+            writer.add_message(channel, at_ns, data, at_ns)
+        writer.finish()
+
+
+@pytest.fixture(autouse=True)
+def recording() -> Path:
+    path = Path("run.mcap")
+    write(path, [(n / 10, [float(n), 5.0]) for n in range(21)])
+    return path
+
+
+def test_a_field_fills_80_by_24_in_a_pipe_without_colour(cli: Callable[..., Any]) -> None:
+    ran = cli("plot", "run.mcap", "/t", "x")
+    assert ran.exit_code == 0, ran.err
+    lines = ran.out.splitlines()
+    assert len(lines) == 23
+    assert max(map(len, lines)) <= 80
+    assert "x  0 to 2, 21 values" in lines[0]
+    assert "2.00 s" in lines[-1]
+    assert "\x1b" not in ran.out
+    drawn = [line[12:].strip(" │") for line in lines[1:-1]]
+    ends = [len(line.rstrip()) for line in lines[1:-1] if line[12:].strip(" │")]
+    assert ends == sorted(ends, reverse=True)  # it rises from the left below to the right above
+    assert sum(map(bool, drawn)) > 15
+
+
+def test_fields_stand_below_each_other_and_a_message_is_its_numbers(
+    cli: Callable[..., Any],
+) -> None:
+    lines = cli("plot", "run.mcap", "t", "x", "place", "ranges[0]").out.splitlines()
+    named = [line.split()[0] for line in lines if "values" in line]
+    assert named == ["x", "place.x", "place.y", "ranges[0]"]
+    assert "ranges[0]  0 to 20" in "\n".join(lines)
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ((), "its numbers are x, place.x, place.y, ranges[0]"),
+        (("plce.x",), "did you mean place?"),
+        (("y",), "a/T has no field 'y'"),
+        (("ranges",), "choose one value: ranges[0]"),
+        (("name",), "name is no number: its numbers are x"),
+        (("x.y",), "x is a float64, which has no fields"),
+        (("x[0]",), "no list"),
+        (("x..y",), "is no path to a field"),
+    ],
+)
+def test_a_path_to_no_number_is_refused_with_those_there_are(
+    fields: tuple[str, ...], said: str, cli: Callable[..., Any]
+) -> None:
+    ran = cli("plot", "run.mcap", "/t", *fields)
+    assert ran.exit_code == 2
+    assert said in ran.err
+    assert ran.out == ""
+
+
+def test_an_unknown_topic_is_refused_with_a_near_one(cli: Callable[..., Any]) -> None:
+    ran = cli("plot", "run.mcap", "/tt", "x")
+    assert ran.exit_code == 2
+    assert "did you mean /t?" in ran.err
+
+
+def test_values_that_cannot_be_drawn_are_told(cli: Callable[..., Any]) -> None:
+    write(Path("odd.mcap"), [(nan, [1.0]), (inf, []), (1.0, [2.0]), (1e300, [3.0])])
+    ran = cli("plot", "odd.mcap", "/t", "x", "ranges[0]")
+    assert ran.exit_code == 8
+    assert "x: 3 values are no finite numbers" in ran.err
+    assert "ranges[0]: 1 messages have a shorter list" in ran.err
+    assert "x  1 to 1, 1 values" in ran.out
+
+
+def test_messages_that_do_not_fit_their_type_are_counted(cli: Callable[..., Any]) -> None:
+    write(Path("other.mcap"), [(1.1, [])] * 3, "string[] a\nfloat64 x\n")
+    ran = cli("plot", "other.mcap", "/t", "x")
+    assert ran.exit_code == 8
+    assert "3 messages of /t cannot be decoded" in ran.err
+
+
+def test_a_picture_is_written_as_png_and_as_svg(cli: Callable[..., Any]) -> None:
+    for name in ("a.png", "a.svg", "a.png"):  # a picture is replaced
+        ran = cli("plot", "run.mcap", "/t", "x", "place.x", "-o", name)
+        assert (ran.exit_code, ran.out) == (0, f"{name}\n")
+    with Image.open("a.png") as image:
+        assert image.size[0] == 1920
+        assert len(image.convert("RGB").getcolors(1 << 20) or ()) > 3
+    root = ElementTree.parse("a.svg").getroot()
+    shown = ["".join(each.itertext()) for each in root.iter("{http://www.w3.org/2000/svg}text")]
+    assert {"x", "place.x", "2 s"} <= set(shown)
+
+
+def test_nothing_else_than_a_picture_is_written(
+    recording: Path, cli: Callable[..., Any], tmp_path: Path
+) -> None:
+    before = recording.read_bytes()
+    ran = cli("plot", "run.mcap", "/t", "x", "-o", "run.mcap")
+    assert ran.exit_code == 2
+    assert ".png or .svg" in ran.err
+    assert recording.read_bytes() == before
+    Path("link.png").symlink_to(tmp_path / "elsewhere")
+    assert cli("plot", "run.mcap", "/t", "x", "-o", "link.png").exit_code == 4
+    assert not (tmp_path / "elsewhere").exists()
+
+
+def test_a_terminal_without_braille_gets_stars(
+    cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from robotctl.cli.commands import plot
+
+    monkeypatch.setattr(plot, "can_show_braille", lambda: False)
+    out = cli("plot", "run.mcap", "/t", "x").out
+    assert out.isascii()
+    assert "*" in out
