@@ -93,6 +93,28 @@ def routes(recorded: Sequence[TopicInfo], chosen: Iterable[TopicInfo], job: Job)
     return found
 
 
+def main_types(recorded: Sequence[TopicInfo]) -> tuple[list[TopicInfo], list[str]]:
+    """Return the topics, of each name only the type with most of its messages, where there is one.
+
+    The sentences name the messages of other types: a node that learns later which type is wanted,
+    as the gate does, has sent another one at first.
+    """
+    totals: Counter[str] = Counter()
+    for topic in recorded:
+        totals[topic.name] += topic.message_count
+    main = {t.name: t.type_name for t in recorded if 2 * t.message_count > totals[t.name]}
+    kept, notes = [], []
+    for topic in recorded:
+        if main.get(topic.name, topic.type_name) == topic.type_name:
+            kept.append(topic)
+        elif topic.message_count:
+            notes.append(
+                f"{topic.message_count} messages of {topic.name} are left out: they are "
+                f"{topic.type_name}, and most are {main[topic.name]}"
+            )
+    return kept, notes
+
+
 def unplayable(topics: Iterable[TopicInfo]) -> dict[str, str]:
     """Return the topics that cannot be played on any system, and why."""
     topics = list(topics)

@@ -46,16 +46,16 @@ class RecordedRobot:
         self.mode: str | None = None
         self.path: list[tuple[float, float]] = []
         self._takes: dict[str, Callable[[bytes], None]] = {}
+        types: dict[str, str] = {}
         for type_name, take in ((ODOMETRY, self._odometry), (STATUS, self._status)):
             topic = _busiest(topics, type_name)
             if topic is not None:
                 self._takes[topic.name] = take
+                types[topic.name] = type_name
         if not self._takes:
             raise UsageError(f"nothing to view: the recording has neither {ODOMETRY} nor {STATUS}")
         latched = dict.fromkeys(self._takes, 1)
-        self._entries = recorded(
-            recording, span, self._takes.keys(), latched, lambda lost: None, loop=loop
-        )
+        self._entries = recorded(recording, span, types, latched, lambda lost: None, loop=loop)
         self._next: Entry | None = next(self._entries, None)
         self._pass_ns = span.pass_ns
         self._pass = 0

@@ -84,8 +84,10 @@ class Replay:
         with Recording(job.file) as recording:
             info = recording.info()
             self._report.miss(info.missing)
-            chosen = plan.selected(info.topics, job)
-            routes = plan.routes(info.topics, chosen, job)
+            topics, notes = plan.main_types(info.topics)
+            for note in notes:
+                self._report.note(note)
+            routes = plan.routes(topics, plan.selected(topics, job), job)
             span = span_of(info, job)
             if job.original_names:
                 check_still(daemons_in(ros.domain_id))  # early, because discovery takes time
@@ -143,7 +145,7 @@ class Replay:
         timeline = recorded(
             recording,
             span,
-            sends.keys(),
+            {route.topic.name: route.topic.type_name for route in routes},
             latched,
             lambda sentence: self._report.miss([sentence]),
             loop=job.loop,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -57,19 +57,26 @@ def span_of(info: RecordingInfo, job: Job) -> Span:
 def recorded(
     recording: Recording,
     span: Span,
-    topics: Collection[str],
+    topics: Mapping[str, str],
     latched: Mapping[str, int],
     on_missing: Callable[[str], None],
     *,
     loop: bool,
 ) -> Iterator[Entry]:
-    """Return the entries of a recording; `latched` is the number of latched messages by topic."""
+    """Return the entries of a recording, of each topic those of its type.
+
+    `latched` is the number of latched messages by topic.
+    """
+
+    def typed(messages: Iterable[Message]) -> Iterable[Message]:
+        return (each for each in messages if topics[each.topic] == each.type_name)
 
     def before() -> Iterable[Message]:
-        return recording.last_before(span.start_ns, latched, on_missing)
+        return typed(recording.last_before(span.start_ns, latched, on_missing))
 
     def during() -> Iterable[Message]:
-        return recording.messages(topics, on_missing, (span.start_ns, span.end_ns))
+        window = (span.start_ns, span.end_ns)
+        return typed(recording.messages(topics.keys(), on_missing, window))
 
     return entries(before, during, span, loop=loop)
 

@@ -143,6 +143,8 @@ async def test_what_cannot_be_published_is_named_and_skipped(
     tmp_path: Path, listener: Any, replay: Any, until: Until
 ) -> None:
     alpha = talk("/alpha", 10)
+    zeros = [Line("/late", TWIST, 0.1, twist(0.0))]
+    strings = [Line("/late", STRING, 0.2, text(each)) for each in "ab"]
     others = [
         Line("/unknown", "no_msgs/msg/Nothing", 1.0, b"\0\1\0\0"),
         Line("/old", "std_msgs/String", 1.0, text("ros 1"), encoding="ros1"),
@@ -153,8 +155,9 @@ async def test_what_cannot_be_published_is_named_and_skipped(
         Line("/import", "antigravity/msg/Flight", 1.0, text("a")),
         Line("/relative", "../msg/Flight", 1.0, text("a")),
     ]
-    file = write_bag(tmp_path / "run.mcap", in_order(alpha, others))
+    file = write_bag(tmp_path / "run.mcap", in_order(alpha, zeros, strings, others))
     listener.listen("/alpha", STRING)
+    listener.listen("/late", STRING)
     ran = await replay(file, "--json")
     assert ran.exit_code == 0, ran.err
     skipped = ran.summary["skipped"]
@@ -163,7 +166,12 @@ async def test_what_cannot_be_published_is_named_and_skipped(
     assert skipped["/relative"] == "has type ../msg/Flight, which is not the name of a ROS type"
     assert "antigravity" not in sys.modules
     assert skipped["/two"] == "is recorded with several types"
-    assert len(ran.summary["notes"]) == len(skipped)
+    assert (
+        f"1 messages of /late are left out: they are {TWIST}, and most are {STRING}"
+        in ran.summary["notes"]
+    )
+    assert len(ran.summary["notes"]) == len(skipped) + 1
+    await until(lambda: listener.heard["/late"] == data(strings))
     await until(lambda: listener.heard["/alpha"] == data(alpha))
 
 
