@@ -30,6 +30,10 @@ class Use(Enum):
     REQUIRED = "required"
 
 
+REPEATS_PER_TIMEOUT = 4
+"""How often in its timeout an equal value becomes an event, which shows that the input is heard."""
+
+
 @dataclass(frozen=True, slots=True)
 class Reading:
     """The last message of an input; a NaN was not readable. `detail` is the sender's own text."""

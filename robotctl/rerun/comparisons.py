@@ -18,6 +18,7 @@ from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.journal_steps import Moments
 from robotctl.rerun.measured import Measured
 from robotctl.rerun.ordinary_run import OrdinaryRun
+from robotctl.rerun.safety_input_check import SafetyInputChecks
 from robotctl.rerun.service_check import ServiceChecks
 from robotctl.rerun.status_check import StatusCheck
 from robotctl.rerun.tick_schedule import TickSchedule
@@ -33,7 +34,12 @@ class Comparisons:
         self._commands = CommandCheck(report, clock)
         self._command_topic = command_topic(info, journal_topic)
         self._inputs = input_checks(report, info, journal_topic)
-        self.ordinary_topics = {*self._inputs.readers(), self._command_topic or ""}
+        self._safety_inputs = SafetyInputChecks(report, info, journal_topic)
+        self.ordinary_topics = {
+            *self._inputs.readers(),
+            *self._safety_inputs.readers(),
+            self._command_topic or "",
+        }
         """The topics whose messages can be taken with ordinary steps."""
 
         self._services = ServiceChecks(report, info, journal_topic, clock)
@@ -42,6 +48,7 @@ class Comparisons:
     def readers(self) -> dict[str, Callable[[Message], None]]:
         """Return for each compared topic what takes its messages."""
         readers = self._inputs.readers() | self._services.readers()
+        readers |= self._safety_inputs.readers()
         if self._command_topic is not None:
             readers[self._command_topic] = self._commands.message
         if self._status.topic is not None:
@@ -59,6 +66,7 @@ class Comparisons:
         self._ticks.begin(snapshot.params.rate_hz)
         self._commands.snapshot(snapshot)
         self._inputs.snapshot(has_proof)
+        self._safety_inputs.snapshot(has_proof)
         self._services.snapshot(has_proof, log_ns)
         self._status.snapshot(snapshot, t_ns, log_ns)
 
@@ -77,6 +85,7 @@ class Comparisons:
         The invariants of a step that `was_checked` elsewhere hold.
         """
         self._inputs.step(event, seq)
+        self._safety_inputs.step(event, seq)
         self._status.step(event, effects, measured, moments)
         if not effects and isinstance(event, OdomReceived):
             return  # most steps are so
@@ -91,6 +100,7 @@ class Comparisons:
     def run(self, run: OrdinaryRun, *, was_checked: bool) -> None:
         """Take many ordinary steps, and the messages of commands and inputs among them."""
         self._inputs.run(run)
+        self._safety_inputs.run(run)
         self._status.run(run)
         for step in run.by_kind[Tick]:
             self._ticks.step(step.event, step.seq)
@@ -103,6 +113,7 @@ class Comparisons:
         self._ticks.stop()
         self._commands.stop()
         self._inputs.stop()
+        self._safety_inputs.stop()
         self._services.stop()
         self._status.stop()
 
@@ -116,5 +127,6 @@ class Comparisons:
             self.invariants.violate(f"{found.ticks} ticks are missing before entry {found.seq}")
         self._commands.end(self.invariants, ending(self._command_topic))
         self._inputs.end(self.invariants, ending, end_ns)
+        self._safety_inputs.end(self.invariants, ending, end_ns, log_ns)
         self._services.end(self.invariants, ending, end_ns, log_ns)
         self._status.end(self.invariants, ending(self._status.topic), log_ns)

@@ -25,6 +25,7 @@ from robotctl.rerun.check_report import Report
 from robotctl.rerun.ending import Ending
 from robotctl.rerun.input_kinds import BATTERY, ODOMETRY, SCAN, WANTED, InputKind, sequence_of
 from robotctl.rerun.input_pairs import Input, InputPairs
+from robotctl.rerun.input_report import report_inputs
 from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.lockstep import lockstep
 from robotctl.rerun.ordinary_run import OrdinaryRun
@@ -134,43 +135,12 @@ class InputCheck:
         """Report what differs."""
         pairs, report = self._pairs, self._report
         pairs.end(end_ns)
-        if pairs.differing:
-            text = f"{pairs.differing} messages are not what the control loop received as"
-            text = f"{text} {self._name}: {pairs.differing_example}"
-            if pairs.has_one_publisher or pairs.differing > ending.lost:
-                ending.accuse(report, invariants, text)
-            else:
-                report.notes.append(text)
-        self._tell_lacking(invariants, ending)
-        if pairs.repeated and pairs.has_one_publisher:
-            report.miss(f"{pairs.repeated} messages of {self._name} are repeated or out of order")
+        is_recorded = self.topic is not None
+        report_inputs(report, invariants, self._name, pairs, ending, is_recorded=is_recorded)
         if pairs.unheard and pairs.has_one_publisher and self._is_always_heard:
             report.notes.append(
                 f"{pairs.unheard} messages of {self._name} did not reach the control loop"
             )
-
-    def _tell_lacking(self, invariants: Invariants, ending: Ending) -> None:
-        pairs, report = self._pairs, self._report
-        count = pairs.lacking + (0 if ending.is_clip else pairs.before_first)
-        if ending.ledger is None and not ending.is_clip and pairs.before_found:
-            count -= pairs.before_found
-            report.notes.append(
-                f"the first {pairs.before_found} messages of {self._name} are not recorded: the "
-                "recorder finds a publisher later than the control loop"
-            )
-        if not count:
-            return
-        text = f"{count} messages of {self._name} that the control loop received are not recorded"
-        if pairs.lacking_example:
-            text += f", the first is of {pairs.lacking_example}"
-        if count <= ending.lost:
-            report.notes.append(f"{text}: {ending.lost} were counted as lost")
-        elif ending.is_filtered and self.topic is None:
-            report.notes.append(f"the topic of {self._name} was not recorded, as configured")
-        elif ending.ledger is None:
-            report.miss(f"{text}; {ending.unknown_losses}")
-        else:
-            ending.accuse(report, invariants, text)
 
 
 def input_checks(report: Report, info: RecordingInfo, journal_topic: str) -> Inputs:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections import Counter
 from dataclasses import replace
 from math import pi, tau
 
@@ -12,14 +13,17 @@ from robotctl.cdr.reader import ENCAPSULATION
 from robotctl.cdr.scan import read_sectors
 from robotctl.config import Config
 from robotctl.kernel.kernel import Kernel
+from robotctl.kernel.safety_inputs import SafetyInput
 from robotctl.kernel.types import (
     BatteryReceived,
     Effect,
     Event,
     GuardedCommandReceived,
     OdomReceived,
+    SafetyInputReceived,
     ScanReceived,
 )
+from robotctl.testing.safety_messages import TOPICS, safety_message
 
 ODOMETRY, BATTERY, SCAN, WANTED = "/odom", "/battery_state", "/scan", "/cmd_vel_nav"
 
@@ -52,6 +56,7 @@ class HearingKernel(Kernel):
         self.messages: dict[tuple[str, int], bytes] = {}
         self._odometry_encoder = OdometryEncoder("odom", "base_link")
         self._odometry_count = self._battery_count = self._scan_count = self._wanted_count = 0
+        self._safety_counts = Counter[SafetyInput]()
 
     def step(self, event: Event) -> tuple[Effect, ...]:
         """Decide on what is left of an event after it went over the wire."""
@@ -77,5 +82,11 @@ class HearingKernel(Kernel):
             self._wanted_count += 1
             self.messages[WANTED, self._wanted_count] = encode_twist(event.twist)
             event = replace(event, publisher="9a7d", sequence=self._wanted_count)
+        elif isinstance(event, SafetyInputReceived):
+            data = safety_message(event.kind, event.value, event.detail)
+            self._safety_counts[event.kind] += 1
+            number = self._safety_counts[event.kind]
+            self.messages[TOPICS[event.kind], number] = data
+            event = replace(event, publisher="5afe", sequence=number)
         self.heard = event
         return super().step(event)

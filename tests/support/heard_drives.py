@@ -14,8 +14,10 @@ from typing import Any
 from mcap.records import Channel, Schema
 
 from robotctl.cdr.reader import ENCAPSULATION
+from robotctl.cdr.safety_inputs import MESSAGE_TYPES
 from robotctl.config import Config
 from robotctl.kernel.modes import Mode
+from robotctl.kernel.safety_inputs import SafetyInput
 from robotctl.kernel.types import Effect, Event
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.journal import decode
@@ -23,6 +25,7 @@ from robotctl.recording.format.metadata_names import INFO_RECORD, LEDGER_RECORD
 from robotctl.rerun.closed_loop import closed_loop
 from robotctl.testing.drives import BEGIN_NS, drive_requested, journaled, record
 from robotctl.testing.hearing import BATTERY, ODOMETRY, SCAN, WANTED, HearingKernel
+from robotctl.testing.safety_messages import TOPICS as SAFETY_TOPICS
 from tests.support.edited_recordings import Contents, Stored, contents_of
 from tests.support.service_calls import ESTOP, SET_MODE, received, sent
 
@@ -78,6 +81,9 @@ def _with_messages(contents: Contents, heard: dict[tuple[str, int], bytes]) -> C
         _add_topic(contents, SCAN, "sensor_msgs/msg/LaserScan")
     if (WANTED, 1) in heard:
         _add_topic(contents, WANTED, "geometry_msgs/msg/Twist")
+    for kind, safety_topic in SAFETY_TOPICS.items():
+        if (safety_topic, 1) in heard:
+            _add_topic(contents, safety_topic, MESSAGE_TYPES[kind])
     _add_topic(contents, STATUS, "robot_controller/msg/RobotStatus")
     _add_topic(contents, SET_MODE, "robot_controller/srv/SetMode_Event")
     _add_topic(contents, ESTOP, "std_srvs/srv/Trigger_Event")
@@ -91,7 +97,7 @@ def _with_messages(contents: Contents, heard: dict[tuple[str, int], bytes]) -> C
             continue
         entry = decode(each.data)
         values = json.loads(entry.data)
-        topic = _TOPICS.get(entry.name)
+        topic = _topic_of(entry.name, values)
         if topic is not None:
             sequence = values["sequence"]
             data = heard[topic, sequence]
@@ -112,6 +118,13 @@ def _with_messages(contents: Contents, heard: dict[tuple[str, int], bytes]) -> C
     told = next(values for name, values in contents.metadata if name == INFO_RECORD)
     told |= {"topic.robot_status": STATUS, "service.set_mode": "/set_mode"}
     return _counted(contents)
+
+
+def _topic_of(name: str, values: dict[str, Any]) -> str | None:
+    """Return the topic of the message that became an event, None if none did."""
+    if name == "SafetyInputReceived":
+        return SAFETY_TOPICS[SafetyInput(values["kind"])]
+    return _TOPICS.get(name)
 
 
 class _Calls:

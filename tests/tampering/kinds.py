@@ -7,8 +7,10 @@ from dataclasses import replace
 from random import Random
 
 from robotctl.kernel.modes import Mode
+from robotctl.kernel.safety_inputs import SafetyInput
 from robotctl.recording.format.journal import EntryKind, JournalEntry, decode
 from robotctl.testing.hearing import BATTERY, ODOMETRY
+from robotctl.testing.safety_messages import TOPICS
 from tests.support.edited_recordings import Contents, Stored
 from tests.support.heard_drives import COMMANDS, JOURNAL, STATUS
 from tests.support.service_calls import ESTOP, SET_MODE, received
@@ -36,6 +38,12 @@ from tests.tampering.edits import (
     without,
 )
 from tests.tampering.stretches import stretch_removed
+
+BUTTON = TOPICS[SafetyInput.ESTOP]
+"""The topic of the emergency stop button."""
+
+
+FREQUENT = ("Tick", "OdomReceived", "SafetyInputReceived")
 
 
 def late(message: Stored) -> Stored:
@@ -137,9 +145,7 @@ def first_part_dropped(entries: list[JournalEntry], random: Random) -> list[Jour
 
 def rare_dropped(entries: list[JournalEntry], random: Random) -> Sequence[JournalEntry | None]:
     rare = {
-        each.name
-        for each in entries
-        if each.kind is EntryKind.EVENT and each.name not in ("Tick", "OdomReceived")
+        each.name for each in entries if each.kind is EntryKind.EVENT and each.name not in FREQUENT
     }
     return without(random.choice(sorted(rare)))(entries, random)
 
@@ -312,6 +318,39 @@ FOUND: Mapping[str, Kind] = {
 }
 """Edits that a check finds: its verdict is not `same`."""
 
+ON_A_BUTTON: Mapping[str, Kind] = {
+    "button: one pressed message released": changed(
+        BUTTON, lambda m, _: replace(m, data=m.data[:4] + b"\0"), lambda m: m.data[4] == 1
+    ),
+    "button: one released message pressed": changed(
+        BUTTON, lambda m, _: replace(m, data=m.data[:4] + b"\1"), lambda m: m.data[4] == 0
+    ),
+    "button: one dropped": dropped(BUTTON, 1, lambda each: 1 < each.sequence < 28),
+    "button: one repeated": repeated(BUTTON),
+    "button: one with another number": changed(BUTTON, numbered, anywhere),
+    "button: one dropped, the others renumbered": dropped_and_renumbered(
+        BUTTON, lambda each: each.sequence < 16
+    ),
+    "button: two swapped": swapped(BUTTON, anywhere),
+    "button: all released": all_changed(BUTTON, lambda m: replace(m, data=m.data[:4] + b"\0")),
+    "button: topic removed": removed(BUTTON),
+    "journal: a message of the button dropped": journal(without("SafetyInputReceived")),
+    "journal: the press set to released, chained anew": journal(
+        rewritten("SafetyInputReceived", r'"value":1\.0', '"value":0.0'), careful=True
+    ),
+    "journal: all presses set to released, chained anew": journal(
+        rewritten("SafetyInputReceived", r'"value":1\.0', '"value":0.0', everywhere=True),
+        careful=True,
+    ),
+    "journal: all messages of the button dropped, chained anew": journal(
+        lambda entries, _: [
+            None if each.name == "SafetyInputReceived" else each for each in entries
+        ],
+        careful=True,
+    ),
+}
+"""Edits that a check finds in a recording with an emergency stop button."""
+
 ONLY_IF_CLOSED: Mapping[str, Kind] = {
     "odometry: the first dropped": dropped(ODOMETRY, 1, lambda each: each.sequence == 1),
     "battery: the first dropped": dropped(BATTERY, 1, lambda each: each.sequence == 1),
@@ -353,6 +392,16 @@ ACCEPTED: Mapping[str, tuple[Kind, str]] = {
             careful=True,
         )(contents, random),
         "the control loop takes its inputs with best effort, and the CRCs were computed again",
+    ),
+    "journal: one of equal messages of the button dropped, chained anew": (
+        lambda contents, random: journal(
+            lambda entries, _: [
+                None if each.name == "SafetyInputReceived" and '"sequence":5' in each.data else each
+                for each in entries
+            ],
+            careful=True,
+        )(contents, random),
+        "of equal messages only some become events",
     ),
     "all topics: a stretch of standing removed, its ticks counted as missed": (
         stretch_removed(1.3, 1.6, missed=True),

@@ -2,9 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
-from robotctl.kernel.types import Event, LoopStalled, ModeRequested, ResetRequested
+from robotctl.config import Config
+from robotctl.kernel.params import KernelParams
+from robotctl.kernel.safety_inputs import EstopParams, SafetyInput, SafetyInputParams, Use
+from robotctl.kernel.types import (
+    Event,
+    LoopStalled,
+    ModeRequested,
+    ResetRequested,
+    SafetyInputReceived,
+)
 from robotctl.recording.format.metadata_names import LEDGER_RECORD
 from robotctl.testing.drives import BEGIN_NS, drive_requested
 from tests.support.edited_recordings import Contents
@@ -24,14 +34,36 @@ REQUESTS: dict[str, list[Event]] = {
         ResetRequested(after(2.4), 4, "operator"),
     ],
     "stalled": [drive_requested(), LoopStalled(after(1.5), 0.2, 3, 0, "somewhere")],
+    "pressed": [
+        drive_requested(),
+        *(
+            SafetyInputReceived(
+                after(0.05 + number / 10.0), SafetyInput.ESTOP, float(15 <= number < 22)
+            )
+            for number in range(35)
+        ),
+    ],
 }
 """The requests of each recording."""
+
+BUTTON = Config(
+    kernel=replace(
+        KernelParams(), inputs=SafetyInputParams(estop=EstopParams(use=Use.REQUIRED, timeout_s=0.5))
+    )
+)
+"""The configuration of "pressed": with an emergency stop button."""
 
 
 def sources(folder: Path) -> dict[str, Contents]:
     """Return the recordings by name; "killed" was not closed."""
     made = {
-        name: heard_drive(folder / name, 3.6, requests=requests, snapshots_s=(0.0, 2.0))
+        name: heard_drive(
+            folder / name,
+            3.6,
+            requests=sorted(requests, key=lambda event: event.t_ns),
+            snapshots_s=(0.0, 2.0),
+            config=BUTTON if name == "pressed" else None,
+        )
         for name, requests in REQUESTS.items()
     }
     killed = made["stopped"].copy()

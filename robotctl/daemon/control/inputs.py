@@ -56,9 +56,12 @@ class Inputs:
         """Handle a battery level from 0 to 1, NaN if unknown."""
         self._control.dispatch(BatteryReceived(time.monotonic_ns(), level, publisher, sequence))
 
-    def safety_input(self, kind: SafetyInput, value: float, detail: str) -> None:
+    def safety_input(
+        self, kind: SafetyInput, value: float, detail: str, publisher: str, sequence: int
+    ) -> None:
         """Handle a message of a safety input."""
-        self._control.dispatch(SafetyInputReceived(time.monotonic_ns(), kind, value, detail))
+        now = time.monotonic_ns()
+        self._control.dispatch(SafetyInputReceived(now, kind, value, detail, publisher, sequence))
 
     def scan(self, sectors: tuple[float, ...], publisher: str, sequence: int) -> None:
         """Handle a laser scan: the nearest ranges by direction, () if it is unreadable."""

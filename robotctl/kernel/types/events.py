@@ -71,12 +71,15 @@ class SafetyInputReceived:
     """A message of a safety input; `detail` is the sender's text, if it has one.
 
     Of many equal messages, only some become events: enough to see that the input is heard.
+    `publisher` and `sequence` are as in `BatteryReceived`.
     """
 
     t_ns: int
     kind: SafetyInput
     value: float
     detail: str = ""
+    publisher: str = ""
+    sequence: int = 0
 
 
 @dataclass(frozen=True, slots=True)

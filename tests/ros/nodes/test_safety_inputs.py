@@ -8,12 +8,14 @@ from math import isnan
 from typing import Any
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu, Joy
 from std_msgs.msg import Bool
 
+from robotctl.cdr.safety_inputs import MAX_DIAGNOSES, Diagnoses
 from robotctl.kernel.safety_inputs import SafetyInput, SafetyInputParams, Use
-from robotctl.ros.nodes.safety_inputs import MAX_DIAGNOSES, Diagnoses, SafetyInputs
+from robotctl.ros.nodes.safety_inputs import SafetyInputs
 from robotctl.ros.session import Session
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
@@ -64,7 +66,7 @@ async def test_a_message_is_read_as_its_type_says(
     value: float,
 ) -> None:
     readings: list[tuple[SafetyInput, float]] = []
-    SafetyInputs(session, only(kind), "r2", lambda each, read, _: readings.append((each, read)))
+    SafetyInputs(session, only(kind), "r2", lambda each, read, *_: readings.append((each, read)))
     full_name = topic if topic.startswith("/") else f"/r2/{topic}"
     publisher = node.create_publisher(type(message), full_name, 10)
     await until(publisher.get_subscription_count)
@@ -78,17 +80,29 @@ async def test_a_message_is_read_as_its_type_says(
     assert readings[0][1] == value or (isnan(value) and isnan(readings[0][1]))
 
 
+def told(diagnoses: Diagnoses, message: DiagnosticArray) -> tuple[float, str]:
+    return diagnoses.worst(serialize_message(message))
+
+
 def test_the_worst_diagnosis_of_all_names_counts_but_for_our_own() -> None:
     diagnoses = Diagnoses("robot")
-    assert diagnoses.worst(diagnosis("motor", DiagnosticStatus.ERROR)) == (2.0, "motor: hot")
-    assert diagnoses.worst(diagnosis("laser", DiagnosticStatus.OK)) == (2.0, "motor: hot")
-    assert diagnoses.worst(diagnosis("motor", DiagnosticStatus.WARN)) == (1.0, "motor: hot")
+    assert told(diagnoses, diagnosis("motor", DiagnosticStatus.ERROR)) == (2.0, "motor: hot")
+    assert told(diagnoses, diagnosis("laser", DiagnosticStatus.OK)) == (2.0, "motor: hot")
+    assert told(diagnoses, diagnosis("motor", DiagnosticStatus.WARN)) == (1.0, "motor: hot")
     own = diagnosis("robot: recorder", DiagnosticStatus.ERROR, "robot")
-    assert diagnoses.worst(own) == (1.0, "motor: hot")
+    assert told(diagnoses, own) == (1.0, "motor: hot")
+
+
+def test_the_values_of_a_diagnosis_are_passed_over() -> None:
+    message = diagnosis("motor", DiagnosticStatus.OK)
+    message.status[0].values = [KeyValue(key="x" * n, value="y" * (n + 1)) for n in range(9)]
+    message.status += diagnosis("laser", DiagnosticStatus.ERROR).status
+    assert told(Diagnoses("robot"), message) == (2.0, "laser: hot")
 
 
 def test_many_names_do_not_push_an_error_out() -> None:
     diagnoses = Diagnoses("robot")
-    diagnoses.worst(diagnosis("motor", DiagnosticStatus.ERROR))
+    told(diagnoses, diagnosis("motor", DiagnosticStatus.ERROR))
     for number in range(2 * MAX_DIAGNOSES):
-        assert diagnoses.worst(diagnosis(f"n{number}", DiagnosticStatus.OK)) == (2.0, "motor: hot")
+        message = diagnosis(f"n{number}", DiagnosticStatus.OK)
+        assert told(diagnoses, message) == (2.0, "motor: hot")

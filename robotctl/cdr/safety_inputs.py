@@ -1,0 +1,134 @@
+"""The values of the messages of safety inputs, without ROS.
+
+A reader returns the value of a serialized message as `SafetyInput` says, NaN if it is unreadable,
+and the sender's own text or "".
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator
+from functools import partial
+from math import acos, nan
+
+from robotctl.cdr.reader import CdrReader
+from robotctl.kernel.safety_inputs import SafetyInput
+from robotctl.printable import short_name
+
+Reader = Callable[[bytes], tuple[float, str]]
+
+MESSAGE_TYPES = {
+    SafetyInput.ESTOP: "std_msgs/msg/Bool",
+    SafetyInput.JOY: "sensor_msgs/msg/Joy",
+    SafetyInput.BUMPER: "std_msgs/msg/Bool",
+    SafetyInput.TILT: "sensor_msgs/msg/Imu",
+    SafetyInput.DIAGNOSTICS: "diagnostic_msgs/msg/DiagnosticArray",
+}
+
+MAX_DIAGNOSES = 256
+"""Limit on the diagnoses that are kept; beyond it the least severe one is forgotten."""
+
+MAX_STATUSES = 2_000
+"""Limit on the diagnoses in one message, and on the values of each: more is unreadable."""
+
+UNIT_TOLERANCE = 0.1
+"""How far the length of a quaternion may be from 1."""
+
+
+def reader_of(kind: SafetyInput, *, button: int, robot: str) -> Reader:
+    """Return the reader of an input: of the button with this number, without robot's diagnoses."""
+    readers: dict[SafetyInput, Reader] = {
+        SafetyInput.ESTOP: _bool,
+        SafetyInput.JOY: partial(_button, button),
+        SafetyInput.BUMPER: _bool,
+        SafetyInput.TILT: _tilt,
+        SafetyInput.DIAGNOSTICS: Diagnoses(robot).worst,
+    }
+    return partial(_readable, readers[kind])
+
+
+def _readable(read: Reader, data: bytes) -> tuple[float, str]:
+    try:
+        return read(data)
+    except Exception:  # noqa: BLE001 - the bytes may be anything
+        return nan, ""
+
+
+def _bool(data: bytes) -> tuple[float, str]:
+    (value,) = CdrReader(data).take("B")
+    if value > 1:
+        raise struct.error(f"{value} is no bool")
+    return float(value), ""
+
+
+def _button(number: int, data: bytes) -> tuple[float, str]:
+    """Return whether the button is pressed; a gamepad without it is unreadable."""
+    message = CdrReader(data)
+    _skip_header(message)
+    message.take("f", *message.take("I"))
+    return float(message.take("i", *message.take("I"))[number] != 0), ""
+
+
+def _tilt(data: bytes) -> tuple[float, str]:
+    """Return the angle between the upward axes of robot and world (REP-103), rounded to 0.01 rad.
+
+    A covariance that begins with -1 says that there is no orientation (sensor_msgs/Imu).
+    """
+    message = CdrReader(data)
+    _skip_header(message)
+    x, y, z, w, covariance = message.take("d", 5)
+    length = (x**2 + y**2 + z**2 + w**2) ** 0.5
+    if covariance == -1.0 or not abs(length - 1.0) <= UNIT_TOLERANCE:
+        return nan, ""
+    upward = 1.0 - 2.0 * (x**2 + y**2) / length**2
+    return round(acos(max(-1.0, min(1.0, upward))), 2), ""
+
+
+def _skip_header(message: CdrReader) -> None:
+    message.take("i"), message.take("I")
+    message.text()
+
+
+def statuses(robot: str, data: bytes) -> Iterator[tuple[str, float, str]]:
+    """Yield name, level and text of each diagnosis that `robot` did not send itself.
+
+    Raises:
+        struct.error: The message is cut short, not in plain CDR, or too long.
+    """
+    message = CdrReader(data)
+    _skip_header(message)
+    for _ in range(_count(message)):
+        (level,) = message.take("B")
+        name, text, hardware_id = message.text(), message.text(), message.text()
+        for _ in range(2 * _count(message)):
+            message.octets(*message.take("I"))
+        if hardware_id != robot or not name.startswith(f"{robot}: "):
+            yield name, float(level), short_name(f"{name}: {text}")
+
+
+def _count(message: CdrReader) -> int:
+    (count,) = message.take("I")
+    if count > MAX_STATUSES:
+        raise struct.error(f"{count} diagnoses or values")
+    return int(count)
+
+
+class Diagnoses:
+    """The last level of each diagnosis that robotctl did not send itself."""
+
+    def __init__(self, robot: str) -> None:
+        self._robot = robot
+        self._levels: dict[str, tuple[float, str]] = {}
+
+    def worst(self, data: bytes) -> tuple[float, str]:
+        """Take a DiagnosticArray; return the worst level of all, and its name and text.
+
+        Raises:
+            struct.error: It is unreadable; the levels before it stay.
+        """
+        for name, level, text in [*statuses(self._robot, data)]:
+            levels = self._levels
+            if name not in levels and len(levels) >= MAX_DIAGNOSES:
+                del levels[min(levels, key=lambda each: levels[each][0])]
+            levels[name] = level, text
+        return max(self._levels.values(), default=(0.0, ""), key=lambda each: each[0])

@@ -1,0 +1,64 @@
+"""Says what differs between the inputs in a journal and the recorded messages."""
+
+from __future__ import annotations
+
+from robotctl.rerun.check_report import Report
+from robotctl.rerun.ending import Ending
+from robotctl.rerun.input_pairs import InputPairs
+from robotctl.rerun.invariants import Invariants
+
+
+def report_inputs(
+    report: Report,
+    invariants: Invariants,
+    name: str,
+    pairs: InputPairs,
+    ending: Ending,
+    *,
+    is_recorded: bool,
+) -> None:
+    """Report values that differ, missing and repeated messages of the input `name`.
+
+    `pairs` have ended. `is_recorded` tells whether the recording has the topic of the input.
+    """
+    if pairs.differing:
+        text = f"{pairs.differing} messages are not what the control loop received as"
+        text = f"{text} {name}: {pairs.differing_example}"
+        if pairs.has_one_publisher or pairs.differing > ending.lost:
+            ending.accuse(report, invariants, text)
+        else:
+            report.notes.append(text)
+    _report_lacking(report, invariants, name, pairs, ending, is_recorded=is_recorded)
+    if pairs.repeated and pairs.has_one_publisher:
+        report.miss(f"{pairs.repeated} messages of {name} are repeated or out of order")
+
+
+def _report_lacking(
+    report: Report,
+    invariants: Invariants,
+    name: str,
+    pairs: InputPairs,
+    ending: Ending,
+    *,
+    is_recorded: bool,
+) -> None:
+    count = pairs.lacking + (0 if ending.is_clip else pairs.before_first)
+    if ending.ledger is None and not ending.is_clip and pairs.before_found:
+        count -= pairs.before_found
+        report.notes.append(
+            f"the first {pairs.before_found} messages of {name} are not recorded: the "
+            "recorder finds a publisher later than the control loop"
+        )
+    if not count:
+        return
+    text = f"{count} messages of {name} that the control loop received are not recorded"
+    if pairs.lacking_example:
+        text += f", the first is of {pairs.lacking_example}"
+    if count <= ending.lost:
+        report.notes.append(f"{text}: {ending.lost} were counted as lost")
+    elif ending.is_filtered and not is_recorded:
+        report.notes.append(f"the topic of {name} was not recorded, as configured")
+    elif ending.ledger is None:
+        report.miss(f"{text}; {ending.unknown_losses}")
+    else:
+        ending.accuse(report, invariants, text)

@@ -1,0 +1,192 @@
+"""Checks the safety inputs in a journal against the recorded messages.
+
+Of many equal messages only some become events, so that most are never heard.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Final
+
+from robotctl.cdr.safety_inputs import MESSAGE_TYPES, reader_of
+from robotctl.kernel.safety_inputs import REPEATS_PER_TIMEOUT, SafetyInput, SafetyInputParams, Use
+from robotctl.kernel.types import Event, LoopStalled, SafetyInputReceived
+from robotctl.kernel.units import NS_PER_S
+from robotctl.recording import RecordingInfo
+from robotctl.recording.format.metadata_names import INFO_RECORD
+from robotctl.recording.format.records import MAX_SEQUENCE
+from robotctl.recording.format.topics import LATCHED_QOS
+from robotctl.recording.read.messages import Message
+from robotctl.rerun.check_report import Report
+from robotctl.rerun.ending import Ending
+from robotctl.rerun.input_pairs import Input, InputPairs
+from robotctl.rerun.input_report import report_inputs
+from robotctl.rerun.invariants import Invariants
+from robotctl.rerun.ordinary_run import OrdinaryRun
+from robotctl.rerun.own_topics import full_name
+from robotctl.rerun.said_diagnoses import SaidDiagnoses
+from robotctl.rerun.unheard_change import Shown, UnheardChange
+
+NAMES: Final = {
+    SafetyInput.ESTOP: "the emergency stop button",
+    SafetyInput.JOY: "the gamepad",
+    SafetyInput.BUMPER: "the bumper",
+    SafetyInput.TILT: "the tilt",
+    SafetyInput.DIAGNOSTICS: "the diagnostics",
+}
+
+
+class SafetyInputCheck:
+    """The comparison of one safety input, from the first snapshot with a proof on."""
+
+    def __init__(
+        self, report: Report, info: RecordingInfo, kind: SafetyInput, topic: str | None
+    ) -> None:
+        """`topic` is None if it is not recorded."""
+        values = info.metadata.get(INFO_RECORD, {})
+        robot = values.get("robot", "")
+        button = int(values.get("parameter.inputs.joy.button", 0))
+        default_s = SafetyInputParams().of(kind).timeout_s
+        timeout_s = float(values.get(f"parameter.inputs.{kind.value}.timeout_s", default_s))
+        self.topic = topic
+        self._is_latched = any(
+            each.name == topic and LATCHED_QOS in each.offered_qos for each in info.topics
+        )
+        self._report = report
+        self._name = NAMES[kind]
+        self._read = reader_of(kind, button=button, robot=robot)
+        self._diagnoses = SaidDiagnoses(robot) if kind is SafetyInput.DIAGNOSTICS else None
+        self._pairs = InputPairs()
+        self._unheard = UnheardChange(round(timeout_s * NS_PER_S / REPEATS_PER_TIMEOUT))
+        self._is_on = False
+        self._last: tuple[int, bytes] | None = None
+
+    def message(self, message: Message) -> None:
+        """Take a message; a file begins with the last latched one of the file before."""
+        last, self._last = self._last, (message.sequence, message.data)
+        if not self._is_on or (self._is_latched and self._last == last):
+            return
+        if self._diagnoses is not None:
+            self._diagnoses.message(message.data)
+            self._pairs.message(message.sequence, None)
+            return
+        value, _ = self._read(message.data)
+        self._pairs.message(message.sequence, value)
+        self._unheard.message(Shown(message.sequence, str(value), message.log_ns))
+
+    def received(self, event: SafetyInputReceived, seq: int) -> None:
+        """Take an input; `seq` is the number of its entry."""
+        if not self._is_on:
+            return
+        sequence = event.sequence & MAX_SEQUENCE
+        value = None if self._diagnoses is not None else event.value
+        self._pairs.received(sequence, Input(event.t_ns, event.publisher, value, seq))
+        if self._diagnoses is not None:
+            self._diagnoses.heard(event.value, event.detail)
+        else:
+            self._unheard.heard(sequence)
+
+    def snapshot(self, has_proof: bool, stall_ns: int) -> None:
+        """Compare from this snapshot on, if it is one of this version."""
+        self._is_on = self._is_on or has_proof
+        self._pairs.settle()
+        self._unheard.settle(stall_ns)
+
+    def stop(self) -> None:
+        """Pause until the next snapshot: events are missing."""
+        self._is_on = False
+        self._pairs.forget()
+        self._unheard.forget()
+
+    def end(
+        self, invariants: Invariants, ending: Ending, end_ns: int, log_ns: int, stall_ns: int
+    ) -> None:
+        """Report what differs; times are as for `SafetyInputChecks.end`."""
+        pairs, report = self._pairs, self._report
+        pairs.end(end_ns)
+        is_recorded = self.topic is not None
+        report_inputs(report, invariants, self._name, pairs, ending, is_recorded=is_recorded)
+        self._unheard.end(log_ns, stall_ns)
+        if self._unheard.example and pairs.has_one_publisher:
+            report.miss(f"the journal does not hold {self._unheard.example} of {self._name}")
+        unsaid = [] if self._diagnoses is None else self._diagnoses.unsaid()
+        if unsaid and is_recorded and ending.has_begin and ending.lost == 0:
+            text = f"{len(unsaid)} diagnoses in the journal are in no message: {unsaid[0]}"
+            ending.accuse(report, invariants, text)
+
+
+class SafetyInputChecks:
+    """The checks of all safety inputs that the configuration uses."""
+
+    def __init__(self, report: Report, info: RecordingInfo, journal_topic: str) -> None:
+        """Take the configuration from the metadata."""
+        self._stall_ns = 0
+        self._checks = {
+            kind: SafetyInputCheck(report, info, kind, _topic(info, journal_topic, kind))
+            for kind in SafetyInput
+            if _is_used(info, kind)
+        }
+
+    def readers(self) -> dict[str, Callable[[Message], None]]:
+        """Return for each recorded topic what takes its messages; inputs may share one."""
+        topics = {each.topic for each in self._checks.values() if each.topic is not None}
+        return {topic: partial(self._message, topic) for topic in topics}
+
+    def _message(self, topic: str, message: Message) -> None:
+        for each in self._checks.values():
+            if each.topic == topic:
+                each.message(message)
+
+    def step(self, event: Event, seq: int) -> None:
+        """Take an event of the journal, with the number of its entry."""
+        if isinstance(event, SafetyInputReceived):
+            check = self._checks.get(event.kind)
+            if check is not None and event.sequence:  # 0: before it was told
+                check.received(event, seq)
+        elif isinstance(event, LoopStalled):
+            self._stall_ns = max(self._stall_ns, round(event.stalled_s * NS_PER_S))
+
+    def run(self, run: OrdinaryRun) -> None:
+        """Take many steps and messages."""
+        for topic, take in self.readers().items():
+            for message in run.messages[topic]:
+                take(message)
+        for step in run.by_kind[SafetyInputReceived]:
+            self.step(step.event, step.seq)
+
+    def snapshot(self, has_proof: bool) -> None:
+        """Take a snapshot."""
+        for each in self._checks.values():
+            each.snapshot(has_proof, self._stall_ns)
+
+    def stop(self) -> None:
+        """Pause until the next snapshot."""
+        for each in self._checks.values():
+            each.stop()
+
+    def end(
+        self,
+        invariants: Invariants,
+        ending: Callable[[str | None], Ending],
+        end_ns: int,
+        log_ns: int,
+    ) -> None:
+        """Report what differs; the journal ends at `end_ns`, since the epoch at `log_ns`."""
+        for each in self._checks.values():
+            each.end(invariants, ending(each.topic), end_ns, log_ns, self._stall_ns)
+
+
+def _is_used(info: RecordingInfo, kind: SafetyInput) -> bool:
+    values = info.metadata.get(INFO_RECORD, {})
+    return values.get(f"parameter.inputs.{kind.value}.use", Use.OFF.value) != Use.OFF.value
+
+
+def _topic(info: RecordingInfo, journal_topic: str, kind: SafetyInput) -> str | None:
+    """Return the full name of the topic of an input, None if it is not recorded."""
+    default = SafetyInputParams().of(kind).topic
+    name = full_name(info, journal_topic, f"inputs.{kind.value}.topic", default)
+    is_recorded = any(
+        each.name == name and each.type_name == MESSAGE_TYPES[kind] for each in info.topics
+    )
+    return name if is_recorded else None

@@ -1,0 +1,188 @@
+"""The safety inputs of a journal are the recorded messages, and no change of them is left out."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from math import nan
+from pathlib import Path
+
+import pytest
+
+from robotctl.config import Config
+from robotctl.kernel.params import KernelParams
+from robotctl.kernel.safety_inputs import (
+    BumperParams,
+    DiagnosticsParams,
+    EstopParams,
+    JoyParams,
+    SafetyInput,
+    SafetyInputParams,
+    TiltParams,
+    Use,
+)
+from robotctl.kernel.types import Event, SafetyInputReceived
+from robotctl.recording.format.journal import decode
+from robotctl.rerun.check import check_recording
+from robotctl.rerun.check_report import Report, Verdict
+from robotctl.testing.drives import BEGIN_NS, drive_requested
+from robotctl.testing.safety_messages import TOPICS, safety_message
+from tests.support.edited_recordings import Contents, Stored, edit, write_contents
+from tests.support.heard_drives import JOURNAL, heard_drive
+from tests.tampering.edits import journal
+
+STOPS = {
+    SafetyInput.ESTOP: 1.0,
+    SafetyInput.JOY: 1.0,
+    SafetyInput.BUMPER: 1.0,
+    SafetyInput.TILT: 0.5,
+    SafetyInput.DIAGNOSTICS: 2.0,
+}
+"""What each input says from message 30 on."""
+
+EVERY = pytest.mark.parametrize("kind", SafetyInput)
+WITH_VALUE = pytest.mark.parametrize(
+    "kind", [each for each in SafetyInput if each is not SafetyInput.DIAGNOSTICS]
+)
+
+
+def detail_of(kind: SafetyInput) -> str:
+    return "motor: warm" if kind is SafetyInput.DIAGNOSTICS else ""
+
+
+@pytest.fixture(scope="module")
+def pressed(tmp_path_factory: pytest.TempPathFactory) -> Contents:
+    """A drive with ten messages a second of each input, each of which stops the robot after 3 s."""
+    inputs = SafetyInputParams(
+        EstopParams(Use.OPTIONAL),
+        JoyParams(Use.OPTIONAL),
+        BumperParams(Use.OPTIONAL),
+        TiltParams(Use.OPTIONAL),
+        DiagnosticsParams(Use.OPTIONAL),
+    )
+    requests: list[Event] = [drive_requested()]
+    for number in range(50):
+        t_ns = BEGIN_NS + 50_000_000 + number * 100_000_000
+        for kind, value in STOPS.items():
+            said = value if number >= 30 else 0.0
+            requests.append(SafetyInputReceived(t_ns, kind, said, detail_of(kind)))
+    requests.sort(key=lambda event: event.t_ns)
+    config = Config(kernel=replace(KernelParams(), inputs=inputs))
+    folder = tmp_path_factory.mktemp("pressed") / "run"
+    return heard_drive(folder, 6.0, requests=requests, config=config)
+
+
+def check(tmp_path: Path, contents: Contents) -> Report:
+    return check_recording(write_contents(tmp_path / "run", contents))
+
+
+def changed(
+    contents: Contents, kind: SafetyInput, change: Callable[[Stored], Stored | None]
+) -> Contents:
+    return edit(contents, TOPICS[kind], lambda at, each: change(each))
+
+
+def heard(entry_name: str, data: str, kind: SafetyInput) -> bool:
+    return entry_name == "SafetyInputReceived" and json.loads(data)["kind"] == kind.value
+
+
+def without_events(contents: Contents, kind: SafetyInput, numbers: range) -> Contents:
+    """Return the contents without the events of these messages, as best effort may lose them."""
+    gone = {
+        at
+        for at, each in enumerate(e for e in contents.messages if e.topic == JOURNAL)
+        if heard((entry := decode(each.data)).name, entry.data, kind)
+        and json.loads(entry.data)["sequence"] in numbers
+    }
+    return journal(
+        lambda entries, _: [None if at in gone else each for at, each in enumerate(entries)],
+        careful=True,
+    )(contents, None)  # type: ignore[arg-type]
+
+
+def test_the_recorded_messages_say_what_the_journal_holds(
+    tmp_path: Path, pressed: Contents
+) -> None:
+    report = check(tmp_path, pressed)
+    assert (report.verdict, report.missing, report.notes) == (Verdict.SAME, [], [])
+    assert [pressed.counts[topic] for topic in TOPICS.values()] == [50] * 5
+
+
+@EVERY
+def test_a_message_that_was_changed_is_found(
+    tmp_path: Path, pressed: Contents, kind: SafetyInput
+) -> None:
+    released = safety_message(kind, 0.0, detail_of(kind))
+    edited = changed(pressed, kind, lambda m: replace(m, data=released) if m.sequence > 30 else m)
+    report = check(tmp_path, edited)
+    assert report.verdict is Verdict.BROKEN
+
+
+@EVERY
+def test_messages_that_were_removed_are_missed(
+    tmp_path: Path, pressed: Contents, kind: SafetyInput
+) -> None:
+    edited = changed(pressed, kind, lambda m: None if m.sequence in (20, 21) else m)
+    report = check(tmp_path, edited)
+    assert report.verdict is Verdict.BROKEN
+    assert report.violations[0].text.startswith("2 messages of the ")
+
+
+@EVERY
+def test_a_topic_that_was_removed_is_missed(
+    tmp_path: Path, pressed: Contents, kind: SafetyInput
+) -> None:
+    edited = changed(pressed, kind, lambda m: None)
+    edited.types = [each for each in edited.types if each[0].topic != TOPICS[kind]]
+    assert check(tmp_path, edited).verdict is Verdict.BROKEN
+
+
+@WITH_VALUE
+def test_a_change_that_the_journal_never_saw_is_named(
+    tmp_path: Path, pressed: Contents, kind: SafetyInput
+) -> None:
+    other = safety_message(kind, STOPS[kind], detail_of(kind))
+    edited = without_events(pressed, kind, range(5, 15))
+    edited = changed(edited, kind, lambda m: replace(m, data=other) if 5 <= m.sequence < 15 else m)
+    report = check(tmp_path, edited)
+    assert report.verdict is Verdict.INCOMPLETE
+    assert "the journal does not hold messages 5 to 11 of the " in str(report.missing)
+
+
+@WITH_VALUE
+def test_an_input_whose_events_were_all_removed_is_named(
+    tmp_path: Path, pressed: Contents, kind: SafetyInput
+) -> None:
+    first = min(m.log_ns for m in pressed.messages if m.topic == TOPICS[kind])
+    edited = without_events(pressed, kind, range(1, 51))
+    edited.messages = [
+        replace(m, log_ns=first + 2 * (m.log_ns - first)) if m.topic == TOPICS[kind] else m
+        for m in edited.messages
+    ]
+    assert check(tmp_path, edited).verdict is not Verdict.SAME
+
+
+@WITH_VALUE
+def test_equal_messages_need_not_be_events(
+    tmp_path: Path, pressed: Contents, kind: SafetyInput
+) -> None:
+    """The control loop hands on each changed value, and equal ones four times in the timeout."""
+    rest = range(8, 28)
+    edited = pressed
+    for number in rest:
+        if number % 2:
+            edited = without_events(edited, kind, range(number, number + 1))
+    report = check(tmp_path, edited)
+    assert (report.verdict, report.notes) == (Verdict.SAME, [])
+
+
+def test_an_unreadable_message_is_an_input_too(tmp_path: Path) -> None:
+    estop = replace(SafetyInputParams().estop, use=Use.OPTIONAL)
+    inputs = replace(SafetyInputParams(), estop=estop)
+    config = Config(kernel=replace(KernelParams(), inputs=inputs))
+    requests: list[Event] = [
+        SafetyInputReceived(BEGIN_NS + n * 100_000_000, SafetyInput.ESTOP, nan) for n in (1, 2, 3)
+    ]
+    contents = heard_drive(tmp_path / "made", 2.0, requests=requests, config=config)
+    assert check(tmp_path, contents).verdict is Verdict.SAME
