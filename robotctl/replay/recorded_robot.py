@@ -53,7 +53,7 @@ class RecordedRobot:
                 self._takes[topic.name] = take
                 types[topic.name] = type_name
         if not self._takes:
-            raise UsageError(f"nothing to view: the recording has neither {ODOMETRY} nor {STATUS}")
+            raise UsageError(f"nothing to draw: the recording has neither {ODOMETRY} nor {STATUS}")
         latched = dict.fromkeys(self._takes, 1)
         self._entries = recorded(recording, span, types, latched, lambda lost: None, loop=loop)
         self._next: Entry | None = next(self._entries, None)

@@ -1,7 +1,7 @@
 """`python -m robotctl.view --report-fd N`: serve the view that the first line on stdin asks for.
 
-The line is a `ViewJob`. The reports are {"ready"} with `url` and `port`, {"viewers"} with their
-number, {"note"}, {"ended"} with the reason, and {"error", "exit_code"} with details of the error.
+The line is a `ViewJob`. The reports are {"ready"} with `url`, `open` and `port`, {"note"},
+{"ended"} with the reason, and {"error", "exit_code"} with details of the error.
 A signal, the end of the daemon and, unless the job says otherwise, of stdin end the process.
 """
 

@@ -15,8 +15,11 @@ from typing import Any, Final
 
 from robotctl.kernel.units import NS_PER_S
 
-SUBPROTOCOLS: Final = ("foxglove.sdk.v1", "foxglove.websocket.v1")
-"""The names under which clients ask for this protocol: present Foxglove, and Lichtblick."""
+SDK_PROTOCOL: Final = "foxglove.sdk.v1"
+"""The name under which Foxglove asks for this protocol with playback states."""
+
+SUBPROTOCOLS: Final = (SDK_PROTOCOL, "foxglove.websocket.v1")
+"""The names under which clients ask for it; the second is that of Lichtblick."""
 
 _MESSAGE_DATA: Final = struct.Struct("<BIQ")
 _TIME: Final = struct.Struct("<BQ")
@@ -43,12 +46,13 @@ class PlaybackStatus(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class ViewChannel:
-    """A topic that is offered; its messages are CDR, its schema is a text in ros2msg."""
+    """A topic that is offered; its messages are CDR, its definition a text."""
 
     id: int
     topic: str
     type_name: str
     definition: str
+    schema_encoding: str = "ros2msg"
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +91,7 @@ def advertise(channels: Iterable[ViewChannel]) -> str:
             "topic": each.topic,
             "encoding": "cdr",
             "schemaName": each.type_name,
-            "schemaEncoding": "ros2msg",
+            "schemaEncoding": each.schema_encoding,
             "schema": each.definition,
         }
         for each in channels

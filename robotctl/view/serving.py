@@ -6,11 +6,13 @@ import asyncio
 import os
 from collections.abc import Callable, Coroutine
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
 
 from robotctl import environment
 from robotctl.end_signals import end_signals
+from robotctl.errors import UsageError
 from robotctl.processes import pidfd_of
 from robotctl.view.admission import Admission, new_token
 from robotctl.view.view_job import LiveTarget, ViewJob
@@ -30,6 +32,8 @@ async def serve(job: ViewJob, report: Report, at_end: ExitStack) -> None:
     view = Serving(job, report)
     if job.live is not None:
         await view.show_domain(job.live, at_end)
+    else:
+        await view.show_recording(Path(job.file))
 
 
 class Serving:
@@ -61,12 +65,33 @@ class Serving:
             ) as session:
                 await self._run(server, LiveView(session, server).run())
 
+    async def show_recording(self, path: Path) -> None:
+        """Serve a recording.
+
+        Raises:
+            UnreadableFile: Nothing can be read.
+            UsageError: It has no messages.
+        """
+        from robotctl.recording import Recording
+        from robotctl.view.recorded_view import CAPABILITIES, RecordedView, span_of_recording
+
+        with Recording(path) as recording:
+            if not recording.info().message_count:
+                raise UsageError(f"{path} has no messages")
+            span_ns = span_of_recording(recording)
+            server = ViewServer(
+                f"robotctl: {path.name}",
+                self._admission,
+                capabilities=CAPABILITIES,
+                span_ns=span_ns,
+            )
+            await self._run(server, RecordedView(recording, server, span_ns).run())
+
     async def _run(self, server: ViewServer, feed: Coroutine[Any, Any, None]) -> None:
         """Run the server with its source until the end."""
         work: list[asyncio.Future[Any]] = [asyncio.ensure_future(feed)]
         try:
             port = await server.listen(self._job.host, self._job.port)
-            server.on_viewers = lambda count: self._report({"viewers": count})
             work += [asyncio.ensure_future(server.run()), asyncio.ensure_future(self._ended.wait())]
             self._report({"ready": self._address(port)})
             done, _ = await asyncio.wait(work, return_when=asyncio.FIRST_COMPLETED)

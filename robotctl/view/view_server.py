@@ -21,6 +21,7 @@ from robotctl.view.foxglove_messages import (
     remove_status,
     server_info,
     status,
+    time_message,
     unadvertise,
 )
 from robotctl.view.foxglove_requests import (
@@ -149,10 +150,12 @@ class ViewServer:
 
     # The channels
 
-    def offer(self, topic: str, type_name: str, definition: str) -> int:
+    def offer(
+        self, topic: str, type_name: str, definition: str, schema_encoding: str = "ros2msg"
+    ) -> int:
         """Offer a topic to all viewers, and return the id of its channel."""
         self._last_channel += 1
-        channel = ViewChannel(self._last_channel, topic, type_name, definition)
+        channel = ViewChannel(self._last_channel, topic, type_name, definition, schema_encoding)
         self._channels[channel.id] = channel
         self._tell_all(advertise([channel]))
         return channel.id
@@ -177,11 +180,18 @@ class ViewServer:
             viewer.outbox.put_message(frame + message_head(subscription, log_ns), kept)
         self._unflushed.update(subscribers)
 
-    def tell_all(self, message: bytes) -> None:
-        """Send a state to all viewers; one whose socket is full gets the next."""
+    def tell_time(self, now_ns: int) -> None:
+        """Tell all viewers the time; one whose socket is full gets the next."""
+        message = time_message(now_ns)
         for viewer in list(self._viewers):
             if not viewer.is_stalled:
                 viewer.tell(message)
+
+    def tell_playback(self, state: bytes) -> None:
+        """Tell all viewers that know playback states where it is."""
+        for viewer in list(self._viewers):
+            if viewer.knows_playback:
+                viewer.tell(state)
 
     def note(self, id: str, level: StatusLevel, message: str) -> None:  # noqa: A002 - the field's name
         """Show a message to all viewers, later ones too, until `clear`."""

@@ -24,7 +24,7 @@ from tests.support.waiting import DEADLINE_S
 RECORDING = "run"
 
 READERS = [
-    *("info", "replay --check", "replay --view-only", "replay --resim"),
+    *("info", "replay --check", "replay --draw-only", "replay --resim"),
     *("why", "recover", "clip"),
 ]
 

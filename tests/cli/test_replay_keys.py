@@ -40,7 +40,7 @@ def terminal() -> Iterator[Callable[..., Terminal]]:
 
 
 def test_keys_pause_step_and_change_the_rate(terminal: Any, file: Path) -> None:
-    viewing = terminal("replay", file, "--view-only", "--paused")
+    viewing = terminal("replay", file, "--draw-only", "--paused")
     viewing.until(r"0\.0 of 9 min 59 s +x1 +paused")
     viewing.press("n")
     viewing.press("n")
@@ -64,7 +64,7 @@ def test_keys_pause_step_and_change_the_rate(terminal: Any, file: Path) -> None:
 def test_a_signal_ends_it_and_the_terminal_is_as_before(
     number: signal.Signals, exit_code: int, terminal: Any, file: Path
 ) -> None:
-    viewing = terminal("replay", file, "--view-only")
+    viewing = terminal("replay", file, "--draw-only")
     viewing.until("space pause")
     os.kill(viewing.pid, number)
     assert viewing.end() == exit_code
@@ -99,7 +99,7 @@ wait()
 
 
 def test_ctrl_z_gives_the_terminal_back_and_fg_takes_it_again(terminal: Any, file: Path) -> None:
-    shell = terminal("replay", file, "--view-only", program=(SHELL, CODE))
+    shell = terminal("replay", file, "--draw-only", program=(SHELL, CODE))
     shell.until(r"\d\.\d of 9 min")
     shell.press("\x1a")
     shell.until("SHELL: stopped True")
@@ -118,7 +118,7 @@ def test_the_view_imports_nothing_of_ros(tmp_path: Path) -> None:
         "print(code, *sorted(n for n in sys.modules if n in ('rclpy', 'numpy', 'robotctl.ros')))"
     )
     ran = subprocess.run(
-        [sys.executable, "-c", program, "replay", str(file), "--view-only", "--rate", "10"],
+        [sys.executable, "-c", program, "replay", str(file), "--draw-only", "--rate", "10"],
         capture_output=True,
         text=True,
     )

@@ -1,13 +1,15 @@
-"""view: show a running robot live in Foxglove or Lichtblick."""
+"""view: show a running robot or a recording in Foxglove or Lichtblick."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from importlib.util import find_spec
 from typing import Annotated
 
 import typer
 
 from robotctl.cli.options import Json, Robot, new_app
+from robotctl.cli.terminal.text import short_path
 from robotctl.errors import Refused, UsageError
 from robotctl.paths import DEFAULT_ROBOT
 
@@ -18,6 +20,10 @@ MAX_PORT = 65_535
 
 @app.command()
 def view(
+    file: Annotated[
+        str,
+        typer.Argument(metavar="[FILE]", help="Play this recording, or the last one: last."),
+    ] = "",
     host: Annotated[
         str, typer.Option(metavar="ADDRESS", help="Listen on this address.")
     ] = "127.0.0.1",
@@ -32,26 +38,34 @@ def view(
     robot: Robot = DEFAULT_ROBOT,
     as_json: Json = False,
 ) -> None:
-    """Show the topics of a running robot live in Foxglove or Lichtblick.
+    """Show a running robot, live, or a recording in Foxglove or Lichtblick.
 
     It prints a URL for "Open connection", "Foxglove WebSocket". The URL has a token of this run:
     whoever has it may read, and cannot move the robot. A layout is docs/foxglove-layout.json.
 
     The view is a process of its own with a ROS node of its own: a slow viewer loses messages, which
-    it is told, and delays no other part. It ends with Ctrl-C, or with the daemon.
+    it is told, and delays no other part. It ends with Ctrl-C, or with the daemon. A recording plays
+    without ROS; Foxglove pauses it, seeks and sets the speed.
 
     \b
     Examples:
       robotctl view
-      robotctl view --port 9000
+      robotctl view last
+      robotctl view recordings/robot_20261123_101500 --port 9000
       robotctl view --origin https://lichtblick.example.org
     """
     if port is not None and not 0 <= port <= MAX_PORT:
         raise UsageError(f"--port {port}", f"use 1 to {MAX_PORT}, or 0 for a free one")
     if find_spec("websockets") is None:
         raise Refused("the view needs the package websockets", "pip install 'robotctl[view]'")
+    from robotctl.cli.support.recording_paths import find_recording
     from robotctl.cli.support.view_process import live_target, show_view
     from robotctl.view.view_job import ViewJob
 
-    job = ViewJob(live=live_target(robot), host=host, port=port, origins=tuple(origin or ()))
-    show_view(job, f"robot {robot}", as_json=as_json)
+    if file:
+        path = find_recording(file, robot)
+        job, what = ViewJob(file=str(path)), short_path(path)
+    else:
+        job, what = ViewJob(live=live_target(robot)), f"robot {robot}"
+    job = replace(job, host=host, port=port, origins=tuple(origin or ()))
+    show_view(job, what, as_json=as_json)

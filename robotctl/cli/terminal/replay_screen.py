@@ -1,4 +1,4 @@
-"""The screen of a replay: notes and a bar while it plays, and the robot with --view."""
+"""The screen of a replay: notes and a bar while it plays, and the robot with --draw."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 KEYS = "space pause   n next message   + - rate   q quit"
 _BAR_WIDTH = 78
 LINE_S = 1.0
-"""The period of the lines that --view prints without a terminal."""
+"""The period of the lines that --draw prints without a terminal."""
 
 
 class Screen(Protocol):
@@ -75,7 +75,7 @@ class _Notes(_Nothing):
             self._print_robot(self._robot, report["progress"]["position_s"])
 
     def _print_robot(self, robot: RecordedRobot, position_s: float) -> None:
-        from robotctl.cli.terminal.replay_view import recorded_line
+        from robotctl.cli.terminal.recorded_robot_view import recorded_line
 
         robot.advance(round(position_s * NS_PER_S))
         if time.monotonic() >= self._line_at:
@@ -118,7 +118,7 @@ class _Bar:
 
         parts = [line]
         if self._robot is not None:
-            from robotctl.cli.terminal.replay_view import recorded_view
+            from robotctl.cli.terminal.recorded_robot_view import recorded_view
 
             self._robot.advance(round(position_s * NS_PER_S))
             parts.insert(0, recorded_view(self._robot))

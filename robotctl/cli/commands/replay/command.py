@@ -91,11 +91,11 @@ def replay(
         int | None,
         typer.Option(metavar="N", min=1, max=MAX_READ_AHEAD, help="Messages to read ahead."),
     ] = None,
-    with_view: Annotated[
-        bool, typer.Option("--view", help="Draw the recorded robot while playing.")
+    draw: Annotated[
+        bool, typer.Option("--draw", help="Draw the recorded robot in the terminal while playing.")
     ] = False,
-    view_only: Annotated[
-        bool, typer.Option("--view-only", help="Draw the recorded robot; publish nothing.")
+    draw_only: Annotated[
+        bool, typer.Option("--draw-only", help="Draw the recorded robot; publish nothing.")
     ] = False,
     original_names: Annotated[
         bool, typer.Option("--original-names", help="Leave out the prefix /replay beside a daemon.")
@@ -104,6 +104,7 @@ def replay(
         bool, typer.Option("--force-types", help="Play types whose definition has changed.")
     ] = False,
     force: Annotated[bool, typer.Option("--force", hidden=True)] = False,
+    view: Annotated[bool, typer.Option("--view", "--view-only", hidden=True)] = False,
     domain_id: Annotated[
         int | None,
         typer.Option(
@@ -129,12 +130,17 @@ def replay(
       robotctl replay run.mcap --rate max --json
       robotctl replay recordings/* --check
       robotctl replay run.mcap --resim --what-if tracking.k_y=8
-      robotctl replay run.mcap --view-only --start-offset 30
+      robotctl replay run.mcap --draw-only --start-offset 30
     """
     if force:
         raise UsageError(
             "--force has become two options: --original-names publishes beside a daemon, and "
             "--force-types plays types that have changed"
+        )
+    if view:
+        raise UsageError(
+            "--view and --view-only have become --draw and --draw-only (in the terminal); "
+            "robotctl view FILE shows a recording in Foxglove"
         )
     if check and (what_if or resim):
         raise UsageError("--check uses the recorded parameters", "leave --what-if and --resim out")
@@ -196,14 +202,14 @@ def replay(
     if path != name and not as_json:
         print(short_path(path), flush=True)
     with interrupted_by((SIGTERM, SIGHUP, SIGQUIT)):
-        if view_only:
-            from robotctl.cli.commands.replay.view import view_command
+        if draw_only:
+            from robotctl.cli.commands.replay.drawn import draw_command
 
-            view_command(job, quiet=as_json)
+            draw_command(job, quiet=as_json)
         else:
             from robotctl.cli.commands.replay.play import play_command
 
-            play_command(job, with_view=with_view, as_json=as_json)
+            play_command(job, draw=draw, as_json=as_json)
 
 
 def _refuse_playing_options(context: typer.Context) -> None:

@@ -13,8 +13,8 @@ from robotctl.errors import Interrupted
 from robotctl.replay.job import Job
 
 
-def play_command(job: Job, *, with_view: bool, as_json: bool) -> None:
-    """Publish a recording to ROS, and print the summary; `with_view` draws the recorded robot.
+def play_command(job: Job, *, draw: bool, as_json: bool) -> None:
+    """Publish a recording to ROS, and print the summary; `draw` draws the recorded robot.
 
     Raises:
         Interrupted: Ctrl-C or a signal ended the replay.
@@ -25,8 +25,8 @@ def play_command(job: Job, *, with_view: bool, as_json: bool) -> None:
     def open_screen() -> Iterator[Screen]:
         with ExitStack() as stack:
             robot = None
-            if with_view:
-                from robotctl.cli.commands.replay.view import recorded_robot
+            if draw:
+                from robotctl.cli.commands.replay.drawn import recorded_robot
 
                 robot, _ = stack.enter_context(recorded_robot(job))
             yield stack.enter_context(screen(robot, quiet=as_json))

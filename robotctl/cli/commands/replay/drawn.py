@@ -1,4 +1,4 @@
-"""replay --view-only: show a recording in the terminal, without ROS."""
+"""replay --draw-only: draw a recording in the terminal, without ROS."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from robotctl.replay.recorded_robot import RecordedRobot
 from robotctl.replay.timeline import Span, span_of
 
 PERIOD_S: Final = 0.1
-"""How often the view is drawn."""
+"""How often the robot is drawn."""
 
 
-def view_command(job: Job, *, quiet: bool) -> None:
+def draw_command(job: Job, *, quiet: bool) -> None:
     """Show the recording at the job's rate until its end or the quit key.
 
     Raises:
         UsageError: The rate is `max`, or the recording has nothing to draw.
     """
     if job.rate is None:
-        raise UsageError("--view-only cannot draw at --rate max", "give --rate a number")
+        raise UsageError("--draw-only cannot draw at --rate max", "give --rate a number")
     with recorded_robot(job) as (robot, span), screen(robot, quiet=quiet) as shown:
         viewer = _Viewer(job, robot, shown)
         shown.show({"start": {"length_s": span.length_ns / NS_PER_S}})
@@ -89,7 +89,7 @@ class _Viewer:
         self._screen.suspend()
 
     def resume(self) -> None:
-        """Continue, unless the view was paused before `suspend`."""
+        """Continue, unless the replay was paused before `suspend`."""
         self._screen.resume()
         if self._was_playing:
             self.control.resume()
