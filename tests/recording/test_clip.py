@@ -112,6 +112,19 @@ def test_a_clip_holds_its_window_and_what_is_latched(
     assert decode(first.data).kind is EntryKind.SNAPSHOT
 
 
+def test_a_clip_holds_once_what_a_file_repeats_before_it_came(tmp_path: Path) -> None:
+    """A new file begins with the last latched message, also where the writer lags behind it."""
+    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
+    maps, commands = recorder.add_topic(MAP), recorder.add_topic(TWIST)
+    for data, log_s, publish_s, sequence in (("b", 1, 3, 2), ("a", 2, 2, 1), ("b", 3, 3, 2)):
+        recorder.write(maps, text(data), at_ns(log_s), at_ns(publish_s), sequence, b"a")
+    recorder.write(commands, encode_twist(Twist(0.0, 0.0)), at_ns(5), at_ns(5), 1, GID)
+    recorder.close()
+    clip(tmp_path / "run", tmp_path / "clip.mcap", 4.0, 6.0)
+    stored = read_strictly(tmp_path / "clip.mcap")
+    assert [each.data for each in stored if each.topic == "/map"] == [text("a"), text("b")]
+
+
 def test_a_clip_says_of_what_it_is_one(recording: Path, tmp_path: Path) -> None:
     target = tmp_path / "clip.mcap"
     with Recording(recording) as source:

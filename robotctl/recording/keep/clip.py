@@ -123,8 +123,12 @@ def _before(recording: Recording, start_ns: int, lose: Lose) -> Iterator[Message
     yield from since_snapshot(recording, start_ns, lose)
     topics = [_topic(*each) for each in recording.channels().items()]
     latched = {topic.name: MAX_LATCHED for topic in topics if topic.latched}
+    found: dict[tuple[str, bytes, int, int], Message] = {}
     for message in recording.last_before(start_ns, latched, lose):
-        yield message._replace(log_ns=start_ns)
+        sent = message.topic, message.data, message.publish_ns, message.sequence
+        found.pop(sent, None)  # a file repeats it; where the recorder lags, before it came
+        found[sent] = message._replace(log_ns=start_ns)
+    yield from found.values()
 
 
 def _within(recording: Recording, window: Window, lose: Lose) -> Iterator[Message]:
