@@ -44,6 +44,7 @@ SECTIONS = {
         ),
         *("verify", "key", "evidence"),
     ),
+    "Many recordings": ("index", "find"),
 }
 """The sections of the help, with their commands; each command is a module of `commands`."""
 

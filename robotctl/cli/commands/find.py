@@ -1,0 +1,139 @@
+"""find: search all recordings of a folder for drives, recordings, events or topics."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from robotctl.cli.options import Json, new_app
+from robotctl.cli.support.answer import print_answer
+from robotctl.cli.support.catalogue import open_catalogue
+from robotctl.cli.terminal.text import moment, printable
+from robotctl.errors import UsageError
+
+if TYPE_CHECKING:
+    from robotctl.fleet.questions import Answer
+
+app = new_app()
+
+SHOWN = {
+    "drives": (
+        *("recording", "drive", "start_ns", "pattern", "laps", "duration_s", "max_error_m"),
+        "ended",
+    ),
+    "recordings": (
+        *("recording", "start_ns", "duration_s", "drives", "laps", "stops", "max_error_m"),
+        *("check", "verify"),
+    ),
+    "events": ("recording", "start_ns", "event", "mode", "text"),
+    "topics": ("recording", "topic", "messages", "lost", "rate_hz"),
+}
+"""The columns that a terminal shows of each table; `--json` has all."""
+
+MAX_WIDTH = 48
+
+
+@app.command()
+def find(
+    condition: Annotated[
+        str,
+        typer.Argument(help="Such as 'laps >= 1 and max_error_m > 0.1' [default: every row]."),
+    ] = "",
+    folder: Annotated[
+        Path | None,
+        typer.Option(
+            "--in",
+            metavar="DIR",
+            help="A folder of recordings [default: ./recordings, or the daemon's, or the last "
+            "daemon's].",
+        ),
+    ] = None,
+    recordings: Annotated[
+        bool, typer.Option("--recordings", help="A row per recording, not per drive.")
+    ] = False,
+    events: Annotated[
+        bool, typer.Option("--events", help="A row per change of mode, refusal, stop or mark.")
+    ] = False,
+    topics: Annotated[bool, typer.Option("--topics", help="A row per topic of a recording.")] = (
+        False
+    ),
+    sort: Annotated[
+        str, typer.Option(metavar="COLUMN", help="Sort by it; -COLUMN: the largest first.")
+    ] = "start_ns",
+    limit: Annotated[int, typer.Option(min=0, help="At most so many rows; 0: all.")] = 0,
+    sql: Annotated[
+        str | None,
+        typer.Option(
+            "--sql",
+            metavar="QUERY",
+            help="Ask in SQL: tables recordings, drives, events, topics, samples.",
+        ),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Find drives in many recordings by a condition.
+
+    Answers come from the indexes (see `robotctl index`), which are made first where they are
+    missing or old. The condition compares columns with < <= == != >= >, and joins them with
+    and, or, not. `--json` shows all columns. Needs the extra robotctl[parquet].
+
+    \b
+    Examples:
+      robotctl find "laps >= 1 and max_error_m > 0.1"
+      robotctl find "check != 'same'" --recordings --in /data/robots
+      robotctl find --sort -max_error_m --limit 3 --json
+      robotctl find --sql "SELECT cause, count(*) FROM drives GROUP BY cause"
+    """
+    wanted = [
+        name
+        for name, is_wanted in (("recordings", recordings), ("events", events), ("topics", topics))
+        if is_wanted
+    ]
+    if len(wanted) > 1:
+        raise UsageError(f"--{wanted[0]} and --{wanted[1]} are two tables", "give one of them")
+    table = wanted[0] if wanted else "drives"
+    if sql is not None and (condition or wanted):
+        raise UsageError("--sql is a whole question", "give no condition and no table beside it")
+    from robotctl.fleet.questions import ask
+    from robotctl.fleet.questions import find as find_rows
+
+    with open_catalogue(folder, quiet=as_json) as (_, catalogue):
+        if sql is not None:
+            found = ask(catalogue, sql)
+        else:
+            found = find_rows(catalogue, table, condition, sort, limit)
+    left_out = catalogue.left_out()
+    if not as_json:
+        for sentence in left_out:
+            print(sentence, file=sys.stderr)
+    shown = found.columns if sql is not None else SHOWN[table]
+    answer = {"rows": found.as_objects(), "left_out": left_out}
+    print_answer(answer, _lines(found, shown), as_json=as_json)
+
+
+def _lines(found: Answer, shown: tuple[str, ...]) -> Iterator[str]:
+    places = [found.columns.index(each) for each in shown]
+    table = [
+        list(shown),
+        *([_text(found.columns[place], row[place]) for place in places] for row in found.rows),
+    ]
+    widths = [max(len(row[number]) for row in table) for number in range(len(shown))]
+    for row in table:
+        cells = (f"{cell:{width}}" for cell, width in zip(row, widths, strict=True))
+        yield "  ".join(cells).rstrip()
+    yield f"{len(found.rows)} row{'' if len(found.rows) == 1 else 's'}"
+
+
+def _text(column: str, value: Any) -> str:
+    if value is None:
+        return "-"
+    if column == "start_ns":
+        return moment(value)
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    shown = printable(str(value))
+    return shown if len(shown) <= MAX_WIDTH else f"{shown[: MAX_WIDTH - 3]}..."

@@ -1,0 +1,106 @@
+"""Answers questions over the catalogue of a folder: a condition over rows, or SQL."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from robotctl.errors import UsageError
+from robotctl.fleet.catalogue import Catalogue
+from robotctl.fleet.condition import known_column, parse_condition
+from robotctl.fleet.database import database, name, text
+from robotctl.fleet.rows import (
+    DriveRow,
+    EventRow,
+    RecordingRow,
+    SampleRow,
+    TopicRow,
+    columns,
+)
+
+TABLES: Final[dict[str, type[Any]]] = {
+    "recordings": RecordingRow,
+    "drives": DriveRow,
+    "events": EventRow,
+    "topics": TopicRow,
+}
+"""The tables of a catalogue, each with its class of rows."""
+
+SAMPLES: Final = "samples"
+"""The table that is read from the indexes themselves."""
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """The rows that a question found, with the names of their columns."""
+
+    columns: tuple[str, ...]
+    rows: tuple[tuple[Any, ...], ...]
+
+    def as_objects(self) -> list[dict[str, Any]]:
+        """Return each row as an object."""
+        return [dict(zip(self.columns, row, strict=True)) for row in self.rows]
+
+
+def columns_of(table: str) -> tuple[str, ...]:
+    """Return the columns of a table."""
+    return ("recording", *columns(TABLES[table]))
+
+
+def find(
+    catalogue: Catalogue, table: str, condition: str, sort: str = "start_ns", limit: int = 0
+) -> Answer:
+    """Return the rows of a table for which a condition holds, "" for all.
+
+    They are sorted by a column, in falling order if its name begins with "-".
+
+    Raises:
+        UsageError: The condition or the column is wrong.
+    """
+    known = columns_of(table)
+    order = name(known_column(sort.removeprefix("-"), known))
+    falling = " DESC" if sort.startswith("-") else ""
+    where = parse_condition(condition, known) if condition else None
+    sql = f"SELECT {', '.join(map(name, known))} FROM {table}"
+    if where is not None:
+        sql += f" WHERE {where.sql}"
+    sql += f" ORDER BY {order}{falling} NULLS LAST, recording"
+    if limit:
+        sql += f" LIMIT {limit}"
+    return _run(catalogue, sql, () if where is None else where.values)
+
+
+def ask(catalogue: Catalogue, sql: str) -> Answer:
+    """Return what a query in SQL over `TABLES` and `SAMPLES` gives.
+
+    Raises:
+        UsageError: The query is wrong.
+    """
+    return _run(catalogue, sql, ())
+
+
+def _run(catalogue: Catalogue, sql: str, values: Sequence[Any]) -> Answer:
+    with database([catalogue.path, *catalogue.indexes]) as connection:
+        import duckdb
+
+        source = f"read_parquet({text(catalogue.path)})"
+        for table, kind in TABLES.items():
+            names = ", ".join(map(name, columns_of(table)))
+            connection.execute(
+                f"CREATE VIEW {table} AS SELECT {names} FROM {source} WHERE kind = '{kind.kind}'"
+            )
+        if SAMPLES in sql:
+            names = ", ".join(map(name, ("recording", *columns(SampleRow))))
+            listed = ", ".join(map(text, catalogue.indexes))
+            connection.execute(
+                f"CREATE VIEW {SAMPLES} AS SELECT {names} FROM read_parquet([{listed}]) "
+                f"WHERE kind = '{SampleRow.kind}'"
+            )
+        try:
+            found = connection.execute(sql, list(values))
+            rows = tuple(found.fetchall())
+        except duckdb.Error as error:
+            said = " ".join(str(error).split())
+            raise UsageError(f"the question cannot be answered: {said[:300]}") from None
+        return Answer(tuple(each[0] for each in found.description or ()), rows)
