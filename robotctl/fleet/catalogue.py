@@ -129,7 +129,8 @@ def _live_and_old(
     changed: Sequence[Path], stamps: dict[Path, str]
 ) -> tuple[list[Path], list[Path]]:
     """Return the recordings that are being made, and those whose index is old or missing."""
-    live, old = [], []
+    live: list[Path] = []
+    old: list[Path] = []
     for recording in changed:
         if _stamps_in(index_path(recording)) == {recording.name: stamps[recording]}:
             continue

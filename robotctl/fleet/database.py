@@ -12,8 +12,11 @@ from robotctl.errors import UsageError
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
 
-MEMORY: Final = "150MB"
-"""What the tables may take; the process needs 40 MB beside it."""
+READING: Final = "120MB"
+"""What a question may take; the process needs 60 MB beside it."""
+
+WRITING: Final = "1GB"
+"""What a file may take that is being written."""
 
 
 @contextmanager
@@ -33,8 +36,10 @@ def database(
         raise UsageError(
             "an index needs duckdb, which is not installed", "pip install 'robotctl[parquet]'"
         ) from None
-    with duckdb.connect(":memory:", config={"memory_limit": MEMORY}) as connection:
-        connection.execute("SET temp_directory = ''")
+    with duckdb.connect(
+        ":memory:", config={"memory_limit": READING if writable is None else WRITING}
+    ) as connection:
+        connection.execute("SET temp_directory = ''; SET preserve_insertion_order = false")
         connection.execute(f"SET allowed_paths = [{', '.join(map(text, readable))}]")
         if writable is not None:
             connection.execute(f"SET allowed_directories = [{text(writable)}]")

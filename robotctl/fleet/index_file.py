@@ -25,8 +25,6 @@ INDEX_NAME: Final = "index.parquet"
 LAYOUT: Final = 1
 """The number of the columns' layout; an index with another one is made again."""
 
-ROW_GROUP: Final = 20_000
-
 
 def index_path(recording: Path) -> Path:
     """Return where the index of a recording is."""
@@ -95,7 +93,7 @@ def _write_table(lines: Path, target: Path) -> None:
             connection.execute(
                 f"COPY (SELECT * FROM read_json({text(lines)}, format='newline_delimited', "
                 f"columns={{{columns}}})) TO {text(target)} "
-                f"(FORMAT parquet, COMPRESSION zstd, ROW_GROUP_SIZE {ROW_GROUP})"
+                f"(FORMAT parquet, PARQUET_VERSION v2, COMPRESSION zstd)"
             )
         except duckdb.IOException as error:
             raise OSError(str(error)) from error

@@ -90,7 +90,7 @@ def _run(catalogue: Catalogue, sql: str, values: Sequence[Any]) -> Answer:
             connection.execute(
                 f"CREATE VIEW {table} AS SELECT {names} FROM {source} WHERE kind = '{kind.kind}'"
             )
-        if SAMPLES in sql:
+        if SAMPLES in sql and catalogue.indexes:
             names = ", ".join(map(name, ("recording", *columns(SampleRow))))
             listed = ", ".join(map(text, catalogue.indexes))
             connection.execute(

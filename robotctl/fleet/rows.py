@@ -108,8 +108,8 @@ class SampleRow:
     x_m: float | None
     y_m: float | None
     theta_rad: float | None
-    linear_mps: float
-    angular_rps: float
+    linear_mps: float | None
+    angular_rps: float | None
     error_m: float | None
 
 

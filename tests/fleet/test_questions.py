@@ -1,0 +1,251 @@
+"""`robotctl index` and `find`: answers over many recordings, from a small index beside each."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from robotctl.errors import UnreadableFile, UsageError
+from robotctl.fleet import catalogue as catalogues
+from robotctl.fleet.catalogue import CATALOGUE_NAME, Catalogue, catalogue_of
+from robotctl.fleet.condition import parse_condition
+from robotctl.fleet.index_file import index_path
+from robotctl.fleet.indexing import index_recording
+from robotctl.fleet.questions import Answer, ask, find
+from robotctl.kernel.types import DriveEnded, ModeRequested
+from robotctl.recording import Recorder, Recording, read_journal
+from robotctl.rerun.journal_values import read_effect
+from robotctl.testing.drives import BEGIN_NS, TWIST, drive, drive_requested, record
+
+pytest.importorskip("duckdb", reason="indexes are an extra: robotctl[parquet]")
+
+LAP, STOPPED = "robot_20260101_120000", "robot_20260102_120000"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a lap and a drive that an emergency stop ended, both indexed."""
+    folder = tmp_path_factory.mktemp("fleet")
+    record(folder / LAP, drive(20.0, requests=[drive_requested(laps=1)]))
+    stop = ModeRequested(BEGIN_NS + 2_000_000_000, 2, 3, "robotctl estop")
+    again = ModeRequested(BEGIN_NS + 2_500_000_000, 3, 1, "operator")
+    record(folder / STOPPED, drive(3.0, requests=[drive_requested(), stop, again]))
+    for name in (LAP, STOPPED):
+        assert index_recording(folder / name) == ""
+    return folder
+
+
+@pytest.fixture
+def folder(made: Path, tmp_path: Path) -> Path:
+    """Return a copy of it that a test may change."""
+    return Path(shutil.copytree(made, tmp_path / "recordings", copy_function=shutil.copy2))
+
+
+@pytest.fixture(autouse=True)
+def indexed(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Index in this process, and return what was indexed; tests/cli does it in others."""
+    done: list[str] = []
+
+    def index_here(recordings: list[Path], *_: object) -> dict[Path, str]:
+        done.extend(each.name for each in recordings)
+        said = {each: index_recording(each) for each in recordings}
+        return {each: text for each, text in said.items() if text}
+
+    monkeypatch.setattr(catalogues, "index_recordings", index_here)
+    return done
+
+
+@pytest.fixture
+def catalogue(made: Path) -> Iterator[Catalogue]:
+    with catalogue_of(made) as opened:
+        yield opened
+
+
+def values(found: Answer, column: str) -> list[object]:
+    return [row[column] for row in found.as_objects()]
+
+
+def test_a_drive_has_the_numbers_that_the_journal_tells(made: Path, catalogue: Catalogue) -> None:
+    for row in find(catalogue, "drives", "").as_objects():
+        with Recording(made / row["recording"]) as recording:
+            entries = [entry for _, entry in read_journal(recording, pytest.fail)]
+        (ended,) = [read_effect(each) for each in entries if each.name == "DriveEnded"]
+        assert isinstance(ended, DriveEnded)
+        assert row["laps"] == ended.report.laps
+        assert row["max_error_m"] == ended.report.cross_track_max_m
+        assert row["distance_m"] == ended.report.distance_m
+        assert (row["completed"], row["ended"]) == (ended.completed, ended.reason)
+
+
+def test_a_recording_has_its_stops_refusals_and_verdicts(catalogue: Catalogue) -> None:
+    rows = find(catalogue, "recordings", "").as_objects()
+    assert [row["recording"] for row in rows] == [LAP, STOPPED]
+    assert [(row["drives"], row["laps"], row["stops"]) for row in rows] == [(1, 1, 0), (1, 0, 1)]
+    assert {row["check"] for row in rows} == {"same"}
+    assert {row["verify"] for row in rows} == {"whole"}
+    refused = find(catalogue, "events", "event == 'refusal'")
+    assert values(refused, "recording") == [STOPPED]
+    stopped = find(catalogue, "events", "mode == 'EMERGENCY_STOP' and event == 'mode'")
+    assert values(stopped, "cause") == ["operator stop"]
+
+
+def test_samples_follow_the_robot(catalogue: Catalogue) -> None:
+    found = ask(catalogue, "SELECT max(x_m), min(error_m), count(*) FROM samples WHERE drive = 1")
+    ((farthest_m, least_m, count),) = found.rows
+    assert farthest_m == pytest.approx(1.0, abs=0.05)
+    assert 0.0 <= least_m < 0.05
+    assert 100 < count < 250
+
+
+@pytest.mark.parametrize(
+    ("condition", "expected"),
+    [
+        ("laps >= 1", [LAP]),
+        ("laps >= 1 and max_error_m > 0.1", []),
+        ("not completed", [STOPPED]),
+        ("cause == None or laps == 7", [LAP]),
+        ("0 < distance_m <= 3.5", [STOPPED]),
+        ("duration_s * 2 > 3 + 1", [LAP]),
+        ("ended != '' and (laps < 1 or laps > 1)", [STOPPED]),
+    ],
+)
+def test_a_condition_chooses_drives(
+    catalogue: Catalogue, condition: str, expected: list[str]
+) -> None:
+    assert values(find(catalogue, "drives", condition), "recording") == expected
+
+
+def test_rows_are_sorted_and_limited(catalogue: Catalogue) -> None:
+    assert values(find(catalogue, "drives", "", "-laps"), "recording") == [LAP, STOPPED]
+    assert values(find(catalogue, "drives", "", "duration_s", 1), "recording") == [STOPPED]
+    with pytest.raises(UsageError, match="did you mean laps"):
+        find(catalogue, "drives", "", "lap")
+
+
+@pytest.mark.parametrize(
+    ("condition", "says"),
+    [
+        ("lapz > 1", "no column 'lapz': did you mean laps?"),
+        ("laps = 1", "compare with =="),
+        ("laps > 1; DROP TABLE x", "is not a condition"),
+        ("__import__('os').system('true')", "is not a condition"),
+        ("laps > (SELECT 1)", "is not a condition"),
+        ("[1][0] == laps", "is not a condition"),
+        ("laps > 1 and " * 200 + "laps > 1", "more than 2000 characters"),
+        ("(" * 900 + "laps" + ")" * 900, "is not a condition"),
+        ("\0", "is not a condition"),
+    ],
+)
+def test_a_wrong_condition_is_named(condition: str, says: str) -> None:
+    with pytest.raises(UsageError, match=re.escape(says)):
+        parse_condition(condition, ("laps",))
+
+
+def test_texts_of_a_condition_are_never_sql(catalogue: Catalogue) -> None:
+    assert find(catalogue, "drives", "pattern == \"x' OR '1' = '1\"").rows == ()
+
+
+@pytest.mark.parametrize(
+    "query",
+    [
+        "SELECT * FROM read_csv('/etc/passwd')",
+        "SELECT * FROM '/etc/hostname'",
+        "COPY drives TO '/tmp/stolen.csv'",
+        "INSTALL httpfs",
+        "SET enable_external_access = true",
+        "ATTACH '/tmp/other.db'",
+        "SELECT nothing FROM drives",
+    ],
+)
+def test_a_query_reads_the_indexes_and_nothing_else(catalogue: Catalogue, query: str) -> None:
+    with pytest.raises(UsageError, match="cannot be answered"):
+        ask(catalogue, query)
+
+
+def test_only_what_has_changed_is_indexed_again(folder: Path, indexed: list[str]) -> None:
+    with catalogue_of(folder):
+        assert indexed == []
+    before = (folder / CATALOGUE_NAME).stat().st_ino
+    with catalogue_of(folder):
+        assert (folder / CATALOGUE_NAME).stat().st_ino == before
+    (file,) = (folder / LAP).glob("*.mcap")
+    os.utime(file)
+    shutil.rmtree(folder / STOPPED)
+    with catalogue_of(folder) as opened:
+        assert indexed == [LAP]
+        assert values(find(opened, "recordings", ""), "recording") == [LAP]
+
+
+def test_an_index_of_another_kind_or_content_is_made_again(
+    folder: Path, indexed: list[str]
+) -> None:
+    index_path(folder / LAP).write_bytes(b"PAR1 is not enough")
+    index_path(folder / STOPPED).unlink()
+    index_path(folder / STOPPED).symlink_to(index_path(folder / LAP))
+    (folder / CATALOGUE_NAME).write_bytes(b"")
+    with catalogue_of(folder) as opened:
+        assert sorted(indexed) == [LAP, STOPPED]
+        assert len(find(opened, "drives", "").rows) == 2
+    assert not index_path(folder / STOPPED).is_symlink()
+    assert (folder / CATALOGUE_NAME).stat().st_mode & 0o077 == 0
+    assert index_path(folder / LAP).stat().st_mode & 0o077 == 0
+
+
+def test_what_cannot_be_indexed_is_left_out_and_named(folder: Path) -> None:
+    (folder / "broken_1").mkdir()
+    (folder / "broken_1" / "broken_1_0.mcap").write_bytes(b"no MCAP")
+    live = Recorder(folder / "robot_20260103_120000", on_failure=pytest.fail)
+    live.add_topic(TWIST)
+    try:
+        with catalogue_of(folder) as opened:
+            assert values(find(opened, "recordings", ""), "recording") == [LAP, STOPPED]
+            broken, recorded = sorted(opened.left_out())
+        assert broken.startswith("broken_1 is left out: ")
+        assert recorded == "robot_20260103_120000 is left out: it is being recorded"
+    finally:
+        live.close()
+
+
+def test_a_folder_that_cannot_be_written_is_read(folder: Path, tmp_path: Path) -> None:
+    (folder / CATALOGUE_NAME).unlink(missing_ok=True)
+    before = set(folder.iterdir())
+    real = os.access
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "access", lambda path, mode: path != folder and real(path, mode))
+        with catalogue_of(folder) as opened:
+            assert len(find(opened, "drives", "").rows) == 2
+    assert set(folder.iterdir()) == before
+    assert not opened.path.exists()
+
+
+def test_an_empty_folder_has_no_rows(tmp_path: Path) -> None:
+    with catalogue_of(tmp_path) as opened:
+        assert find(opened, "drives", "laps > 0").rows == ()
+        with pytest.raises(UsageError):
+            ask(opened, "SELECT * FROM samples")
+
+
+def test_the_index_of_a_long_drive_is_small(tmp_path: Path) -> None:
+    recording = record(tmp_path / LAP, drive(120.0))
+    assert index_recording(recording) == ""
+    size = sum(each.stat().st_size for each in recording.glob("*.mcap"))
+    assert index_path(recording).stat().st_size <= 0.02 * size
+
+
+def test_an_unreadable_recording_says_why(tmp_path: Path) -> None:
+    (tmp_path / "file.mcap").write_bytes(b"x" * 100)
+    said = index_recording(tmp_path / "file.mcap")
+    with pytest.raises(UnreadableFile) as raised:
+        Recording(tmp_path / "file.mcap").__enter__()
+    assert said.split(":")[0] == str(raised.value).split(":")[0]
+
+
+def test_objects_have_a_key_for_each_column(catalogue: Catalogue) -> None:
+    (row, _) = find(catalogue, "drives", "").as_objects()
+    assert json.loads(json.dumps(row))["pattern"] == "square"
