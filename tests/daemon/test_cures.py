@@ -79,9 +79,10 @@ def test_diagnostics_on_ros_name_the_robot_in_a_cure() -> None:
         warning="",
         topics=(),
     )
+    silent = SimpleNamespace(warnings=lambda: iter(()))
     report = RecorderReport(
         cast(Recorder, SimpleNamespace(stats=lambda: failed)),
-        cast(Tap, SimpleNamespace(unrecorded=SimpleNamespace(warnings=lambda: iter(())))),
+        cast(Tap, SimpleNamespace(unrecorded=silent, mismatches=silent)),
         TopicFilter((), (), ()),
         list,
         "r2",

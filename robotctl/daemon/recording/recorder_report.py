@@ -100,6 +100,7 @@ class RecorderReport:
                 "later files: together they are larger than the room kept for that"
             )
         yield from self._tap.unrecorded.warnings()
+        yield from self._tap.mismatches.warnings()
         yield from (warning for _, warning in self._heavy_warnings())
         yield from self._problems()
 

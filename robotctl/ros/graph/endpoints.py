@@ -61,6 +61,13 @@ def publisher_count(node: Node, topic: str) -> int:
         return count
 
 
+def subscription_count(node: Node, topic: str) -> int:
+    """Return how many subscriptions a topic has, by a name that `topics` returned."""
+    with node.handle:
+        count: int = node.handle.get_count_subscribers(topic)
+        return count
+
+
 def node_names(node: Node) -> list[str]:
     """Return the full name of each discovered node; one of two processes stands there twice."""
     with node.handle:

@@ -18,6 +18,7 @@ from robotctl.ros.graph.changes import GraphChanges
 from robotctl.ros.messages.own_topic import OwnTopic
 from robotctl.ros.messages.topic_description import TopicDescription, describe
 from robotctl.ros.session import Session
+from robotctl.ros.tap.qos_mismatches import QosMismatches
 from robotctl.ros.tap.subscription import TappedSubscription
 from robotctl.ros.tap.type_loader import SLOW_LOAD_S, TypeLoader
 from robotctl.ros.tap.unrecorded import Unrecorded
@@ -85,6 +86,7 @@ class Tap:
         self._types = TypeLoader()
         self._looks = count()
         self.unrecorded = Unrecorded()
+        self.mismatches = QosMismatches(self._node)
 
     @property
     def node(self) -> Node:
@@ -215,6 +217,7 @@ class Tap:
         """Adapt the subscription to publishers that came, went or offer another QoS."""
         topic = tapped.topic
         publishers = endpoints.publisher_count(self._node, topic)
+        self.mismatches.look(topic, publishers)
         if publishers == tapped.publishers and not inspect:
             return
         tapped.publishers = publishers
@@ -224,6 +227,7 @@ class Tap:
             tapped.adapt(offered[tapped.type_name])
         elif topic not in self._own and (offered or _is_abandoned(tapped)):
             self._tapped.pop(topic).close()  # with another type it is tapped again
+            self.mismatches.forget(topic)
             return
         self._tell_types(topic, tapped.type_name, list(offered))
 
