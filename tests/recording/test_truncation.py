@@ -29,7 +29,7 @@ def complete_prefix(data: bytes, length: int) -> int:
         if opcode == Opcode.CHUNK:
             uncompressed, _, name = struct.unpack_from("<QII", data, offset + 9 + 16)
             count += uncompressed // (MESSAGE_HEAD.size + 52)
-            assert name in (0, 4)
+            assert name in (0, 3, 4)
     return count
 
 

@@ -13,6 +13,7 @@ from robotctl.recording.disk.storage import DiskFile, Storage
 from robotctl.recording.format.compression import Compression
 from robotctl.recording.format.metadata_names import LIBRARY, RECOVERY_RECORD
 from robotctl.recording.format.rosbag2 import METADATA_RECORD, metadata_text
+from robotctl.recording.keep.repaired_seal import seal_of_copy
 from robotctl.recording.read.compressed_messages import without_compression
 from robotctl.recording.read.count_check import find_shortfalls
 from robotctl.recording.read.damage import Damaged, Unreadable
@@ -96,6 +97,7 @@ class _RecoveryWriter:
     def __init__(
         self, file: InputFile, index: FileIndex, on_progress: Callable[[int], None]
     ) -> None:
+        self._file = file
         self._index = index
         self._source = ReadableFile(file, index, on_progress)
         self.lost = self._source.lost
@@ -111,6 +113,8 @@ class _RecoveryWriter:
         index = self._index
         library = f"{LIBRARY}, recovered from {index.library}"
         mcap = McapFile(storage, profile=index.profile, library=library)
+        for sealed in seal_of_copy(self._file):
+            mcap.add_sealed(sealed)
         for schema in index.schemas.values():
             if schema.id:  # 0 means no schema
                 mcap.add_schema(schema)
