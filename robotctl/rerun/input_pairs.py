@@ -11,7 +11,11 @@ PATIENCE_NS = 30 * NS_PER_S
 """How long an input waits for its message, on the steady clock of the journal."""
 
 EDGE_NS = NS_PER_S // 2
-"""How near to the end of a journal the last inputs may lack their messages: they were under way."""
+"""How near to the end of a journal the last inputs may lack their messages: they were under way.
+
+Near to the begin of a file, messages may be in the file before: the recorder takes them, and the
+new file begins, before the control loop takes them.
+"""
 
 UNFOUND_NS = 2 * NS_PER_S
 """How long a publisher may live without being found by the recorder."""
@@ -43,6 +47,9 @@ class InputPairs:
 
         self.before_found = 0
         """The number of them that a publisher sent before the recorder can have found it."""
+
+        self.at_begin = 0
+        """The number of inputs near to the begin that come before the first with a message."""
 
         self.differing = 0
         """The number of inputs whose message holds another value."""
@@ -189,6 +196,9 @@ class InputPairs:
             self._count(sequence, found)
 
     def _count(self, sequence: int, found: Input) -> None:
+        if self._first_ns is None or found.t_ns < self._first_ns:
+            earliest_ns = min(begin_ns for begin_ns, _ in self._lives.values())
+            self.at_begin += found.t_ns - earliest_ns <= EDGE_NS
         if self._first_ns is not None and found.t_ns < self._first_ns:
             begin_ns, _ = self._lives[found.source]
             self.before_first += 1

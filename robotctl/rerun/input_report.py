@@ -43,7 +43,12 @@ def _report_lacking(
     is_recorded: bool,
 ) -> None:
     count = pairs.lacking + (0 if ending.is_clip else pairs.before_first)
-    if ending.ledger is None and not ending.is_clip and pairs.before_found:
+    if not (ending.is_clip or ending.has_begin) and pairs.at_begin:
+        count -= pairs.at_begin
+        report.notes.append(
+            f"the first {pairs.at_begin} messages of {name} are not here: the file before has them"
+        )
+    elif ending.ledger is None and not ending.is_clip and pairs.before_found:
         count -= pairs.before_found
         report.notes.append(
             f"the first {pairs.before_found} messages of {name} are not recorded: the "

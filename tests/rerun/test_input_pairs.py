@@ -9,13 +9,14 @@ from pathlib import Path
 
 import pytest
 
+from robotctl.recording.format.journal import EntryKind, decode
 from robotctl.recording.format.metadata_names import LEDGER_RECORD
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Report, Verdict
 from robotctl.rerun.command_bytes import is_zero, numbers_of
 from robotctl.testing.hearing import BATTERY, ODOMETRY
 from tests.support.edited_recordings import Contents, Stored, edit, write_contents
-from tests.support.heard_drives import COMMANDS, heard_drive
+from tests.support.heard_drives import COMMANDS, JOURNAL, heard_drive
 
 Change = Callable[[int, Stored], Stored | None]
 
@@ -129,3 +130,22 @@ def test_the_last_message_with_another_number_is_missed(
     if not closed:
         edited.metadata = [each for each in edited.metadata if each[0] != LEDGER_RECORD]
     assert check(tmp_path, edited).verdict.value == verdict
+
+
+@pytest.mark.parametrize(("count", "verdict"), [(5, Verdict.SAME), (40, Verdict.BROKEN)])
+def test_the_first_messages_of_a_later_file_may_be_in_the_file_before(
+    tmp_path: Path, heard: Contents, count: int, verdict: Verdict
+) -> None:
+    """After a stall the recorder takes many messages, and begins a file, before they are heard."""
+    begin = [
+        at
+        for at, each in enumerate(heard.messages)
+        if each.topic == JOURNAL and decode(each.data).kind is EntryKind.SNAPSHOT
+    ][1]
+    later = heard.copy()
+    later.messages = heard.messages[begin:]
+    first = next(each.sequence for each in later.messages if each.topic == ODOMETRY)
+    edited = edit(later, ODOMETRY, lambda at, each: None if each.sequence < first + count else each)
+    (file,) = write_contents(tmp_path / "run", edited).glob("*.mcap")
+    report = check_recording(file.rename(file.with_name("run_1.mcap")))
+    assert report.verdict is verdict, report
