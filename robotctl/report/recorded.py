@@ -9,6 +9,7 @@ from pathlib import Path
 from robotctl.errors import UnreadableFile
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording, RecordingInfo
+from robotctl.recording.format.event_kind import EventKind
 from robotctl.recording.format.metadata_names import OWN_LIBRARY
 from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.journal_reader import EntryDecoder, journal_topic
@@ -51,10 +52,11 @@ def read_recorded(
             note_missing(missing, sentence)
 
         traces = Traces(info.duration_s)
-        for event in info.events:
-            t_s = (event.log_ns - info.start_ns) / NS_PER_S
-            traces.happened(t_s, event.kind.value, event.text)
         journal, others = journal_topic(info), topic_traces(info.topics)
+        for event in info.events:
+            if journal is None or event.kind is EventKind.MARK:  # the journal tells the others
+                t_s = (event.log_ns - info.start_ns) / NS_PER_S
+                traces.happened(t_s, event.kind.value, event.text)
         from_journal, decoder = JournalTraces(traces), EntryDecoder(recording)
         for message in recording.in_order_written(None, miss, on_progress):
             t_s = (message.log_ns - info.start_ns) / NS_PER_S
