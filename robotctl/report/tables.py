@@ -83,11 +83,16 @@ def modes_table(spans: Sequence[ModeSpan]) -> Markup:
 
 
 def messages_table(recorded: Recorded) -> Markup:
-    """Return the topics with their rates and losses."""
+    """Return the topics with their rates and losses, and the names of those without messages."""
     ledger = read_ledger(recorded.info.metadata)
-    heads = ("Topic", "Type", "Messages", "Rate", "Over time", "Longest pause", "Lost", "Dropped")
-    topics = sorted(recorded.info.topics, key=lambda topic: not topic.message_count)
-    return table(heads, [_topic_row(topic, ledger, recorded) for topic in topics])
+    heads = ("Topic", "Messages", "Rate", "Over time", "Longest pause", "Lost", "Dropped")
+    topics = recorded.info.topics
+    heard = [topic for topic in topics if topic.message_count]
+    silent = [topic.name for topic in topics if not topic.message_count]
+    named = ", ".join(silent[:MAX_ROWS]) + (" ..." if len(silent) > MAX_ROWS else "")
+    note = tag("p", f"{len(silent)} without messages: ", tag("span", named), class_="note")
+    made = table(heads, [_topic_row(topic, ledger, recorded) for topic in heard])
+    return joined(made, note if silent else None)
 
 
 def _topic_row(
@@ -96,10 +101,9 @@ def _topic_row(
     rates, counts = recorded.traces.rates, ledger.get(topic.name, {})
     pause_s = rates.pauses_s.get(topic.name)
     return (
-        topic.name,
-        topic.type_name,
+        joined(topic.name, tag("br"), tag("small", topic.type_name)),
         topic.message_count,
-        f"{topic.rate_hz:.1f} Hz" if topic.message_count else "",
+        f"{topic.rate_hz:.1f} Hz",
         rate_picture(rates.counts.get(topic.name, ())),
         f"{pause_s:.2f} s" if pause_s is not None and topic.message_count > 1 else "",
         counts.get("lost", "not known"),

@@ -72,7 +72,7 @@ def test_the_three_next_commands_can_be_pasted(cli: Callable[..., Any]) -> None:
     out = cli("demo", "--recordings", "my recordings").out
     pasted = [shlex.split(line) for line in out.split("next:\n")[1].splitlines()]
     assert [words[:2] for words in pasted] == [
-        ["robotctl", "info"],
+        ["robotctl", "report"],
         ["robotctl", "replay"],
         ["robotctl", "start"],
     ]

@@ -233,4 +233,4 @@ def _next_commands(robot: str, folder: str, *, keep: bool) -> list[str]:
             f"robotctl info {recording}",
             command_for(robot, "stop"),
         ]
-    return [f"robotctl info {recording}", f"robotctl replay {recording}", "robotctl start"]
+    return [f"robotctl report {recording}", f"robotctl replay {recording}", "robotctl start"]

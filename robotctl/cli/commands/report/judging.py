@@ -76,7 +76,7 @@ def _check_sentences(report: dict[str, Any]) -> Iterator[str]:
 def _verified(report: dict[str, Any]) -> Judgement:
     sentences = [
         f"{file['name']}: {size(file['bytes'])}, {file['messages']} messages, {file['state']}"
-        + (f", seal {file['seal']['state']}" if file["seal"]["links"] else "")
+        + (f", seal: {file['seal']['state']}" if file["seal"]["links"] else "")
         for file in report["files"]
     ]
     sentences += [f"wrong: {sentence}" for sentence in report["wrong"]]
