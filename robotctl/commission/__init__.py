@@ -1,1 +1,1 @@
-"""Commissioning: what two short motions tell about a base, measured from their recording."""
+"""Commissioning: what three short motions tell about a base, measured from their recording."""

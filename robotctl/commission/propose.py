@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import sqrt
+from math import degrees, pi, sqrt
 from typing import Final
 
-from robotctl.commission.measure import Measured
+from robotctl.commission.measure import Measured, Turned
 from robotctl.kernel.params import KernelParams
 
 STEERED_DELAY_S: Final = 0.2
@@ -15,6 +15,9 @@ STEERED_DELAY_S: Final = 0.2
 
 STOP_WITHIN_M: Final = 0.3
 """The distance within which the proposed speed stops."""
+
+STOP_WITHIN_RAD: Final = pi / 4.0
+"""The angle within which the proposed rate of turning stops."""
 
 ODOMETRY_PERIODS: Final = 10
 LARGEST_GAPS: Final = 3
@@ -34,9 +37,9 @@ def proposals(base: Measured, present: KernelParams) -> list[Proposal]:
     """Return the values that fit this base; within the ranges that the keys allow."""
     follow_s = base.command_delay_s
     lag_s = _rounded(min(max(follow_s - (base.odometry_delay_s or 0.0), 0.0), 0.5))
-    share = min(1.0, STEERED_DELAY_S / follow_s) if follow_s else 1.0
+    steer_s = max(follow_s, base.turn.command_delay_s if base.turn else 0.0)
+    share, steered = _share(follow_s), _share(steer_s)
     gains, defaults = present.tracking, KernelParams().tracking
-    slower = f"{follow_s:.2f} s of delay allow no more" if share < 1.0 else "that of the default"
     period_s = ODOMETRY_PERIODS / base.odometry_hz
     timeout_s = max(period_s, LARGEST_GAPS * base.odometry_gap_s, MIN_TIMEOUT_S)
     return [
@@ -45,11 +48,20 @@ def proposals(base: Measured, present: KernelParams) -> list[Proposal]:
             _rounded(max(min(present.limits.linear_mps, _speed_mps(base, present)), 0.01)),
             f"at most so fast that it stops within {STOP_WITHIN_M:g} m",
         ),
+        *_turning(base.turn, present),
         Proposal("tracking.lag_s", lag_s, f"the base follows a command {lag_s:g} s later"),
-        Proposal("tracking.k_x", _rounded(min(gains.k_x, defaults.k_x * share)), slower),
-        Proposal("tracking.k_y", _rounded(min(gains.k_y, defaults.k_y * share**2)), slower),
         Proposal(
-            "tracking.k_theta", _rounded(min(gains.k_theta, defaults.k_theta * share)), slower
+            "tracking.k_x", _rounded(min(gains.k_x, defaults.k_x * share)), _allowed_by(follow_s)
+        ),
+        Proposal(
+            "tracking.k_y",
+            _rounded(min(gains.k_y, defaults.k_y * steered**2)),
+            _allowed_by(steer_s),
+        ),
+        Proposal(
+            "tracking.k_theta",
+            _rounded(min(gains.k_theta, defaults.k_theta * steered)),
+            _allowed_by(steer_s),
         ),
         Proposal(
             "odometry.timeout_s",
@@ -65,11 +77,40 @@ def configuration(settings: Mapping[str, object], proposed: list[Proposal]) -> d
     return {**settings, **{each.key: each.value for each in proposed}}
 
 
+def _turning(turn: Turned | None, present: KernelParams) -> list[Proposal]:
+    """Return the limit of turning; none for a base that does not turn on its place."""
+    if turn is None:
+        return []
+    limits = present.limits
+    reaction_s = turn.stopping_rad / turn.reached_rps
+    rate = _stopping_within(STOP_WITHIN_RAD, reaction_s, limits.angular_accel_rps2)
+    return [
+        Proposal(
+            "limits.angular_rps",
+            _rounded(max(min(limits.angular_rps, rate), 0.01)),
+            f"at most so fast that it stops within {degrees(STOP_WITHIN_RAD):.0f} degrees",
+        )
+    ]
+
+
+def _share(delay_s: float) -> float:
+    return min(1.0, STEERED_DELAY_S / delay_s) if delay_s else 1.0
+
+
+def _allowed_by(delay_s: float) -> str:
+    if _share(delay_s) < 1.0:
+        return f"{delay_s:.2f} s of delay allow no more"
+    return "that of the default"
+
+
 def _speed_mps(base: Measured, present: KernelParams) -> float:
-    """Return the speed v with v * reaction + v^2 / (2 * braking) = STOP_WITHIN_M."""
     reaction_s = base.stopping_m / base.reached_mps
-    braking = present.limits.linear_accel_mps2
-    return braking * (sqrt(reaction_s**2 + 2.0 * STOP_WITHIN_M / braking) - reaction_s)
+    return _stopping_within(STOP_WITHIN_M, reaction_s, present.limits.linear_accel_mps2)
+
+
+def _stopping_within(way: float, reaction_s: float, braking: float) -> float:
+    """Return the speed v with v * reaction + v^2 / (2 * braking) = way."""
+    return braking * (sqrt(reaction_s**2 + 2.0 * way / braking) - reaction_s)
 
 
 def _rounded(value: float) -> float:

@@ -24,6 +24,14 @@ def measured_lines(base: Measured) -> Iterator[str]:
         yield f"base timeout   none within {base.quiet_s:g} s"
     else:
         yield f"base timeout   {base.base_timeout_s:.2f} s after the last command"
+    turn = base.turn
+    if turn is None:
+        yield "turning        not on its place"
+    else:
+        rates = f"{turn.reached_rps:.3f} rad/s where {turn.commanded_rps:.3f} was commanded"
+        yield f"turning        {rates}"
+        yield f"  delay        {turn.command_delay_s:.2f} s until odometry follows"
+        yield f"  stopping     {turn.stopping_rad:.3f} rad and {turn.stopping_s:.2f} s after a zero"
 
 
 def warnings(base: Measured) -> Iterator[str]:
@@ -41,6 +49,14 @@ def warnings(base: Measured) -> Iterator[str]:
     share = base.reached_mps / base.commanded_mps
     if abs(share - 1.0) > SPEED_TOLERANCE:
         yield f"the base drove {share:.0%} of the commanded speed: see its wheel parameters"
+    if base.turn is None:
+        yield (
+            "the base did not turn on its place: limits.angular_rps is as it was, and patterns "
+            "with corners need a base that can"
+        )
+    elif abs(base.turn.reached_rps / base.turn.commanded_rps - 1.0) > SPEED_TOLERANCE:
+        share = base.turn.reached_rps / base.turn.commanded_rps
+        yield f"the base turned at {share:.0%} of the commanded rate: see its wheel separation"
 
 
 SPEED_TOLERANCE = 0.1
@@ -50,7 +66,7 @@ def file_lines(
     robot: str, base: Measured, settings: Mapping[str, object], proposed: list[Proposal]
 ) -> Iterator[str]:
     """Yield the lines of a configuration file with the settings and the proposals."""
-    yield f"# Proposed by robotctl commission for robot {robot}, from a motion at"
+    yield f"# Proposed by robotctl commission for robot {robot}, from motions at"
     yield f"# {base.commanded_mps:g} m/s. Read it before you use it."
     yield "#"
     for line in (*measured_lines(base), *(f"warning: {text}" for text in warnings(base))):

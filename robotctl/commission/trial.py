@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from robotctl.errors import UnreadableFile
 from robotctl.kernel.course import Held
-from robotctl.kernel.geometry import Pose
+from robotctl.kernel.geometry import ORIGIN, Pose, wrap_angle
 from robotctl.kernel.odometry import is_finite
 from robotctl.kernel.types import DriveRequested, OdomReceived, PublishTwist
 from robotctl.kernel.units import NS_PER_S
@@ -33,6 +33,7 @@ class Command(NamedTuple):
 
     t_s: float
     linear_mps: float
+    angular_rps: float
 
 
 @dataclass(slots=True)
@@ -43,6 +44,32 @@ class Motion:
     begin_s: float
     commands: list[Command] = field(default_factory=list)
     samples: list[Sample] = field(default_factory=list)
+
+    @property
+    def is_turn(self) -> bool:
+        """Whether the robot was to turn on its place."""
+        return self.held.linear_mps == 0.0
+
+    @property
+    def wanted(self) -> float:
+        """The velocity that was asked for [m/s], of a turn its rate [rad/s]."""
+        return self.held.angular_rps if self.is_turn else self.held.linear_mps
+
+    def sent(self) -> list[tuple[float, float]]:
+        """Return time and velocity of each command, as `wanted` is one."""
+        return [(c.t_s, c.angular_rps if self.is_turn else c.linear_mps) for c in self.commands]
+
+    def way(self) -> list[tuple[float, float]]:
+        """Return time and distance forward, of a turn the angle, of each sample from the first."""
+        begin = self.samples[0].pose if self.samples else ORIGIN
+        if not self.is_turn:
+            return [(each.t_s, begin.express(each.pose).x) for each in self.samples]
+        turned, found, previous = 0.0, [], begin
+        for each in self.samples:
+            turned += wrap_angle(each.pose.theta - previous.theta)
+            previous = each.pose
+            found.append((each.t_s, turned))
+        return found
 
 
 @dataclass(slots=True)
@@ -86,7 +113,8 @@ def _take(trial: Trial, recorded: RecordedEntry) -> None:
     if entry.kind is EntryKind.EFFECT and entry.name == PublishTwist.__name__:
         effect = read_effect(entry)
         if isinstance(effect, PublishTwist):
-            trial.command(Command(entry.t_ns / NS_PER_S, effect.twist.linear))
+            twist = effect.twist
+            trial.command(Command(entry.t_ns / NS_PER_S, twist.linear, twist.angular))
     elif entry.kind is EntryKind.EVENT and entry.name in _EVENTS:
         event = read_event(entry)
         if isinstance(event, OdomReceived) and is_finite(event.odometry):

@@ -8,15 +8,15 @@ from math import log
 
 import pytest
 
-from robotctl.commission.measure import NEAR_S, Measured, measured
-from robotctl.commission.propose import STOP_WITHIN_M, configuration, proposals
+from robotctl.commission.measure import NEAR_S, Measured, Turned, measured
+from robotctl.commission.propose import STOP_WITHIN_M, STOP_WITHIN_RAD, configuration, proposals
 from robotctl.commission.report import file_lines, measured_lines, warnings
 from robotctl.commission.trial import Command, Sample, Trial
 from robotctl.config import Config, flat
 from robotctl.config.settings import with_setting
 from robotctl.errors import Refused
 from robotctl.kernel.course import Course, Held
-from robotctl.kernel.geometry import Pose
+from robotctl.kernel.geometry import Pose, wrap_angle
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.types import ZERO, PublishTwist, Twist
@@ -34,6 +34,16 @@ EXACT = SimParams(
     odometry_noise=0.0,
 )
 SPEED_MPS = 0.1
+TURN_RPS = 0.3
+
+MOTIONS = {
+    500: Held(SPEED_MPS, 0.0, 10.0),
+    5000: Held(SPEED_MPS, 0.0, 2.0, quiet_s=2.0),
+    11_000: Held(0.0, TURN_RPS, 10.0),
+}
+"""Each motion by the millisecond in which it begins."""
+
+STOPS, RESETS, END = (2500, 13_000), (4500, 15_000), 16_000
 
 
 @dataclass
@@ -45,37 +55,33 @@ class Base:
     rate_hz: int = 50
     deadband_mps: float = 0.0
     clock_s: float = 0.0
+    turns: bool = True
 
     def trial(self) -> Trial:
-        """Return both motions of a commissioning, driven by the kernel."""
+        """Return the motions of a commissioning, driven by the kernel."""
         bench, robot = ready(), Robot(self.sim)
         trial = Trial()
         late: deque[tuple[int, Twist]] = deque()
         begin_ms = bench.t_ns // NS_PER_MS
-        for step in range(12_000):
+        for step in range(END):
             t_ms = begin_ms + step
             bench.t_ns = t_ms * NS_PER_MS
             while late and late[0][0] <= t_ms:
                 _, twist = late.popleft()
-                robot.command(ZERO if abs(twist.linear) < self.deadband_mps else twist)
+                robot.command(twist if self._obeys(twist) else ZERO)
             robot.advance(0.001)
             if step % (1000 // self.rate_hz) == 0:
                 bench.odometry(robot.odometry)
                 trial.sample(Sample(t_ms / 1e3, robot.odometry, 0.002 + self.clock_s))
             if step % 1000 == 0:
                 bench.battery(1.0)
-            if step in (500, 5000):
-                held = (
-                    Held(SPEED_MPS, 0.0, 10.0)
-                    if step == 500
-                    else Held(SPEED_MPS, 0.0, 2.0, quiet_s=2.0)
-                )
-                trial.begin(held, t_ms / 1e3)
-                bench.drive(course=Course(held=held))
+            if step in MOTIONS:
+                trial.begin(MOTIONS[step], t_ms / 1e3)
+                bench.drive(course=Course(held=MOTIONS[step]))
                 assert bench.state.mode is Mode.MOVING
-            if step == 2500:
+            if step in STOPS:
                 effects = bench.request(Mode.ERROR.value)
-            elif step == 4500:
+            elif step in RESETS:
                 effects = bench.request(Mode.IDLE.value)
             elif step % 20 == 0:
                 effects = bench.tick()
@@ -84,8 +90,14 @@ class Base:
             for effect in effects:
                 if isinstance(effect, PublishTwist):
                     late.append((t_ms + round(1e3 * self.dead_s), effect.twist))
-                    trial.command(Command(t_ms / 1e3, effect.twist.linear))
+                    twist = effect.twist
+                    trial.command(Command(t_ms / 1e3, twist.linear, twist.angular))
         return trial
+
+    def _obeys(self, twist: Twist) -> bool:
+        if twist.linear == 0.0:
+            return self.turns
+        return abs(twist.linear) >= self.deadband_mps
 
 
 @pytest.mark.parametrize("rate_hz", [5, 10, 20, 50])
@@ -104,7 +116,38 @@ def test_the_delay_the_stop_and_the_timeout_are_those_of_the_base(
     settled_s = lag_s * log(lag_s / NEAR_S) if lag_s else 0.0
     assert told.stopping_s == pytest.approx(dead_s + settled_s, abs=1.0 / rate_hz + 0.02)
     assert told.base_timeout_s == pytest.approx(0.5, abs=0.03)
+    turn = told.turn
+    assert turn is not None
+    assert turn.reached_rps == pytest.approx(TURN_RPS, rel=0.03)
+    assert turn.command_delay_s == pytest.approx(delay_s, abs=0.025)
+    assert turn.stopping_rad == pytest.approx(TURN_RPS * delay_s, abs=0.009)
+    assert turn.stopping_s == pytest.approx(dead_s + settled_s, abs=1.0 / rate_hz + 0.02)
     assert list(warnings(told)) == []
+
+
+def test_a_base_that_cannot_turn_on_its_place_keeps_its_limit_and_is_told_so() -> None:
+    told = measured(Base(turns=False).trial())
+    assert told.turn is None
+    (warning,) = warnings(told)
+    assert warning.startswith("the base did not turn on its place")
+    assert "turning        not on its place" in list(measured_lines(told))
+    assert "limits.angular_rps" not in proposed(told)
+
+
+def test_a_base_whose_wheels_are_farther_apart_than_it_thinks_is_warned_of() -> None:
+    told = measured(Base(replace(EXACT, actuation_angular_factor=0.8)).trial())
+    assert list(warnings(told)) == [
+        "the base turned at 80% of the commanded rate: see its wheel separation"
+    ]
+
+
+def test_a_turn_beyond_half_a_circle_is_measured_as_one() -> None:
+    motion = Base().trial().motions[2]
+    angle_rad = motion.way()[-1][1]
+    for number, each in enumerate(motion.samples):
+        beyond = wrap_angle(each.pose.theta + 3.0)
+        motion.samples[number] = each._replace(pose=Pose(0.0, 0.0, beyond))
+    assert motion.way()[-1][1] == pytest.approx(angle_rad)
 
 
 @pytest.mark.parametrize("timeout_s", [0.2, 1.0, 1.5])
@@ -150,15 +193,15 @@ def test_a_base_whose_wheels_are_smaller_than_it_thinks_is_warned_of() -> None:
     ]
 
 
-@pytest.mark.parametrize("count", [0, 1, 3])
+@pytest.mark.parametrize("count", [0, 1, 2, 4])
 def test_another_number_of_motions_is_refused(count: int) -> None:
     trial = Base().trial()
     trial.motions = (trial.motions * 2)[:count]
-    with pytest.raises(Refused, match="not the two of a commissioning"):
+    with pytest.raises(Refused, match="not the three of a commissioning"):
         measured(trial)
 
 
-@pytest.mark.parametrize("motion", [0, 1])
+@pytest.mark.parametrize("motion", [0, 1, 2])
 def test_a_motion_without_odometry_is_refused(motion: int) -> None:
     trial = Base().trial()
     trial.motions[motion].samples.clear()
@@ -166,7 +209,8 @@ def test_a_motion_without_odometry_is_refused(motion: int) -> None:
         measured(trial)
 
 
-BASE = Measured(50.0, 0.02, 0.002, 0.0, 0.1, 0.1, 0.1, 0.01, 0.2, 0.5, 2.0)
+TURNED = Turned(0.3, 0.3, 0.1, 0.03, 0.2)
+BASE = Measured(50.0, 0.02, 0.002, 0.0, 0.1, 0.1, 0.1, 0.01, 0.2, 0.5, 2.0, TURNED)
 
 
 def proposed(base: Measured, present: KernelParams | None = None) -> dict[str, float]:
@@ -190,6 +234,15 @@ def test_a_slow_base_gets_lower_gains_a_longer_lead_and_a_lower_speed() -> None:
     assert speed * 0.5 + speed**2 / 2.0 == pytest.approx(STOP_WITHIN_M, abs=0.01)
 
 
+def test_a_base_that_turns_late_gets_less_steering_and_a_lower_rate() -> None:
+    slow = replace(BASE, turn=replace(TURNED, command_delay_s=0.4, stopping_rad=0.15))
+    values = proposed(slow)
+    assert (values["tracking.k_y"], values["tracking.k_theta"]) == (5.0, 2.5)
+    assert (values["tracking.k_x"], values["tracking.lag_s"]) == (3.5, 0.1)
+    rate = values["limits.angular_rps"]
+    assert rate * 0.5 + rate**2 / 8.0 == pytest.approx(STOP_WITHIN_RAD, abs=0.01)
+
+
 def test_no_proposal_is_above_what_is_configured_now() -> None:
     careful = with_setting(with_setting(Config(), "limits.linear_mps", 0.2), "tracking.k_x", 1.0)
     values = proposed(BASE, careful.kernel)
@@ -202,7 +255,10 @@ def test_no_proposal_is_above_what_is_configured_now() -> None:
 def test_every_proposal_is_an_allowed_value(
     delay_s: float, gap_s: float, stopping_m: float
 ) -> None:
-    extreme = replace(BASE, command_delay_s=delay_s, odometry_gap_s=gap_s, stopping_m=stopping_m)
+    turn = replace(TURNED, command_delay_s=delay_s, stopping_rad=stopping_m)
+    extreme = replace(
+        BASE, command_delay_s=delay_s, odometry_gap_s=gap_s, stopping_m=stopping_m, turn=turn
+    )
     config = Config()
     for each in proposals(extreme, config.kernel):
         config = with_setting(config, each.key, each.value)

@@ -38,6 +38,8 @@ def test_a_base_of_10_hz_with_lag_and_deadband_and_no_timeout_is_told_as_such(wo
         assert "without a command" in told["warnings"][0]
         assert told["measured"]["command_delay_s"] > 0.1
         assert told["proposed"]["tracking.lag_s"] > 0.1
+        assert told["measured"]["turn"]["command_delay_s"] > 0.1
+        assert told["proposed"]["limits.angular_rps"] > 0.1
         valid = world.answer("config", "validate", "proposed.yaml")
         assert valid["changed"]["command.stamped"] == "true"
         assert "tracking.lag_s" in valid["changed"]
@@ -48,7 +50,7 @@ def test_a_base_of_10_hz_with_lag_and_deadband_and_no_timeout_is_told_as_such(wo
         world.ok("stop")
         assert "same" in world.ok("replay", "--check", "last")
         why = world.answer("why", "last")
-        assert "then nothing for 2 s: robotctl commission" in why["asked"]
+        assert "0.3 rad/s for 12 s: robotctl commission" in why["asked"]
     finally:
         base.close()
 

@@ -1,4 +1,4 @@
-"""commission: measure a base by two short motions, and propose limits and gains for it."""
+"""commission: measure a base by three short motions, and propose limits and gains for it."""
 
 from __future__ import annotations
 

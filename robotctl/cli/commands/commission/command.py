@@ -6,18 +6,20 @@ import os
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
+from math import degrees
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from robotctl.cli.commands.commission.motions import drive_twice, way_m
+from robotctl.cli.commands.commission.motions import TURN_RPS, drive_motions, turn_rad, way_m
 from robotctl.cli.options import Json, Robot, new_app
 from robotctl.cli.support.answer import print_answer
 from robotctl.cli.terminal.text import printable, short_path
 from robotctl.errors import Refused, UsageError
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import PARAM_LIST, PREFLIGHT
+from robotctl.kernel.params import KernelParams
 from robotctl.paths import DEFAULT_ROBOT
 
 app = new_app()
@@ -36,11 +38,12 @@ def commission(
     robot: Robot = DEFAULT_ROBOT,
     as_json: Json = False,
 ) -> None:
-    """Measure the base by two short motions, and propose limits and gains.
+    """Measure the base by three short motions, and propose limits and gains.
 
     Straight ahead, twice: one motion is stopped by a zero command, and after the other nothing is
-    commanded, to see when the base stops by itself. The report tells rate and delay of odometry,
-    the delay of a command, the stopping distance, and the base's own command timeout.
+    commanded, to see when the base stops by itself. Then a slow turn on the place. The report tells
+    rate and delay of odometry, the delay of a command, stopping distance and angle, and the base's
+    own command timeout.
 
     Ctrl-C stops the robot. Other clients cannot move it meanwhile; anybody can stop it.
 
@@ -57,16 +60,27 @@ def commission(
     if out is not None and not os.access(out.parent, os.W_OK):
         raise UsageError(f"{out.parent} cannot be written to", "choose another folder")
     _check_start_conditions(robot)
-    if not yes:
-        _confirm(speed)
-    file = drive_twice(robot, speed)
     settings = {
         each["key"]: each["value"]
         for each in call(robot, PARAM_LIST)["parameters"]
         if each["value"] != each["default"]
     }
-    answer, lines, problem = _report(robot, file, settings, out)
+    present = _present(settings)
+    rate_rps = min(TURN_RPS, present.limits.angular_rps)
+    if not yes:
+        _confirm(speed, rate_rps)
+    file = drive_motions(robot, speed, rate_rps)
+    answer, lines, problem = _report(robot, file, settings, present, out)
     print_answer(answer, lines, as_json=as_json, error=problem)
+
+
+def _present(settings: Mapping[str, Any]) -> KernelParams:
+    from robotctl.config import Config, with_setting
+
+    config = Config()
+    for key, value in settings.items():
+        config = with_setting(config, key, value)
+    return config.kernel
 
 
 def _check_start_conditions(robot: str) -> None:
@@ -76,11 +90,12 @@ def _check_start_conditions(robot: str) -> None:
             raise Refused(each["problem"], each["cure"])
 
 
-def _confirm(speed_mps: float) -> None:
+def _confirm(speed_mps: float, rate_rps: float) -> None:
     if sys.stdin is None or not sys.stdin.isatty():
         raise UsageError("the robot would move, and nobody can be asked", "give --yes")
     question = (
-        f"The robot drives up to {way_m(speed_mps):.1f} m straight ahead at {speed_mps:g} m/s.\n"
+        f"The robot drives up to {way_m(speed_mps):.1f} m straight ahead at {speed_mps:g} m/s,\n"
+        f"then it turns up to {degrees(turn_rad(rate_rps)):.0f} degrees to the left on its place.\n"
         "Is the way free, and your hand on its emergency stop?"
     )
     if not typer.confirm(question, err=True):
@@ -88,7 +103,7 @@ def _confirm(speed_mps: float) -> None:
 
 
 def _report(
-    robot: str, file: Path, settings: Mapping[str, Any], out: Path | None
+    robot: str, file: Path, settings: Mapping[str, Any], present: KernelParams, out: Path | None
 ) -> tuple[dict[str, object], Iterator[str], UsageError | None]:
     """Measure, and write the configuration; return the report as an object and as lines.
 
@@ -98,14 +113,9 @@ def _report(
     from robotctl.commission.propose import proposals
     from robotctl.commission.report import file_lines, measured_lines, warnings
     from robotctl.commission.trial import read_trial
-    from robotctl.config import Config
-    from robotctl.config.settings import with_setting
 
-    config = Config()
-    for key, value in settings.items():
-        config = with_setting(config, key, value)
     base = measured(read_trial(file))
-    proposed = proposals(base, config.kernel)
+    proposed = proposals(base, present)
     problem = None
     if out is not None:
         problem = _write(out, "\n".join(file_lines(robot, base, settings, proposed)) + "\n")

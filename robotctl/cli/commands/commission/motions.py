@@ -1,4 +1,4 @@
-"""The two motions of a commissioning, each one of the kernel and under a lease."""
+"""The motions of a commissioning, each one of the kernel and under a lease."""
 
 from __future__ import annotations
 
@@ -34,6 +34,9 @@ COMMAND = "commission"
 DRIVEN_S = 2.0
 """How long the velocity is commanded, in each motion."""
 
+TURN_RPS = 0.3
+"""The rate of the turn, unless limits.angular_rps is lower."""
+
 QUIET_S = 2.0
 """How long nothing is commanded in the second one."""
 
@@ -47,12 +50,19 @@ _SPLIT_DEADLINE_S = 15.0
 
 
 def way_m(speed_mps: float) -> float:
-    """Return how much room both motions need [m], with half of it in reserve."""
+    """Return how much room the straight motions need [m], with half of it in reserve."""
     return 1.5 * speed_mps * (2.0 * DRIVEN_S + QUIET_S)
 
 
-def drive_twice(robot: str, speed_mps: float) -> Path:
-    """Drive forward, and stop by zero; then by silence. Return the file that holds it.
+def turn_rad(rate_rps: float) -> float:
+    """Return how far the robot may turn, with half of it in reserve."""
+    return 1.5 * rate_rps * DRIVEN_S
+
+
+def drive_motions(robot: str, speed_mps: float, rate_rps: float) -> Path:
+    """Drive forward, and stop by zero; then by silence; turn to the left, and stop by zero.
+
+    Return the file that holds it.
 
     Raises:
         Interrupted: Ctrl-C or a signal ended it; the robot stands.
@@ -64,15 +74,18 @@ def drive_twice(robot: str, speed_mps: float) -> Path:
         if not lease:
             lease = {"lease": stack.enter_context(HeldLease(robot, COMMAND)).token}
         begun = call(robot, RECORD_SPLIT, deadline_s=_SPLIT_DEADLINE_S)["file"]
-        common = {**asked_by(COMMAND), **lease, "angular_rps": 0.0}
-        common |= {"linear_mps": speed_mps, "wait": True}
+        common = {**asked_by(COMMAND), **lease, "wait": True}
+        straight = common | {"linear_mps": speed_mps, "angular_rps": 0.0}
+        turn = common | {"linear_mps": 0.0, "angular_rps": rate_rps}
         time.sleep(STANDING_S)
-        _stop_by_zero(robot, common | {"for_s": _LATEST_S, "reason": "stopping distance"})
+        _stop_by_zero(robot, straight, "stopping distance")
         time.sleep(STANDING_S)
         silence = {"for_s": DRIVEN_S, "quiet_s": QUIET_S}
-        driving = _begin(robot, common | silence | {"reason": "command timeout of the base"})
+        driving = _begin(robot, straight | silence | {"reason": "command timeout of the base"})
         _wait(robot, driving)
         driving.result()
+        time.sleep(STANDING_S)
+        _stop_by_zero(robot, turn, "stopping angle")
         time.sleep(STANDING_S)
         committed = call(robot, RECORD_COMMIT)
     if committed["failure"] or committed["uncommitted"] or committed["file"] != begun:
@@ -81,13 +94,13 @@ def drive_twice(robot: str, speed_mps: float) -> Path:
     return Path(begun)
 
 
-def _stop_by_zero(robot: str, params: dict[str, Any]) -> None:
+def _stop_by_zero(robot: str, params: dict[str, Any], reason: str) -> None:
     """Drive, then let the kernel command zero at once by ERROR, and clear that again."""
-    driving = _begin(robot, params)
+    driving = _begin(robot, params | {"for_s": _LATEST_S, "reason": reason})
     _wait(robot, driving, DRIVEN_S)
     if driving.is_done:
         driving.result()
-    stop = asked_by(COMMAND, "stopping distance")
+    stop = asked_by(COMMAND, reason)
     call(robot, SET_MODE, {"mode": Mode.ERROR.value, **stop})
     time.sleep(STANDING_S)
     call(robot, RESET, stop)
