@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from robotctl.daemon.recording.learned_period import MINUTE_S, ROUNDS
 from robotctl.daemon.recording.topic_health import RECENT_S, TopicHealth, may_be_learned
 from robotctl.daemon.recording.topic_watch import LOOK_S
-from robotctl.recording.write.channel_state import Arrivals
 from robotctl.recording.write.rate_by_topic import RateByTopic
 
 WALL_NS = 1_800_000_000_000_000_000
@@ -28,19 +27,16 @@ class Source:
     """A channel on a virtual clock: its messages have come at these times [s]."""
 
     times_s: list[float]
-    count: int = 0
-    newest_s: float = 0.0
-    numbers: dict[bytes, int] = field(default_factory=dict)
+    arrived: int = 0
+    newest_ns: int = 0
+    expected: dict[bytes, int] = field(default_factory=dict)
     gid: bytes = OLD
 
     def arrive(self, now_s: float) -> None:
-        while self.count < len(self.times_s) and self.times_s[self.count] <= now_s - LATENCY_S:
-            self.newest_s = self.times_s[self.count]
-            self.count += 1
-            self.numbers[self.gid] = self.numbers.get(self.gid, 1) + 1
-
-    def arrivals(self) -> Arrivals:
-        return Arrivals(self.count, WALL_NS + round(self.newest_s * 1e9), self.numbers)
+        while self.arrived < len(self.times_s) and self.times_s[self.arrived] <= now_s - LATENCY_S:
+            self.newest_ns = WALL_NS + round(self.times_s[self.arrived] * 1e9)
+            self.arrived += 1
+            self.expected[self.gid] = self.expected.get(self.gid, 1) + 1
 
 
 class Watched:
@@ -49,7 +45,7 @@ class Watched:
     def __init__(self, times_s: Iterable[float], rates: Iterable[str] = ()) -> None:
         self.source = Source(sorted(times_s))
         self.health = TopicHealth(RateByTopic(rates), (), 0.0)
-        self.health.add(SCAN, SCAN_TYPE, self.source.arrivals, learns=True, now_s=0.0)
+        self.health.add(SCAN, SCAN_TYPE, self.source, learns=True, now_s=0.0)
         self.now_s = 0.0
         self.said: list[tuple[float, str]] = []
 

@@ -92,12 +92,12 @@ def test_what_is_left_out_is_counted_and_not_lost(recorder: Recorder) -> None:
     for number in range(300):  # 30 Hz for 10 s
         at_ns = START_NS + number * 33_333_333
         gate(b"pixels", at_ns, at_ns, number + 1, GID)
-    arrivals = recorder.arrivals(0)
+    channel = recorder.channel(0)
     stats = recorder.close()
 
     assert (stats.received, stats.written, stats.throttled) == (50, 50, 250)
     assert (stats.lost, stats.unseen, stats.dropped) == (0, 0, 0)
-    assert (arrivals.messages, arrivals.next_numbers) == (300, {GID: 301})
+    assert (channel.arrived, channel.expected) == (300, {GID: 301})
     assert len(read_strictly(stats.file)) == 50
     times_ns = [each.log_ns for each in read_messages(stats.file)]
     gaps = [b - a for a, b in pairwise(times_ns)]

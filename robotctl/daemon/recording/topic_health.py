@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import islice
-from typing import Final, assert_never
+from typing import Final, Protocol, assert_never
 
 from robotctl.daemon.recording.learned_period import LearnedPeriod
 from robotctl.daemon.recording.topic_watch import LOOK_S, TopicWatch, Trouble
 from robotctl.kernel.units import NS_PER_S
-from robotctl.recording.write.channel_state import Arrivals
 from robotctl.recording.write.rate_by_topic import RateByTopic
 
 _log = logging.getLogger(__name__)
@@ -46,12 +45,31 @@ def may_be_learned(topic: str, type_name: str) -> bool:
     return not (is_call or type_name in EVENTS)
 
 
+class Arrivals(Protocol):
+    """What has arrived on a channel, recorded or not; its values change.
+
+    `expected` maps each publisher (its gid) to the sequence number that it sends next.
+    """
+
+    @property
+    def arrived(self) -> int:
+        """How many messages."""
+
+    @property
+    def newest_ns(self) -> int:
+        """The log time of the newest one."""
+
+    @property
+    def expected(self) -> Mapping[bytes, int]:
+        """The next number of each publisher, the oldest publisher first."""
+
+
 @dataclass(slots=True)
 class _Topic:
     name: str
     learning: LearnedPeriod | None
     watch: TopicWatch | None = None
-    sources: list[Callable[[], Arrivals]] = field(default_factory=list)
+    channels: list[Arrivals] = field(default_factory=list)
     count: int = 0
     newest_s: float = 0.0
     since_s: float = 0.0
@@ -87,13 +105,13 @@ class TopicHealth:
         self,
         name: str,
         type_name: str,
-        arrivals: Callable[[], Arrivals],
+        channel: Arrivals,
         *,
         learns: bool,
         now_s: float,
     ) -> None:
         """Watch a channel of a topic; `learns`: its rate is expected to stay as it is."""
-        self._topic(name, type_name, learns=learns, now_s=now_s).sources.append(arrivals)
+        self._topic(name, type_name, learns=learns, now_s=now_s).channels.append(channel)
 
     def _topic(self, name: str, type_name: str, *, learns: bool, now_s: float) -> _Topic:
         known = self._topics.get(name)
@@ -114,15 +132,16 @@ class TopicHealth:
         elapsed_s, self._looked_s = now_s - self._looked_s, now_s
         late, news = elapsed_s > LATE_S, False
         for topic in list(self._active.values()):
-            arrivals = [source() for source in topic.sources]
-            count = sum(each.messages for each in arrivals)
+            count = 0
+            for channel in topic.channels:
+                count += channel.arrived
             if count != topic.count:
-                newest_ns = max(each.newest_ns for each in arrivals)
+                newest_ns = max([each.newest_ns for each in topic.channels])
                 age_s = (wall_ns - newest_ns) / NS_PER_S
                 topic.newest_s = now_s - min(max(age_s, 0.0), elapsed_s + _STAMP_SLACK_S)
                 topic.count = count
             if topic.watch is not None:
-                news |= self._look_at(topic, topic.watch, arrivals, now_s, late=late)
+                news |= self._look_at(topic, topic.watch, now_s, late=late)
             elif topic.learning is not None:
                 self._learn(topic, topic.learning, now_s, late=late)
         return news
@@ -134,21 +153,13 @@ class TopicHealth:
         if len(told) > MAX_NAMED:
             yield f"{len(told) - MAX_NAMED} more topics have other rates than expected"
 
-    def _look_at(
-        self,
-        topic: _Topic,
-        watch: TopicWatch,
-        arrivals: list[Arrivals],
-        now_s: float,
-        *,
-        late: bool,
-    ) -> bool:
+    def _look_at(self, topic: _Topic, watch: TopicWatch, now_s: float, *, late: bool) -> bool:
         if late:
             watch.pause(now_s)
         before, restarted_s = watch.trouble, watch.restarted_s
         watch.look(now_s, topic.count, topic.newest_s)
-        if len(arrivals) == 1:
-            watch.look_at_publishers(now_s, arrivals[0].next_numbers)
+        if len(topic.channels) == 1:
+            watch.look_at_publishers(now_s, topic.channels[0].expected)
         if watch.restarted_s != restarted_s:
             self._tell(f"the publisher of {topic.name} was restarted")
         elif watch.trouble is before:
@@ -198,7 +209,7 @@ def _trouble(topic: _Topic, watch: TopicWatch, now_s: float) -> str:
             since = "is silent for" if topic.count else "has no message for"
             return f"{topic.name} {since} {silent_s:.1f} s, {expected_hz:.3g} a second are expected"
         case Trouble.SLOW | Trouble.FAST:
-            rate_hz = watch.rate_hz(now_s)
+            rate_hz = watch.rate_hz
             return (
                 f"{topic.name} has {rate_hz:.3g} messages a second, expected are {expected_hz:.3g}"
             )

@@ -55,7 +55,7 @@ class TopicSinks:
         self.health.add(
             topic.name,
             topic.type_name,
-            partial(self._recorder.arrivals, channel),
+            self._recorder.channel(channel),
             learns=learns,
             now_s=time.monotonic(),
         )

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 from enum import Enum
+from itertools import islice
 from typing import Final
 
 LOOK_S: Final = 0.2
@@ -49,45 +50,49 @@ class TopicWatch:
         self.restarted_s: float | None = None
         """When a publisher took the place of an earlier one, None if none did."""
 
+        self._patience_s = max(SILENT_S, SILENT_PERIODS * period_s) - LOOK_S
+        """How long the topic may be silent, less the time to the next look."""
+
+        self._window_s = max(WINDOW_S, WINDOW_PERIODS * period_s)
+        self._expected = self._window_s / period_s
+        """Messages in a window."""
+
         self._count = count
         self._begin(now_s)
-        self._numbers: dict[bytes, int] = {}
+        self._publishers = 0
         self._replaced: tuple[float, dict[bytes, int]] | None = None
         """When a new publisher came, and the numbers of the others then."""
 
     @property
-    def patience_s(self) -> float:
-        """How long the topic may be silent, less the time to the next look."""
-        return max(SILENT_S, SILENT_PERIODS * self.period_s) - LOOK_S
-
-    def rate_hz(self, now_s: float) -> float:
-        """Return the messages a second within the last window."""
-        return self._since(now_s - self._window_s) / self._window_s
+    def rate_hz(self) -> float:
+        """The messages a second within the last window."""
+        return (self._count - self._window[0][1]) / self._window_s
 
     def look(self, now_s: float, count: int, newest_s: float) -> None:
         """Take the number of messages so far, and when the newest came."""
         if count != self._count:
-            if newest_s - self.newest_s >= self.patience_s:
+            if newest_s - self.newest_s >= self._patience_s:
                 self._begin(newest_s)  # a window with the silence in it tells nothing new
-            self._count, self.newest_s = count, max(newest_s, self.newest_s)
-            self._history.append((now_s, count))
-            while len(self._history) > 1 and now_s - self._history[1][0] >= 2.0 * self._window_s:
-                self._history.popleft()
+            self._count = count
+            if newest_s > self.newest_s:
+                self.newest_s = newest_s
+            self._window.append((now_s, count))
         self.trouble = self._judge(now_s)
 
     def look_at_publishers(self, now_s: float, next_numbers: Mapping[bytes, int]) -> None:
-        """Take the sequence number that each publisher sends next.
+        """Take the sequence number that each publisher sends next, the oldest publisher first.
 
         A new publisher replaces the others if none of them sends any more.
         """
-        if self._numbers and next_numbers.keys() - self._numbers.keys():
-            self._replaced = now_s, self._numbers
-        self._numbers = dict(next_numbers)
+        if len(next_numbers) != self._publishers:
+            if self._publishers:
+                self._replaced = now_s, dict(islice(next_numbers.items(), self._publishers))
+            self._publishers = len(next_numbers)
         if self._replaced is not None:
             since_s, others = self._replaced
             if any(next_numbers.get(gid, number) != number for gid, number in others.items()):
                 self._replaced = None  # it is one more
-            elif now_s - since_s >= self.patience_s:
+            elif now_s - since_s >= self._patience_s:
                 self.restarted_s, self._replaced = since_s, None
 
     def pause(self, now_s: float) -> None:
@@ -98,34 +103,28 @@ class TopicWatch:
 
     def _begin(self, now_s: float) -> None:
         self._begun_s = now_s
-        self._history: deque[tuple[float, int]] = deque([(now_s, self._count)])
-
-    @property
-    def _window_s(self) -> float:
-        return max(WINDOW_S, WINDOW_PERIODS * self.period_s)
-
-    def _since(self, past_s: float) -> int:
-        """Return the number of messages after a time."""
-        before = self._history[0][1]
-        for at_s, count in self._history:
-            if at_s > past_s:
-                break
-            before = count
-        return self._count - before
+        # Times and counts: first the last one before the window, then those within it.
+        self._window: deque[tuple[float, int]] = deque([(now_s, self._count)])
+        self._before: deque[tuple[float, int]] = deque()
+        """The same for the window before."""
 
     def _judge(self, now_s: float) -> Trouble:
-        if now_s - self.newest_s >= self.patience_s:
+        if now_s - self.newest_s >= self._patience_s:
             return Trouble.SILENT
-        window_s, watched_s = self._window_s, now_s - self._begun_s
+        window, before, window_s = self._window, self._before, self._window_s
+        while len(window) > 1 and now_s - window[1][0] >= window_s:
+            before.append(window.popleft())
+        watched_s = now_s - self._begun_s
         if watched_s < window_s:
             return Trouble.NONE
-        expected = window_s / self.period_s
-        share = self._since(now_s - window_s) / expected
+        share = (self._count - window[0][1]) / self._expected
         if share < (SLOW_END if self.trouble is Trouble.SLOW else SLOW):
             return Trouble.SLOW
+        while len(before) > 1 and now_s - before[1][0] >= 2.0 * window_s:
+            before.popleft()
         least = FAST_END if self.trouble is Trouble.FAST else FAST
         if share >= least and watched_s >= 2.0 * window_s:
-            both = self._since(now_s - 2.0 * window_s) / expected
-            if both >= 2.0 * FAST_BOTH:
+            first = before[0] if before else window[0]
+            if self._count - first[1] >= 2.0 * FAST_BOTH * self._expected:
                 return Trouble.FAST
         return Trouble.NONE

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -28,17 +28,6 @@ class LatchedMessage(NamedTuple):
     log_ns: int
     publish_ns: int
     sequence: int
-
-
-class Arrivals(NamedTuple):
-    """What has arrived on a channel: how many messages, and the log time of the newest one [ns].
-
-    `next_numbers` maps each publisher (its gid) to the sequence number that it sends next.
-    """
-
-    messages: int
-    newest_ns: int
-    next_numbers: Mapping[bytes, int]
 
 
 @dataclass(slots=True)
@@ -117,6 +106,11 @@ class ChannelState:
     def latched_messages(self) -> list[LatchedMessage]:
         """Return a copy, for the writer thread."""
         return list(self.latched.values()) if self.latched else []
+
+    @property
+    def arrived(self) -> int:
+        """How many messages came, recorded or not."""
+        return self.received + self.throttled
 
     @property
     def settled(self) -> bool:

@@ -27,7 +27,7 @@ from robotctl.recording.format.records import (
 from robotctl.recording.format.topics import Topic
 from robotctl.recording.write.bag_writer import begin_bag
 from robotctl.recording.write.buffer import LargeMessage, PackBuffer
-from robotctl.recording.write.channel_state import MAX_PACKERS, Arrivals, ChannelState, Packer
+from robotctl.recording.write.channel_state import MAX_PACKERS, ChannelState, Packer
 from robotctl.recording.write.recorder_options import RecorderOptions
 from robotctl.recording.write.recorder_stats import RecorderState, RecorderStats
 from robotctl.recording.write.writer_thread import WriterCommand, WriterThread
@@ -150,10 +150,9 @@ class Recorder:
         state.newest_ns = log_ns
         state.gaps.note(gid, sequence)
 
-    def arrivals(self, channel: int) -> Arrivals:
-        """Return what has arrived on a channel, recorded or not."""
-        state = self._channels[channel]
-        return Arrivals(state.received + state.throttled, state.newest_ns, state.expected)
+    def channel(self, channel: int) -> ChannelState:
+        """Return the running counts of a channel, to be read in the loop's thread."""
+        return self._channels[channel]
 
     def split(self) -> None:
         """Continue in a new file, without a gap: messages written from now on go into that one.
