@@ -43,7 +43,7 @@ class StubBase:
     ) -> None:
         """Be a base; topic, type and QoS of the command; topic, QoS and rate [Hz] of the others.
 
-        It follows with a lag, not at all below the deadband, and stops at its timeout, if any.
+        It follows with a lag, no speed below the deadband, and stops at its timeout, if any.
         """
         self._lag_s, self._deadband_mps = lag_s, deadband_mps
         self._timeout_s = math.inf if timeout_s is None else timeout_s
@@ -88,7 +88,7 @@ class StubBase:
         """Return the velocity of this period."""
         (v, w), (wanted_v, wanted_w) = self._velocity, self._wanted
         is_heard = time.monotonic() - self._heard_s < self._timeout_s
-        if not is_heard or abs(wanted_v) < self._deadband_mps:
+        if not is_heard or 0.0 < abs(wanted_v) < self._deadband_mps:
             wanted_v, wanted_w = 0.0, 0.0
         share = 1.0 - math.exp(-self._period_s / self._lag_s) if self._lag_s else 1.0
         return v + share * (wanted_v - v), w + share * (wanted_w - w)
