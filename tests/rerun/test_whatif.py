@@ -183,6 +183,19 @@ def test_a_simulation_begins_with_the_recorded_speed(tmp_path: Path) -> None:
     assert one["simulated"]["cross_track_max_m"] < 0.05
 
 
+def test_a_simulation_begins_with_the_wheels_turning_as_recorded(tmp_path: Path) -> None:
+    """Without noise it drives on as the recorded robot did, from a moment within its motion."""
+    config = with_setting(Config(), "sim.actuation_noise", 0.0)
+    config = with_setting(config, "sim.odometry_noise", 0.0)
+    stop = ModeRequested(BEGIN_NS + 4_000_000_000, 2, 0, "operator")
+    written = drive(6.0, requests=[drive_requested(), stop], snapshots_s=(1.0,), config=config)
+    kinds = [getattr(each, "name", "") for each in written]
+    folder = record(tmp_path / "run", written[kinds.index("Snapshot") :], config=config)
+    (one,) = resimulate(folder, {}, silent)["drives"]
+    for figure in ("distance_m", "cross_track_max_m"):
+        assert one["simulated"][figure] == pytest.approx(one["recorded"][figure], abs=1e-4)
+
+
 def test_a_simulation_follows_the_lifecycle(tmp_path: Path) -> None:
     events: list[Event] = [
         LifecycleChanged(BEGIN_NS + 50_000_000, LifecycleState.INACTIVE, "a node"),

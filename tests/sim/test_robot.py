@@ -115,3 +115,18 @@ def test_it_stands_where_it_began_until_it_is_told_to_move() -> None:
     for _ in range(100):
         robot.advance(STEP_S)
     assert robot.truth == robot.odometry == ORIGIN
+
+
+def test_a_robot_that_resumes_drives_on_with_its_wheels_turning() -> None:
+    quiet = SimParams(actuation_noise=0.0, odometry_noise=0.0)
+    robot, resumed = Robot(quiet), Robot(quiet)
+    robot.command(Twist(0.5, 1.0))
+    for _ in range(5):
+        robot.advance(0.02)
+    resumed.resume(robot.odometry, robot.measured, Twist(0.5, 1.0))
+    for each in (robot, resumed):
+        each.advance(0.02)
+    assert 0.0 < robot.measured.linear < 0.4
+    assert resumed.measured.linear == pytest.approx(robot.measured.linear, rel=1e-12)
+    assert resumed.measured.angular == pytest.approx(robot.measured.angular, rel=1e-12)
+    assert resumed.odometry.x == pytest.approx(robot.odometry.x, rel=1e-12)
