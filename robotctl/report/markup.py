@@ -8,8 +8,11 @@ from typing import Final
 
 from robotctl.printable import printable
 
-MAX_TEXT: Final = 300
+MAX_TEXT: Final = 240
 """The longest text of a recording that is shown, in characters."""
+
+MAX_ESCAPED: Final = 360
+"""The longest text on the page, with each special character as up to six."""
 
 _WITHOUT_END: Final = frozenset({"meta", "input", "br"})
 
@@ -50,7 +53,11 @@ def _text(value: Content) -> str:
     if isinstance(value, Markup):
         return value
     if isinstance(value, str):
-        return escape(shown(value))
+        text = shown(value)
+        written = escape(text)
+        if len(written) <= MAX_ESCAPED:
+            return written
+        return f"{escape(text[: MAX_ESCAPED // len('&quot;') - 1])}…"
     return plain(value)
 
 

@@ -135,7 +135,9 @@ def _notes(recorded: Recorded) -> Markup | None:
         )
     notes += [f"Not read: {sentence}" for sentence in recorded.missing]
     if recorded.traces.left_out:
-        notes.append(f"{recorded.traces.left_out} more modes, moments or drives are not shown.")
+        notes.append(
+            f"{recorded.traces.left_out} more modes, moments, drives or wanted paths are not shown."
+        )
     return tag("ul", *(tag("li", note) for note in notes), class_="notes") if notes else None
 
 

@@ -101,7 +101,7 @@ def _numbered(number: int, moment: Moment, place: Place, ground: Ground) -> Mark
     x, y = ground.x.at(place.x), ground.y.at(place.y)
     return tag(
         "g",
-        tag("title", f"{number}. {moment.t_s:.2f} s, {moment.kind}: {moment.text}"),
+        tag("title", f"{number}. {moment.t_s:.2f} s, {moment.kind}"),
         tag("circle", cx=x, cy=y, r=3.5, class_="flag"),
         class_="moment",
         data_t=f"{moment.t_s:.4f}",

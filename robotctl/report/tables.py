@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from math import isfinite
 from typing import Final
 
@@ -13,21 +13,30 @@ from robotctl.report.markup import Content, Markup, joined, plain, tag
 from robotctl.report.recorded import Recorded
 from robotctl.report.traces import EndedDrive, ModeSpan, Moment
 
-MAX_ROWS: Final = 150
-"""The rows of a table; a recording may hold any number of topics and parameters."""
+MAX_ROWS: Final = 300
+MAX_TABLE_CHARACTERS: Final = 75_000
+"""The limits of a table; a recording may hold any number of topics and parameters."""
+
+MAX_NAMES: Final = 100
 
 RATE_WIDTH, RATE_HEIGHT = 120, 18
 PARAMETER: Final = "parameter."
 
 
-def table(heads: Sequence[str], rows: Iterable[Sequence[Content]]) -> Markup:
-    """Return a table of at most MAX_ROWS rows, and a line that tells how many more there are."""
-    kept = list(rows)
-    body = [tag("tr", *(tag("td", cell) for cell in row)) for row in kept[:MAX_ROWS]]
+def table(heads: Sequence[str], rows: Sequence[Sequence[Content]]) -> Markup:
+    """Return a table, and a line that tells how many rows are beyond its limits."""
+    body: list[Markup] = []
+    characters = 0
+    for row in rows[:MAX_ROWS]:
+        made = tag("tr", *(tag("td", cell) for cell in row))
+        characters += len(made)
+        if characters > MAX_TABLE_CHARACTERS:
+            break
+        body.append(made)
     head = tag("thead", tag("tr", *(tag("th", text, scope="col") for text in heads)))
-    more = len(kept) - MAX_ROWS
-    made = tag("div", tag("table", head, tag("tbody", *body)), class_="scroll")
-    return joined(made, tag("p", f"and {more} more", class_="note") if more > 0 else None)
+    whole = tag("div", tag("table", head, tag("tbody", *body)), class_="scroll")
+    more = len(rows) - len(body)
+    return joined(whole, tag("p", f"and {more} more", class_="note") if more else None)
 
 
 def drives_table(drives: Sequence[EndedDrive]) -> Markup:
@@ -89,8 +98,9 @@ def messages_table(recorded: Recorded) -> Markup:
     topics = recorded.info.topics
     heard = [topic for topic in topics if topic.message_count]
     silent = [topic.name for topic in topics if not topic.message_count]
-    named = ", ".join(silent[:MAX_ROWS]) + (" ..." if len(silent) > MAX_ROWS else "")
-    note = tag("p", f"{len(silent)} without messages: ", tag("span", named), class_="note")
+    named = [joined(tag("span", name), " ") for name in silent[:MAX_NAMES]]
+    more = f"and {len(silent) - MAX_NAMES} more" if len(silent) > MAX_NAMES else None
+    note = tag("p", f"{len(silent)} topics without messages: ", *named, more, class_="note")
     made = table(heads, [_topic_row(topic, ledger, recorded) for topic in heard])
     return joined(made, note if silent else None)
 
@@ -139,13 +149,13 @@ def provenance_table(recorded: Recorded) -> Markup:
         "writer": info.library,
         "profile": info.profile,
     }
-    return table(("What", "Value"), (own | known).items())
+    return table(("What", "Value"), list((own | known).items()))
 
 
 def parameters_table(recorded: Recorded) -> Markup | None:
     """Return the parameters that the robot had when the last file began, None if not known."""
     found = parameter_values(recorded)
-    return table(("Parameter", "Value"), found.items()) if found else None
+    return table(("Parameter", "Value"), list(found.items())) if found else None
 
 
 def parameter_values(recorded: Recorded) -> dict[str, str]:

@@ -10,10 +10,10 @@ from robotctl.kernel.types import DriveReport
 from robotctl.report.driven import DrivenPath
 from robotctl.report.series import Series
 
-MAX_SPANS: Final = 400
-MAX_MOMENTS: Final = 150
-MAX_DRIVES: Final = 60
-MAX_WANTED: Final = 60
+MAX_SPANS: Final = 150
+MAX_MOMENTS: Final = 100
+MAX_DRIVES: Final = 50
+MAX_WANTED_POINTS: Final = 8_000
 """How much of each is kept; `Traces.left_out` counts the rest."""
 
 RATE_COLUMNS: Final = 60
@@ -81,6 +81,8 @@ class Traces:
     moments: list[Moment] = field(default_factory=list)
     drives: list[EndedDrive] = field(default_factory=list)
     left_out: int = 0
+    """The modes, moments, drives and wanted paths that are not kept."""
+
     commanded_linear: Series = field(init=False)
     commanded_angular: Series = field(init=False)
     linear: Series = field(init=False)
@@ -121,8 +123,10 @@ class Traces:
 
     def want(self, outline: list[Point]) -> None:
         """Note a wanted path."""
-        if self._has_room(self.wanted, MAX_WANTED):
+        if sum(map(len, self.wanted)) + len(outline) <= MAX_WANTED_POINTS:
             self.wanted.append(outline)
+        else:
+            self.left_out += 1
 
     def close(self) -> None:
         """Let the last mode last to the end."""

@@ -73,12 +73,22 @@ def test_a_page_that_cannot_be_written_is_refused_with_the_reason(
     target = Path("elsewhere.html")
     target.symlink_to(folder / "metadata.yaml")
     before = (folder / "metadata.yaml").read_text()
-    for name in ("elsewhere.html", "no/such/folder.html", str(folder)):
+    Path("folder.html").mkdir()
+    for name in ("elsewhere.html", "no/such/folder.html", "folder.html"):
         ran = cli("report", "last", "-o", name)
         assert ran.exit_code == 4
         assert f"cannot write {name}" in ran.err
         assert "-o FILE" in ran.err
     assert (folder / "metadata.yaml").read_text() == before
+
+
+def test_a_recording_is_never_replaced_by_its_page(folder: Path, cli: Callable[..., Any]) -> None:
+    (file,) = folder.glob("*.mcap")
+    before = file.read_bytes()
+    ran = cli("report", "last", "-o", str(file))
+    assert ran.exit_code == 2
+    assert "ends in .html" in ran.err
+    assert file.read_bytes() == before
 
 
 def test_two_recordings_are_compared_on_one_page(folder: Path, cli: Callable[..., Any]) -> None:

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from math import cos, sin
 from pathlib import Path
 
 import pytest
 
 from robotctl.kernel.modes import Mode
-from robotctl.kernel.types import Event, ModeRequested
+from robotctl.kernel.types import DriveReport, Event, ModeRequested
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.report.compare import comparison_page
 from robotctl.report.figures import figures_of
 from robotctl.report.judged import Explanation, Judged, Judgement, Tone
 from robotctl.report.page import report_page
-from robotctl.report.recorded import read_recorded
+from robotctl.report.recorded import Recorded, read_recorded
+from robotctl.report.traces import EndedDrive, Traces
 from robotctl.testing.drives import BEGIN_NS, START_NS, Written, drive, drive_requested, record
 from tests.support.bags import in_order, odometry, talk, write_bag
 from tests.support.edited_recordings import Contents, recorded, write_contents
@@ -150,6 +152,38 @@ def test_text_of_a_recording_never_becomes_markup_nor_too_long_a_page(
     for part in ("moments", "why", "verdicts", "messages", "provenance", "parameters"):
         assert "<script>alert(1)</script>" in page.sections[part]  # as text
     assert_harmless(*page_of_two(made, made))
+
+
+def test_the_fullest_page_keeps_its_limit(folder: Path) -> None:
+    worst = '"' * 1000
+    info = read_recorded(folder).info
+    traces = Traces(1000.0)
+    for n in range(20_000):
+        t_s = n / 20
+        traces.enter_mode(t_s, ("IDLE", "MOVING")[n % 2], worst)
+        traces.happened(t_s, "mark", worst)
+        traces.drive_ended(EndedDrive(t_s, worst, DriveReport(1, 1e9, 1e9, 1e9, 1e9)))
+        traces.want([(n * 1.23456, n * 7.654321)] * 500)
+        traces.driven.add(t_s, 1234.5678 * sin(n), 1234.5678 * cos(n))
+        for series in traces.series():
+            series.add(t_s, -123.45678 * sin(n * 1.7))
+    topics = [replace(info.topics[0], name=f"{worst}{n}", type_name=worst) for n in range(1000)]
+    told = {f"{n}{worst}": worst for n in range(1000)}
+    told |= {f"parameter.{key}": value for key, value in told.items()}
+    info = replace(info, topics=tuple(topics), metadata={"robotctl": told})
+    for topic in topics:
+        for n in range(60):
+            traces.rates.add(topic.name, n * 1000 / 60)
+    full = Recorded(info, traces, True, (), (worst,) * 20, True, True)
+    judgement = Judgement(worst, worst, Tone.BAD, (worst,) * 20)
+    why = Explanation(1.0, worst, ((worst, worst),) * 6)
+    judged = Judged((judgement, judgement), (why,) * 5)
+    text = report_page(full, judged)
+    assert_harmless(text, HtmlPage(text))
+    assert "more modes, moments, drives or wanted paths are not shown" in text
+    assert re.search(r"and [89]\d\d more", text)
+    both = comparison_page((full, judged), (full, judged))
+    assert_harmless(both, HtmlPage(both))
 
 
 def page_of_two(first: Path, second: Path) -> tuple[str, HtmlPage]:

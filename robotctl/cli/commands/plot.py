@@ -45,7 +45,7 @@ def plot(
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", metavar="FILE", help="A picture: FILE.png or FILE.svg."),
+        typer.Option("-o", "--output", metavar="PICTURE", help="Write a file, .png or .svg."),
     ] = None,
     type_name: Annotated[
         str, typer.Option("--type", metavar="TYPE", help="The type, where the topic has several.")

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 app = new_app()
 
 PAGE: Final = "report.html"
+SUFFIX: Final = ".html"
 COMPARED: Final = 2
 
 
@@ -62,6 +63,8 @@ def report(
     if len(files) != (COMPARED if compare else 1):
         cure = "give two recordings" if compare else "give one, or two with --compare"
         raise UsageError(f"{len(files)} recordings", cure)
+    if output is not None and output.suffix != SUFFIX:
+        raise UsageError(f"-o {output}", f"give a name that ends in {SUFFIX}")
     from robotctl.cli.commands.report.judging import judge
     from robotctl.report.compare import comparison_page
     from robotctl.report.page import report_page
