@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import os
+import resource
 import subprocess
 import sys
 from collections.abc import Callable
@@ -156,6 +157,36 @@ def test_without_duckdb_one_sentence_says_what_to_install(
         "robotctl: Parquet needs duckdb, which is not installed: pip install 'robotctl[parquet]'\n"
     )
     assert not list(tmp_path.glob("*parquet*"))
+
+
+def test_ctrl_c_while_duckdb_writes_is_an_interruption(
+    cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise RuntimeError("Query interrupted")
+
+    monkeypatch.setattr(parquet_table, "_join", interrupted)
+    ran = cli("export", str(DRIVE), "--topic", "/odom", "-o", str(tmp_path / "x.parquet"))
+    assert (ran.exit_code, ran.err) == (130, "")
+    assert not list(tmp_path.glob("*parquet*"))
+
+
+def test_a_full_disk_is_named_and_leaves_nothing(command: list[str], tmp_path: Path) -> None:
+    """The limit of file sizes stands for the disk."""
+    run = written(tmp_path, 3000)
+    for name in ("x.csv", "x.jsonl", "x.parquet"):
+        ran = subprocess.run(
+            [*command, "export", str(run), "--topic", "/all", "-o", name],
+            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000)),
+            capture_output=True,
+            text=True,
+        )
+        assert ran.returncode == 4
+        assert ran.stderr == (
+            f"robotctl: cannot write {name}: File too large: "
+            "raise the limit of file sizes (ulimit -f)\n"
+        )
+    assert list(Path.cwd().iterdir()) == []
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,6 +12,7 @@ import typer
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.recording_paths import RecordedBy, RecordingsFolder, find_recording
+from robotctl.cli.support.signals import interrupted_by
 from robotctl.cli.terminal.progress import progress_bar
 from robotctl.cli.terminal.text import short_path
 from robotctl.errors import RecoveredWithLoss, UsageError
@@ -65,7 +67,10 @@ def convert(
     path = find_recording(source, robot, folder)
     is_one = one_file or target.suffix == MCAP_SUFFIX
     form = Form(compression, None if split_mb is None else split_mb * 1_000_000, is_one)
-    with progress_bar("converting", quiet=as_json) as on_progress:
+    with (
+        interrupted_by((signal.SIGTERM, signal.SIGHUP)),
+        progress_bar("converting", quiet=as_json) as on_progress,
+    ):
         done = convert(path, target, form, on_progress)
     error = None
     if done.lost:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Iterable, Iterator
 from enum import Enum
@@ -13,6 +14,7 @@ import typer
 from robotctl.cli.options import new_app
 from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.recording_paths import RecordedBy, RecordingsFolder, find_recording
+from robotctl.cli.support.signals import interrupted_by
 from robotctl.cli.support.time_argument import parse_moment
 from robotctl.cli.terminal.progress import Progress, progress_bar
 from robotctl.cli.terminal.text import printable, short_path
@@ -111,11 +113,11 @@ def export(
         window = _window(begin, end, info)
         with progress_bar("exporting", quiet=output is None or as_json) as on_progress:
             rows = _told(table.rows(missing.append, window), on_progress, window, info)
-            count = (
-                _print(form, table, rows)
-                if output is None
-                else _write(form, table, rows, output, source)
-            )
+            if output is None:
+                count = _print(form, table, rows)
+            else:
+                with interrupted_by((signal.SIGTERM, signal.SIGHUP)):
+                    count = _write(form, table, rows, output, source)
     error = None
     if missing:
         error = RecoveredWithLoss(f"{source} could not be read completely: {'; '.join(missing)}")

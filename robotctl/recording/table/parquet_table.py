@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import count
 from pathlib import Path
@@ -11,7 +14,7 @@ import numpy as np
 
 from robotctl.cdr.definition import NUMBERS, TEXT, WIDE_TEXT
 from robotctl.cdr.flat import Column, ColumnKind
-from robotctl.errors import Refused, RobotctlError, UnreadableFile, UsageError
+from robotctl.errors import RobotctlError, UnreadableFile, UsageError
 from robotctl.recording.table.text_tables import json_of
 from robotctl.recording.table.topic_table import Row
 
@@ -35,6 +38,8 @@ _SQL_TYPES: Final = {
     TEXT: "VARCHAR",
     WIDE_TEXT: "VARCHAR",
 }
+_INTERRUPTED: Final = "Query interrupted"
+_ERRNO = re.compile(r'"errno":"(\d+)"')
 _FLOATS: Final = ("float32", "float64")
 
 MAX_VALUES: Final = 1_000_000
@@ -53,7 +58,7 @@ def write_parquet(columns: Sequence[Column], rows: Iterable[Row], target: Path) 
     Raises:
         UsageError: duckdb is not installed.
         UnreadableFile: A number does not fit into its column.
-        Refused: The disk is full or fails.
+        OSError: The disk is full or fails.
     """
     duckdb = _duckdb()
     parts: list[Path] = []
@@ -67,9 +72,13 @@ def write_parquet(columns: Sequence[Column], rows: Iterable[Row], target: Path) 
                 written += len(batch)
             _join(database, columns, parts, target)
     except duckdb.IOException as error:
-        raise Refused(
-            f"cannot write {target.name}: {_first_line(error)}", "free disk space"
-        ) from None
+        told = _ERRNO.search(str(error))
+        code = int(told[1]) if told else errno.EIO
+        raise OSError(code, os.strerror(code)) from error
+    except RuntimeError as error:  # what duckdb makes of a KeyboardInterrupt
+        if str(error) == _INTERRUPTED:
+            raise KeyboardInterrupt from None
+        raise
     except duckdb.Error as error:
         raise RobotctlError(f"duckdb cannot write {target.name}: {_first_line(error)}") from error
     return written
