@@ -17,7 +17,7 @@ from typing import Final
 from robotctl.errors import Refused
 from robotctl.fleet.database import database, text
 from robotctl.fleet.index_file import INDEX_NAME, index_path, stamp_of, table_columns
-from robotctl.fleet.indexing import Failures, index_recordings, processes
+from robotctl.fleet.indexing import Failures, index_recordings
 from robotctl.recording.disk.access import protect_like
 from robotctl.recording.disk.storage import is_being_written
 
@@ -64,8 +64,7 @@ def catalogue_of(
     live, old = _live_and_old(changed, stamps)
     failures: Failures = {}
     if old:
-        with processes(min(len(old), len(os.sched_getaffinity(0)))) as executor:
-            failures = index_recordings(old, executor, on_progress)
+        failures = index_recordings(old, on_progress)
     missing = {*live, *failures}
     fresh = [each for each in changed if each not in missing]
     indexes = tuple(index_path(each) for each in stamps if each not in missing)

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import signal
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
-from multiprocessing import get_context
+from collections.abc import Sequence
 from pathlib import Path
 
 from robotctl.errors import RobotctlError
 from robotctl.fleet.history import rows_of
 from robotctl.fleet.index_file import stamp_of, write_index
+from robotctl.fleet.jobs import Done, local_processes, results_of
 from robotctl.recording.read.verified import verify_recording
 from robotctl.rerun.check import check_recording
 
@@ -39,40 +34,12 @@ def index_recording(recording: Path) -> str:
 
 
 def index_recordings(
-    recordings: Sequence[Path],
-    executor: Executor,
-    on_progress: Callable[[int, int], None] = lambda done, total: None,
+    recordings: Sequence[Path], on_progress: Done = lambda done, total: None
 ) -> Failures:
-    """Index recordings, and return those that failed."""
-    failures: Failures = {}
-    jobs = {executor.submit(index_recording, path): path for path in recordings}
-    for done, job in enumerate(as_completed(jobs)):
-        on_progress(done, len(jobs))
-        try:
-            said = job.result()
-        except BrokenProcessPool:
-            said = "the process that indexed it was killed"
-        if said:
-            failures[jobs[job]] = said
-    return failures
-
-
-@contextmanager
-def processes(count: int | None = None) -> Iterator[Executor]:
-    """Yield an executor with so many processes, one a processor by default.
-
-    They ignore Ctrl-C, which ends the process that started them, and are killed at the end.
-    """
-    executor = ProcessPoolExecutor(
-        count or len(os.sched_getaffinity(0)),
-        mp_context=get_context("spawn"),
-        initializer=signal.signal,
-        initargs=(signal.SIGINT, signal.SIG_IGN),
-    )
-    try:
-        yield executor
-    finally:
-        workers = list((executor._processes or {}).values())
-        executor.shutdown(wait=False, cancel_futures=True)
-        for worker in workers:
-            worker.kill()
+    """Index recordings, a process per processor, and return those that failed."""
+    results = results_of(index_recording, recordings, local_processes, on_progress)
+    return {
+        path: "the process that indexed it was killed" if said is None else said
+        for path, said in results
+        if said != ""
+    }

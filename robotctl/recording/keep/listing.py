@@ -83,12 +83,21 @@ def list_recordings(
     Raises:
         OSError: `folder` cannot be listed.
     """
-    found = [path for path in sorted(folder.iterdir()) if _files(path)]
+    found = recordings_in(folder)
     for done, path in enumerate(found):
         on_progress(done, len(found))
         with suppress(OSError):  # it was removed meanwhile
             yield list_recording(path)
     on_progress(len(found), len(found))
+
+
+def recordings_in(folder: Path) -> list[Path]:
+    """Return the recordings directly below `folder`, ordered by name; links are not followed.
+
+    Raises:
+        OSError: `folder` cannot be listed.
+    """
+    return [path for path in sorted(folder.iterdir()) if _files(path)]
 
 
 def _files(path: Path) -> list[Path]:

@@ -55,3 +55,17 @@ def test_a_recording_that_cannot_be_indexed_has_an_exit_code(cli: Cli) -> None:
     ran = cli("index", "recordings")
     assert ran.exit_code == 6
     assert "broken is left out: " in ran.out
+
+
+def test_the_gate_passes_what_is_decided_the_same_and_tells_machines(cli: Cli) -> None:
+    record(LAP, drive(2.0))
+    assert cli("gate").exit_code == 0
+    found = json.loads(cli("gate", "--json", "--junit", "gate.xml").out)
+    assert (found["stored"], found["failed"], found["counts"]["same"]) == (1, 0, 1)
+    assert LAP.name in Path("gate.xml").read_text()
+    slow = ("--what-if", "limits.linear_mps=0.05", "--what-if", "tracking.max_error_m=0.05")
+    assert cli("gate", *slow).exit_code == 7
+    accepted = ("--baseline", "accepted.json", "--accept", "the base is slower")
+    assert cli("gate", *slow, *accepted).exit_code == 0
+    assert "the base is slower" in Path("accepted.json").read_text()
+    assert cli("gate", "--accept", "why").exit_code == 2

@@ -1,0 +1,118 @@
+"""Judges every recording of a folder, and says whether history lets this robotctl pass."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+from robotctl.fleet.baseline import Accepted, Baseline
+from robotctl.fleet.jobs import Done, Processes, local_processes, results_of
+from robotctl.fleet.judgement import UNREADABLE, Judgement, content_hash, judge, key_of
+from robotctl.fleet.result_store import ResultStore
+from robotctl.rerun.check_report import Verdict
+
+FAILED: Final = (Verdict.DIVERGED.value, Verdict.BROKEN.value)
+"""The verdicts that close the gate; with other parameters also a change of modes or answers."""
+
+UNKNOWN: Final = (Verdict.INCOMPLETE.value, UNREADABLE)
+
+CHANGED: Final = "changed"
+"""The cause of a recording where other parameters change modes or answers."""
+
+
+@dataclass(slots=True)
+class GateReport:
+    """The judgements of the recordings by their paths, in that order.
+
+    `stored` counts those that an earlier run had made. `lost` are recordings whose process was
+    killed twice, or whose files cannot be read.
+    """
+
+    results: dict[Path, Judgement] = field(default_factory=dict)
+    accepted: dict[Path, Accepted] = field(default_factory=dict)
+    lost: dict[Path, str] = field(default_factory=dict)
+    stored: int = 0
+
+    def pass_accepted(self, baseline: Baseline) -> None:
+        """Let pass what the baseline accepts."""
+        for path, result in self.results.items():
+            if (by := baseline.find(result)) is not None:
+                self.accepted[path] = by
+
+    def failures(self) -> dict[Path, Judgement]:
+        """Return what closes the gate and is not accepted."""
+        return {path: each for path, each in self._open() if each.verdict in FAILED or each.differs}
+
+    def unknown(self) -> dict[Path, Judgement]:
+        """Return what could not be judged completely and is not accepted."""
+        return {
+            path: each
+            for path, each in self._open()
+            if each.verdict in UNKNOWN and not each.differs
+        }
+
+    def counts(self) -> dict[str, int]:
+        """Return how many recordings have each verdict."""
+        found = Counter(each.verdict for each in self.results.values())
+        return {verdict: found[verdict] for verdict in (*map(str, Verdict), UNREADABLE)}
+
+    def causes(self) -> dict[str, list[Path]]:
+        """Return what is not the same by its cause, the most frequent first."""
+        groups: dict[str, list[Path]] = {}
+        for path, each in (self.failures() | self.unknown()).items():
+            groups.setdefault(cause_of(each), []).append(path)
+        return dict(sorted(groups.items(), key=lambda item: (-len(item[1]), item[0])))
+
+    def _open(self) -> list[tuple[Path, Judgement]]:
+        return [item for item in self.results.items() if item[0] not in self.accepted]
+
+
+def cause_of(result: Judgement) -> str:
+    """Return the verdict with its cause; that of other parameters where they change something."""
+    if result.verdict not in FAILED and result.differs:
+        return f"{CHANGED}: other parameters change modes or answers"
+    return f"{result.verdict}: {result.cause}"
+
+
+def judge_all(
+    recordings: Sequence[Path],
+    store: ResultStore,
+    settings: Mapping[str, str],
+    baseline: Baseline,
+    processes: Processes = local_processes,
+    on_progress: Done = lambda done, total: None,
+) -> GateReport:
+    """Judge recordings; those with a stored result are not judged again.
+
+    Each result is stored as soon as it is there, so a run that is killed goes on where it was.
+
+    Raises:
+        Refused: A result cannot be stored.
+    """
+    found: dict[Path, Judgement] = {}
+    report = GateReport()
+    new: list[Path] = []
+    for path in recordings:
+        try:
+            known = store.get(key_of(content_hash(path), settings))
+        except OSError as error:
+            report.lost[path] = f"it cannot be read: {error.strerror or error}"
+            continue
+        if known is None:
+            new.append(path)
+        else:
+            found[path] = known
+            report.stored += 1
+    function = partial(judge, settings=dict(settings))
+    for path, result in results_of(function, new, processes, on_progress):
+        if result is None:
+            report.lost[path] = "the process that judged it was killed"
+        else:
+            found[path] = store.put(result)
+    report.results = {path: found[path] for path in recordings if path in found}
+    report.pass_accepted(baseline)
+    return report

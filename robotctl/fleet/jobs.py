@@ -1,0 +1,81 @@
+"""Runs one function over many recordings, behind the interface of `concurrent.futures`."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import AbstractContextManager, contextmanager
+from multiprocessing import get_context
+from pathlib import Path
+from typing import TypeVar
+
+Result = TypeVar("Result")
+
+Processes = Callable[[int], AbstractContextManager[Executor]]
+"""Starts an executor for so many jobs."""
+
+Done = Callable[[int, int], None]
+"""Receives how many jobs are done, and the total."""
+
+
+def results_of(
+    function: Callable[[Path], Result],
+    recordings: Sequence[Path],
+    processes: Processes,
+    on_progress: Done = lambda done, total: None,
+) -> Iterator[tuple[Path, Result | None]]:
+    """Yield each recording with its result, in the order in which they are ready.
+
+    The result is None where the process was killed. One that dies takes its neighbours' jobs along,
+    so all that are not done then run again, each in a process of its own.
+    """
+    done = 0
+    lost: list[Path] = []
+    for batch in (recordings, lost):
+        groups = [list(batch)] if batch is recordings else [[each] for each in lost]
+        for group in groups:
+            for path, result, is_lost in _run(function, group, processes):
+                if is_lost and batch is recordings:
+                    lost.append(path)
+                    continue
+                done += 1
+                on_progress(done, len(recordings))
+                yield path, result
+
+
+def _run(
+    function: Callable[[Path], Result], recordings: Sequence[Path], processes: Processes
+) -> Iterator[tuple[Path, Result | None, bool]]:
+    if not recordings:
+        return
+    with processes(len(recordings)) as executor:
+        jobs = {executor.submit(function, path): path for path in recordings}
+        for job in as_completed(jobs):
+            try:
+                yield jobs[job], job.result(), False
+            except BrokenProcessPool:
+                yield jobs[job], None, True
+
+
+@contextmanager
+def local_processes(jobs: int) -> Iterator[Executor]:
+    """Yield an executor with a process per processor, and no more than there are jobs.
+
+    They ignore Ctrl-C, which ends the process that started them, and are killed at the end.
+    """
+    executor = ProcessPoolExecutor(
+        min(jobs, len(os.sched_getaffinity(0))),
+        mp_context=get_context("spawn"),
+        initializer=signal.signal,
+        initargs=(signal.SIGINT, signal.SIG_IGN),
+    )
+    try:
+        yield executor
+    finally:
+        workers = list((executor._processes or {}).values())
+        executor.shutdown(wait=False, cancel_futures=True)
+        for worker in workers:
+            worker.kill()

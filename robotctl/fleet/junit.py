@@ -1,0 +1,44 @@
+"""The result of the gate as JUnit XML, which systems of continuous integration show."""
+
+from __future__ import annotations
+
+from xml.etree import ElementTree
+
+from robotctl.fleet.gate import GateReport, cause_of
+from robotctl.printable import printable
+
+
+def junit_text(report: GateReport) -> str:
+    """Return the report: a test case for each recording, a failure for each that closes the gate.
+
+    What could not be judged is an error; what was accepted passes, with the reason.
+    """
+    failures, unknown = report.failures(), report.unknown()
+    suite = ElementTree.Element(
+        "testsuite",
+        name="robotctl gate",
+        tests=str(len(report.results) + len(report.lost)),
+        failures=str(len(failures)),
+        errors=str(len(unknown) + len(report.lost)),
+    )
+    for path, result in report.results.items():
+        case = ElementTree.SubElement(
+            suite, "testcase", classname="recording", name=printable(path.name)
+        )
+        if path in failures or path in unknown:
+            kind = "failure" if path in failures else "error"
+            message = printable(cause_of(result))
+            verdict = message.partition(":")[0]
+            note = ElementTree.SubElement(case, kind, type=verdict, message=message)
+            note.text = printable(result.says)
+        elif path in report.accepted:
+            by = report.accepted[path]
+            out = ElementTree.SubElement(case, "system-out")
+            out.text = printable(f"accepted by {by.by} at {by.at}: {by.why}")
+    for path, said in report.lost.items():
+        case = ElementTree.SubElement(
+            suite, "testcase", classname="recording", name=printable(path.name)
+        )
+        ElementTree.SubElement(case, "error", type="lost", message=printable(said))
+    ElementTree.indent(suite)
+    return ElementTree.tostring(suite, encoding="unicode", xml_declaration=True) + "\n"
