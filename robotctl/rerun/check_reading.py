@@ -9,6 +9,7 @@ from robotctl.recording import Recording
 from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.recording.read.journal_reader import EntryDecoder
 from robotctl.recording.read.messages import Message
+from robotctl.recording.read.spots import Spot
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.journal_chain import JournalChain
 from robotctl.rerun.journal_steps import Item, LogTimes, Step, steps
@@ -23,7 +24,11 @@ Readers = Mapping[str, Callable[[Message], None]]
 
 
 class CheckReading:
-    """One pass over a recording; `chain` and `end_ns` are those of the last entry that was read."""
+    """One pass over a recording.
+
+    `end_ns` is that of the last entry that was read; `chain` and `position` are up to date at the
+    end of each batch.
+    """
 
     def __init__(
         self,
@@ -39,6 +44,10 @@ class CheckReading:
         self.chain = JournalChain()
         self.position = ReadingPosition()
         self.end_ns = 0
+        self._row: list[bytes] = []
+        """The last entries as they are recorded, if they are not noted yet."""
+
+        self._last_seq = -1
         self._log_ns: LogTimes = (0, 0)
         self._last_ns = 0
         self._batch: list[tuple[Item, LogTimes]] = []
@@ -70,29 +79,46 @@ class CheckReading:
 
     def _entries(self, topic: str, readers: Readers) -> Iterator[JournalEntry]:
         """Yield the journal entries; put the other messages into the batch."""
-        report = self._report
+        report, row = self._report, self._row
         messages = self._recording.in_order_written(
-            {topic, *readers}, report.miss, self._on_progress, self.position.enter
+            {topic, *readers}, report.miss, self._on_progress, self._enter
         )
-        decode, add = EntryDecoder(self._recording).decode, self.chain.add
-        note_position, note_end = self.position.entry, self._ends.entry
-        effect = EntryKind.EFFECT
+        decode, effect, event = (
+            EntryDecoder(self._recording).decode,
+            EntryKind.EFFECT,
+            EntryKind.EVENT,
+        )
         for message in messages:
             if message.topic == topic:
                 entry = decode(message.data)
                 if not report.begin_log_ns:
                     report.begin_ns, report.begin_log_ns = entry.t_ns, message.log_ns
-                self.end_ns = entry.t_ns
-                seq = entry.seq
-                note_position(seq)
-                note_end(seq)
-                add(seq, message.data)
+                if entry.seq != self._last_seq + 1 or len(row) >= MAX_BATCH:
+                    self._note_row()
+                row.append(message.data)
+                self._last_seq, self.end_ns, self._last_ns = entry.seq, entry.t_ns, message.log_ns
                 if entry.kind is not effect:
                     self._log_ns = self._log_ns[1], message.log_ns
-                self._last_ns = message.log_ns
+                    if entry.kind is not event:
+                        self._note_row()
                 yield entry
             elif self._has_begun:
                 self._batch.append((message, self._log_ns))
             else:
                 readers[message.topic](message)
+        self._note_row()
         self._log_ns = self._log_ns[1], max(self._log_ns[1], self._last_ns)  # of the last step
+
+    def _enter(self, spot: Spot) -> None:
+        self._note_row()
+        self.position.enter(spot)
+
+    def _note_row(self) -> None:
+        """Note the entries that were read since the last time; their numbers follow each other."""
+        if self._row:
+            last = self._last_seq
+            first = last - len(self._row) + 1
+            self.chain.add(first, *self._row)
+            self.position.entries(first, last)
+            self._ends.entries(first, last)
+            self._row.clear()

@@ -20,13 +20,13 @@ class JournalChain:
         self._crc: int | None = None
         """The CRC of all entries before these, None after a gap."""
 
-    def add(self, seq: int, serialized: bytes) -> None:
-        """Take the next entry as it is recorded."""
+    def add(self, seq: int, *serialized: bytes) -> None:
+        """Take the next entries as they are recorded; they are numbered from `seq` on."""
         if seq != self._seq + 1:
             self._crc = None
             self._entries.clear()
-        self._seq = seq
-        self._entries.append(serialized)
+        self._seq = seq + len(serialized) - 1
+        self._entries += serialized
         if len(self._entries) > MAX_ENTRIES:
             self._continue()
 

@@ -20,12 +20,12 @@ class ReadingPosition:
         self._spot = spot
         self._number = -1
 
-    def entry(self, seq: int) -> None:
-        """Note an entry."""
-        self._number += 1
-        if self._seq is not None and seq != self._seq + 1:
+    def entries(self, first: int, last: int) -> None:
+        """Note entries in a row, with these numbers."""
+        self._number += last - first + 1
+        if self._seq is not None and first != self._seq + 1:
             self._in_order = False  # entries may be held back from now on
-        self._seq = seq
+        self._seq = last
 
     @property
     def position(self) -> Position | None:

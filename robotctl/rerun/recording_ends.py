@@ -37,12 +37,11 @@ class RecordingEnds:
         """Whether all files are there."""
         return self._recording.path.is_dir()
 
-    def entry(self, seq: int) -> None:
-        """Take the number of the next entry."""
+    def entries(self, first: int, last: int) -> None:
+        """Take the numbers of the next entries, which are in a row."""
         if self._first_seq < 0:
-            self._first_seq = seq
-        if seq > self._last_seq:
-            self._last_seq = seq
+            self._first_seq = first
+        self._last_seq = max(last, self._last_seq)
 
     def begin(self, entry: JournalEntry) -> None:
         """Compare the first snapshot with what a kernel begins with."""

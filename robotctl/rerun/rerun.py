@@ -198,16 +198,30 @@ class Rerun:
 
     def _agreeing(self, steps: Sequence[Step], decided: Sequence[Agreed]) -> int:
         """Return how many steps were recorded as they were decided, before the first other one."""
-        are_known = {_shape(step.event) for step in steps} <= self._shapes
+        if self._all_agree(steps[: len(decided)], decided):
+            return len(decided)
         for number, (step, mine) in enumerate(zip(steps, decided, strict=False)):
-            entry, theirs, event, effects = step.event, step.effects, mine.event, mine.effects
-            is_same = entry.t_ns == event.t_ns and len(theirs) == len(effects)
-            if not (is_same and (are_known or self._is_untouched(entry, event))):
+            entry, theirs, effects = step.event, step.effects, mine.effects
+            if len(theirs) != len(effects) or not self._is_untouched(entry, mine.event):
                 return number
             for recorded, effect in zip(theirs, effects, strict=True):
                 if not self._is_recorded(effect, recorded, entry.t_ns):
                     return number
         return len(decided)
+
+    def _all_agree(self, steps: Sequence[Step], decided: Sequence[Agreed]) -> bool:
+        """Return whether many steps were recorded as they were decided."""
+        recorded = [entry for step in steps for entry in step.effects]
+        effects = [effect for each in decided for effect in each.effects]
+        entries, events = [step.event for step in steps], [each.event for each in decided]
+        return (
+            [(step.event.t_ns, len(step.effects)) for step in steps]
+            == [(each.event.t_ns, len(each.effects)) for each in decided]
+            and [(entry.name, entry.t_ns) for entry in recorded]
+            == [(type(each).__name__, mine.event.t_ns) for mine in decided for each in mine.effects]
+            and all(map(self.comparison.same, [entry.data for entry in recorded], effects))
+            and (_shapes(entries) <= self._shapes or all(map(self._is_untouched, entries, events)))
+        )
 
     def _is_recorded(self, effect: Effect, recorded: JournalEntry, t_ns: int) -> bool:
         return (
@@ -298,6 +312,12 @@ def _followed_steps(
 def _shape(entry: JournalEntry) -> bytes:
     """Return the text of an entry without its digits."""
     return entry.data.encode().translate(None, b"0123456789")
+
+
+def _shapes(events: Iterable[JournalEntry]) -> set[bytes]:
+    """Return the shapes of many events; a shape that was correct holds no line break."""
+    texts = "\n".join([entry.data for entry in events])
+    return set(texts.encode().translate(None, b"0123456789").split(b"\n"))
 
 
 def _text(entry: JournalEntry) -> str:

@@ -31,10 +31,10 @@ class EntryDecoder:
     """Decodes the entries of a recording, in order, within its journal limits."""
 
     def __init__(self, recording: Recording) -> None:
-        self._limits = recording.limits
-        self._entries = 0
-        self._snapshots = 0
-        self._text_bytes = 0
+        limits = self._limits = recording.limits
+        self._entries_left = limits.journal_entries
+        self._snapshots_left = limits.snapshots
+        self._text_bytes_left = limits.journal_text_bytes
 
     def decode(self, serialized: bytes) -> JournalEntry:
         """Return the entry in a message.
@@ -42,17 +42,17 @@ class EntryDecoder:
         Raises:
             UnreadableFile: The message is not an entry, or exceeds the limits.
         """
-        limits = self._limits
-        self._entries += 1
-        self._text_bytes += len(serialized)
-        if self._entries > limits.journal_entries:
-            raise _beyond(f"{limits.journal_entries} entries")
-        if self._text_bytes > limits.journal_text_bytes:
-            raise _beyond(f"{limits.journal_text_bytes >> 20} MiB of text")
+        self._entries_left -= 1
+        if self._entries_left < 0:
+            raise _beyond(f"{self._limits.journal_entries} entries")
+        self._text_bytes_left -= len(serialized)
+        if self._text_bytes_left < 0:
+            raise _beyond(f"{self._limits.journal_text_bytes >> 20} MiB of text")
         entry = decode(serialized)
-        self._snapshots += entry.kind is EntryKind.SNAPSHOT
-        if self._snapshots > limits.snapshots:
-            raise _beyond(f"{limits.snapshots} snapshots")
+        if entry.kind is EntryKind.SNAPSHOT:
+            self._snapshots_left -= 1
+            if self._snapshots_left < 0:
+                raise _beyond(f"{self._limits.snapshots} snapshots")
         return entry
 
 
