@@ -205,7 +205,7 @@ class _Check:
                     )
                 return
             if agreed is not None:
-                event, effects, measured = agreed.event, agreed.effects, agreed
+                _, event, effects, measured, _ = agreed
             else:
                 event, effects, measured = self._decided(rerun, step)
         except UnreadableFile as error:

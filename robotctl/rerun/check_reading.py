@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 
 from robotctl.errors import UnreadableFile
 from robotctl.recording import Recording
-from robotctl.recording.format.journal import EntryKind, JournalEntry
+from robotctl.recording.format.journal import EntryKind, JournalEntry, decode
 from robotctl.recording.read.journal_reader import EntryDecoder
 from robotctl.recording.read.messages import Message
 from robotctl.recording.read.spots import Spot
@@ -41,13 +41,14 @@ class CheckReading:
         self._report = report
         self._ends = ends
         self._on_progress = on_progress
+        self._decoder = EntryDecoder(recording)
         self.chain = JournalChain()
         self.position = ReadingPosition()
         self.end_ns = 0
         self._row: list[bytes] = []
         """The last entries as they are recorded, if they are not noted yet."""
 
-        self._last_seq = -1
+        self._last_seq = -2  # no entry is the next one
         self._log_ns: LogTimes = (0, 0)
         self._last_ns = 0
         self._batch: list[tuple[Item, LogTimes]] = []
@@ -79,27 +80,24 @@ class CheckReading:
 
     def _entries(self, topic: str, readers: Readers) -> Iterator[JournalEntry]:
         """Yield the journal entries; put the other messages into the batch."""
-        report, row = self._report, self._row
+        report, row, event, effect = self._report, self._row, EntryKind.EVENT, EntryKind.EFFECT
         messages = self._recording.in_order_written(
             {topic, *readers}, report.miss, self._on_progress, self._enter
-        )
-        decode, effect, event = (
-            EntryDecoder(self._recording).decode,
-            EntryKind.EFFECT,
-            EntryKind.EVENT,
         )
         for message in messages:
             if message.topic == topic:
                 entry = decode(message.data)
-                if not report.begin_log_ns:
-                    report.begin_ns, report.begin_log_ns = entry.t_ns, message.log_ns
-                if entry.seq != self._last_seq + 1 or len(row) >= MAX_BATCH:
+                seq, t_ns, kind, _, _ = entry
+                if seq != self._last_seq + 1 or len(row) >= MAX_BATCH:
                     self._note_row()
+                    if not report.begin_log_ns:
+                        report.begin_ns, report.begin_log_ns = t_ns, message.log_ns
                 row.append(message.data)
-                self._last_seq, self.end_ns, self._last_ns = entry.seq, entry.t_ns, message.log_ns
-                if entry.kind is not effect:
+                self._last_seq, self.end_ns, self._last_ns = seq, t_ns, message.log_ns
+                if kind is not effect:
                     self._log_ns = self._log_ns[1], message.log_ns
-                    if entry.kind is not event:
+                    if kind is not event:
+                        self._decoder.count_snapshot()
                         self._note_row()
                 yield entry
             elif self._has_begun:
@@ -116,6 +114,7 @@ class CheckReading:
     def _note_row(self) -> None:
         """Note the entries that were read since the last time; their numbers follow each other."""
         if self._row:
+            self._decoder.count(self._row)
             last = self._last_seq
             first = last - len(self._row) + 1
             self.chain.add(first, *self._row)

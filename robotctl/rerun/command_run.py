@@ -47,7 +47,7 @@ def command_run(run: OrdinaryRun, sent: Sequence[Message], number: int) -> Comma
         return None
     of_sent, of_decided = parts
     common = decided[of_decided]
-    if not all(map(_is_sent, common, sent[of_sent])):
+    if not _are_sent(common, sent[of_sent]):
         return None
     before, after = slice(of_decided.start), slice(of_decided.stop, None)
     return CommandRun(
@@ -55,8 +55,11 @@ def command_run(run: OrdinaryRun, sent: Sequence[Message], number: int) -> Comma
     )
 
 
-def _is_sent(decided: Decided, message: Message) -> bool:
-    numbers, (_, begin_ns, end_ns) = decided
-    return numbers == numbers_of(message.data) and (
+def _are_sent(decided: Sequence[Decided], messages: Sequence[Message]) -> bool:
+    """Return whether each message is that of a decision, and was sent within its step."""
+    if [numbers for numbers, _ in decided] != [numbers_of(each.data) for each in messages]:
+        return False
+    return all(
         not end_ns or begin_ns - LATE_NS <= message.publish_ns <= end_ns + LATE_NS
+        for (_, (_, begin_ns, end_ns)), message in zip(decided, messages, strict=True)
     )

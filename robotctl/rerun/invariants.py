@@ -148,8 +148,9 @@ class Invariants:
             return False
         limits, longest_s = self._params.limits, 2.0 / self._params.rate_hz
         is_moving, previous, tick_t_ns = self.mode is Mode.MOVING, self._command, self._tick_t_ns
-        for _, _, effects, _, _, (t_ns, _, _) in ticks:
-            for effect in effects:
+        for step in ticks:
+            t_ns = step.event.t_ns
+            for effect in step.effects:
                 assert isinstance(effect, PublishTwist)
                 linear, angular = effect.twist.linear, effect.twist.angular
                 if linear or angular:

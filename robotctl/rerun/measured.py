@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from robotctl.kernel.battery import counts_in_percent, level_of
 from robotctl.kernel.health import Health
@@ -24,6 +24,13 @@ class Measured(Protocol):
         """The battery level, None before the first one."""
 
 
+class Measurement(NamedTuple):
+    """What was measured at a time."""
+
+    odometry_t_ns: int
+    battery_level: float | None
+
+
 @dataclass(slots=True)
 class Followed:
     """The measurements of a piece of the journal that was re-run elsewhere."""
@@ -41,6 +48,10 @@ class Followed:
         return cls(
             health.odometry_t_ns, health.battery_level, health.battery_in_percent, scale, unused
         )
+
+    def measurement(self) -> Measurement:
+        """Return the last measurements."""
+        return Measurement(self.odometry_t_ns, self.battery_level)
 
     def step(self, seq: int, event: Event) -> None:
         """Take an event, with the number of its entry."""

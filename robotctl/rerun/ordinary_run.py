@@ -61,7 +61,7 @@ class OrdinaryRun:
 
         `offset_ns` is wall clock - steady clock before it, None if that is not known.
         """
-        offsets = [wall_ns - steady_ns for _, _, _, _, _, (steady_ns, wall_ns, _) in self.steps]
+        offsets = [step.log_times[0] - step.event.t_ns for step in self.steps]
         if offset_ns is not None:
             offsets.append(offset_ns)
         return max(offsets) - min(offsets) <= CLOCK_NS

@@ -8,20 +8,23 @@ so that its report does not depend on how the recording was cut.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from itertools import repeat
 from typing import NamedTuple
 
 from robotctl.errors import UnreadableFile
 from robotctl.kernel.types import OdomReceived
 from robotctl.recording import Recording
-from robotctl.recording.format.journal import EntryKind, JournalEntry
+from robotctl.recording.format.journal import EntryKind, JournalEntry, is_snapshot
 from robotctl.recording.read.journal_reader import EntryDecoder
 from robotctl.recording.read.spots import Spot
 from robotctl.rerun.comparison import Comparison
 from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.journal_steps import Step
 from robotctl.rerun.journal_values import read_snapshot
+from robotctl.rerun.ordinary_run import OrdinaryRun, ordinary_runs
 from robotctl.rerun.rare_collections import rare_collections
-from robotctl.rerun.rerun import ConfirmedPiece, Rerun
+from robotctl.rerun.rerun import Agreed, ConfirmedPiece, Rerun
 
 MAX_UNUSED = 1000
 """A piece with more odometry that the kernel did not take as new is left to the check."""
@@ -50,26 +53,29 @@ def confirmed_pieces(
     found: dict[Position, ConfirmedPiece] = {}
     decoder = EntryDecoder(recording)
     piece: _Piece | None = None
-    start = position = Position(*begin, -1)
+    place, number, is_beyond = begin, -1, False
+    start = Position(*begin, -1)
     for spot, message in recording.messages_from(topic, begin):
-        number = position.number + 1 if spot == position[:2] else 0
-        position = Position(*spot, number)
-        is_beyond = end is not None and spot >= end
-        try:
-            entry = None if message is None else decoder.decode(message.data)
-            if entry is None:
-                piece = None
-            elif entry.kind is EntryKind.SNAPSHOT:
-                if piece is not None and piece.ends_with(entry):
-                    found[start] = piece.confirmed()
-                piece = None if is_beyond else _Piece(version, entry)
-                start = position
-            elif piece is not None and not piece.add(entry):
-                piece = None
-        except UnreadableFile:
-            piece = None
+        number += 1
+        if spot is not place:
+            place, number = spot, 0
+            is_beyond = end is not None and spot >= end
         if is_beyond and piece is None:
             break
+        if message is None:
+            piece = None
+        elif piece is not None or is_snapshot(message.data):
+            try:
+                entry = decoder.decode(message.data)
+                if entry.kind is EntryKind.SNAPSHOT:
+                    if piece is not None and piece.ends_with(entry):
+                        found[start] = piece.confirmed()
+                    piece = None if is_beyond else _Piece(version, entry)
+                    start = Position(*spot, number)
+                elif piece is not None and not piece.add(entry):
+                    piece = None
+            except UnreadableFile:
+                piece = None
     return found
 
 
@@ -98,15 +104,18 @@ class _Piece:
 
     def add(self, entry: JournalEntry) -> bool:
         """Take an event or an effect; return whether the piece is right so far."""
-        self._follow(entry)
-        if entry.kind is EntryKind.EVENT:
-            if len(self._steps) >= MAX_STEPS:
+        if entry.seq != self._seq + 1:
+            return False
+        self._seq = entry.seq
+        steps = self._steps
+        if entry.kind is EntryKind.EFFECT:
+            if not steps:
+                return False
+            steps[-1].effects.append(entry)
+        else:
+            if len(steps) >= MAX_STEPS:
                 self._take_steps()
             self._steps.append(Step(entry))
-        elif self._steps:
-            self._steps[-1].effects.append(entry)
-        else:
-            self._is_right = False
         return self._is_right
 
     def ends_with(self, snapshot: JournalEntry) -> bool:
@@ -115,24 +124,31 @@ class _Piece:
         Raises:
             UnreadableFile: It cannot be read.
         """
-        self._follow(snapshot)
         self._take_steps()
         return (
             self._is_right
+            and snapshot.seq == self._seq + 1
             and self._rerun.snapshot(snapshot)[1] is None
             and not self._invariants.count
         )
 
-    def _follow(self, entry: JournalEntry) -> None:
-        self._is_right = self._is_right and entry.seq == self._seq + 1
-        self._seq = entry.seq
-
     def _take_steps(self) -> None:
         steps, self._steps = self._steps, []
         agreed = self._rerun.ahead(steps) if self._is_right else []
+        for part in ordinary_runs(zip(steps, repeat((0, 0)), strict=False), agreed, ()):
+            if isinstance(part, OrdinaryRun):
+                self._invariants.run(part, was_checked=False)
+                self._note_unused(part.by_kind[OdomReceived])
+            elif part[2] is not None:
+                self._invariants.step(part[2].seq, part[2].event, part[2].effects)
+                self._note_unused([part[2]])
         is_whole = len(agreed) == len(steps) and len(self._unused) <= MAX_UNUSED
         self._is_right = self._is_right and is_whole
-        for seq, event, effects, odometry_t_ns, _, _ in agreed:
-            self._invariants.step(seq, event, effects)
-            if isinstance(event, OdomReceived) and odometry_t_ns != event.t_ns:
-                self._unused.add(seq)
+
+    def _note_unused(self, steps: Iterable[Agreed]) -> None:
+        self._unused.update(
+            step.seq
+            for step in steps
+            if isinstance(step.event, OdomReceived)
+            and step.measured.odometry_t_ns != step.event.t_ns
+        )

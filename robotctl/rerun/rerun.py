@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from itertools import repeat
+from itertools import chain, repeat
 from typing import Any, NamedTuple
 
 from robotctl.errors import UnreadableFile
@@ -60,9 +60,13 @@ class Agreed(NamedTuple):
     seq: int
     event: Event
     effects: tuple[Effect, ...]
-    odometry_t_ns: int
-    battery_level: float | None
-    moments: Moments
+    measured: Measured
+    log_times: LogTimes
+
+    @property
+    def moments(self) -> Moments:
+        """When it was handled."""
+        return self.event.t_ns, *self.log_times
 
 
 class Rerun:
@@ -177,17 +181,14 @@ class Rerun:
         if self._followed is not None:
             return _followed_steps(self._followed, steps, log_times)
         before = kernel.params, kernel.state
-        events: list[Event] = []
-        with suppress(UnreadableFile):
-            for step in steps:
-                events.append(read_event(step.event))  # noqa: PERF401 - an error keeps the others
+        events = _read_events(steps)
         agreed: list[Agreed] = []
         with suppress(*KERNEL_FAILURES):
-            for step, event, (begin_ns, end_ns) in zip(steps, events, log_times, strict=False):
-                effects, health = kernel.step(event), kernel.state.health
-                measured = health.odometry_t_ns, health.battery_level
-                moments = event.t_ns, begin_ns, end_ns
-                agreed.append(_new(Agreed, (step.event.seq, event, effects, *measured, moments)))
+            for step, event, times in zip(steps, events, log_times, strict=False):
+                effects = kernel.step(event)
+                agreed.append(
+                    _new(Agreed, (step.event.seq, event, effects, kernel.state.health, times))
+                )
         count = self._agreeing(steps, agreed)
         if count < len(steps):
             del agreed[count:]
@@ -211,14 +212,18 @@ class Rerun:
 
     def _all_agree(self, steps: Sequence[Step], decided: Sequence[Agreed]) -> bool:
         """Return whether many steps were recorded as they were decided."""
-        recorded = [entry for step in steps for entry in step.effects]
-        effects = [effect for each in decided for effect in each.effects]
         entries, events = [step.event for step in steps], [each.event for each in decided]
+        theirs, mine = [step.effects for step in steps], [each.effects for each in decided]
+        if not (
+            [entry.t_ns for entry in entries] == [event.t_ns for event in events]
+            and [*map(len, theirs)] == [*map(len, mine)]
+        ):
+            return False
+        recorded, effects = [*chain.from_iterable(theirs)], [*chain.from_iterable(mine)]
+        times_ns = [step.event.t_ns for step in steps for _ in step.effects]
         return (
-            [(step.event.t_ns, len(step.effects)) for step in steps]
-            == [(each.event.t_ns, len(each.effects)) for each in decided]
-            and [(entry.name, entry.t_ns) for entry in recorded]
-            == [(type(each).__name__, mine.event.t_ns) for mine in decided for each in mine.effects]
+            [entry.t_ns for entry in recorded] == times_ns
+            and [entry.name for entry in recorded] == [type(each).__name__ for each in effects]
             and all(map(self.comparison.same, [entry.data for entry in recorded], effects))
             and (_shapes(entries) <= self._shapes or all(map(self._is_untouched, entries, events)))
         )
@@ -294,18 +299,25 @@ def first_divergence(entries: Iterable[JournalEntry]) -> Divergence | None:
     return None
 
 
+def _read_events(steps: Iterable[Step]) -> list[Event]:
+    """Return the events of many steps, up to the first that cannot be read."""
+    events: list[Event] = []
+    with suppress(UnreadableFile):
+        for step in steps:
+            events.append(read_event(step.event))  # noqa: PERF401 - an error keeps the others
+    return events
+
+
 def _followed_steps(
     followed: Followed, steps: Iterable[Step], log_times: Iterable[LogTimes]
 ) -> list[Agreed]:
     """Return steps that were re-run elsewhere, up to the first that cannot be read."""
     agreed: list[Agreed] = []
     with suppress(UnreadableFile):
-        for step, (begin_ns, end_ns) in zip(steps, log_times, strict=False):
+        for step, times in zip(steps, log_times, strict=False):
             event, effects = read_event(step.event), tuple(map(read_effect, step.effects))
             followed.step(step.event.seq, event)
-            measured = followed.odometry_t_ns, followed.battery_level
-            moments = event.t_ns, begin_ns, end_ns
-            agreed.append(_new(Agreed, (step.event.seq, event, effects, *measured, moments)))
+            agreed.append(Agreed(step.event.seq, event, effects, followed.measurement(), times))
     return agreed
 
 

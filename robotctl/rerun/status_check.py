@@ -108,10 +108,10 @@ class StatusCheck:
         """Take many steps."""
         if not self._times.run(run):
             for step in run.steps:
-                self.step(step.event, step.effects, step, step.moments)
+                self.step(step.event, step.effects, step.measured, step.moments)
             return
         for step in run.by_kind[BatteryReceived]:
-            self._times.level(step.battery_level, step.moments)
+            self._times.level(step.measured.battery_level, step.moments)
 
     def stop(self) -> None:
         """Pause until the next snapshot: events are missing."""

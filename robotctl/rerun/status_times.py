@@ -122,7 +122,7 @@ class StatusTimes:
 
         Return False otherwise; then nothing is taken.
         """
-        times_ns = [self._odometry_ns, *[step.odometry_t_ns for step in run.steps]]
+        times_ns = [self._odometry_ns, *[step.measured.odometry_t_ns for step in run.steps]]
         if max(map(sub, times_ns[1:], times_ns), default=0) > AGE_NS or not run.keeps_clock(
             self._offset_ns
         ):

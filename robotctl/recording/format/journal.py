@@ -42,6 +42,9 @@ _KINDS = tuple(EntryKind)
 _HEAD = struct.Struct("<4sQqBxxxI")
 """Encapsulation (CDR, little endian), then seq, t_ns, kind, padding, length of name."""
 
+_KIND_AT = struct.calcsize("<4sQq")
+_SNAPSHOT = bytes([EntryKind.SNAPSHOT])
+
 _LENGTH = struct.Struct("<I")
 _HEAD_BYTES, _LENGTH_BYTES = _HEAD.size, _LENGTH.size
 
@@ -68,6 +71,11 @@ def chained(serialized: bytes, crc: int) -> int:
 def chained_all(entries: Iterable[bytes], crc: int) -> int:
     """Return what `chained` returns for one entry after the other, in a quarter of the time."""
     return crc32(b"".join([serialized.rstrip(b"\0") for serialized in entries]), crc)
+
+
+def is_snapshot(serialized: bytes) -> bool:
+    """Return whether an entry is a snapshot, without decoding it; the bytes may be anything."""
+    return serialized[_KIND_AT : _KIND_AT + 1] == _SNAPSHOT
 
 
 def decode(serialized: bytes) -> JournalEntry:
