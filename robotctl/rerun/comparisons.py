@@ -17,6 +17,7 @@ from robotctl.rerun.input_check import input_checks
 from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.journal_steps import Moments
 from robotctl.rerun.measured import Measured
+from robotctl.rerun.measurement_order import MeasurementOrder
 from robotctl.rerun.ordinary_run import OrdinaryRun
 from robotctl.rerun.safety_input_check import SafetyInputChecks
 from robotctl.rerun.service_check import ServiceChecks
@@ -31,6 +32,7 @@ class Comparisons:
         clock = ClockChanges()
         self.invariants = Invariants()
         self._ticks = TickSchedule()
+        self._order = MeasurementOrder()
         self._commands = CommandCheck(report, clock)
         self._command_topic = command_topic(info, journal_topic)
         self._inputs = input_checks(report, info, journal_topic)
@@ -84,6 +86,7 @@ class Comparisons:
 
         The invariants of a step that `was_checked` elsewhere hold.
         """
+        self._order.step(event, seq)
         self._inputs.step(event, seq)
         self._safety_inputs.step(event, seq)
         self._status.step(event, effects, measured, moments)
@@ -99,6 +102,7 @@ class Comparisons:
 
     def run(self, run: OrdinaryRun, *, was_checked: bool) -> None:
         """Take many ordinary steps, and the messages of commands and inputs among them."""
+        self._order.run(run.steps)
         self._inputs.run(run)
         self._safety_inputs.run(run)
         self._status.run(run)
@@ -111,6 +115,7 @@ class Comparisons:
         """Pause until the next snapshot: events are missing."""
         self.invariants.stop()
         self._ticks.stop()
+        self._order.stop()
         self._commands.stop()
         self._inputs.stop()
         self._safety_inputs.stop()
@@ -125,6 +130,9 @@ class Comparisons:
         self._ticks.stop()
         for found in self._ticks.missing:
             self.invariants.violate(f"{found.ticks} ticks are missing before entry {found.seq}")
+        if swapped := self._order.swapped:
+            text = f"{swapped} measurements are earlier than one before them"
+            self.invariants.violate(f"{text}, the first is entry {self._order.first_seq}")
         self._commands.end(self.invariants, ending(self._command_topic))
         self._inputs.end(self.invariants, ending, end_ns)
         self._safety_inputs.end(self.invariants, ending, end_ns, log_ns)

@@ -25,10 +25,10 @@ from robotctl.rerun.clock_changes import CLOCK_NS
 from robotctl.rerun.journal_steps import Item, LogTimes, Step
 from robotctl.rerun.rerun import Agreed
 
-_MEASUREMENTS: Final = frozenset(
+MEASUREMENTS: Final = frozenset(
     {OdomReceived, BatteryReceived, ScanReceived, GuardedCommandReceived, SafetyInputReceived}
 )
-"""The events that are ordinary without an effect."""
+"""The events that are ordinary without an effect. Each is stamped when it is received."""
 
 Single = tuple[Item, LogTimes, Agreed | None]
 """An item that is compared on its own; with a step what a kernel decided, if it agrees."""
@@ -102,5 +102,5 @@ def ordinary_runs(
 def _is_ordinary(step: Agreed) -> bool:
     kind, effects = type(step.event), step.effects
     if not effects:
-        return kind is Tick or kind in _MEASUREMENTS
+        return kind is Tick or kind in MEASUREMENTS
     return kind is Tick and len(effects) == 1 and type(effects[0]) is PublishTwist
