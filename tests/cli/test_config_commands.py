@@ -75,6 +75,11 @@ def test_each_number_of_a_profile_has_its_source(profile: Profile) -> None:
     assert [line for line in numbers if not re.search(r"# (source: \w|ours)", line)] == []
 
 
+@pytest.mark.parametrize("profile", PROFILES)
+def test_each_profile_says_in_which_unit_the_battery_counts(profile: Profile) -> None:
+    assert "battery.scale: " in profile.path.read_text()
+
+
 def test_every_file_of_a_robot_is_a_profile() -> None:
     files = Profile.HUSKY.path.parent.glob("*.yaml")
     assert {path.stem for path in files} == {profile.value for profile in Profile}

@@ -145,7 +145,7 @@ class VirtualTime(threading.Event):
         self.watchdog = Watchdog(rate_hz, gate, lambda: self.now_ns, self)
         with self.watchdog:
             self.watchdog.ping()
-            assert self.over.wait(DEADLINE_S)
+            assert self.over.wait(DEADLINE_S), self.watchdog.take()  # why its thread has failed
 
 
 @pytest.mark.parametrize(
