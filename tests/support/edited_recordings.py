@@ -18,6 +18,7 @@ from robotctl.recording.format.rosbag2 import METADATA_RECORD, BagFile, serializ
 from robotctl.recording.format.topics import Topic
 from robotctl.recording.write.buffer import pack
 from robotctl.recording.write.chunk_encoder import ChunkEncoder
+from robotctl.recording.write.file_seal import FileSeal, Sealer
 from robotctl.recording.write.mcap_writer import McapFile
 from robotctl.testing.drives import Written, record
 
@@ -88,13 +89,16 @@ def contents_of(path: Path) -> Contents:
     return Contents(library, types, messages, metadata)
 
 
-def write_contents(folder: Path, contents: Contents) -> Path:
+def write_contents(folder: Path, contents: Contents, sealer: Sealer | None = None) -> Path:
     """Write a recording of one file into a new folder, and return the folder."""
     folder.mkdir(parents=True)
     found = Counter(each.topic for each in contents.messages)
     target = folder / f"{folder.name}_0.mcap"
     with new_file(target) as storage:
-        mcap = McapFile(storage, profile="ros2", library=contents.library)
+        seal = None if sealer is None else FileSeal(sealer)
+        mcap = McapFile(storage, profile="ros2", library=contents.library, seal=seal)
+        if seal is not None:
+            mcap.add_sealed(seal.open(target.name))
         ledger = None
         for name, values in contents.metadata:
             if name == LEDGER_RECORD:

@@ -5,10 +5,27 @@ from __future__ import annotations
 from pathlib import Path
 
 from robotctl.recording import Compression, Recorder, RecorderOptions
+from robotctl.recording.format.seal_records import Link, Opening, SealOfFile
 from robotctl.recording.seal.keyring import Keyring
+from robotctl.recording.seal.signatures import SEED_BYTES, SigningKey
 from robotctl.recording.write.file_seal import Sealer
 from robotctl.testing.drives import TWIST
 from tests.support.recordings import write_numbered
+
+
+class Forger:
+    """Seals a file under the opening of another one, without its private key."""
+
+    def __init__(self, opening: Opening) -> None:
+        self._opening = opening
+        self._key = SigningKey(bytes(SEED_BYTES))
+
+    def open_file(self, file: str) -> SealOfFile:
+        """Claim to be the original."""
+        return SealOfFile(self._opening, self._key.sign)
+
+    def keep(self, opening: Opening, link: Link, *, closed: bool) -> None:
+        """Keep nothing: the robot's list of heads is out of reach."""
 
 
 def keyring(folder: Path, robot: str = "robot") -> Keyring:

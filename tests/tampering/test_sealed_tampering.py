@@ -1,0 +1,91 @@
+"""Every edit of a sealed recording is found by its seal, also one that looks honest without it.
+
+The forger edits consistently, hashes the chain again, and lacks only the private key.
+"""
+
+from __future__ import annotations
+
+from itertools import islice
+from pathlib import Path
+from random import Random
+from shutil import rmtree
+
+import pytest
+
+from robotctl.recording.format.seal_records import Opening
+from robotctl.recording.read.verified import Proof, verify_recording
+from robotctl.recording.write import file_seal
+from tests.support.edited_recordings import Contents, write_contents
+from tests.support.sealed import Forger, keyring
+from tests.tampering.kinds import ACCEPTED
+from tests.tampering.sources import sources
+from tests.tampering.test_tampering import edits
+
+ATTEMPTS = 60
+MANY = 10_000
+
+
+@pytest.fixture(autouse=True)
+def _a_link_at_each_commit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(file_seal, "LINK_PERIOD_S", 0.0)
+
+
+@pytest.fixture(scope="module")
+def honest(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Contents]:
+    return sources(tmp_path_factory.mktemp("honest"))
+
+
+@pytest.fixture
+def forger(tmp_path: Path, honest: dict[str, Contents]) -> Forger:
+    return Forger(opening_of(tmp_path, honest["stopped"]))
+
+
+def opening_of(tmp_path: Path, contents: Contents) -> Opening:
+    """Seal a recording with the robot's key; return the opening of its seal."""
+    found = verify_recording(
+        write_contents(tmp_path / "sealed" / "run", contents, keyring(tmp_path / "keys"))
+    )
+    assert (found.proof, found.wrong) == (Proof.SEALED, ())
+    opening = found.files[0].seal.opening
+    assert opening is not None
+    return opening
+
+
+def is_found(tmp_path: Path, edited: Contents, forger: Forger) -> bool:
+    """Return whether the seal is broken, and tells between which bytes."""
+    found = verify_recording(write_contents(tmp_path / "run", edited, forger))
+    rmtree(tmp_path / "run")
+    return found.proof is Proof.BROKEN and any("between byte" in each for each in found.wrong)
+
+
+def missed(
+    tmp_path: Path, honest: dict[str, Contents], forger: Forger, seed: int, count: int
+) -> list[str]:
+    """Return the edits that the seal does not show, of so many."""
+    return [
+        f"{name} ({recording}, {place})"
+        for (name, _, recording, place), edited in islice(edits(honest, seed), count)
+        if not is_found(tmp_path, edited, forger)
+    ]
+
+
+def test_edits_of_a_sealed_recording_are_found(
+    tmp_path: Path, honest: dict[str, Contents], forger: Forger
+) -> None:
+    assert missed(tmp_path, honest, forger, 1, ATTEMPTS) == []
+
+
+@pytest.mark.slow
+def test_thousands_of_edits_of_a_sealed_recording_are_found(
+    tmp_path: Path, honest: dict[str, Contents], forger: Forger
+) -> None:
+    assert missed(tmp_path, honest, forger, 2, MANY) == []
+
+
+@pytest.mark.parametrize("name", ACCEPTED)
+def test_what_looks_honest_without_a_seal_is_found_with_it(
+    tmp_path: Path, honest: dict[str, Contents], forger: Forger, name: str
+) -> None:
+    kind, _ = ACCEPTED[name]
+    recording = "pressed" if "button" in name else "stopped"
+    assert is_found(tmp_path, kind(honest[recording], Random(1)), forger)
