@@ -56,6 +56,11 @@ BAD = {
         "'zip' is not allowed: use zstd, lz4, none",
     ),
     "no topic": ("odometry.topic: ''", "odometry.topic: '' is not allowed: use the name of a ROS"),
+    "group with a line break": (
+        'socket.group: "a\\nb"',
+        "socket.group: 'a\\nb' is not allowed: use the name of a Unix group",
+    ),
+    "number for a group": ("socket.group: 100", "socket.group: 100 is not allowed: use the name"),
     "topic with a space": ("command.topic: 'a b'", "command.topic: 'a b' is not allowed"),
     "topic with //": ("battery.topic: 'a//b'", "battery.topic: 'a//b' is not allowed"),
     "number for a topic": ("command.topic: 3", "command.topic: 3 is not allowed"),

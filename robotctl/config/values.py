@@ -17,6 +17,9 @@ _FRAME = re.compile(r"[A-Za-z0-9_/]{1,200}")
 _PATTERN = re.compile(r"(?:type:|(?=[/*?\[]))[A-Za-z0-9_/*?!\[\]-]{1,300}")
 MAX_RATE_HZ = 1e5
 RATES_HELP = 'use topics, globs or types with rates, such as {"/camera/*": 5}'
+MAX_GROUP_NAME = 256
+"""Longer than a name of group(5) or of a directory service."""
+
 PATTERN_HELP = "a topic (/scan), a glob (/camera/*) or a type (type:sensor_msgs/msg/Image)"
 
 
@@ -49,6 +52,8 @@ def checked_value(key: str, value: object, kind: Any, metadata: Mapping[str, Any
     if metadata.get("frame") and not _is_frame(value, optional=metadata["optional"]):
         none = ', or "" for any' if metadata["optional"] else ""
         raise not_allowed(key, value, f"use the name of a frame, such as base_link{none}")
+    if metadata.get("group") and not _is_group(value):
+        raise not_allowed(key, value, 'use the name of a Unix group, or "" for none')
     if metadata.get("corners") and not _are_corners(value):
         raise not_allowed(key, value, "use 3 to 64 corners, such as 0,0 2,0 2,1")
     if type(value) is not kind:
@@ -59,6 +64,10 @@ def checked_value(key: str, value: object, kind: Any, metadata: Mapping[str, Any
         if not low <= value <= high:
             raise not_allowed(key, value, f"use {low} to {high}")
     return value
+
+
+def _is_group(value: object) -> bool:
+    return isinstance(value, str) and value.isprintable() and len(value) <= MAX_GROUP_NAME
 
 
 def _are_corners(value: object) -> bool:

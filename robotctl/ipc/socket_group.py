@@ -55,22 +55,25 @@ def open_folder(path: Path, group: SocketGroup | None) -> None:
         UsageError: The folder is open to another group, or its members cannot reach it.
     """
     folder = path.parent
-    found = folder.stat()
-    is_shared = stat.S_IMODE(found.st_mode) == SHARED_MODE and any(
-        other != path for other in folder.glob("*.sock")
-    )
-    if group is None:
-        if not is_shared:
-            folder.chmod(PRIVATE_MODE)
-        return
-    if is_shared and found.st_gid != group.gid:
-        raise UsageError(
-            f"{folder} is open to group {found.st_gid}, for another robot",
-            f"start this robot with another {RUNTIME_VARIABLE}",
-        )
-    _check_reachable(folder.parent, group)
-    os.chown(folder, -1, group.gid)
-    folder.chmod(SHARED_MODE)
+    others = any(other != path for other in folder.glob("*.sock"))
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+    try:
+        found = os.fstat(descriptor)
+        is_shared = others and stat.S_IMODE(found.st_mode) == SHARED_MODE
+        if group is None:
+            if not is_shared:
+                os.fchmod(descriptor, PRIVATE_MODE)
+            return
+        if is_shared and found.st_gid != group.gid:
+            raise UsageError(
+                f"{folder} is open to group {found.st_gid}, for another robot",
+                f"start this robot with another {RUNTIME_VARIABLE}",
+            )
+        _check_reachable(folder.parent, group)
+        os.fchown(descriptor, -1, group.gid)
+        os.fchmod(descriptor, SHARED_MODE)
+    finally:
+        os.close(descriptor)
 
 
 def open_socket(path: Path, group: SocketGroup) -> None:
