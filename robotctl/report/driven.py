@@ -12,6 +12,11 @@ SPACING_M: Final = 0.002
 MAX_COORDINATE_M: Final = 1e6
 
 
+def is_on_earth(x: float, y: float) -> bool:
+    """Return whether a position is finite, and no further away than any robot drives."""
+    return isfinite(x) and isfinite(y) and max(abs(x), abs(y)) <= MAX_COORDINATE_M
+
+
 class Place(NamedTuple):
     """A position [m] and when the robot was there [s]."""
 
@@ -29,8 +34,8 @@ class DrivenPath:
         self._last: Place | None = None
 
     def add(self, t_s: float, x: float, y: float) -> None:
-        """Take a position; one that is not finite, or out of this world, is left out."""
-        if not (isfinite(x) and isfinite(y) and max(abs(x), abs(y)) <= MAX_COORDINATE_M):
+        """Take a position; one that cannot be true is left out."""
+        if not is_on_earth(x, y):
             return
         self._last = Place(t_s, x, y)
         if self.places:

@@ -28,7 +28,13 @@ from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.event_kind import EventKind
 from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.report.traces import EndedDrive, Traces
-from robotctl.rerun.journal_values import decide, read_effect, read_event, read_snapshot
+from robotctl.rerun.journal_values import (
+    KERNEL_FAILURES,
+    decide,
+    read_effect,
+    read_event,
+    read_snapshot,
+)
 from robotctl.rerun.sentences import sentence_of
 
 MS_PER_NS: Final = 1e-6
@@ -89,7 +95,7 @@ class JournalTraces:
                 odometry = event.odometry
                 if is_finite(odometry):
                     traces.driven.add(t_s, odometry.pose.x, odometry.pose.y)
-                    self._follow(odometry.pose, t_s)
+                    self._follow_safely(odometry.pose, t_s)
                 traces.linear.add(t_s, odometry.velocity.linear)
                 traces.angular.add(t_s, odometry.velocity.angular)
             case BatteryReceived() if kernel is not None:
@@ -109,6 +115,14 @@ class JournalTraces:
         if kernel is not None and before_ns is not None:
             due_ns = before_ns + (event.missed + 1) * round(NS_PER_S / kernel.params.rate_hz)
             self._traces.lateness.add(t_s, (event.t_ns - due_ns) * MS_PER_NS)
+
+    def _follow_safely(self, pose: Pose, t_s: float) -> None:
+        """Follow a drive of a state that came from a file, which may be none that a kernel has."""
+        try:
+            self._follow(pose, t_s)
+        except KERNEL_FAILURES as error:
+            self._kernel = None
+            raise UnreadableFile(f"the wanted path cannot be drawn: {error}"[:200]) from None
 
     def _follow(self, pose: Pose, t_s: float) -> None:
         """Note how far a robot at this pose is from its path, and a path that is new."""

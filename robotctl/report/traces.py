@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from robotctl.kernel.types import DriveReport
-from robotctl.report.driven import DrivenPath
+from robotctl.report.driven import DrivenPath, is_on_earth
 from robotctl.report.series import Series
 
 MAX_SPANS: Final = 150
@@ -122,8 +122,9 @@ class Traces:
             self.drives.append(drive)
 
     def want(self, outline: list[Point]) -> None:
-        """Note a wanted path."""
-        if sum(map(len, self.wanted)) + len(outline) <= MAX_WANTED_POINTS:
+        """Note a wanted path; one that leads nowhere is left out."""
+        has_room = sum(map(len, self.wanted)) + len(outline) <= MAX_WANTED_POINTS
+        if outline and has_room and all(is_on_earth(x, y) for x, y in outline):
             self.wanted.append(outline)
         else:
             self.left_out += 1

@@ -53,7 +53,7 @@ def plot(
     folder: RecordingsFolder = None,
     robot: RecordedBy = None,
 ) -> None:
-    """Draw fields of a topic over time, in the terminal or as a picture.
+    """Draw fields of a topic over time, here or as a picture.
 
     A message stands for its numbers, as in pose.pose.position. Without FIELD the numbers of the
     topic are named. `export` writes the numbers themselves. Needs neither ROS nor a daemon.

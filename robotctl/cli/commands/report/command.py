@@ -141,7 +141,7 @@ def _incomplete(paths: list[Path], recorded: list[Recorded]) -> UnreadableFile |
     for path, each in zip(paths, recorded, strict=True):
         if each.missing:
             return UnreadableFile(
-                f"{path} is incomplete: {'; '.join(each.missing)}",
+                f"{path} could not be read completely",
                 f"save what can be read: robotctl recover {shlex.quote(short_path(path))}",
             )
     return None
