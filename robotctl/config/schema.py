@@ -90,7 +90,8 @@ class Config:
 
     `fifo_priority` is the SCHED_FIFO priority of the loop's thread, from 1 (low) to 99; 0 leaves
     the scheduling as it is. `on_recorder_failure` is stop or warn: whether the robot must stop
-    when recording fails.
+    when recording fails. `on_topic_trouble` is warn or refuse: whether a topic of others that is
+    not as expected refuses the start of a motion.
     """
 
     kernel: KernelParams = field(default_factory=KernelParams)
@@ -104,4 +105,10 @@ class Config:
     autostart: bool = setting(True, "mode_service configures and activates itself", Change.START)
     on_recorder_failure: str = setting(
         "stop", "what a failed recorder does", choices=("stop", "warn")
+    )
+    on_topic_trouble: str = setting(
+        "warn",
+        "what a topic that is silent, slow or fast does to the start of a motion",
+        Change.START,
+        choices=("warn", "refuse"),
     )

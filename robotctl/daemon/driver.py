@@ -152,6 +152,8 @@ class Driver:
         )
         self._diagnostics = Diagnostics(session, robot, self.recorder.report, self._status)
         self.recorder.health.on_news = self._diagnostics.publish
+        if host.config.on_topic_trouble == "refuse":
+            self.recorder.health.on_troubles = host.supervisor.topics_in_trouble
         remote = RemoteRequests(self._velocity.gid)
         self._inputs = Inputs(self._control, self._robot_report, remote.is_remote)
         self._odometry = OdomSubscriber(

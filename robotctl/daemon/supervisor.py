@@ -79,8 +79,15 @@ class Supervisor:
 
     def unreachable(self, problem: str) -> None:
         """Report the problem that makes the control socket unreachable, "" once it is over."""
+        self._report_state(Cause.UNREACHABLE, problem)
+
+    def topics_in_trouble(self, problem: str) -> None:
+        """Report which topics of others are not as expected, "" once all are."""
+        self._report_state(Cause.TOPIC_TROUBLE, problem)
+
+    def _report_state(self, cause: Cause, problem: str) -> None:
         if self._dispatch is not None:
-            now, cause = time.monotonic_ns(), Cause.UNREACHABLE
+            now = time.monotonic_ns()
             self._dispatch(
                 FaultReported(now, cause, problem[:MAX_DETAIL])
                 if problem

@@ -118,3 +118,5 @@ def cure_of(remedy: Remedy, robot: str) -> str:
             return f"wait until it is released; {idle} and {command_for(robot, 'estop')} still stop"
         case Remedy.SET_COMMAND_TYPE:
             return "set command.stamped to true for TwistStamped, or to false for Twist"
+        case Remedy.CHECK_TOPIC:
+            return "check the node that publishes it, recording.expected_rates, or on_topic_trouble"

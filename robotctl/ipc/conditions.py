@@ -66,5 +66,7 @@ def condition_of(cause: Cause) -> str:
             return "a node takes the commands"
         case Cause.COMMAND_TYPES_MIXED:
             return "one type of command wanted"
+        case Cause.TOPIC_TROUBLE:
+            return "topics of others as expected"
         case _:
             assert_never(cause)

@@ -42,6 +42,7 @@ class Remedy(Enum):
     ASK_HERE = "ask on this host"
     WAIT_FOR_LEASE = "wait for the lease"
     SET_COMMAND_TYPE = "set the command's type"
+    CHECK_TOPIC = "check the topic's publisher"
 
 
 RESETTING = frozenset({Remedy.RELEASE_STOP, Remedy.CLEAR_ERROR, Remedy.RESET})

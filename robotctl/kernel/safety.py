@@ -156,6 +156,13 @@ RULES: tuple[Rule, ...] = (
         Remedy.SET_COMMAND_TYPE,
     ),
     _rule(
+        Cause.TOPIC_TROUBLE,
+        Mode.ERROR,
+        _NEVER,
+        checks.reported(Cause.TOPIC_TROUBLE),
+        Remedy.CHECK_TOPIC,
+    ),
+    _rule(
         Cause.BATTERY_UNKNOWN,
         Mode.ERROR,
         _MOVING,

@@ -21,6 +21,7 @@ SLACK_S = 1.5
 
 CONFIG = f"""{PATIENT}
 recording.expected_rates: {{"/scan": {SCAN_HZ:g}}}
+on_topic_trouble: refuse
 recording.throttle: {{"/camera/*": {KEPT_HZ:g}, "/odom": 1}}
 """
 
@@ -50,11 +51,13 @@ def test_a_sensor_that_stops_is_named_and_a_throttled_recording_is_the_same() ->
         with publishing(world, "camera", "/camera/image", CAMERA_HZ):
             with publishing(world, "lidar", "/scan", SCAN_HZ):
                 world.ok("start", "--sim", "--config", str(config))
-                world.ok("drive", "circle")
+                until(lambda: world.here("drive", "circle").exit_code == 0)
                 until(lambda: topic(world, "/camera/image")["throttled"] > 50)
                 until(lambda: topic(world, "/scan")["count"] > 20)
             stopped_s = time.time()
             (told,) = until(lambda: warnings(world, "/scan is silent"))
+            world.ok("set-mode", "idle")
+            refused = world.robotctl("drive", "circle")
             (screen,) = until(
                 lambda: [line for line in world.ok("status").splitlines() if " throttled" in line]
             )
@@ -68,6 +71,7 @@ def test_a_sensor_that_stops_is_named_and_a_throttled_recording_is_the_same() ->
 
     assert told.endswith(" s, 20 a second are expected")
     assert over.endswith(" s ago")
+    assert (refused.exit_code, "/scan is silent" in refused.err) == (4, True)
     assert camera["count"] + camera["throttled"] > 5 * camera["count"]
     assert (camera["lost"], recorder["lost"], recorder["dropped"]) == (0, 0, 0)
     assert recorder["throttled"] >= camera["throttled"]

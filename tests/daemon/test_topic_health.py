@@ -259,6 +259,18 @@ def test_one_more_publisher_is_no_restart() -> None:
     assert watched.said == []
 
 
+def test_what_refuses_a_start_has_no_numbers_that_change() -> None:
+    names = [f"/t{number}" for number in range(7)]
+    health = TopicHealth(RateByTopic(["/t*=10"]), names, 0.0)
+    assert health.troubles().startswith("/t0 has no message yet, /t1 has no message yet, ")
+    assert health.troubles().endswith(" and 2 more")
+    watched = Watched(regular(0.1, 0.0, 5.0), ["/scan=10"])
+    watched.run(4.0)
+    assert watched.health.troubles() == ""
+    watched.run(9.0)
+    assert watched.health.troubles() == "/scan is silent"
+
+
 def test_at_many_topics_some_are_named_and_the_others_counted() -> None:
     names = [f"/t{number}" for number in range(30)]
     health = TopicHealth(RateByTopic(["/t*=10"]), names, 0.0)

@@ -43,6 +43,7 @@ WANTED: dict[Cause, tuple[Mode, set[Mode]]] = {
     Cause.FOREIGN_PUBLISHER: (ERROR, DRIVING),
     Cause.COMMAND_UNHEARD: (ERROR, NEVER),
     Cause.COMMAND_TYPES_MIXED: (ERROR, NEVER),
+    Cause.TOPIC_TROUBLE: (ERROR, NEVER),
     Cause.BATTERY_UNKNOWN: (ERROR, DRIVING),
 }
 """The table, written a second time in the order of severity: where each cause leads to, from where.

@@ -153,6 +153,7 @@ PROVOKED: dict[Cause, Provoked] = {
             Cause.UNREACHABLE,
             Cause.DAEMON_ENDS,
             Cause.GATE_LOST,
+            Cause.TOPIC_TROUBLE,
         )
     },
     Cause.NOT_ACTIVE: Provoked(

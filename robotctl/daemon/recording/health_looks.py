@@ -18,9 +18,19 @@ class HealthLooks:
         self.on_news: Callable[[], None] = lambda: None
         """Called when a topic has another trouble than before."""
 
+        self.on_troubles: Callable[[str], None] | None = None
+        """Called with what is not as expected when that has changed; "" if nothing is."""
+
+        self._troubles = ""
+
     async def run(self) -> None:
         """Look until cancelled."""
         while True:
+            if self.on_troubles is not None:
+                troubles = self._health.troubles()
+                if troubles != self._troubles:
+                    self._troubles = troubles
+                    self.on_troubles(troubles)
             await asyncio.sleep(LOOK_S)
             if self._health.look(time.monotonic(), time.time_ns()):
                 self.on_news()

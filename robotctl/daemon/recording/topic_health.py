@@ -22,6 +22,7 @@ RECENT_S: Final = 60.0
 """How long a trouble that is over is told."""
 
 MAX_NAMED: Final = 20
+MAX_TROUBLES: Final = 5
 MAX_LOGGED: Final = 1_000
 """Limit on the logged sentences: a topic may stop and go without end."""
 
@@ -152,6 +153,21 @@ class TopicHealth:
         yield from islice(told, MAX_NAMED)
         if len(told) > MAX_NAMED:
             yield f"{len(told) - MAX_NAMED} more topics have other rates than expected"
+
+    def troubles(self) -> str:
+        """Return what is not as expected now, without numbers; "" if nothing is.
+
+        A configured topic without a message is named from the beginning.
+        """
+        found = [
+            f"{topic.name} is {topic.watch.trouble.value}"
+            if topic.count
+            else f"{topic.name} has no message yet"
+            for topic in self._active.values()
+            if topic.watch and (topic.watch.trouble is not Trouble.NONE or not topic.count)
+        ]
+        more = f" and {len(found) - MAX_TROUBLES} more" if len(found) > MAX_TROUBLES else ""
+        return ", ".join(found[:MAX_TROUBLES]) + more
 
     def _look_at(self, topic: _Topic, watch: TopicWatch, now_s: float, *, late: bool) -> bool:
         if late:

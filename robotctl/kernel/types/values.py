@@ -65,6 +65,7 @@ class Cause(Enum):
     FOREIGN_PUBLISHER = "foreign publisher"
     COMMAND_UNHEARD = "command unheard"
     COMMAND_TYPES_MIXED = "command types mixed"
+    TOPIC_TROUBLE = "topic trouble"
     TICK_OVERRUN = "tick overrun"
     BATTERY_UNKNOWN = "battery unknown"
     OPERATOR_ERROR = "operator error"
