@@ -150,7 +150,9 @@ def _known(incident: Incident) -> str:
     if health.odometry is None:
         facts.append("no odometry yet")
     else:
-        facts.append(f"odometry {span(incident.t_ns - health.odometry_t_ns)} old")
+        # It may have come while a late tick was due.
+        age_ns = max(incident.t_ns - health.odometry_t_ns, 0)
+        facts.append(f"odometry {span(age_ns)} old")
     if incident.params.battery.topic:
         level = health.battery_level
         facts.append("battery unknown" if level is None else f"battery {level:.0%}")
