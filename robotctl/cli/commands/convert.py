@@ -29,7 +29,7 @@ def convert(
     source: Annotated[
         str,
         typer.Argument(
-            metavar="IN", help="A recording or a bag, in MCAP or sqlite3: folder, file or name."
+            metavar="FILE", help="A recording or a bag, in MCAP or sqlite3: folder, file or name."
         ),
     ],
     target: Annotated[

@@ -52,7 +52,7 @@ def export(
             metavar="FILE", help="An MCAP file, a recording's folder or name, or `last`."
         ),
     ],
-    topic: Annotated[str, typer.Option(metavar="NAME", help="The topic, such as /odom.")],
+    topic: Annotated[str, typer.Option(metavar="TOPIC", help="The topic, such as /odom.")],
     as_csv: Annotated[
         bool, typer.Option("--csv", help="CSV with a header [default, unless OUT says another].")
     ] = False,

@@ -16,6 +16,7 @@ OTHER_WORDS = {
     "launch": "`robotctl start` starts the daemon",
     "bag": "`robotctl start` records everything; see `robotctl recordings`, `robotctl replay`",
     "play": "`robotctl replay FILE` plays a recording to ROS",
+    "csv": "`robotctl export FILE --topic TOPIC` writes a topic as CSV",
     "rm": "`robotctl recordings rm NAME` removes a recording",
     "delete": "`robotctl recordings rm NAME` removes a recording",
     "ls": "`robotctl recordings` lists recordings, `robotctl ps` robots",
