@@ -21,6 +21,7 @@ from robotctl.rerun.measurement_order import MeasurementOrder
 from robotctl.rerun.ordinary_run import OrdinaryRun
 from robotctl.rerun.safety_input_check import SafetyInputChecks
 from robotctl.rerun.service_check import ServiceChecks
+from robotctl.rerun.stalls import Stalls
 from robotctl.rerun.status_check import StatusCheck
 from robotctl.rerun.tick_schedule import TickSchedule
 
@@ -36,7 +37,8 @@ class Comparisons:
         self._commands = CommandCheck(report, clock)
         self._command_topic = command_topic(info, journal_topic)
         self._inputs = input_checks(report, info, journal_topic)
-        self._safety_inputs = SafetyInputChecks(report, info, journal_topic)
+        self._stalls = Stalls()
+        self._safety_inputs = SafetyInputChecks(report, info, journal_topic, self._stalls)
         self.ordinary_topics = {
             *self._inputs.readers(),
             *self._safety_inputs.readers(),
@@ -87,6 +89,7 @@ class Comparisons:
         The invariants of a step that `was_checked` elsewhere hold.
         """
         self._order.step(event, seq)
+        self._stalls.step(event)
         self._inputs.step(event, seq)
         self._safety_inputs.step(event, seq)
         self._status.step(event, effects, measured, moments)
@@ -134,7 +137,7 @@ class Comparisons:
             text = f"{swapped} measurements are earlier than one before them"
             self.invariants.violate(f"{text}, the first is entry {self._order.first_seq}")
         self._commands.end(self.invariants, ending(self._command_topic))
-        self._inputs.end(self.invariants, ending, end_ns)
+        self._inputs.end(self.invariants, ending, end_ns, self._stalls.recent_ns(end_ns))
         self._safety_inputs.end(self.invariants, ending, end_ns, log_ns)
         self._services.end(self.invariants, ending, end_ns, log_ns)
         self._status.end(self.invariants, ending(self._status.topic), log_ns)

@@ -131,10 +131,10 @@ class InputCheck:
         self.is_on = False
         self._pairs.forget()
 
-    def end(self, invariants: Invariants, ending: Ending, end_ns: int) -> None:
-        """Report what differs."""
+    def end(self, invariants: Invariants, ending: Ending, end_ns: int, stalled_ns: int) -> None:
+        """Report what differs; the journal ends at `end_ns`, after stalls of `stalled_ns`."""
         pairs, report = self._pairs, self._report
-        pairs.end(end_ns)
+        pairs.end(end_ns, stalled_ns)
         is_recorded = self.topic is not None
         report_inputs(report, invariants, self._name, pairs, ending, is_recorded=is_recorded)
         if pairs.unheard and pairs.has_one_publisher and self._is_always_heard:
@@ -205,11 +205,18 @@ class Inputs:
             each.stop()
 
     def end(
-        self, invariants: Invariants, ending: Callable[[str | None], Ending], end_ns: int
+        self,
+        invariants: Invariants,
+        ending: Callable[[str | None], Ending],
+        end_ns: int,
+        stalled_ns: int,
     ) -> None:
-        """Report what differs; `ending(topic)` tells how the recording ends for a topic."""
+        """Report what differs; `ending(topic)` tells how the recording ends for a topic.
+
+        The journal ends at `end_ns`, shortly after stalls of `stalled_ns`.
+        """
         for each in self._all:
-            each.end(invariants, ending(each.topic), end_ns)
+            each.end(invariants, ending(each.topic), end_ns, stalled_ns)
 
 
 _TYPES: Mapping[str, str] = {

@@ -159,14 +159,21 @@ class InputPairs:
         self._inputs.clear()
         self._messages.clear()
 
-    def end(self, t_ns: int) -> int:
-        """Count what still waits at the journal's end `t_ns`; return the inputs near the end."""
+    def end(self, t_ns: int, stalled_ns: int = 0) -> int:
+        """Count what still waits at the journal's end `t_ns`; return the inputs near the end.
+
+        The last messages were held up by stalls of `stalled_ns`.
+        """
         near = 0
         newest = max(self._messages, default=0) if self.has_one_publisher else 0
         for sequence, inputs in self._inputs.items():
             for each in inputs:
                 is_last = sequence > max(newest, self._found.get(each.source, 0))
-                if is_last and sequence not in self._messages and t_ns - each.t_ns <= EDGE_NS:
+                if (
+                    is_last
+                    and sequence not in self._messages
+                    and t_ns - each.t_ns <= EDGE_NS + stalled_ns
+                ):
                     near += 1
                 else:
                     self._lack(sequence, each)

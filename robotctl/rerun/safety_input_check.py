@@ -11,7 +11,7 @@ from typing import Final
 
 from robotctl.cdr.safety_inputs import MESSAGE_TYPES, reader_of
 from robotctl.kernel.safety_inputs import REPEATS_PER_TIMEOUT, SafetyInput, SafetyInputParams, Use
-from robotctl.kernel.types import Event, LoopStalled, SafetyInputReceived
+from robotctl.kernel.types import Event, SafetyInputReceived
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import RecordingInfo
 from robotctl.recording.format.metadata_names import INFO_RECORD
@@ -26,6 +26,7 @@ from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.ordinary_run import OrdinaryRun
 from robotctl.rerun.own_topics import full_name
 from robotctl.rerun.said_diagnoses import SaidDiagnoses
+from robotctl.rerun.stalls import Stalls
 from robotctl.rerun.unheard_change import Shown, UnheardChange
 
 NAMES: Final = {
@@ -100,14 +101,14 @@ class SafetyInputCheck:
         self._unheard.forget()
 
     def end(
-        self, invariants: Invariants, ending: Ending, end_ns: int, log_ns: int, stall_ns: int
+        self, invariants: Invariants, ending: Ending, end_ns: int, log_ns: int, stalls: Stalls
     ) -> None:
         """Report what differs; times are as for `SafetyInputChecks.end`."""
         pairs, report = self._pairs, self._report
-        pairs.end(end_ns)
+        pairs.end(end_ns, stalls.recent_ns(end_ns))
         is_recorded = self.topic is not None
         report_inputs(report, invariants, self._name, pairs, ending, is_recorded=is_recorded)
-        self._unheard.end(log_ns, stall_ns)
+        self._unheard.end(log_ns, stalls.longest_ns)
         if self._unheard.example and pairs.has_one_publisher:
             report.miss(f"the journal does not hold {self._unheard.example} of {self._name}")
         unsaid = [] if self._diagnoses is None else self._diagnoses.unsaid()
@@ -119,9 +120,11 @@ class SafetyInputCheck:
 class SafetyInputChecks:
     """The checks of all safety inputs that the configuration uses."""
 
-    def __init__(self, report: Report, info: RecordingInfo, journal_topic: str) -> None:
-        """Take the configuration from the metadata."""
-        self._stall_ns = 0
+    def __init__(
+        self, report: Report, info: RecordingInfo, journal_topic: str, stalls: Stalls
+    ) -> None:
+        """Take the configuration from the metadata; `stalls` are those of the journal."""
+        self._stalls = stalls
         self._checks = {
             kind: SafetyInputCheck(report, info, kind, _topic(info, journal_topic, kind))
             for kind in SafetyInput
@@ -144,8 +147,6 @@ class SafetyInputChecks:
             check = self._checks.get(event.kind)
             if check is not None and event.sequence:  # 0: before it was told
                 check.received(event, seq)
-        elif isinstance(event, LoopStalled):
-            self._stall_ns = max(self._stall_ns, round(event.stalled_s * NS_PER_S))
 
     def run(self, run: OrdinaryRun) -> None:
         """Take many steps and messages."""
@@ -158,7 +159,7 @@ class SafetyInputChecks:
     def snapshot(self, has_proof: bool) -> None:
         """Take a snapshot."""
         for each in self._checks.values():
-            each.snapshot(has_proof, self._stall_ns)
+            each.snapshot(has_proof, self._stalls.longest_ns)
 
     def stop(self) -> None:
         """Pause until the next snapshot."""
@@ -174,7 +175,7 @@ class SafetyInputChecks:
     ) -> None:
         """Report what differs; the journal ends at `end_ns`, since the epoch at `log_ns`."""
         for each in self._checks.values():
-            each.end(invariants, ending(each.topic), end_ns, log_ns, self._stall_ns)
+            each.end(invariants, ending(each.topic), end_ns, log_ns, self._stalls)
 
 
 def _is_used(info: RecordingInfo, kind: SafetyInput) -> bool:

@@ -9,11 +9,13 @@ from pathlib import Path
 
 import pytest
 
+from robotctl.kernel.types import Event, LoopStalled
 from robotctl.recording.format.journal import EntryKind, decode
 from robotctl.recording.format.metadata_names import LEDGER_RECORD
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Report, Verdict
 from robotctl.rerun.command_bytes import is_zero, numbers_of
+from robotctl.testing.drives import BEGIN_NS, drive_requested
 from robotctl.testing.hearing import BATTERY, ODOMETRY
 from tests.support.edited_recordings import Contents, Stored, edit, write_contents
 from tests.support.heard_drives import COMMANDS, JOURNAL, heard_drive
@@ -129,6 +131,21 @@ def test_the_last_message_with_another_number_is_missed(
     )
     if not closed:
         edited.metadata = [each for each in edited.metadata if each[0] != LEDGER_RECORD]
+    assert check(tmp_path, edited).verdict.value == verdict
+
+
+@pytest.mark.parametrize(("stalled_s", "verdict"), [(0.0, "incomplete"), (0.3, "same")])
+def test_a_stall_before_the_end_holds_up_the_last_messages(
+    tmp_path: Path, stalled_s: float, verdict: str
+) -> None:
+    stall = LoopStalled(BEGIN_NS + 2_900_000_000, stalled_s, 0, 0, "the machine was busy")
+    requests: list[Event] = [drive_requested(), stall]
+    contents = heard_drive(tmp_path / "made", 3.0, requests=requests)
+    end_ns = contents.messages[-1].log_ns
+    edited = edit(
+        contents, ODOMETRY, lambda at, each: None if end_ns - each.log_ns < 7 * 10**8 else each
+    )
+    edited.metadata = [each for each in edited.metadata if each[0] != LEDGER_RECORD]
     assert check(tmp_path, edited).verdict.value == verdict
 
 
