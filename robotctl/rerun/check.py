@@ -8,7 +8,7 @@ from pathlib import Path
 
 from robotctl.errors import UnreadableFile
 from robotctl.kernel.snapshot import Proof
-from robotctl.kernel.types import Effect, Event
+from robotctl.kernel.types import Effect, Event, Tick
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording, RecordingInfo
 from robotctl.recording.format.journal import JournalEntry
@@ -155,7 +155,7 @@ class _Check:
     def _run(self, run: OrdinaryRun) -> None:
         report, rerun = self._report, self._rerun
         report.events += len(run.steps)
-        report.effects += sum(len(step.effects) for step in run.steps)
+        report.effects += sum([len(step.effects) for step in run.by_kind[Tick]])
         self._compared.run(run, was_checked=rerun is not None and rerun.is_trusting)
 
     def _snapshot(self, entry: JournalEntry) -> None:

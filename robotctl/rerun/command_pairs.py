@@ -208,8 +208,8 @@ class CommandPairs:
             self.message(message.sequence, message.data, message.publish_ns)
         for decided in found.decided_before:
             self._decide(*decided)
-        numbers = range(self._number + 1, self._number + 1 + len(found.decided))
-        self._recent.extend(zip(numbers, (each for each, _ in found.decided), strict=True))
+        numbers = range(self._number + 1, self._number + 1 + len(found.common))
+        self._recent.extend(zip(numbers, found.common, strict=True))
         if self._first is None:
             self._first = numbers[0]
         self._number = self._newest = numbers[-1]
@@ -226,7 +226,7 @@ class CommandPairs:
         """Return whether a run follows what was taken before it, and fits what waits."""
         first = self._number + 1
         begin = first + len(found.decided_before)
-        end = begin + len(found.decided)
+        end = begin + len(found.common)
         return (
             self.is_counting
             and not (self._has_ended or self._instead or self.others.are_waiting)

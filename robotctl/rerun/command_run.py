@@ -12,6 +12,7 @@ from robotctl.rerun.command_bytes import numbers_of, serialized
 from robotctl.rerun.journal_steps import Moments
 from robotctl.rerun.lockstep import lockstep
 from robotctl.rerun.ordinary_run import OrdinaryRun
+from robotctl.rerun.rerun import Agreed
 
 LATE_NS: Final = NS_PER_S // 2
 """How far the time of a command may lie outside of its step."""
@@ -21,12 +22,12 @@ Decided = tuple[bytes, Moments]
 
 
 class CommandRun(NamedTuple):
-    """The commands of a run by number: each one `decided` was sent within its step, as decided.
+    """The commands of a run: of those that are `common` each was sent within its step, as decided.
 
     The other messages are of decisions before the run or after it, and the reverse.
     """
 
-    decided: Sequence[Decided]
+    common: Sequence[bytes]
     decided_before: Sequence[Decided]
     decided_after: Sequence[Decided]
     sent_before: Sequence[Message]
@@ -35,9 +36,10 @@ class CommandRun(NamedTuple):
 
 def command_run(run: OrdinaryRun, sent: Sequence[Message], number: int) -> CommandRun | None:
     """Return the commands of a run whose first one has this number, None if any differs."""
+    steps = [step for step in run.by_kind[Tick] if step.effects]
     decided = [
-        (serialized(effect.twist), step.moments)
-        for step in run.by_kind[Tick]
+        serialized(effect.twist)
+        for step in steps
         for effect in step.effects
         if isinstance(effect, PublishTwist)
     ]
@@ -46,20 +48,22 @@ def command_run(run: OrdinaryRun, sent: Sequence[Message], number: int) -> Comma
     if parts is None:
         return None
     of_sent, of_decided = parts
-    common = decided[of_decided]
-    if not _are_sent(common, sent[of_sent]):
+    common, messages = decided[of_decided], sent[of_sent]
+    if common != [numbers_of(each.data) for each in messages]:
+        return None
+    if not all(map(_is_in_time, steps[of_decided], messages)):
         return None
     before, after = slice(of_decided.start), slice(of_decided.stop, None)
     return CommandRun(
-        common, decided[before], decided[after], sent[: of_sent.start], sent[of_sent.stop :]
+        common,
+        [(each, step.moments) for each, step in zip(decided[before], steps[before], strict=True)],
+        [(each, step.moments) for each, step in zip(decided[after], steps[after], strict=True)],
+        sent[: of_sent.start],
+        sent[of_sent.stop :],
     )
 
 
-def _are_sent(decided: Sequence[Decided], messages: Sequence[Message]) -> bool:
-    """Return whether each message is that of a decision, and was sent within its step."""
-    if [numbers for numbers, _ in decided] != [numbers_of(each.data) for each in messages]:
-        return False
-    return all(
-        not end_ns or begin_ns - LATE_NS <= message.publish_ns <= end_ns + LATE_NS
-        for (_, (_, begin_ns, end_ns)), message in zip(decided, messages, strict=True)
-    )
+def _is_in_time(step: Agreed, message: Message) -> bool:
+    """Return whether the command of a step was sent within it."""
+    begin_ns, end_ns = step.log_times
+    return not end_ns or begin_ns - LATE_NS <= message.publish_ns <= end_ns + LATE_NS

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import lru_cache
 from types import MappingProxyType
 from typing import Any, get_args
@@ -30,8 +30,8 @@ _DECODERS: Mapping[Any, msgspec.json.Decoder[Any]] = MappingProxyType(
     }
 )
 
-_QUICK_EVENTS: Mapping[str, Callable[[str], Any]] = MappingProxyType(
-    {name: _DECODERS[kind].decode for name, kind in _EVENTS.items()}
+_QUICK_EVENTS, _QUICK_EFFECTS = (
+    {name: _DECODERS[kind].decode for name, kind in kinds.items()} for kinds in (_EVENTS, _EFFECTS)
 )
 
 _NOT_QUICK = (msgspec.DecodeError, RecursionError)
@@ -60,7 +60,10 @@ def read_effect(entry: JournalEntry) -> Effect:
     Raises:
         UnreadableFile: It is not an effect of this version.
     """
-    effect: Effect = _read(_EFFECTS, "effect", entry)
+    try:
+        effect: Effect = _QUICK_EFFECTS[entry.name](entry.data)
+    except (KeyError, *_NOT_QUICK):
+        effect = _read(_EFFECTS, "effect", entry)
     return effect
 
 

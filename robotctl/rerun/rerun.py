@@ -225,7 +225,7 @@ class Rerun:
             [entry.t_ns for entry in recorded] == times_ns
             and [entry.name for entry in recorded] == [type(each).__name__ for each in effects]
             and all(map(self.comparison.same, [entry.data for entry in recorded], effects))
-            and (_shapes(entries) <= self._shapes or all(map(self._is_untouched, entries, events)))
+            and self._are_untouched(entries, events)
         )
 
     def _is_recorded(self, effect: Effect, recorded: JournalEntry, t_ns: int) -> bool:
@@ -233,6 +233,16 @@ class Rerun:
             recorded.t_ns == t_ns
             and recorded.name == type(effect).__name__
             and self.comparison.same(recorded.data, effect)
+        )
+
+    def _are_untouched(self, entries: Sequence[JournalEntry], events: Sequence[Event]) -> bool:
+        """Return whether all entries are as `_is_untouched` says."""
+        shapes = _shapes(entries)
+        unknown = set(shapes) - self._shapes
+        return len(shapes) == len(entries) and all(
+            self._is_untouched(entry, event)
+            for shape, entry, event in zip(shapes, entries, events, strict=True)
+            if shape in unknown
         )
 
     def _is_untouched(self, entry: JournalEntry, event: Event) -> bool:
@@ -326,10 +336,10 @@ def _shape(entry: JournalEntry) -> bytes:
     return entry.data.encode().translate(None, b"0123456789")
 
 
-def _shapes(events: Iterable[JournalEntry]) -> set[bytes]:
-    """Return the shapes of many events; a shape that was correct holds no line break."""
+def _shapes(events: Iterable[JournalEntry]) -> list[bytes]:
+    """Return the shape of each event, or more shapes if a text holds a line break."""
     texts = "\n".join([entry.data for entry in events])
-    return set(texts.encode().translate(None, b"0123456789").split(b"\n"))
+    return texts.encode().translate(None, b"0123456789").split(b"\n")
 
 
 def _text(entry: JournalEntry) -> str:
