@@ -2,9 +2,10 @@
 
 - `foxglove_messages`, `foxglove_requests`: the protocol, as bytes out and requests in.
 - `admission`: who may connect; `outbox`: what waits for one viewer, bounded.
-- `viewer`: one connection; `view_server`: all of them, and the channels.
+- `viewer`: one connection; `view_server`: all of them, and the channels; `listening`: its socket.
 - `live_view`, `recorded_view`: what feeds it, a ROS domain or a file.
-- `__main__`: the process around them, started by `robotctl view`.
+- `remote_control`: what viewers may do to the robot with `--control`.
+- `serving`, `__main__`: the process around them, started by `robotctl view`.
 
 Only `viewer` needs the `websockets` package, the extra `[view]`.
 """

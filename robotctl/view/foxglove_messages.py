@@ -74,7 +74,7 @@ def server_info(
         "op": "serverInfo",
         "name": name,
         "capabilities": list(capabilities),
-        "supportedEncodings": ["cdr", "json"],
+        "supportedEncodings": ["json"],  # of what a viewer publishes
         "metadata": {"ROS_DISTRO": "jazzy"},
         "sessionId": session_id,
     }

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 _PLAYBACK: Final = struct.Struct("<BfBQI")
+_CLIENT_MESSAGE: Final = struct.Struct("<I")
 _SERVICE_CALL: Final = struct.Struct("<III")
 
 _MAX_ID: Final = (1 << 32) - 1
@@ -51,7 +52,47 @@ class PlaybackRequest:
     request_id: str
 
 
-ViewRequest = Subscribe | Unsubscribe | ServiceCall | PlaybackRequest
+@dataclass(frozen=True, slots=True)
+class Offer:
+    """Offer a channel of the client, with an id of the client."""
+
+    id: int
+    topic: str
+    encoding: str
+    type_name: str
+
+
+@dataclass(frozen=True, slots=True)
+class ClientOffers:
+    """Offer channels of the client."""
+
+    offers: list[Offer]
+
+
+@dataclass(frozen=True, slots=True)
+class ClientWithdrawal:
+    """Offer these channels of the client no longer."""
+
+    ids: list[int]
+
+
+@dataclass(frozen=True, slots=True)
+class ClientMessage:
+    """A message on a channel of the client."""
+
+    id: int
+    data: bytes
+
+
+ViewRequest = (
+    Subscribe
+    | Unsubscribe
+    | ServiceCall
+    | PlaybackRequest
+    | ClientOffers
+    | ClientWithdrawal
+    | ClientMessage
+)
 
 
 def text_request(text: bytes) -> ViewRequest:
@@ -69,8 +110,12 @@ def text_request(text: bytes) -> ViewRequest:
             return Subscribe({_id(each, "id"): _id(each, "channelId") for each in wanted})
         case {"op": "unsubscribe", "subscriptionIds": list(ids)}:
             return Unsubscribe([_checked_id(each) for each in ids])
+        case {"op": "advertise", "channels": list(offers)}:
+            return ClientOffers([_offer(each) for each in offers])
+        case {"op": "unadvertise", "channelIds": list(ids)}:
+            return ClientWithdrawal([_checked_id(each) for each in ids])
         case {"op": str(op)}:
-            raise WrongRequest(f"this server does not take {op[:40]!r}: it is read-only")
+            raise WrongRequest(f"this view does not take {op[:40]!r}")
     raise WrongRequest("a message without an operation")
 
 
@@ -82,13 +127,16 @@ def binary_request(data: bytes) -> ViewRequest:
     """
     opcode, content = data[:1], data[1:]
     try:
+        if opcode == b"\x01":
+            (channel_id,) = _CLIENT_MESSAGE.unpack_from(content)
+            return ClientMessage(channel_id, content[_CLIENT_MESSAGE.size :])
         if opcode == b"\x02":
             return _service_call(content)
         if opcode == b"\x03":
             return _playback(content)
     except (struct.error, UnicodeDecodeError):
         raise WrongRequest("a binary message that is cut off") from None
-    raise WrongRequest("this server does not take messages of clients: it is read-only")
+    raise WrongRequest("a binary message of an unknown kind")
 
 
 def _service_call(content: bytes) -> ServiceCall:
@@ -104,6 +152,18 @@ def _playback(content: bytes) -> PlaybackRequest:
     if not (math.isfinite(rate) and rate > 0.0):
         raise WrongRequest("a playback rate that is not positive")
     return PlaybackRequest(command == 0, rate, seek_ns if seeks else None, request_id.decode())
+
+
+def _offer(given: Any) -> Offer:
+    match given:
+        case {
+            "id": id_,
+            "topic": str(topic),
+            "encoding": str(encoding),
+            "schemaName": str(type_name),
+        }:
+            return Offer(_checked_id(id_), topic, encoding, type_name)
+    raise WrongRequest("a channel without id, topic, encoding or schemaName")
 
 
 def _id(given: Any, name: str) -> int:

@@ -55,7 +55,7 @@ class Serving:
         from robotctl.ros.session import ros_session
         from robotctl.view.live_view import LiveView
 
-        server = ViewServer(f"robotctl: robot {target.robot}", self._admission)
+        server = self._controlled_server(target.robot)
         with pidfd_of(target.daemon_pid) as daemon:
             if daemon is not None:
                 loop = asyncio.get_running_loop()
@@ -64,6 +64,18 @@ class Serving:
                 domain_id=target.domain_id, namespace=target.namespace, at_end=at_end
             ) as session:
                 await self._run(server, LiveView(session, server).run())
+
+    def _controlled_server(self, robot: str) -> ViewServer:
+        """Return a server whose viewers may do to the robot what the job allows."""
+        name = f"robotctl: robot {robot}"
+        if not self._job.control:
+            return ViewServer(name, self._admission)
+        from robotctl.view.remote_control import SERVICES, RemoteControl
+
+        capabilities = ["services", *(["clientPublish"] if self._job.lease else [])]
+        server = ViewServer(name, self._admission, capabilities=capabilities, services=SERVICES)
+        RemoteControl(robot, server, self._job.lease)
+        return server
 
     async def show_recording(self, path: Path) -> None:
         """Serve a recording.

@@ -29,6 +29,10 @@ class ViewJob:
     port: int | None = None
     """None is the usual port, or a free one where that is taken."""
     origins: tuple[str, ...] = ()
+    control: bool = False
+    """Whether viewers may stop the robot."""
+    lease: str = ""
+    """The token of the lease with which viewers may drive, too."""
     outlives_stdin: bool = False
     """Whether the process goes on when its stdin is closed; else it ends."""
 

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import secrets
-import socket
 import time
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from robotctl.errors import Refused
 from robotctl.view.admission import Admission
 from robotctl.view.foxglove_messages import (
     StatusLevel,
@@ -25,6 +23,10 @@ from robotctl.view.foxglove_messages import (
     unadvertise,
 )
 from robotctl.view.foxglove_requests import (
+    ClientMessage,
+    ClientOffers,
+    ClientWithdrawal,
+    Offer,
     PlaybackRequest,
     ServiceCall,
     Subscribe,
@@ -32,11 +34,9 @@ from robotctl.view.foxglove_requests import (
     ViewRequest,
     WrongRequest,
 )
+from robotctl.view.listening import listening_socket
 from robotctl.view.outbox import BINARY, frame_head
 from robotctl.view.viewer import TRY_LATER, Viewer
-
-DEFAULT_PORT: Final = 8765
-"""The port that Foxglove proposes."""
 
 MAX_VIEWERS: Final = 128
 """Limit on viewers; further ones are told to try later."""
@@ -86,9 +86,6 @@ class ViewServer:
 
         self._unflushed: set[Viewer] = set()
         self._listener: asyncio.Server | None = None
-        self.dropped = 0
-        """Messages that were dropped for viewers that have left."""
-
         self.on_viewers: Callable[[int], None] = lambda count: None
         """Called with the number of viewers when it changes."""
 
@@ -100,28 +97,21 @@ class ViewServer:
 
         self.on_playback: Callable[[PlaybackRequest], None] | None = None
         self.on_call: Callable[[Viewer, ServiceCall], None] | None = None
+        self.on_offer: Callable[[Offer], None] | None = None
+        """Called with a channel that a viewer offers; WrongRequest refuses it."""
+
+        self.on_message: Callable[[Viewer, ClientMessage], None] | None = None
+        """Called with a message on a channel that was not refused."""
 
     # The life of the server
 
     async def listen(self, host: str, port: int | None) -> int:
-        """Listen, and return the port: DEFAULT_PORT for None, or a free one where it is taken.
+        """Listen as `listening_socket` does, and return the port.
 
         Raises:
             Refused: The address cannot be listened on.
         """
-        try:
-            try:
-                sock = _bound(host, DEFAULT_PORT if port is None else port)
-            except OSError:
-                if port is not None:
-                    raise
-                sock = _bound(host, 0)
-        except OSError as error:
-            where = f"{host} port {DEFAULT_PORT if port is None else port}"
-            raise Refused(
-                f"the view cannot listen on {where} ({error.strerror or error})",
-                "choose another --port, or leave it out for a free one",
-            ) from error
+        sock = listening_socket(host, port)
         loop = asyncio.get_running_loop()
         self._listener = await loop.create_server(self._connection, sock=sock, backlog=MAX_VIEWERS)
         return int(sock.getsockname()[1])
@@ -225,7 +215,6 @@ class ViewServer:
         """Forget a connection and its subscriptions."""
         self._connections.discard(viewer)
         self._unflushed.discard(viewer)
-        self.dropped += viewer.outbox.dropped
         for subscription in list(viewer.subscriptions):
             self._unsubscribe(viewer, subscription)
         if viewer in self._viewers:
@@ -249,8 +238,16 @@ class ViewServer:
                 self.on_playback(request)
             case ServiceCall() if self.on_call is not None:
                 self.on_call(viewer, request)
+            case ClientOffers() if self.on_offer is not None:
+                for offer in request.offers:
+                    self.on_offer(offer)
+                    viewer.offers.add(offer.id)
+            case ClientWithdrawal():
+                viewer.offers.difference_update(request.ids)
+            case ClientMessage() if self.on_message is not None and request.id in viewer.offers:
+                self.on_message(viewer, request)
             case _:
-                raise WrongRequest("this view does not offer that")
+                raise WrongRequest("this view is read-only, or does not take that")
 
     def wrong(self, viewer: Viewer, problem: str) -> None:
         """Tell a viewer what is wrong with its message."""
@@ -301,18 +298,3 @@ def _tell_dropped(viewer: Viewer) -> None:
         viewer.told_dropped = dropped
         text = f"{dropped} messages were dropped: this connection takes less than is published"
         viewer.tell(status(StatusLevel.WARNING, text, "dropped"))
-
-
-def _bound(host: str, port: int) -> socket.socket:
-    """Return a socket that is bound to an address; raise OSError."""
-    family, kind, protocol, _, address = socket.getaddrinfo(
-        host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
-    )[0]
-    sock = socket.socket(family, kind, protocol)
-    try:
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        sock.bind(address)
-    except BaseException:
-        sock.close()
-        raise
-    return sock

@@ -63,6 +63,9 @@ class Viewer(asyncio.Protocol):
         self.subscriptions: dict[int, int] = {}
         """Subscription id -> channel id."""
 
+        self.offers: set[int] = set()
+        """The channels that the viewer publishes on, by its own ids."""
+
         self.told_dropped = 0
         """How many dropped messages the viewer has been told of."""
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import signal
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -18,8 +19,8 @@ from robotctl.cdr.definition import parse_definition
 from robotctl.cdr.field_path import parse_path
 from robotctl.cdr.values import decode
 from tests.support.view_client import ViewClient, view_client
-from tests.support.waiting import until
-from tests.support.world import World, new_world
+from tests.support.waiting import DEADLINE_S, until
+from tests.support.world import ROBOTCTL, World, new_world
 
 LAYOUT = Path(__file__).parents[2] / "docs" / "foxglove-layout.json"
 
@@ -121,8 +122,9 @@ async def test_the_command_cannot_be_published_and_a_new_run_has_a_new_token(
         async with view_client(first["url"]) as client:
             await client.until(lambda: client.op("serverInfo"))
             assert client.op("serverInfo")[0]["capabilities"] == []
-            await client.ask(op="advertise", channels=[{"id": 1, "topic": "/cmd_vel"}])
-            await client.until(lambda: client.op("status"))
+            await client.offer_twist()
+            await client.publish_twist(0.0, 0.0)
+            await client.until(lambda: len(client.op("status")) == 2)
     assert driving.status()["mode"] == "MOVING"
 
 
@@ -155,3 +157,72 @@ def test_without_a_daemon_it_says_how_to_start_one(world: World) -> None:
     ran = world.here("view")
     assert ran.exit_code == 3
     assert "robotctl start" in ran.err
+
+
+async def test_with_control_any_viewer_stops_the_robot_and_none_moves_it(world: World) -> None:
+    world.ok("start", "--sim", "--drive", "circle")
+    with view_of(world, "--control") as (_, ready):
+        async with view_client(ready["url"]) as client:
+            await client.until(lambda: client.op("advertiseServices"))
+            assert client.op("serverInfo")[0]["capabilities"] == ["services"]
+            await client.offer_twist()
+            await client.publish_twist(0.3, 0.0)
+            await client.until(lambda: len(client.op("status")) == 2)
+            await client.call("/stop", 1)
+            await client.until(lambda: client.responses)
+            assert client.responses[-1]["success"]
+            assert world.status()["mode"] == "IDLE"
+            await client.call("/estop", 2)
+            await client.until(lambda: len(client.responses) == 2)
+            assert client.responses[-1]["success"]
+            assert world.status()["mode"] == "EMERGENCY_STOP"
+    world.ok("stop")
+
+
+async def test_with_the_lease_a_viewer_drives_until_it_is_silent(world: World) -> None:
+    world.ok("start", "--sim")
+    process = world.spawn(
+        *("lease", "take", "--", ROBOTCTL, "view", "--port", "0", "--json", "--control")
+    )
+    assert process.stdout is not None
+    ready = json.loads(process.stdout.readline())
+    async with view_client(ready["url"]) as client:
+        await client.until(lambda: client.op("serverInfo"))
+        assert client.op("serverInfo")[0]["capabilities"] == ["services", "clientPublish"]
+        await client.offer_twist(encoding="cdr")
+        await client.until(lambda: client.op("status"))
+        await client.offer_twist()
+        await client.publish_twist(0.3, float("nan"))
+        await client.until(lambda: len(client.op("status")) == 2)
+        assert world.status()["mode"] == "IDLE"
+        await driven_until(client, lambda: world.status()["mode"] == "MOVING")
+        await asyncio.to_thread(until, lambda: world.status()["mode"] == "IDLE")
+        await driven_until(client, lambda: world.status()["mode"] == "MOVING")
+        world.here("estop")
+        await driven_until(client, lambda: client.op("status")[-1].get("id") == "drive")
+        assert "let go" in client.op("status")[-1]["message"]
+        world.here("reset")
+        await driven_for(client, 1.0)
+        assert world.status()["mode"] == "IDLE"  # the operator has not let go
+    (view,) = (
+        pid
+        for pid, line in world.processes().items()
+        if " view --port" in line and "lease" not in line
+    )
+    os.kill(view, signal.SIGINT)  # as Ctrl-C does to all processes of the terminal
+    process.wait(60)
+    world.ok("stop")
+
+
+async def driven_until(client: ViewClient, condition: Callable[[], object]) -> None:
+    """Publish a velocity at 40 Hz until a condition holds."""
+    async with asyncio.timeout(DEADLINE_S):
+        while not await asyncio.to_thread(condition):
+            await driven_for(client, 0.1)
+
+
+async def driven_for(client: ViewClient, seconds: float) -> None:
+    """Publish a velocity at 40 Hz for a time."""
+    for _ in range(round(seconds * 40)):
+        await client.publish_twist(0.2, 0.0)
+        await client.receive_for(0.025)

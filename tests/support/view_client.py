@@ -94,6 +94,17 @@ class ViewClient:
         head = struct.pack("<BIII", 2, offer["id"], call_id, 4)
         await self.socket.send(head + b"json{}")
 
+    async def offer_twist(self, topic: str = "/cmd_vel", encoding: str = "json") -> None:
+        """Offer a channel with the id 5."""
+        kind = "geometry_msgs/msg/Twist"
+        channel = {"id": 5, "topic": topic, "encoding": encoding, "schemaName": kind}
+        await self.ask(op="advertise", channels=[channel])
+
+    async def publish_twist(self, linear_mps: float, angular_rps: float) -> None:
+        """Publish on the channel with the id 5."""
+        twist = {"linear": {"x": linear_mps}, "angular": {"z": angular_rps}}
+        await self.socket.send(struct.pack("<BI", 1, 5) + json.dumps(twist).encode())
+
     def of(self, topic: str) -> list[Received]:
         """Return the messages of a topic."""
         subscription = 1000 + self.channels[topic]["id"]

@@ -10,6 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robotctl.view.foxglove_requests import (
+    ClientMessage,
+    ClientOffers,
+    ClientWithdrawal,
+    Offer,
     PlaybackRequest,
     ServiceCall,
     Subscribe,
@@ -37,6 +41,18 @@ def test_a_playback_request_is_read_as_the_sdk_reads_it() -> None:
     assert binary_request(playback(command=1)) == PlaybackRequest(False, 2.0, 5_000_000_000, "abc")
 
 
+def test_what_a_viewer_publishes_is_read() -> None:
+    text = (
+        b'{"op": "advertise", "channels": [{"id": 5, "topic": "/t", "encoding": "json",'
+        b' "schemaName": "geometry_msgs/msg/Twist"}]}'
+    )
+    offer = Offer(5, "/t", "json", "geometry_msgs/msg/Twist")
+    assert text_request(text) == ClientOffers([offer])
+    assert binary_request(b"\x01\x05\0\0\0{}") == ClientMessage(5, b"{}")
+    text = b'{"op": "unadvertise", "channelIds": [5]}'
+    assert text_request(text) == ClientWithdrawal([5])
+
+
 def test_a_service_call_is_read() -> None:
     assert binary_request(struct.pack("<BIII", 2, 4, 9, 4) + b"json{}") == ServiceCall(4, 9)
 
@@ -48,7 +64,7 @@ def test_a_service_call_is_read() -> None:
         b"{bad",
         b"[]",
         b"{}",
-        b'{"op": "advertise", "channels": []}',
+        b'{"op": "advertise", "channels": [{"id": 1}]}',
         b'{"op": "setParameters"}',
         b'{"op": "subscribe"}',
         b'{"op": "subscribe", "subscriptions": [3]}',
@@ -68,7 +84,7 @@ def test_other_texts_are_refused_with_one_error(text: bytes) -> None:
     "data",
     [
         b"",
-        b"\x01",
+        b"\x01\x00",
         b"\x09",
         b"\x02\x00",
         playback()[:-1],

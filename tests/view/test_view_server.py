@@ -13,7 +13,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidHandshake
 
 from robotctl.errors import Refused
-from robotctl.view import view_server
+from robotctl.view import listening, view_server
 from robotctl.view.admission import Admission, new_token
 from robotctl.view.foxglove_messages import StatusLevel
 from robotctl.view.foxglove_requests import PlaybackRequest
@@ -262,7 +262,7 @@ async def test_a_port_that_is_taken_is_named_and_the_usual_one_replaced(
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        monkeypatch.setattr(view_server, "DEFAULT_PORT", port)
+        monkeypatch.setattr(listening, "DEFAULT_PORT", port)
         server = ViewServer("test", Admission(TOKEN))
         with pytest.raises(Refused, match=f"port {port}.*--port"):
             await server.listen("127.0.0.1", port)

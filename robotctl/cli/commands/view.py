@@ -35,6 +35,10 @@ def view(
         list[str] | None,
         typer.Option(metavar="URL", help="Let pages of this origin connect, too; repeatable."),
     ] = None,
+    control: Annotated[
+        bool,
+        typer.Option("--control", help="Let viewers stop the robot, and drive it with the lease."),
+    ] = False,
     robot: Robot = DEFAULT_ROBOT,
     as_json: Json = False,
 ) -> None:
@@ -47,17 +51,25 @@ def view(
     it is told, and delays no other part. It ends with Ctrl-C, or with the daemon. A recording plays
     without ROS; Foxglove pauses it, seeks and sets the speed.
 
+    With --control, viewers may call the services /estop and /stop. Below `robotctl lease take` they
+    may drive as well, by geometry_msgs/msg/Twist ten times a second or more.
+
     \b
     Examples:
       robotctl view
       robotctl view last
       robotctl view recordings/robot_20261123_101500 --port 9000
+      robotctl view --control
+      robotctl lease take -- robotctl view --control
       robotctl view --origin https://lichtblick.example.org
     """
     if port is not None and not 0 <= port <= MAX_PORT:
         raise UsageError(f"--port {port}", f"use 1 to {MAX_PORT}, or 0 for a free one")
+    if control and file:
+        raise UsageError("--control with a recording", "leave one of them out")
     if find_spec("websockets") is None:
         raise Refused("the view needs the package websockets", "pip install 'robotctl[view]'")
+    from robotctl.cli.support.lease_token import own_token
     from robotctl.cli.support.recording_paths import find_recording
     from robotctl.cli.support.view_process import live_target, show_view
     from robotctl.view.view_job import ViewJob
@@ -66,6 +78,8 @@ def view(
         path = find_recording(file, robot)
         job, what = ViewJob(file=str(path)), short_path(path)
     else:
-        job, what = ViewJob(live=live_target(robot)), f"robot {robot}"
+        lease = (own_token() or "") if control else ""
+        job = ViewJob(live=live_target(robot), control=control, lease=lease)
+        what = f"robot {robot}"
     job = replace(job, host=host, port=port, origins=tuple(origin or ()))
     show_view(job, what, as_json=as_json)

@@ -65,7 +65,8 @@ def show_view(job: ViewJob, what: str, *, as_json: bool) -> None:
     with interrupted_by((signal.SIGTERM, signal.SIGHUP)):
         child, ready = start_view(job)
         try:
-            print(json_text(ready) if as_json else "\n".join(ready_lines(what, ready)), flush=True)
+            lines = ready_lines(what, job, ready)
+            print(json_text(ready) if as_json else "\n".join(lines), flush=True)
             for said in reports_of(child):
                 if "ended" in said:
                     raise NoDaemon(said["ended"])
@@ -76,9 +77,10 @@ def show_view(job: ViewJob, what: str, *, as_json: bool) -> None:
             child.close(END_S)
 
 
-def ready_lines(what: str, ready: dict[str, Any]) -> Iterator[str]:
-    """Yield what a user needs to connect."""
-    yield f"{what} for Foxglove and Lichtblick, read-only; Ctrl-C ends it"
+def ready_lines(what: str, job: ViewJob, ready: dict[str, Any]) -> Iterator[str]:
+    """Yield what a user needs to connect, and what viewers may do."""
+    may = "viewers may stop and drive it" if job.lease else "viewers may stop it"
+    yield f"{what} in Foxglove and Lichtblick, {may if job.control else 'read-only'}"
     yield f"  connect to  {ready['url']}"
     yield f"  or open     {ready['open']}"
 

@@ -1,0 +1,170 @@
+"""What viewers may do to the robot with `--control`: stop it, and drive it with the lease."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+import os
+from collections.abc import Coroutine
+from contextlib import suppress
+from typing import Any, Final
+
+from robotctl.errors import Refused, RobotctlError
+from robotctl.ipc.client import Client, call
+from robotctl.ipc.method_names import HOLD, SET_MODE
+from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
+from robotctl.kernel.course import MAX_SILENCE_S
+from robotctl.view.foxglove_messages import (
+    StatusLevel,
+    ViewService,
+    service_failure,
+    service_response,
+    status,
+)
+from robotctl.view.foxglove_requests import ClientMessage, Offer, ServiceCall, WrongRequest
+from robotctl.view.view_server import ViewServer
+from robotctl.view.viewer import Viewer
+
+ESTOP: Final = ViewService(1, "/estop")
+STOP: Final = ViewService(2, "/stop")
+SERVICES: Final = (ESTOP, STOP)
+
+IDLE_MODE: Final = 0
+_MODES: Final = {ESTOP.id: EMERGENCY_STOP_MODE, STOP.id: IDLE_MODE}
+
+TWIST: Final = "geometry_msgs/msg/Twist"
+
+_STAND: Final = (0.0, 0.0)
+
+MAX_CALLS: Final = 8
+"""Limit on calls of services that are not answered yet; each takes a thread."""
+
+CALL_S: Final = 1.0
+"""How long the daemon may take to answer a held velocity; its robot stands long before."""
+
+
+class RemoteControl:
+    """Carries requests of viewers to the daemon, through its control socket."""
+
+    def __init__(self, robot: str, server: ViewServer, lease: str) -> None:
+        """`lease` is the token of the lease, "" where viewers may only stop the robot."""
+        self._robot = robot
+        self._server = server
+        self._source = f"robotctl view (uid {os.getuid()}, pid {os.getpid()})"
+        self._lease = lease
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._calls = 0
+        self._driver: Viewer | None = None
+        self._wish: tuple[float, float] | None = None
+        self._wished = asyncio.Event()
+        server.on_call = self._call
+        if lease:
+            server.on_offer = self._check_offer
+            server.on_message = self._take_velocity
+
+    # Services
+
+    def _call(self, viewer: Viewer, request: ServiceCall) -> None:
+        if request.service_id not in _MODES:
+            raise WrongRequest("there is no such service")
+        if self._calls >= MAX_CALLS:
+            text = "too many calls are not answered yet"
+            viewer.tell(service_failure(request.service_id, request.call_id, text))
+            return
+        self._calls += 1
+        self._start(self._answer(viewer, request))
+
+    async def _answer(self, viewer: Viewer, request: ServiceCall) -> None:
+        params = {"mode": _MODES[request.service_id], "source": self._source}
+        if self._lease:
+            params["lease"] = self._lease
+        try:
+            answer = await asyncio.to_thread(call, self._robot, SET_MODE, params)
+        except RobotctlError as error:
+            result = {"success": False, "message": str(error)}
+        else:
+            result = {"success": True, "message": answer["message"]}
+        finally:
+            self._calls -= 1
+        viewer.tell(service_response(request.service_id, request.call_id, result))
+
+    # Motion
+
+    def _check_offer(self, offer: Offer) -> None:
+        if offer.type_name != TWIST or offer.encoding != "json":
+            raise WrongRequest(f"this view takes {TWIST} in JSON, and moves the robot by it")
+
+    def _take_velocity(self, viewer: Viewer, message: ClientMessage) -> None:
+        """Hold a velocity; of several that wait, the newest counts."""
+        velocity = velocity_of(message.data)
+        if self._driver is None:
+            self._driver = viewer
+            self._start(self._drive(viewer))
+        elif self._driver is not viewer:
+            raise WrongRequest("another viewer drives")
+        self._wish = velocity
+        self._wished.set()
+
+    async def _drive(self, viewer: Viewer) -> None:
+        """Ask for each wish through one connection, until a silence; it ends the motion."""
+        try:
+            with Client(self._robot) as client:
+                number = 0
+                while await self._has_wish():
+                    velocity, self._wish = self._wish or _STAND, None
+                    if number == 0 and velocity == _STAND:
+                        continue
+                    answer = await asyncio.to_thread(
+                        client.call, HOLD, self._held(velocity, number), deadline_s=CALL_S
+                    )
+                    number = answer["hold"]
+                    if number == 0 and velocity != _STAND:
+                        raise Refused(answer["message"])
+        except RobotctlError as error:
+            text = f"{error} (let go, then hold again)"
+            viewer.tell(status(StatusLevel.WARNING, text, "drive"))
+            while await self._has_wish():  # the operator has not let go
+                self._wish = None
+        finally:
+            self._driver = None
+
+    async def _has_wish(self) -> bool:
+        """Wait for a wish as long as a motion may be silent; return whether there is one."""
+        with suppress(TimeoutError):
+            async with asyncio.timeout(MAX_SILENCE_S):
+                await self._wished.wait()
+        self._wished.clear()
+        return self._wish is not None
+
+    def _held(self, velocity: tuple[float, float], number: int) -> dict[str, Any]:
+        return {
+            "linear_mps": velocity[0],
+            "angular_rps": velocity[1],
+            "hold": number,
+            "source": self._source,
+            "lease": self._lease,
+        }
+
+    def _start(self, work: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.get_running_loop().create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+
+def velocity_of(data: bytes) -> tuple[float, float]:
+    """Return linear.x [m/s] and angular.z [rad/s] of a Twist in JSON.
+
+    Raises:
+        WrongRequest: It is none, or moves in another direction.
+    """
+    try:
+        said = json.loads(data)
+        velocity = float(said["linear"]["x"]), float(said["angular"]["z"])
+        others = [said["linear"].get(axis, 0.0) for axis in "yz"]
+        others += [said["angular"].get(axis, 0.0) for axis in "xy"]
+    except (ValueError, RecursionError, KeyError, TypeError, AttributeError, OverflowError):
+        raise WrongRequest(f"a message that is no {TWIST} in JSON") from None
+    if not all(map(math.isfinite, velocity)) or any(others):
+        raise WrongRequest("a velocity that this robot cannot have")
+    return velocity
