@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import hypot, isfinite, sqrt
 
@@ -13,7 +13,10 @@ from robotctl.report.traces import Traces
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A figure: its key in `--json`, its name, its value (None: not known), format and unit."""
+    """A figure: its key in `--json`, its name, its value (None: not known), format and unit.
+
+    A value that is not finite is not known either: a recording may hold any number.
+    """
 
     key: str
     name: str
@@ -36,7 +39,7 @@ def figures_of(recorded: Recorded) -> list[Figure]:
     lost = sum(counts.get("lost", 0) + counts.get("dropped", 0) for counts in ledger)
     rms_m, most_m = _cross_track(traces)
     speed = traces.linear
-    return [
+    figures = [
         Figure("duration_s", "Duration", info.duration_s, ".1f", "s"),
         Figure("drives", "Drives", len(traces.drives) if recorded.has_journal else None, "d", ""),
         Figure("distance_m", "Distance", _distance(traces), ".2f", "m"),
@@ -48,6 +51,10 @@ def figures_of(recorded: Recorded) -> list[Figure]:
         Figure("tick_late_max_ms", "Tick late, at most", traces.lateness.most, ".1f", "ms"),
         Figure("messages", "Messages", info.message_count, "d", ""),
         Figure("lost", "Messages lost", lost if ledger else None, "d", ""),
+    ]
+    return [
+        each if each.value is None or isfinite(each.value) else replace(each, value=None)
+        for each in figures
     ]
 
 
@@ -66,8 +73,11 @@ def _cross_track(traces: Traces) -> tuple[float | None, float | None]:
     time_s = sum(report.duration_s for report in reports)
     rms_m = None
     if time_s > 0.0:
-        squares = (report.cross_track_rms_m**2 * report.duration_s for report in reports)
-        rms_m = sqrt(sum(squares) / time_s)
+        squares = (
+            report.cross_track_rms_m * report.cross_track_rms_m * report.duration_s
+            for report in reports
+        )
+        rms_m = sqrt(max(sum(squares) / time_s, 0.0))
     return rms_m, traces.error.most
 
 

@@ -130,7 +130,7 @@ def _notes(recorded: Recorded) -> Markup | None:
     if not recorded.has_journal:
         drawn = ", ".join(recorded.drawn) or "no topic that can be drawn"
         notes.append(
-            f"There is no journal of robotctl in it: drawn is {drawn}; wanted path, error, modes, "
+            f"There is no journal of robotctl in it. Drawn: {drawn}. Wanted path, error, modes, "
             "ticks and reasons are not known."
         )
     notes += [f"Not read: {sentence}" for sentence in recorded.missing]

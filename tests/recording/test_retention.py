@@ -11,6 +11,7 @@ from mcap.writer import Writer
 from rosbags.rosbag2 import Reader as RosbagsReader
 
 from robotctl.recording import Recorder, RecorderOptions, read_info
+from robotctl.recording.format.derived_files import comparison_file
 from robotctl.recording.keep.clip import Moment
 from robotctl.recording.keep.clip_job import ClipJob, make_clip
 from robotctl.recording.keep.retention import DAY_S, RetentionPolicy, enforce_retention
@@ -50,6 +51,17 @@ def test_the_oldest_go_until_the_rest_fits(tmp_path: Path) -> None:
     assert [each.size for each in removed] == sizes[:2]
     assert names(tmp_path) == ["run2", "run3", "run4"]
     assert enforce_retention(tmp_path, RetentionPolicy(max_bytes=sum(sizes[2:])), NOW_S) == []
+
+
+def test_what_robotctl_made_of_a_recording_goes_with_it_and_nothing_else(tmp_path: Path) -> None:
+    for name in ("run", "mine"):
+        recorded(tmp_path / name, age_s=100.0)
+        for made in ("path.png", "report.html", comparison_file("other")):
+            (tmp_path / name / made).touch()
+    (tmp_path / "mine" / "notes.txt").touch()
+    enforce_retention(tmp_path, RetentionPolicy(max_bytes=0), NOW_S)
+    assert names(tmp_path) == ["mine"]
+    assert names(tmp_path / "mine") == ["notes.txt"]
 
 
 def test_what_is_too_old_goes(tmp_path: Path) -> None:
@@ -143,11 +155,11 @@ def test_what_robotctl_has_not_recorded_stays(tmp_path: Path) -> None:
     recorded(tmp_path / "away" / "linked", age_s=1000 * DAY_S)
     (tmp_path / "linked").symlink_to(tmp_path / "away" / "linked")
     recorded(tmp_path / "run", age_s=1000 * DAY_S)
-    (tmp_path / "run" / "path.png").write_text("a picture")
+    (tmp_path / "run" / "photo.png").write_text("a picture")
     enforce_retention(tmp_path, RetentionPolicy(max_bytes=0), NOW_S)
     assert names(tmp_path) == ["away", "file.mcap", "linked", "notes", "run", "theirs"]
     assert names(tmp_path / "away" / "linked") == ["linked_0.mcap", "metadata.yaml"]
-    assert names(tmp_path / "run") == ["path.png"]
+    assert names(tmp_path / "run") == ["photo.png"]
     assert names(tmp_path / "theirs") == ["theirs_0.mcap"]
 
 

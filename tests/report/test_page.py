@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from math import cos, sin
+from math import cos, inf, nan, sin
 from pathlib import Path
 
 import pytest
@@ -211,7 +211,7 @@ def test_a_bag_of_another_recorder_is_shown_as_far_as_it_goes(tmp_path: Path) ->
     bag = write_bag(tmp_path / "bag.mcap", lines)
     text, page = page_of(bag, Judged())
     assert_harmless(text, page)
-    assert "There is no journal of robotctl in it: drawn is /odom" in text
+    assert "There is no journal of robotctl in it. Drawn: /odom." in text
     assert page.ids.keys() >= {"path", "plot-1", "messages"}
     assert not page.ids.keys() & {"modes", "drives", "why", "verdicts"}
     assert "/chat" in page.sections["messages"]
@@ -245,6 +245,18 @@ def test_a_state_that_no_kernel_has_is_told_and_not_drawn(
     text, page = page_of(write_contents(tmp_path / "h", contents))
     assert_harmless(text, page)
     assert "Not read:" in text
+
+
+def test_figures_of_impossible_drives_are_not_known(folder: Path) -> None:
+    found = read_recorded(folder)
+    for distance_m, error_m in ((nan, 1e308), (inf, -inf), (1e308, nan)):
+        report = DriveReport(1, distance_m, error_m, error_m, nan, duration_s=1e308)
+        found.traces.drives[:] = [EndedDrive(1.0, "odd", report)] * 2
+        figures = {figure.key: figure.value for figure in figures_of(found)}
+        assert figures["distance_m"] is None
+        assert figures["cross_track_rms_m"] is None
+        text = report_page(found, JUDGED)
+        assert_harmless(text, HtmlPage(text))
 
 
 def test_two_recordings_are_compared_figure_by_figure(

@@ -1,24 +1,22 @@
-"""The picture of a drive, beside its recording: `path.png`, the path driven over the wanted one."""
+"""The picture of a drive, beside its recording: the path driven over the wanted one."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from robotctl.cli.terminal.path_picture import Path2D, write_png
 from robotctl.cli.terminal.text import number, printable
 from robotctl.errors import RobotctlError
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import PATH, STATUS
-
-PICTURE: Final = "path.png"
-"""Its name in the folder of the recording; that of the last drive replaces an earlier one."""
+from robotctl.recording.format.derived_files import PICTURE_FILE
 
 
 def leave_picture(robot: str, drive: Mapping[str, Any]) -> Path | None:
-    """Draw the last drive of a robot beside its recording, and return where.
+    """Draw the last drive of a robot beside its recording, and return where; it replaces a picture.
 
     `drive` is the answer that tells its figures. The drive is over and recorded, so a picture that
     fails is no error: a note on stderr says why, and None is returned.
@@ -31,7 +29,7 @@ def leave_picture(robot: str, drive: Mapping[str, Any]) -> Path | None:
         reason = str(error)
     except OSError as error:
         reason = error.strerror or repr(error)
-    print(f"note: no {PICTURE} was drawn: {printable(reason)}", file=sys.stderr)
+    print(f"note: no {PICTURE_FILE} was drawn: {printable(reason)}", file=sys.stderr)
     return None
 
 
@@ -46,7 +44,7 @@ def write_picture(
     rms, worst = (
         number(drive.get(key), ".3f") for key in ("cross_track_rms_m", "cross_track_max_m")
     )
-    picture = folder / PICTURE
+    picture = folder / PICTURE_FILE
     title = f"{robot}: off track {rms} m RMS, {worst} m at most"
     write_png(picture, reference, driven, title)
     return picture

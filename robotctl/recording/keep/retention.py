@@ -6,6 +6,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from robotctl.recording.format.derived_files import derived_files
 from robotctl.recording.format.rosbag2 import METADATA_FILE
 from robotctl.recording.keep.bag_metadata import rewrite_metadata
 from robotctl.recording.keep.catalog import CLIPS_FOLDER, CatalogFolder, own_recordings
@@ -95,7 +96,8 @@ def _tidy(folder: CatalogFolder, gone: set[Path]) -> None:
         if len(left) < len(folder.files):
             rewrite_metadata(folder.path, left)
         return
-    (folder.path / METADATA_FILE).unlink(missing_ok=True)
+    for path in (folder.path / METADATA_FILE, *derived_files(folder.path)):
+        path.unlink(missing_ok=True)
     with suppress(OSError):  # there is none, or it is not empty
         (folder.path / CLIPS_FOLDER).rmdir()
     folder.path.rmdir()

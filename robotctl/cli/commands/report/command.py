@@ -14,6 +14,7 @@ from robotctl.cli.support.recording_paths import RecordedBy, RecordingsFolder, f
 from robotctl.cli.terminal.progress import progress_bar
 from robotctl.cli.terminal.text import row, short_path, size
 from robotctl.errors import Refused, UnreadableFile, UsageError
+from robotctl.recording.format.derived_files import PAGE_FILE, comparison_file
 
 if TYPE_CHECKING:
     from robotctl.report.figures import Figure
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 
 app = new_app()
 
-PAGE: Final = "report.html"
 SUFFIX: Final = ".html"
 COMPARED: Final = 2
 
@@ -74,10 +74,10 @@ def report(
     judged = [judge(path, each, quiet=as_json) for path, each in zip(paths, recorded, strict=True)]
     if compare:
         page = comparison_page((recorded[0], judged[0]), (recorded[1], judged[1]))
-        target = output or _beside(paths[0], f"compared_with_{paths[1].resolve().stem}.html")
+        target = output or _beside(paths[0], comparison_file(paths[1].resolve().stem))
     else:
         page = report_page(recorded[0], judged[0])
-        target = output or _beside(paths[0], PAGE)
+        target = output or _beside(paths[0], PAGE_FILE)
     data = page.encode()
     _write(target, data)
     reports = [

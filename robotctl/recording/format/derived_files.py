@@ -1,0 +1,29 @@
+"""The files that robotctl makes from a recording, in its folder; they are removed with it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+PICTURE_FILE: Final = "path.png"
+"""The path of the last drive that a command waited for."""
+
+PAGE_FILE: Final = "report.html"
+
+_COMPARISON: Final = "compared_with_{}.html"
+
+
+def comparison_file(other: str) -> str:
+    """Return the name of the page that compares a recording with another."""
+    return _COMPARISON.format(other)
+
+
+def derived_files(folder: Path) -> Iterator[Path]:
+    """Yield the files in a recording's folder that robotctl made from it.
+
+    Raises:
+        OSError: The folder cannot be read.
+    """
+    for pattern in (PICTURE_FILE, PAGE_FILE, _COMPARISON.format("*")):
+        yield from folder.glob(pattern)
