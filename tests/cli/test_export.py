@@ -45,6 +45,13 @@ TOPIC = Topic("/all", "p/msg/All", DEFINITION)
 Cli = Callable[..., Ran]
 
 
+def parquet_of(cli: Cli, run: str) -> str:
+    """Export the topic of a recording, and return the file."""
+    target = f"{run}.parquet"
+    assert cli("export", run, "--topic", "/all", "-o", target).exit_code == 0
+    return target
+
+
 def message(number: int) -> dict[str, Any]:
     return {
         "x": [0.1, nan, inf, -inf][number % 4],
@@ -214,6 +221,9 @@ def test_only_the_given_time_is_exported(cli: Cli, tmp_path: Path) -> None:
     assert [json.loads(line)["time_s"] for line in ran.out.splitlines()] == [2.0, 3.0, 4.0, 5.0]
     nothing = cli("export", run, "--topic", "/all", "--from", "20")
     assert (nothing.exit_code, nothing.out.count("\n")) == (0, 1)
+    target = str(tmp_path / "x.parquet")
+    assert cli("export", run, "--topic", "/all", "--from", "20", "-o", target).exit_code == 0
+    assert duckdb.read_parquet(target).types == duckdb.read_parquet(parquet_of(cli, run)).types
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from robotctl.cli import registry
 WITHOUT: dict[str, str] = {
     "completion show": "it prints a script that a shell reads",
     "completion words": "it answers a shell, one word a line",
+    "plot": "it draws; `robotctl export --json` writes the numbers",
     "sim": "it runs the simulated robot until Ctrl-C",
     "teleop": "it is driven by hand, with keys or a gamepad, and draws a screen",
     "lease take": "its output is that of the command that it runs",

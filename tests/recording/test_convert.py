@@ -256,13 +256,25 @@ def test_what_a_damaged_database_still_holds_is_converted_and_the_loss_told(
     assert contents(tmp_path / "copy") == contents(tmp_path / "copy")[: done.message_count]
 
 
-@pytest.mark.parametrize("content", [b"", b"SQLite format 3\0", b"no database" * 1000])
+@pytest.mark.parametrize("content", [b"SQLite format 3\0", b"no database" * 1000])
 def test_what_is_no_database_is_named_and_leaves_nothing(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "bag.db3"
     path.write_bytes(content)
     with pytest.raises(UnreadableFile, match=r"bag\.db3: it is no bag of rosbag2"):
         convert(path, tmp_path / "copy", Form())
     assert [each.name for each in tmp_path.iterdir()] == ["bag.db3"]
+
+
+def test_a_view_in_the_place_of_a_table_is_refused(tmp_path: Path) -> None:
+    bag = sqlite_bag(tmp_path / "bag")
+    alter(bag, "DROP TABLE messages")
+    alter(
+        bag,
+        "CREATE VIEW messages AS WITH RECURSIVE n(id) AS (SELECT 1 UNION ALL SELECT id + 1 FROM n) "
+        "SELECT id, 1 AS topic_id, id AS timestamp, x'00' AS data FROM n",
+    )
+    with pytest.raises(UnreadableFile, match="no tables of topics and messages"):
+        convert(bag, tmp_path / "copy", Form())
 
 
 def test_reading_a_database_writes_nothing_beside_it(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from robotctl.recording.convert.convertible import ConvertibleFile
 from robotctl.recording.convert.mcap_source import McapSource
 from robotctl.recording.convert.sqlite_source import SqliteSource
 from robotctl.recording.format.rosbag2 import metadata_text, total_count_in
+from robotctl.recording.read.count_check import find_shortfalls
 from robotctl.recording.read.damage import Damaged
 from robotctl.recording.read.files import (
     SQLITE_SUFFIX,
@@ -22,6 +23,7 @@ from robotctl.recording.read.files import (
 )
 from robotctl.recording.read.indexing import index_of
 from robotctl.recording.read.mcap_input import InputFile
+from robotctl.recording.read.messages import OpenFile
 from robotctl.recording.read.zstd_file import SUFFIX, unpack_zstd_file
 from robotctl.regular_file import open_regular
 
@@ -48,6 +50,7 @@ class Sources:
         self.told_messages = total_count_in(text) if is_whole else 0
         """Messages that `metadata.yaml` counts, 0 if it says nothing."""
 
+        self._text = text
         self._on_progress = on_progress
         self._total = sum(map(_size, self._paths))
 
@@ -56,7 +59,7 @@ class Sources:
         before = 0
         for path in self._paths:
             size = _size(path)
-            open_file = _open_sqlite if _is_sqlite(path) else _open_mcap
+            open_file = _open_sqlite if _is_sqlite(path) else self._open_mcap
             try:
                 yield from open_file(path, _Share(self._on_progress, before, size, self._total))
             except Damaged as damage:
@@ -64,6 +67,17 @@ class Sources:
             except OSError as error:
                 self.lost.append(f"{path.name}: {error.strerror or error}")
             before += size
+
+    def _open_mcap(self, path: Path, share: _Share) -> Iterator[ConvertibleFile]:
+        with InputFile(path) as file:
+            size = max(file.size, 1)
+            # Half is for the index, which is quick unless the file must be scanned.
+            index = index_of(file, lambda done: share.tell(done / size / 2))
+            for sentence in find_shortfalls(
+                self._text, [OpenFile(path, file, index)], all_files=False
+            ):
+                index.miss(sentence)
+            yield McapSource(file, index, lambda done: share.tell(done / size))
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,14 +92,6 @@ class _Share:
     def tell(self, part: float) -> None:
         """Take how much of the file is done, from 0 to 1."""
         self.on_progress(self.before + round(min(part, 1.0) * self.size), self.total)
-
-
-def _open_mcap(path: Path, share: _Share) -> Iterator[ConvertibleFile]:
-    with InputFile(path) as file:
-        size = max(file.size, 1)
-        # Half is for the index, which is quick unless the file must be scanned.
-        index = index_of(file, lambda done: share.tell(done / size / 2))
-        yield McapSource(file, index, lambda done: share.tell(done / size))
 
 
 def _open_sqlite(path: Path, share: _Share) -> Iterator[ConvertibleFile]:

@@ -26,6 +26,11 @@ _BATCH_BYTES: Final = 1 << 20
 _MAX_TOPICS: Final = 1 << 16
 """A channel id of MCAP has 16 bits."""
 
+_TABLES: Final = (
+    "SELECT count(*) FROM sqlite_master WHERE type='table' AND name IN ('messages', 'topics')"
+)
+"""A view of these names could have rows without end."""
+
 _MESSAGES: Final = "SELECT topic_id, timestamp, data FROM messages ORDER BY timestamp, id"
 
 
@@ -53,6 +58,8 @@ class SqliteSource:
         try:
             self._database = sqlite3.connect(_address(content), uri=True)
             self._database.row_factory = sqlite3.Row
+            if self._number(_TABLES) != 2:
+                raise Damaged("it is no bag of rosbag2: it has no tables of topics and messages")
             self._count = self._number("SELECT max(id) FROM messages")
             self._channels = self._read_channels()
         except sqlite3.Error as error:

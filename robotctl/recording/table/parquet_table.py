@@ -6,8 +6,8 @@ import errno
 import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import count
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -64,13 +64,13 @@ def write_parquet(columns: Sequence[Column], rows: Iterable[Row], target: Path) 
     parts: list[Path] = []
     written = 0
     try:
-        with duckdb.connect() as database:
+        with duckdb.connect() as database, TemporaryDirectory(dir=target.parent) as folder:
             database.execute(f"SET threads=1; SET memory_limit='{_MEMORY_LIMIT}'")
-            for number, batch in zip(count(), _batches(columns, rows), strict=False):
-                parts.append(target.with_name(f"part{number}"))
+            for batch in _batches(columns, rows):
+                parts.append(Path(folder) / str(len(parts)))
                 _write_part(database, columns, batch, parts[-1])
                 written += len(batch)
-            _join(database, columns, parts, target)
+            _join(database, parts, target)
     except duckdb.IOException as error:
         told = _ERRNO.search(str(error))
         code = int(told[1]) if told else errno.EIO
@@ -159,9 +159,7 @@ def _restored(column: Column, name: str) -> str:
     return f"CAST({name} AS {kind})"
 
 
-def _join(
-    database: DuckDBPyConnection, columns: Sequence[Column], parts: Sequence[Path], target: Path
-) -> None:
+def _join(database: DuckDBPyConnection, parts: Sequence[Path], target: Path) -> None:
     if len(parts) == 1:
         parts[0].rename(target)
         return
