@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from robotctl.kernel.battery import counts_in_percent, level_of
@@ -31,33 +30,26 @@ class Measurement(NamedTuple):
     battery_level: float | None
 
 
-@dataclass(slots=True)
 class Followed:
     """The measurements of a piece of the journal that was re-run elsewhere."""
 
-    odometry_t_ns: int
-    battery_level: float | None
-    in_percent: bool
-    scale: BatteryScale
-    unused: Collection[int]
-    """The numbers of the entries whose odometry the kernel did not take as new."""
+    def __init__(self, health: Health, scale: BatteryScale, unused: Collection[int]) -> None:
+        """Begin with the health in a snapshot.
 
-    @classmethod
-    def of(cls, health: Health, scale: BatteryScale, unused: Collection[int]) -> Followed:
-        """Begin with the health in a snapshot."""
-        return cls(
-            health.odometry_t_ns, health.battery_level, health.battery_in_percent, scale, unused
-        )
+        `unused` are the numbers of the entries whose odometry the kernel did not take as new.
+        """
+        self.measured = Measurement(health.odometry_t_ns, health.battery_level)
+        self._in_percent = health.battery_in_percent
+        self._scale = scale
+        self._unused = unused
 
-    def measurement(self) -> Measurement:
-        """Return the last measurements."""
-        return Measurement(self.odometry_t_ns, self.battery_level)
-
-    def step(self, seq: int, event: Event) -> None:
-        """Take an event, with the number of its entry."""
+    def step(self, seq: int, event: Event) -> Measurement:
+        """Take an event, with the number of its entry; return what is measured after it."""
         if isinstance(event, OdomReceived):
-            if seq not in self.unused:
-                self.odometry_t_ns = event.t_ns
+            if seq not in self._unused:
+                self.measured = Measurement(event.t_ns, self.measured.battery_level)
         elif isinstance(event, BatteryReceived):
-            self.in_percent = counts_in_percent(event.level, self.in_percent, self.scale)
-            self.battery_level = level_of(event.level, self.in_percent)
+            self._in_percent = counts_in_percent(event.level, self._in_percent, self._scale)
+            level = level_of(event.level, self._in_percent)
+            self.measured = Measurement(self.measured.odometry_t_ns, level)
+        return self.measured

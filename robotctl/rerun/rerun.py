@@ -94,7 +94,7 @@ class Rerun:
         if piece is not None and self.kernel is not None:
             kernel = self.kernel
             scale = kernel.params.battery.scale
-            self._followed = Followed.of(kernel.state.health, scale, piece.unused)
+            self._followed = Followed(kernel.state.health, scale, piece.unused)
 
     @property
     def is_trusting(self) -> bool:
@@ -105,7 +105,7 @@ class Rerun:
     def measured(self) -> Measured | None:
         """What is measured after the last step; None without a kernel."""
         if self._followed is not None:
-            return self._followed
+            return self._followed.measured
         return None if self.kernel is None else self.kernel.state.health
 
     def _set_kernel(self, kernel: Kernel | None) -> None:
@@ -325,9 +325,10 @@ def _followed_steps(
     agreed: list[Agreed] = []
     with suppress(UnreadableFile):
         for step, times in zip(steps, log_times, strict=False):
-            event, effects = read_event(step.event), tuple(map(read_effect, step.effects))
-            followed.step(step.event.seq, event)
-            agreed.append(Agreed(step.event.seq, event, effects, followed.measurement(), times))
+            event, seq = read_event(step.event), step.event.seq
+            effects = tuple([read_effect(effect) for effect in step.effects])
+            measured = followed.step(seq, event)
+            agreed.append(_new(Agreed, (seq, event, effects, measured, times)))
     return agreed
 
 
