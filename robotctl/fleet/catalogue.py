@@ -16,12 +16,13 @@ from typing import Final
 
 from robotctl.errors import Refused
 from robotctl.fleet.database import database, text
-from robotctl.fleet.index_file import INDEX_NAME, index_path, stamp_of, table_columns
+from robotctl.fleet.index_file import index_path, stamp_of, table_columns
 from robotctl.fleet.indexing import Failures, index_recordings
 from robotctl.recording.disk.access import protect_like
 from robotctl.recording.disk.storage import is_being_written
+from robotctl.recording.format.derived_files import INDEX_FILE
 
-CATALOGUE_NAME: Final = INDEX_NAME
+CATALOGUE_NAME: Final = INDEX_FILE
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,19 +18,17 @@ from robotctl.errors import Refused
 from robotctl.fleet.database import database, name, text
 from robotctl.fleet.rows import IndexRow, RecordingRow, all_columns
 from robotctl.recording.disk.access import protect_like
-
-INDEX_NAME: Final = "index.parquet"
-"""Its name in the folder of a recording; that of a single file is FILE.index.parquet."""
+from robotctl.recording.format.derived_files import INDEX_FILE
 
 LAYOUT: Final = 1
 """The number of the columns' layout; an index with another one is made again."""
 
 
 def index_path(recording: Path) -> Path:
-    """Return where the index of a recording is."""
+    """Return where the index of a recording is; that of a single file is FILE.index.parquet."""
     if recording.suffix == ".mcap":
-        return recording.with_name(f"{recording.name}.{INDEX_NAME}")
-    return recording / INDEX_NAME
+        return recording.with_name(f"{recording.name}.{INDEX_FILE}")
+    return recording / INDEX_FILE
 
 
 def stamp_of(recording: Path) -> str:
@@ -60,7 +58,7 @@ def write_index(recording: Path, rows: Sequence[IndexRow], stamp: str) -> Path:
     target = index_path(recording)
     try:
         with tempfile.TemporaryDirectory(prefix=".index-", dir=target.parent) as folder:
-            lines, made = Path(folder, "rows"), Path(folder, INDEX_NAME)
+            lines, made = Path(folder, "rows"), Path(folder, INDEX_FILE)
             with lines.open("w", encoding="utf-8") as file:
                 file.writelines(_lines(rows, {"stamp": stamp, "recording": recording.name}))
             _write_table(lines, made)

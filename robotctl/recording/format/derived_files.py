@@ -11,6 +11,9 @@ PICTURE_FILE: Final = "path.png"
 
 PAGE_FILE: Final = "report.html"
 
+INDEX_FILE: Final = "index.parquet"
+"""What `robotctl index` makes."""
+
 _COMPARISON: Final = "compared_with_{}.html"
 
 
@@ -25,5 +28,5 @@ def derived_files(folder: Path) -> Iterator[Path]:
     Raises:
         OSError: The folder cannot be read.
     """
-    for pattern in (PICTURE_FILE, PAGE_FILE, _COMPARISON.format("*")):
+    for pattern in (PICTURE_FILE, PAGE_FILE, INDEX_FILE, _COMPARISON.format("*")):
         yield from folder.glob(pattern)
