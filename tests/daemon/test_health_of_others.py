@@ -55,7 +55,7 @@ def test_a_sensor_that_stops_is_named_and_a_throttled_recording_is_the_same() ->
                 until(lambda: topic(world, "/camera/image")["throttled"] > 50)
                 until(lambda: topic(world, "/scan")["count"] > 20)
             stopped_s = time.time()
-            (told,) = until(lambda: warnings(world, "/scan is silent"))
+            (told,) = until(lambda: warnings(world, "/scan has been silent"))
             world.ok("set-mode", "idle")
             refused = world.robotctl("drive", "circle")
             (screen,) = until(
@@ -69,7 +69,7 @@ def test_a_sensor_that_stops_is_named_and_a_throttled_recording_is_the_same() ->
         checked = world.answer("replay", "--check", str(folder))
         topics = read_back(folder)
 
-    assert told.endswith(" s, 20 a second are expected")
+    assert told.endswith(" s (20 messages a second are expected)")
     assert over.endswith(" s ago")
     assert (refused.exit_code, "/scan is silent" in refused.err) == (4, True)
     assert camera["count"] + camera["throttled"] > 5 * camera["count"]
@@ -80,6 +80,6 @@ def test_a_sensor_that_stops_is_named_and_a_throttled_recording_is_the_same() ->
     assert len(topics["/odom"]) > 100, "what a check needs is never throttled"
     for name in ("/rosout", "/diagnostics"):
         first_ns = next(
-            each.log_time for each in topics[name] if b"/scan is silent" in bytes(each.data)
+            each.log_time for each in topics[name] if b"/scan has been silent" in bytes(each.data)
         )
         assert first_ns / 1e9 - stopped_s <= IN_TIME_S + SLACK_S, name

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robotctl.daemon.recording.learned_period import MINUTE_S, ROUNDS
-from robotctl.daemon.recording.topic_health import RECENT_S, TopicHealth, may_be_learned
+from robotctl.daemon.recording.topic_health import FORGET_S, RECENT_S, TopicHealth, may_be_learned
 from robotctl.daemon.recording.topic_watch import LOOK_S
 from robotctl.recording.write.rate_by_topic import RateByTopic
 
@@ -118,7 +118,7 @@ def test_a_topic_of_twice_the_rate_is_named_in_time(period_s: float, faster: flo
     before = regular(period_s, 0.0, 80.0)
     watched = Watched(before + regular(period_s / faster, before[-1], 110.0))
     watched.run(100.0)
-    assert "messages a second, expected are" in watched.said[0][1]
+    assert "messages a second instead of" in watched.said[0][1]
     assert watched.said[0][0] - before[-1] <= max(1.5, 3.7 * period_s) + 2 * LOOK_S
 
 
@@ -147,7 +147,7 @@ def test_messages_that_come_late_together_do_not_count_as_twice_the_rate() -> No
     ]
     watched = Watched(times_s)
     watched.run(115.0)
-    rates_hz = [float(text.split()[2]) for _, text in watched.said if "messages a second" in text]
+    rates_hz = [float(text.split()[2]) for _, text in watched.said if "instead of" in text]
     assert [each for each in rates_hz if each > 5.0] == []
 
 
@@ -193,8 +193,8 @@ def test_a_configured_rate_needs_no_minute() -> None:
     watched.run(4.9)
     assert watched.said == []
     (told,) = watched.run(6.2)
-    assert told.startswith("/scan is silent for 1.")
-    assert told.endswith(" s, 10 a second are expected")
+    assert told.startswith("/scan has been silent for 1.")
+    assert told.endswith(" s (10 messages a second are expected)")
 
 
 def test_a_rate_of_zero_expects_nothing() -> None:
@@ -208,7 +208,7 @@ def test_a_configured_topic_that_never_comes_is_named() -> None:
     for look in range(1, 8):
         health.look(look * LOOK_S, WALL_NS)
     assert list(health.warnings(1.4)) == [
-        "/scan has no message for 1.4 s, 10 a second are expected"
+        "/scan has had no message for 1.4 s (10 messages a second are expected)"
     ]
 
 
@@ -218,6 +218,19 @@ def test_a_trouble_that_is_over_is_told_for_a_minute() -> None:
     (told,) = watched.run(80.0)
     assert told.startswith("/scan was silent for 3.")
     assert watched.run(74.0 + RECENT_S) == []
+
+
+def test_a_learned_topic_that_does_not_come_back_is_forgotten() -> None:
+    watched = Watched([*regular(0.1, 0.0, 80.0), *regular(0.1, 800.0, 900.0)])
+    watched.run(80.0 + FORGET_S - 1.0)
+    assert watched.said[-1][0] == watched.now_s
+    assert watched.run(890.0) == []
+    assert watched.run(902.0) != [], "it is learned again"
+
+
+def test_a_configured_topic_is_never_forgotten() -> None:
+    watched = Watched(regular(0.1, 0.0, 5.0), ["/scan=10"])
+    assert watched.run(2.0 * FORGET_S) != []
 
 
 def test_a_loop_that_stood_still_blames_nobody() -> None:

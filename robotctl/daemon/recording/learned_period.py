@@ -32,19 +32,20 @@ FEWEST_IN_SPAN, MOST_IN_SPAN = 0.7, 1.4
 class LearnedPeriod:
     """The mean gap between the messages of one topic; times in seconds on a steady clock."""
 
-    def __init__(self) -> None:
+    def __init__(self, count: int) -> None:
+        """Begin with the first message after the first `count`."""
         self._rounds_left = ROUNDS
-        self._restart()
+        self._restart(count)
 
     @property
     def has_given_up(self) -> bool:
         """Whether the topic was irregular for too long."""
         return not self._rounds_left
 
-    def _restart(self) -> None:
+    def _restart(self, count: int) -> None:
+        self._before = count
         self._first: tuple[float, int] | None = None
         self._last_s = 0.0
-        self._count = 0
         self._longest_s = 0.0
         self._recent: deque[tuple[float, int]] = deque()
         self._fewest, self._most = inf, 0.0
@@ -55,21 +56,21 @@ class LearnedPeriod:
         `late` tells that the looks had a gap, so that messages may wait that are not counted yet.
         """
         if self._first is None:
-            if count:
-                self._first, self._last_s, self._count = (newest_s, count), newest_s, count
+            if count != self._before:
+                self._first, self._last_s = (newest_s, count), newest_s
             return None
         if late:
             self._recent.clear()
         else:
             self._longest_s = max(self._longest_s, now_s - self._last_s - GAP_SLACK_S)
             self._count_span(now_s, count)
-        self._last_s, self._count = newest_s, count
+        self._last_s = newest_s
         begun_s, begun_count = self._first
         if now_s - begun_s < MINUTE_S:
             return None
         period_s = self._period(newest_s - begun_s, count - begun_count)
         self._rounds_left -= 1
-        self._restart()
+        self._restart(count)
         return period_s
 
     def _count_span(self, now_s: float, count: int) -> None:

@@ -21,6 +21,9 @@ LATE_S: Final = 2.0 * LOOK_S
 RECENT_S: Final = 60.0
 """How long a trouble that is over is told."""
 
+FORGET_S: Final = 600.0
+"""After this silence a learned topic is expected no more: its node was ended for good."""
+
 MAX_NAMED: Final = 20
 MAX_TROUBLES: Final = 5
 MAX_LOGGED: Final = 1_000
@@ -69,6 +72,7 @@ class Arrivals(Protocol):
 class _Topic:
     name: str
     learning: LearnedPeriod | None
+    is_configured: bool = False
     watch: TopicWatch | None = None
     channels: list[Arrivals] = field(default_factory=list)
     count: int = 0
@@ -122,8 +126,9 @@ class TopicHealth:
         rate_hz = self._expected.of(name, type_name)
         if rate_hz:
             topic.watch = TopicWatch(1.0 / rate_hz, now_s, 0)
+            topic.is_configured = True
         elif rate_hz is None and learns:
-            topic.learning = LearnedPeriod()
+            topic.learning = LearnedPeriod(0)
         if topic.watch or topic.learning:
             self._active[name] = topic
         return topic
@@ -176,6 +181,9 @@ class TopicHealth:
         watch.look(now_s, topic.count, topic.newest_s)
         if len(topic.channels) == 1:
             watch.look_at_publishers(now_s, topic.channels[0].expected)
+        if not topic.is_configured and now_s - watch.newest_s >= FORGET_S:
+            topic.watch, topic.learning = None, LearnedPeriod(topic.count)
+            return True
         if watch.restarted_s != restarted_s:
             self._tell(f"the publisher of {topic.name} was restarted")
         elif watch.trouble is before:
@@ -222,12 +230,11 @@ def _trouble(topic: _Topic, watch: TopicWatch, now_s: float) -> str:
             return ""
         case Trouble.SILENT:
             silent_s = now_s - watch.newest_s
-            since = "is silent for" if topic.count else "has no message for"
-            return f"{topic.name} {since} {silent_s:.1f} s, {expected_hz:.3g} a second are expected"
+            has = "has been silent for" if topic.count else "has had no message for"
+            expected = f"({expected_hz:.3g} messages a second are expected)"
+            return f"{topic.name} {has} {silent_s:.1f} s {expected}"
         case Trouble.SLOW | Trouble.FAST:
             rate_hz = watch.rate_hz
-            return (
-                f"{topic.name} has {rate_hz:.3g} messages a second, expected are {expected_hz:.3g}"
-            )
+            return f"{topic.name} has {rate_hz:.3g} messages a second instead of {expected_hz:.3g}"
         case _:
             assert_never(watch.trouble)
