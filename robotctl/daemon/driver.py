@@ -68,7 +68,6 @@ from robotctl.ros.nodes.mode_service import CALLS, STATUS, ModeService
 from robotctl.ros.nodes.odom_subscriber import OdomSubscriber
 from robotctl.ros.nodes.simulated_robot import SimulatedRobot
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher, command_topic
-from robotctl.ros.tap.subscription import LATENCY_S
 
 _log = logging.getLogger(__name__)
 
@@ -76,8 +75,11 @@ READY_S = 10.0
 """How long a start waits for what the configuration expects: odometry, battery level, and a
 subscriber of the command. Discovery by Fast DDS takes up to 2.6 s; a robot may still boot."""
 
-MAX_COMMAND_LATENCY_S = 0.01
-"""How long heard commands are batched if the ticks that check them are over 20 ms apart."""
+LOOKS_ENOUGH_HZ = 50.0
+"""A control rate from which the ticks look at the heard commands often enough..."""
+
+COMMAND_LATENCY_S = 0.01
+"""...and how long these are collected at a lower rate."""
 
 
 class Driver:
@@ -139,7 +141,7 @@ class Driver:
         )
         self._look_at_commands = self._velocity.monitor(
             self._foreign_commands.heard,
-            LATENCY_S if params.rate_hz >= 50.0 else MAX_COMMAND_LATENCY_S,
+            None if params.rate_hz >= LOOKS_ENOUGH_HZ else COMMAND_LATENCY_S,
         )
         host.supervisor.report_to(self._control.dispatch)
         self._robot_report = RobotReport(self._control, truth)

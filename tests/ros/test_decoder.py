@@ -122,7 +122,7 @@ def test_most_messages_have_a_function_of_their_own() -> None:
     written = 0
     for kind in everyday:
         try:
-            decoder._Source(kind).compile()
+            decoder._Source(kind, bytes).compile()
             written += 1
         except decoder._Unusual:
             pass

@@ -6,7 +6,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from types import FrameType
 from typing import Protocol, Self
 
@@ -32,6 +31,9 @@ SHOWN_FRAMES = 3
 BUSY_SHARE = 0.5
 """A stall with a larger share of waiting for a processor is blamed on the busy machine."""
 
+ACCOUNT_PERIOD_NS = 100_000_000
+"""How often the wait for a processor is noted: at each tick it took 3 % of the loop's time."""
+
 
 class Gate(Protocol):
     """The publisher of commands, as the watchdog uses it."""
@@ -44,14 +46,6 @@ class Gate(Protocol):
 
     def open_gate(self) -> tuple[int, int]:
         """Let commands pass; return the counts of zeros sent and of commands withheld."""
-
-
-@dataclass(frozen=True, slots=True)
-class LoopTick:
-    """The time of a tick, and the total waiting time of its thread for a processor."""
-
-    t_ns: int
-    waited_ns: int
 
 
 class Watchdog:
@@ -74,7 +68,11 @@ class Watchdog:
         self._limit_ns = round(max(STALL_S, STALL_TICKS / rate_hz) * NS_PER_S)
         self._gate = gate
         self._now_ns = now_ns
-        self._last = LoopTick(0, 0)
+        self._last_ns = 0
+        """The time of the last tick."""
+        self._account_ns = 0
+        self._waited_ns = 0
+        """How long the loop's thread had waited for a processor at `_account_ns`."""
         self._holding = False
         self._where = ""
         self._unsent = 0
@@ -95,7 +93,9 @@ class Watchdog:
 
     def ping(self) -> None:
         """Note that the loop has just handled a tick."""
-        self._last = self._now()
+        now_ns = self._last_ns = self._now_ns()
+        if now_ns - self._account_ns >= ACCOUNT_PERIOD_NS:
+            self._account_ns, self._waited_ns = now_ns, self._processor.waited_ns()
         if self._thread.ident is None:
             self._thread.start()
 
@@ -114,19 +114,20 @@ class Watchdog:
     # In the loop's thread
 
     def _end_stall(self) -> LoopStalled:
-        now, last = self._now(), self._last
+        now_ns = self._now_ns()
         zeros, withheld = self._gate.open_gate()
         self._holding = False  # without a tick the stall continues: only `ping` ends it
-        stalled_s = (now.t_ns - last.t_ns) / NS_PER_S
-        waited_s = (now.waited_ns - last.waited_ns) / NS_PER_S
-        if waited_s > BUSY_SHARE * stalled_s:
-            detail = f"the machine was busy: no processor for {waited_s:.2f} s{pressure()}"
+        stalled_s = (now_ns - self._last_ns) / NS_PER_S
+        waited_s = (self._processor.waited_ns() - self._waited_ns) / NS_PER_S
+        if waited_s > BUSY_SHARE * (now_ns - self._account_ns) / NS_PER_S:
+            without_s = min(waited_s, stalled_s)
+            detail = f"the machine was busy: no processor for {without_s:.2f} s{pressure()}"
         else:
             detail = f"in {self._where}" if self._where else "the loop was held up"
         if self._unsent:
             detail = f"{detail}; {self._unsent} zeros could not be sent"
             self._unsent = 0
-        return LoopStalled(now.t_ns, stalled_s, zeros, withheld, detail)
+        return LoopStalled(now_ns, stalled_s, zeros, withheld, detail)
 
     # In the watchdog's thread
 
@@ -150,7 +151,7 @@ class Watchdog:
 
     def _due_s(self) -> float:
         """Return the seconds until the loop counts as stalled; negative if it does already."""
-        return (self._last.t_ns + self._limit_ns - self._now_ns()) / NS_PER_S
+        return (self._last_ns + self._limit_ns - self._now_ns()) / NS_PER_S
 
     def _hold(self) -> None:
         """Send zeros until the loop calls `take`."""
@@ -167,9 +168,6 @@ class Watchdog:
             self._gate.publish_zero()
         except Exception:  # noqa: BLE001 - the next zero may succeed
             self._unsent += 1
-
-    def _now(self) -> LoopTick:
-        return LoopTick(self._now_ns(), self._processor.waited_ns())
 
 
 def where(frame: FrameType | None) -> str:

@@ -64,19 +64,9 @@ def decoder_of(message_type: Any) -> Decode:
     if sys.byteorder != "little":
         return by_rclpy
     try:
-        decode = _Source(message_type).compile()
+        return _Source(message_type, by_rclpy).compile()
     except (_Unusual, ImportError, AttributeError):
         return by_rclpy
-
-    def by_layout(data: bytes) -> Any:
-        if data[:2] != _PLAIN_CDR:
-            return by_rclpy(data)
-        try:
-            return decode(data)
-        except (struct.error, ValueError):  # rclpy decodes it, or raises the right error
-            return by_rclpy(data)
-
-    return by_layout
 
 
 class _Source:
@@ -87,15 +77,17 @@ class _Source:
     divides the distance from `_BODY` to `at`.
     """
 
-    def __init__(self, message_type: Any) -> None:
+    def __init__(self, message_type: Any, by_rclpy: Decode) -> None:
         self._lines: list[str] = []
         self._names: dict[str, Any] = {
             "array": array,
+            "by_rclpy": by_rclpy,
             "error": ValueError,
+            "errors": (struct.error, ValueError),
             "new": object.__new__,
             "numbers": numpy.frombuffer,
         }
-        self._indent = "    "
+        self._indent = "        "
         self._at = str(_BODY)
         self._aligned = 8
         self._ahead = 0
@@ -106,7 +98,7 @@ class _Source:
         self._message_type = message_type
 
     def compile(self) -> Decode:
-        """Return the compiled function.
+        """Return the compiled function; it leaves to rclpy what is not plain CDR or cut short.
 
         Raises:
             _Unusual: rclpy must decode the type.
@@ -115,7 +107,15 @@ class _Source:
         self._end_run()
         self._line(f"if {self._here()} > len(data): raise error('cut short')")
         self._line(f"return {message}")
-        source = "\n".join(["def decode(data):", *self._lines])
+        source = "\n".join(
+            [
+                "def decode(data):",
+                f"    if not data.startswith({_PLAIN_CDR!r}): return by_rclpy(data)",
+                "    try:",
+                *self._lines,
+                "    except errors: return by_rclpy(data)",
+            ]
+        )
         exec(compile(source, f"<decoder of {self._message_type.__name__}>", "exec"), self._names)
         decode: Decode = self._names["decode"]
         return decode

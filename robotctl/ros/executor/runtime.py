@@ -42,7 +42,8 @@ class Runtime:
         self.tasks: set[asyncio.Task[None]] = set()
         self.slow = SlowCallbacks()
         self.slice_ns = SLICE_NS
-        self._flooded: set[object] = set()
+        self.flooded: set[object] = set()
+        """The sources whose last slice ended before all was delivered."""
         self._pools: dict[float, Pool] = {}
         self._on_exception = on_exception
         self._on_idle: Callable[[], None] | None = None
@@ -76,18 +77,18 @@ class Runtime:
 
     def mark_flooded(self, source: object) -> None:
         """Share a turn of the loop between this source and the other flooded ones."""
-        if source not in self._flooded:
-            self._flooded.add(source)
+        if source not in self.flooded:
+            self.flooded.add(source)
             self._share_turn()
 
     def mark_drained(self, source: object) -> None:
         """Note that the source has nothing left: it is not flooded."""
-        if source in self._flooded:
-            self._flooded.remove(source)
+        if source in self.flooded:
+            self.flooded.remove(source)
             self._share_turn()
 
     def _share_turn(self) -> None:
-        share_ns = TURN_NS // max(len(self._flooded), 1)
+        share_ns = TURN_NS // max(len(self.flooded), 1)
         self.slice_ns = max(SHORTEST_SLICE_NS, min(SLICE_NS, share_ns))
 
     def spawn(

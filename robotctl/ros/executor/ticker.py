@@ -7,8 +7,7 @@ import math
 import time
 import weakref
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Self
+from typing import NamedTuple, Self
 
 from robotctl.ros.executor.beat import beat_before
 from robotctl.ros.executor.time_limits import NS_PER_S
@@ -17,8 +16,7 @@ from robotctl.ros.executor.timerfd import TimerFd
 MAX_HZ = 10_000.0
 
 
-@dataclass(frozen=True, slots=True)
-class Tick:
+class Tick(NamedTuple):
     """One tick of a `Ticker`; times are steady nanoseconds (`time.monotonic_ns`).
 
     t_ns is when the tick was delivered, due_ns when it was due. missed is the number of ticks

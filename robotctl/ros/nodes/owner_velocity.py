@@ -43,7 +43,9 @@ class OwnerVelocity(VelocityPublisher):
         self._gates: frozenset[bytes] = frozenset()
         self._looked_s = 0.0
 
-    def monitor(self, heard: Callable[[bytes], None], latency_s: float) -> Callable[[], None]:
+    def monitor(
+        self, heard: Callable[[bytes], None], latency_s: float | None
+    ) -> Callable[[], None]:
         """Call `heard(gid)` for each command for the gate, and for each one past it."""
 
         def heard_by_robot(gid: bytes) -> None:

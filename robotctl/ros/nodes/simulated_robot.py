@@ -27,9 +27,10 @@ MAX_STEP_S = 0.1
 """The longest step of the motion. The rest of a longer pause of the process is ignored, so that the
 robot does not jump."""
 
-LEAD_NS = 100_000
-"""How long before a control tick the robot of a daemon moves: its odometry is then of this moment,
-and both wake the loop once."""
+LEAD_NS = 5_000
+"""How long before a control tick the robot of a daemon moves: its odometry is then of this moment.
+
+Both timers expire while the loop wakes up, so that it turns once for both, in this order."""
 
 
 def odometry_topic(name: str) -> OwnTopic:

@@ -89,17 +89,19 @@ class VelocityPublisher:
         """The full name of the command topic."""
         return str(self._publisher.topic_name)
 
-    def monitor(self, heard: Callable[[bytes], None], latency_s: float) -> Callable[[], None]:
+    def monitor(
+        self, heard: Callable[[bytes], None], latency_s: float | None
+    ) -> Callable[[], None]:
         """Call `heard(gid)` for each command on the topic, of any publisher.
 
-        Commands are collected for `latency_s` seconds. Returns a function that takes the collected
-        ones at once. The subscription is best effort, so that it receives from publishers of any
-        QoS.
+        Commands are collected for `latency_s` seconds, without limit if it is None. Returns a
+        function that takes the collected ones at once. The subscription is best effort, so that it
+        receives from publishers of any QoS.
         """
         return self._monitor(self.topic, heard, latency_s)
 
     def _monitor(
-        self, topic: str, heard: Callable[[bytes], None], latency_s: float
+        self, topic: str, heard: Callable[[bytes], None], latency_s: float | None
     ) -> Callable[[], None]:
         tap = RawTap(lambda data, received, source, sequence, gid: heard(gid), latency_s=latency_s)
         # rclpy's types allow a callback of one argument only.

@@ -184,7 +184,8 @@ class EventFdSource(Source):
             self.runtime.sync()
             if self.closed:
                 return False
-        if self.blocked():
+        is_free = self._reentrant or (not self._custom_group and self.group._active_entity is None)
+        if not is_free and self.blocked():
             return False
         return self.drain()
 

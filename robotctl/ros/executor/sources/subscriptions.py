@@ -40,16 +40,22 @@ class _TakenSource(EventFdSource):
     announcements = (Announcement.MESSAGE,)
 
     def __init__(
-        self, runtime: Runtime, subscription: Subscription, where: str, *, views: bool = False
+        self,
+        runtime: Runtime,
+        subscription: Subscription,
+        where: str,
+        *,
+        views: bool = False,
+        bare: bool = False,
     ) -> None:
         super().__init__(runtime, subscription, subscription.handle, where)
-        self._taker = SerializedTaker(self.handle.pointer, views=views)
+        self._taker = SerializedTaker(self.handle.pointer, views=views, bare=bare)
         self._counts = counts_each_message()
         self._is_counted = False
         """Whether no more messages wait than the eventfd counts."""
 
     def receiver(self) -> Callable[..., Any]:
-        """Return the function that gets the fields of each `TakenMessage`."""
+        """Return the function that gets what the taker returns of each message."""
         raise NotImplementedError
 
     def detach(self) -> None:
@@ -112,8 +118,9 @@ class _TakenSource(EventFdSource):
                 if self.closed:
                     return False
             left -= 1
-            if left <= 0 and not taker.lends:
-                runtime.mark_drained(self)
+            if left <= 0 and taker.lent is None:
+                if runtime.flooded:
+                    runtime.mark_drained(self)
                 return False
             if now > end:
                 return self.continue_later()
@@ -127,24 +134,31 @@ class SubscriptionSource(_TakenSource):
     """
 
     def __init__(self, runtime: Runtime, subscription: Subscription, where: str) -> None:
-        super().__init__(runtime, subscription, where)
+        super().__init__(runtime, subscription, where, bare=True)
         self._decode = bytes if subscription.raw else decoder_of(subscription.msg_type)
+        self._callback = subscription.callback
+        self._receive = self._receiver_of(self._callback)
         self._polls = 0
         self._rate_checked_ns = 0
         self._rest_s = affordable_rest_s(FLOOD_REST_S, subscription.qos_profile)
 
     def receiver(self) -> Callable[..., Any]:
-        subscription, decode, info = self.entity, self._decode, self._taker.info
-        callback = subscription.callback
-        if subscription._callback_type is Subscription.CallbackType.MessageOnly:
-            return lambda data, *_: callback(decode(data))
-        return lambda data, *_: callback(decode(data), info())
+        callback = self.entity._callback
+        if callback is not self._callback:
+            self._callback, self._receive = callback, self._receiver_of(callback)
+        return self._receive
+
+    def _receiver_of(self, callback: Callable[..., Any]) -> Callable[..., Any]:
+        decode, info = self._decode, self._taker.info
+        if self.entity._callback_type is Subscription.CallbackType.MessageOnly:
+            return lambda data: callback(decode(data))
+        return lambda data: callback(decode(data), info())
 
     def drain(self) -> bool:
         self._polls += 1
         if self._polls >= POLLS_PER_RATE_CHECK:
             self._check_rate()
-        return super().drain()
+        return _TakenSource.drain(self)
 
     def _check_rate(self) -> None:
         now = time.monotonic_ns()
