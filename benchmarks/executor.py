@@ -96,7 +96,7 @@ FIGURES = {
         "%",
         EXECUTORS,
         hz=1000.0,
-        targets=(Target(ASYNCIO, 1 / 4, SINGLE),),
+        targets=(Target(ASYNCIO, 1 / 4, SINGLE), Target(ASYNCIO, 0.8, EVENTS)),
     ),
     "lost-typed": Figure(
         "lost of 10 kHz typed for 10 s, depth 10k",
