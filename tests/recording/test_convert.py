@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import resource
 import shutil
 import sqlite3
@@ -305,6 +306,7 @@ def test_nothing_is_overwritten_and_a_full_disk_leaves_nothing(tmp_path: Path) -
     ran = subprocess.run(
         [sys.executable, "-c", program, str(GOLDEN / "stopped"), str(tmp_path / "full")],
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000)),
+        env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},  # the limit would cut the caches
         capture_output=True,
         text=True,
     )
