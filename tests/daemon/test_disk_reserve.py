@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import asyncio
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from robotctl.daemon.recording.disk_reserve import MAX_NAMED, DiskReserve
+from tests.support.waiting import DEADLINE_S
 
 GB = 10**9
 SIZES = {"/odom": 9_000_000, "/camera": 5_000_000, "/scan": 1_000_000, "/idle": 0}
@@ -56,6 +59,28 @@ def test_each_topic_that_is_left_out_is_named_with_the_reason() -> None:
         "/camera is not recorded: the disk has 9.99 GB free, less than 10 GB "
         "(recording.min_free_gb; see robotctl recordings rm)"
     )
+
+
+async def test_a_disk_that_cannot_be_asked_is_told_as_long_as_it_lasts(tmp_path: Path) -> None:
+    reserve = DiskReserve(10 * GB, gates("/camera"))
+    recorder: Any = SimpleNamespace(stats=lambda: SimpleNamespace(topics=()))
+    missing = tmp_path / "gone"
+    looking = asyncio.create_task(reserve.run(recorder, missing))
+    async with asyncio.timeout(DEADLINE_S):
+        while not list(reserve.warnings()):
+            await asyncio.sleep(0.01)
+        assert list(reserve.warnings()) == [
+            f"the free space of {missing} is not known: No such file or directory"
+        ]
+        missing.mkdir()
+        while list(reserve.warnings()):
+            await asyncio.sleep(0.01)
+    looking.cancel()
+
+
+async def test_without_a_reserve_nobody_looks(tmp_path: Path) -> None:
+    recorder: Any = None
+    await DiskReserve(0, {}).run(recorder, tmp_path)
 
 
 def test_of_many_topics_some_are_named() -> None:

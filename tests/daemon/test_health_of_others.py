@@ -64,6 +64,7 @@ def test_a_sensor_that_stops_is_named_and_a_throttled_recording_is_the_same() ->
         camera, recorder = topic(world, "/camera/image"), world.status()["recorder"]
         with publishing(world, "lidar", "/scan", SCAN_HZ):
             (over,) = until(lambda: warnings(world, "/scan was silent"))
+            until(lambda: warnings(world, "the publisher of /scan was restarted"))
         world.ok("stop")
         folder = next(world.recordings.iterdir())
         checked = world.answer("replay", "--check", str(folder))

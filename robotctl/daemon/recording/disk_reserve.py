@@ -36,6 +36,9 @@ class DiskReserve:
         self._least_bytes = least_bytes
         self._gates = gates
         self._free_bytes = 0
+        self._unknown = ""
+        """Why the free space is not known, else ""."""
+
         self._sizes: Mapping[str, int] = {}
         self.stopped: list[str] = []
         """Topics that are not recorded, in the order in which they were stopped."""
@@ -48,8 +51,9 @@ class DiskReserve:
             try:
                 free_bytes = await asyncio.to_thread(free, folder)
             except OSError as error:
-                _log.warning("the free space of %s is not known: %s", folder, error.strerror)
+                self._unknown = f"the free space of {folder} is not known: {error.strerror}"
             else:
+                self._unknown = ""
                 self.look(free_bytes, _sizes(recorder))
             await asyncio.sleep(LOOK_S)
 
@@ -68,6 +72,8 @@ class DiskReserve:
 
     def warnings(self) -> Iterator[str]:
         """Yield which topics are not recorded, and why."""
+        if self._unknown:
+            yield self._unknown
         for topic in islice(self.stopped, MAX_NAMED):
             yield self._sentence(topic)
         if len(self.stopped) > MAX_NAMED:

@@ -40,6 +40,9 @@ class TopicSinks:
         self.gates: dict[str, list[MessageGate]] = {}
         """The gates of each topic that may be left out."""
 
+        self._sinks: dict[int, ViewSink] = {}
+        """By channel; a topic that comes again has the same one."""
+
         expected = (each.rpartition("=") for each in params.expected_rates)
         named = [name for name, _, rate in expected if is_plain_name(name) and float(rate)]
         self.health = TopicHealth(RateByTopic(params.expected_rates), named, time.monotonic())
@@ -50,8 +53,13 @@ class TopicSinks:
             topic.name, topic.type_name, topic.definition, topic.type_hash, topic.offered_qos
         )
         channel = self._recorder.add_topic(described)
+        if channel not in self._sinks:
+            self._sinks[channel] = self._new_sink(described, channel)
+        return self._sinks[channel]
+
+    def _new_sink(self, topic: Topic, channel: int) -> ViewSink:
         is_own = self._is_own(topic.name)
-        learns = not (is_own or described.latched) and may_be_learned(topic.name, topic.type_name)
+        learns = not (is_own or topic.latched) and may_be_learned(topic.name, topic.type_name)
         self.health.add(
             topic.name,
             topic.type_name,
@@ -59,11 +67,13 @@ class TopicSinks:
             learns=learns,
             now_s=time.monotonic(),
         )
-        if is_own or described.latched or self._is_evidence(topic.name):
+        if is_own or topic.latched or self._is_evidence(topic.name):
             return partial(self._recorder.write, channel)
         most_hz = self._most.of(topic.name, topic.type_name)
         if most_hz is None and not self._has_reserve:
             return partial(self._recorder.write, channel)
         gate = MessageGate(self._recorder, channel, inf if most_hz is None else most_hz)
-        self.gates.setdefault(topic.name, []).append(gate)
+        others = self.gates.setdefault(topic.name, [])
+        gate.is_shut = any(each.is_shut for each in others)
+        others.append(gate)
         return gate
