@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from robotctl.recording import read_info
+from tests.support.html_page import HtmlPage
 from tests.support.waiting import DEADLINE_S, until
 from tests.support.world import World, read_back
 
@@ -47,12 +48,15 @@ def test_the_demo_drives_a_lap_and_shows_what_was_recorded(world: World) -> None
     assert png.startswith(b"\x89PNG")
     following = out.split("next:\n")[1].splitlines()
     assert [line.split()[:2] for line in following] == [
-        ["robotctl", "info"],
+        ["robotctl", "report"],
         ["robotctl", "replay"],
         ["robotctl", "start"],
     ]
-    report = out[out.index("\n  recording") :]
-    assert max(map(len, report.splitlines())) <= 80
+    assert max(map(len, out[out.index("Hz\n") :].splitlines())) <= 80
+    told = world.answer(*following[0].split()[1:])
+    assert told["recordings"][0]["verdicts"] == {"replay --check": "same", "verify": "sealed"}
+    assert told["recordings"][0]["figures"]["drives"] == 1
+    assert HtmlPage((folder / "report.html").read_text()).wrong == []
     assert world.processes() == {}
     assert world.sockets() == []
 

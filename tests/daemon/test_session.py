@@ -71,6 +71,7 @@ def _live(world: World, peer: Peer) -> Session:
     calls["idle"] = peer("set_mode", mode=0)
     drive = world.answer("drive", "circle", "--radius", "0.15", "--laps", "1", "--wait")
     path = _ask(world, {"method": "path", "params": {}})
+    assert Path(drive["picture"]).read_bytes().startswith(b"\x89PNG")
     calls["stop"] = peer("set_mode", mode=3)
     calls["refused"] = peer("set_mode", mode=1)
     late = peer("late_status")
