@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from robotctl.daemon.recording.disk_reserve import MAX_NAMED, DiskReserve
-from tests.support.waiting import DEADLINE_S
+from tests.support.waiting import loop_until
 
 GB = 10**9
 SIZES = {"/odom": 9_000_000, "/camera": 5_000_000, "/scan": 1_000_000, "/idle": 0}
@@ -66,15 +66,12 @@ async def test_a_disk_that_cannot_be_asked_is_told_as_long_as_it_lasts(tmp_path:
     recorder: Any = SimpleNamespace(stats=lambda: SimpleNamespace(topics=()))
     missing = tmp_path / "gone"
     looking = asyncio.create_task(reserve.run(recorder, missing))
-    async with asyncio.timeout(DEADLINE_S):
-        while not list(reserve.warnings()):
-            await asyncio.sleep(0.01)
-        assert list(reserve.warnings()) == [
-            f"the free space of {missing} is not known: No such file or directory"
-        ]
-        missing.mkdir()
-        while list(reserve.warnings()):
-            await asyncio.sleep(0.01)
+    await loop_until(lambda: list(reserve.warnings()))
+    assert list(reserve.warnings()) == [
+        f"the free space of {missing} is not known: No such file or directory"
+    ]
+    missing.mkdir()
+    await loop_until(lambda: not list(reserve.warnings()))
     looking.cancel()
 
 
