@@ -97,7 +97,7 @@ class _ServiceCheck:
         open_calls: dict[tuple[bytes, int], Call],
         clock: ClockChanges,
     ) -> None:
-        name, _ = own_name(info, journal_topic, f"service.{service.name}")
+        name, self._is_told = own_name(info, journal_topic, f"service.{service.name}")
         self.topic = f"{name}/_service_event"
         types = {topic.name: topic.type_name for topic in info.topics}
         self.is_recorded = types.get(self.topic) == service.type_name
@@ -185,7 +185,7 @@ class _ServiceCheck:
             report.notes.append(f"{text}: {ending.lost} were counted as lost")
         elif not self.is_recorded and ending.is_filtered:
             report.notes.append(f"{self.topic} was not recorded, as configured")
-        elif not pairs.calls and self._others:
+        elif not pairs.calls and self._others and not self._is_told:
             report.notes.append(f"{text}: its name may be remapped, as {self._others[0]} is of it")
         elif ending.ledger is None:
             report.miss(f"{text}; {ending.unknown_losses}")

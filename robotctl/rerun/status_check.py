@@ -159,7 +159,7 @@ class StatusCheck:
 
     def _tell_unrecorded(self, ending: Ending) -> None:
         text = f"its topic of robot statuses, {self._name}, is not recorded"
-        if self._others:
+        if self._others and not self._is_told:
             self._report.notes.append(f"{text}: its name may be remapped, as {self._others[0]} is")
         elif self._is_told and ending.is_whole:
             self._report.miss(text)

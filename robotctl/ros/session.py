@@ -41,15 +41,16 @@ class Session:
         executor: AsyncioExecutor,
         namespace: str,
         nodes: list[Node],
-        node_names: Mapping[str, str],
+        naming: Naming,
         use_sim_time: bool,
     ) -> None:
-        """Add the created nodes to `nodes`; `node_names` are new names by the usual ones."""
+        """Add the created nodes to `nodes`."""
         self._context = context
         self._executor = executor
         self._namespace = namespace
         self._nodes = nodes
-        self._node_names = node_names
+        self._node_names = naming.nodes
+        self._remaps = naming.remaps
         self._overrides = [
             Parameter("start_type_description_service", value=False),
             Parameter("use_sim_time", value=use_sim_time),
@@ -63,14 +64,28 @@ class Session:
         """How the operating system schedules the loop's thread, in words."""
         return self._executor.scheduling
 
-    def resolve(self, topic: str) -> str:
+    def resolve(self, topic: str, role: str = "") -> str:
         """Return the full name of a topic that may be relative, or have another name here.
 
-        The events of a service follow its name.
+        `role` is the usual name of the node that has it, which need not exist yet: rules may be for
+        one node. The events of a service follow its name.
         """
         service = topic.removesuffix(SERVICE_EVENTS)
-        name = str(self.helper().resolve_topic_name(service))
+        name = self._remapped(service, self._node_names.get(role, role))
         return name if service == topic else name + SERVICE_EVENTS
+
+    def _remapped(self, topic: str, node: str) -> str:
+        """Return the full name by the first rule that is for the topic, as rcl does."""
+
+        def full(name: str) -> str:
+            return str(self.helper().resolve_topic_name(name, only_expand=True))
+
+        for rule in self._remaps:
+            left, _, target = rule.partition(":=")
+            only, _, source = left.rpartition(":")
+            if only in ("", node) and full(source) == full(topic):
+                return full(target)
+        return full(topic)
 
     def logger_name(self, node_name: str) -> str:
         """Return the name that ROS gives the logger of a node, by the node's usual name."""
@@ -140,6 +155,6 @@ async def ros_session(
     context = open_context(domain_id, naming.remaps)
     at_end.callback(close_context, context, nodes)
     executor = AsyncioExecutor(context, on_exception=on_exception, fifo_priority=fifo_priority)
-    session = Session(context, executor, namespace, nodes, naming.nodes, use_sim_time)
+    session = Session(context, executor, namespace, nodes, naming, use_sim_time)
     async with session.last, executor:
         yield session

@@ -19,7 +19,7 @@ def test_a_start_takes_parameters_remaps_a_namespace_and_a_node_name() -> None:
             world.ok(
                 *("start", "--sim", "--config", str(world.patient)),
                 *("--ros-args", "-r", "__ns:=/lab", "-r", "odom:=/base/odom"),
-                *("-r", "set_mode:=change_mode", "-r", "robot_status:=status"),
+                *("-r", "mode_service:set_mode:=change_mode", "-r", "robot_status:=status"),
                 *("-r", "velocity_publisher:__node:=velocity"),
                 *("-p", "limits.linear_mps:=0.4", "--params-file", str(file)),
                 *("--log-level", "lab.velocity:=debug"),

@@ -116,7 +116,11 @@ def _with_messages(contents: Contents, heard: dict[tuple[str, int], bytes]) -> C
             late = []
     contents.messages = messages + late
     told = next(values for name, values in contents.metadata if name == INFO_RECORD)
-    told |= {"topic.robot_status": STATUS, "service.set_mode": "/set_mode"}
+    told |= {
+        "topic.robot_status": STATUS,
+        "service.set_mode": "/set_mode",
+        "service.estop": "/estop",
+    }
     return _counted(contents)
 
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import re
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from random import Random
 
 from robotctl.cdr.motion import decode_twist, encode_twist
 from robotctl.recording.format.journal import EntryKind, JournalEntry, chained, decode, encode
+from robotctl.recording.format.metadata_names import LEDGER_RECORD
 from tests.support.edited_recordings import Contents, Stored, edit
 from tests.support.heard_drives import JOURNAL
 
@@ -150,6 +152,26 @@ def removed(topic: str) -> Kind:
         random.choice(positions(contents, topic, anywhere))
         edited = edit(contents, topic, lambda at, each: None)
         edited.types = [each for each in contents.types if each[0].topic != topic]
+        return edited
+
+    return make
+
+
+def renamed(topic: str) -> Kind:
+    """Give a topic that has messages another name, also in the ledger."""
+
+    def make(contents: Contents, random: Random) -> Contents:
+        random.choice(positions(contents, topic, anywhere))
+        name = f"/other{topic}"
+        edited = edit(contents, topic, lambda at, each: replace(each, topic=name))
+        edited.types = [
+            (replace(channel, topic=name) if channel.topic == topic else channel, schema)
+            for channel, schema in edited.types
+        ]
+        edited.counts = Counter(each.topic for each in edited.messages)
+        for record, values in edited.metadata:
+            if record == LEDGER_RECORD:
+                values[name] = values.pop(topic)
         return edited
 
     return make

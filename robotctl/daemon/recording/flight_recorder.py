@@ -80,7 +80,8 @@ class FlightRecorder:
         self._config = config
         publish = HeadPublisher(session).publish if config.recording.publish_heads else None
         self._heads = HeadForwarder(config.recording.head_command, publish)
-        evidence = frozenset(map(session.resolve, _evidence_topics(config)))
+        names = mode_service.names(session)
+        evidence = {*map(session.resolve, _evidence_topics(config)), *names.values()}
         self._recorder = open_recorder(
             options.recordings,
             options.robot,
@@ -91,8 +92,8 @@ class FlightRecorder:
             in_loop(self._file_full),
             present=lambda: self._config,
             sealer=RobotSealer(options.robot, in_loop(self._heads.take)),
-            evidence=evidence,
-            names={} if options.observe else mode_service.names(session.resolve),
+            evidence=frozenset(evidence),
+            names={} if options.observe else names,
         )
         topics = (config.kernel.command.topic, config.kernel.odometry.topic)
         own = (mode_service.STATUS.name, journal_publisher.TOPIC.name)

@@ -47,11 +47,15 @@ CALLS = tuple(
 """The topics that show the calls and responses of each service."""
 
 
-def names(resolve: Callable[[str], str]) -> dict[str, str]:
-    """Return the full names of the status topic and the services; `resolve` applies remaps."""
+NODE_NAME = "mode_service"
+"""The usual name of the node."""
+
+
+def names(session: Session) -> dict[str, str]:
+    """Return the full names that the status topic and the services will have."""
     return {
-        "topic.robot_status": resolve(STATUS.name),
-        **{f"service.{name}": resolve(name) for name in (SET_MODE, ESTOP)},
+        "topic.robot_status": session.resolve(STATUS.name, NODE_NAME),
+        **{f"service.{name}": session.resolve(name, NODE_NAME) for name in (SET_MODE, ESTOP)},
     }
 
 
@@ -83,7 +87,7 @@ class ModeService:
         self._request = request
         self._say = say
         self._in_work = 0
-        self.node = session.node_of(ManagedNode, "mode_service")
+        self.node = session.node_of(ManagedNode, NODE_NAME)
         """The node. Its lifecycle says whether motion may start; its services work in each state.
         Other roles of its process may add their interfaces."""
         self._publisher = STATUS.create_publisher(self.node)
