@@ -37,6 +37,10 @@ TWIST: Final = "geometry_msgs/msg/Twist"
 
 _STAND: Final = (0.0, 0.0)
 
+LET_GO_S: Final = 1.0
+"""How long an operator must be silent after a motion was refused or ended: a slow network is no
+letting go."""
+
 MAX_CALLS: Final = 8
 """Limit on calls of services that are not answered yet; each takes a thread."""
 
@@ -111,7 +115,7 @@ class RemoteControl:
         try:
             with Client(self._robot) as client:
                 number = 0
-                while await self._has_wish():
+                while await self._has_wish(MAX_SILENCE_S):
                     velocity, self._wish = self._wish or _STAND, None
                     if number == 0 and velocity == _STAND:
                         continue
@@ -124,15 +128,15 @@ class RemoteControl:
         except RobotctlError as error:
             text = f"{error} (let go, then hold again)"
             viewer.tell(status(StatusLevel.WARNING, text, "drive"))
-            while await self._has_wish():  # the operator has not let go
+            while await self._has_wish(LET_GO_S):  # the operator has not let go
                 self._wish = None
         finally:
             self._driver = None
 
-    async def _has_wish(self) -> bool:
-        """Wait for a wish as long as a motion may be silent; return whether there is one."""
+    async def _has_wish(self, silence_s: float) -> bool:
+        """Wait for a wish, and return whether there is one before such a silence."""
         with suppress(TimeoutError):
-            async with asyncio.timeout(MAX_SILENCE_S):
+            async with asyncio.timeout(silence_s):
                 await self._wished.wait()
         self._wished.clear()
         return self._wish is not None

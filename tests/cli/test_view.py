@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.cli.commands import view
+from robotctl.cli.support import view_process
 from tests.cli.conftest import Ran
 from tests.support.numbered_files import recorded
 from tests.support.view_client import view_client
@@ -64,7 +64,7 @@ def test_wrong_options_are_refused_at_once(cli: Callable[..., Ran]) -> None:
 def test_without_the_extra_the_cure_is_told(
     cli: Callable[..., Ran], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(view, "find_spec", lambda name: None)
+    monkeypatch.setattr(view_process, "find_spec", lambda name: None)
     ran = cli("view")
     assert ran.exit_code == 4
     assert "pip install 'robotctl[view]'" in ran.err

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -15,9 +15,10 @@ from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.launch import INTERRUPTIONS, StartOptions, launch
 from robotctl.cli.support.profile_option import ProfileName
 from robotctl.cli.support.signals import interrupted_by
+from robotctl.cli.support.view_process import check_view_installed, start_view_of
 from robotctl.cli.terminal.status_screen import mode_text
 from robotctl.cli.terminal.text import printable, short_path
-from robotctl.errors import UsageError
+from robotctl.errors import RobotctlError, UsageError
 from robotctl.ipc.answers import StartSummary
 from robotctl.ipc.client import command_for
 from robotctl.kernel.patterns import PatternKind
@@ -60,6 +61,9 @@ def start(
         typer.Option(metavar="PATTERN", help="Do not record these topics; repeatable."),
     ] = None,
     domain_id: DomainId = None,
+    view: Annotated[
+        bool, typer.Option("--view", help="Show it in Foxglove, too, as robotctl view does.")
+    ] = False,
     foreground: Annotated[
         bool, typer.Option("--foreground", help="Stay in the terminal, for systemd and containers.")
     ] = False,
@@ -90,7 +94,7 @@ def start(
     \b
     Examples:
       robotctl start
-      robotctl start --drive circle
+      robotctl start --drive circle --view
       robotctl start --no-sim --config robot.yaml --recordings /data
       robotctl start --no-sim --profile turtlebot3
       robotctl start --robot r2 --domain-id 5
@@ -100,6 +104,10 @@ def start(
     """
     if foreground and as_json:
         raise UsageError("--foreground with --json", "leave --json out: the output is JSON anyway")
+    if foreground and view:
+        raise UsageError("--foreground with --view", "run robotctl view in another terminal")
+    if view:
+        check_view_installed()
     if config is not None and profile is not None:
         cure = f"copy the profile: robotctl config show --profile {profile.value} > robot.yaml"
         raise UsageError("--config with --profile", cure)
@@ -126,10 +134,24 @@ def start(
         os.execv(command[0], command)
 
     def on_ready(ready: StartSummary) -> None:
-        print_answer(ready, summary(ready), as_json=as_json)
+        shown = {"view": _view_of(robot, ready)} if view else {}
+        lines = [
+            *summary(ready),
+            *(f"  view        {each['url']}" for each in shown.values() if each),
+        ]
+        print_answer({**ready, **shown}, lines, as_json=as_json)
 
     with interrupted_by(INTERRUPTIONS):
         launch(options, on_ready)
+
+
+def _view_of(robot: str, ready: StartSummary) -> dict[str, Any] | None:
+    """Start a view of a daemon that has just become ready; note in the summary why that failed."""
+    try:
+        return start_view_of(robot)
+    except RobotctlError as error:
+        ready.setdefault("notes", []).append(f"there is no view: {error}")
+        return None
 
 
 def summary(ready: StartSummary) -> Iterator[str]:

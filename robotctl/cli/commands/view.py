@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from importlib.util import find_spec
 from typing import Annotated
 
 import typer
 
 from robotctl.cli.options import Json, Robot, new_app
 from robotctl.cli.terminal.text import short_path
-from robotctl.errors import Refused, UsageError
+from robotctl.errors import UsageError
 from robotctl.paths import DEFAULT_ROBOT
 
 app = new_app()
@@ -67,13 +66,12 @@ def view(
         raise UsageError(f"--port {port}", f"use 1 to {MAX_PORT}, or 0 for a free one")
     if control and file:
         raise UsageError("--control with a recording", "leave one of them out")
-    if find_spec("websockets") is None:
-        raise Refused("the view needs the package websockets", "pip install 'robotctl[view]'")
     from robotctl.cli.support.lease_token import own_token
     from robotctl.cli.support.recording_paths import find_recording
-    from robotctl.cli.support.view_process import live_target, show_view
+    from robotctl.cli.support.view_process import check_view_installed, live_target, show_view
     from robotctl.view.view_job import ViewJob
 
+    check_view_installed()
     if file:
         path = find_recording(file, robot)
         job, what = ViewJob(file=str(path)), short_path(path)

@@ -5,13 +5,16 @@ from __future__ import annotations
 import signal
 from collections.abc import Iterator
 from contextlib import suppress
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any, Final
 
 from robotctl.cli.support.signals import interrupted_by
 from robotctl.cli.terminal.text import json_text, printable
-from robotctl.errors import Interrupted, NoDaemon, RobotctlError, error_for_exit_code
+from robotctl.errors import Interrupted, NoDaemon, Refused, RobotctlError, error_for_exit_code
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import STATUS
+from robotctl.paths import log_path
 from robotctl.processes import Child, program, start
 from robotctl.view.view_job import LiveTarget, ViewJob
 
@@ -36,13 +39,38 @@ def live_target(robot: str) -> LiveTarget:
     )
 
 
-def start_view(job: ViewJob) -> tuple[Child, dict[str, Any]]:
+def check_view_installed() -> None:
+    """Check that the extra is there.
+
+    Raises:
+        Refused: It is not.
+    """
+    if find_spec("websockets") is None:
+        raise Refused("the view needs the package websockets", "pip install 'robotctl[view]'")
+
+
+def start_view_of(robot: str) -> dict[str, Any]:
+    """Start a view that goes on until the daemon ends, and return its report `ready`.
+
+    Raises:
+        RobotctlError: The view cannot be served.
+    """
+    log = log_path(robot).with_name("view.log")
+    log.unlink(missing_ok=True)
+    child, ready = start_view(ViewJob(live=live_target(robot), outlives_stdin=True), log)
+    child.detach()
+    return ready
+
+
+def start_view(job: ViewJob, log: Path | None = None) -> tuple[Child, dict[str, Any]]:
     """Start the process of a view, and return it with its report `ready`.
+
+    With a `log`, its stderr goes there, and it may outlive this process.
 
     Raises:
         RobotctlError: The view cannot be served; the process has ended.
     """
-    child = start(VIEW, with_stdin=True)
+    child = start(VIEW, with_stdin=True, log=log)
     try:
         with suppress(BrokenPipeError):  # it has ended; the next line notices
             child.send(f"{job.to_json()}\n".encode())
