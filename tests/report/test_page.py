@@ -11,6 +11,7 @@ import pytest
 
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import DriveReport, Event, ModeRequested
+from robotctl.recording import Recorder
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.report.compare import comparison_page
 from robotctl.report.figures import figures_of
@@ -18,10 +19,20 @@ from robotctl.report.judged import Explanation, Judged, Judgement, Tone
 from robotctl.report.page import report_page
 from robotctl.report.recorded import Recorded, read_recorded
 from robotctl.report.traces import EndedDrive, Traces
-from robotctl.testing.drives import BEGIN_NS, START_NS, Written, drive, drive_requested, record
+from robotctl.testing.drives import (
+    BEGIN_NS,
+    START_NS,
+    TWIST,
+    Written,
+    drive,
+    drive_requested,
+    record,
+)
 from tests.support.bags import in_order, odometry, talk, write_bag
 from tests.support.edited_recordings import Contents, recorded, write_contents
 from tests.support.html_page import HtmlPage
+from tests.support.recordings import write_numbered
+from tests.support.waiting import until
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 HOSTILE = "<script>alert(1)</script>\"'&<img src=x onerror=alert(1)>\x1b[2J\u202e]]>-->"
@@ -270,3 +281,17 @@ def test_two_recordings_are_compared_figure_by_figure(
         assert figure.name in page.sections["figures"]
     assert page.ids.keys() >= {"figures", "path", "plot-1", "plot-2", "plot-3", "parameters"}
     assert page.tags["h1"] == 2
+
+
+def test_a_recording_that_is_being_written_is_shown_as_far_as_it_is_committed(
+    tmp_path: Path,
+) -> None:
+    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
+    channel = recorder.add_topic(TWIST)
+    write_numbered(recorder, channel, range(1, 11))
+    until(lambda: recorder.stats().written == 10)
+    text, page = page_of(tmp_path / "run", Judged())
+    recorder.close()
+    assert_harmless(text, page)
+    assert "This recording is being written" in text
+    assert "This recording is being written" not in page_of(tmp_path / "run", Judged())[0]
