@@ -93,3 +93,11 @@ def test_what_looks_honest_is_listed(
     recording = "pressed" if "button" in name else "stopped"
     report = checked(tmp_path, kind(honest[recording], Random(1)))
     assert report.verdict is Verdict.SAME
+
+
+def test_the_page_tells_how_many_kinds_look_honest() -> None:
+    found, closed, honest = len(FOUND) + len(ON_A_BUTTON), len(ONLY_IF_CLOSED), len(ACCEPTED)
+    page = " ".join((Path(__file__).parents[2] / "docs" / "replay.md").read_text().split())
+    total = found + closed + honest
+    assert f"of {total} kinds, {found} are found in each recording and {closed} in one" in page
+    assert f"The other {honest} look like an honest recording" in page
