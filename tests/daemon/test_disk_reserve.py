@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from robotctl.daemon.recording import disk_reserve
 from robotctl.daemon.recording.disk_reserve import MAX_NAMED, DiskReserve
 from tests.support.waiting import loop_until
 
@@ -61,7 +62,10 @@ def test_each_topic_that_is_left_out_is_named_with_the_reason() -> None:
     )
 
 
-async def test_a_disk_that_cannot_be_asked_is_told_as_long_as_it_lasts(tmp_path: Path) -> None:
+async def test_a_disk_that_cannot_be_asked_is_told_as_long_as_it_lasts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(disk_reserve, "LOOK_S", 0.01)
     reserve = DiskReserve(10 * GB, gates("/camera"))
     recorder: Any = SimpleNamespace(stats=lambda: SimpleNamespace(topics=()))
     missing = tmp_path / "gone"

@@ -53,10 +53,13 @@ class StatusSource:
         self._socket = str(socket_path(options.robot))
         self._started = time.monotonic()
 
-    def status(self) -> Status:
-        """Return the object of `robotctl status --json`."""
+    def stats(self) -> RecorderStats:
+        """Return the recorder's counts of now, for the other methods."""
+        return self._recording.stats()
+
+    def status(self, stats: RecorderStats) -> Status:
+        """Return the object of `robotctl status --json`, with these counts."""
         robot, facts = self._options.robot, self._robot.facts()
-        stats = self._recording.stats()
         if facts["mode_reason"]:
             told = advice(facts["mode_reason"], self._robot.remedies(), robot)
             facts["mode_reason"] = told.sentence
@@ -81,7 +84,7 @@ class StatusSource:
 
     def summary(self, notes: list[str]) -> StartSummary:
         """Return the report of a ready daemon to its starter."""
-        status = self.status()
+        status = self.status(self.stats())
         return {
             "ready": True,
             "robot": status["robot"],
