@@ -24,9 +24,6 @@ CHARACTER_PX: Final = 7.2
 NUMBER_PX: Final = 15.0
 """How far apart the numbers of moments are, at least."""
 
-MODE_NAMES: Final = frozenset({"IDLE", "MOVING", "ERROR", "EMERGENCY_STOP"})
-
-
 LEAST_SPEED, LEAST_ERROR_M = 0.05, 0.01
 """The least height of a plot of speeds [m/s, rad/s] or distances: noise is shown small."""
 
@@ -116,24 +113,7 @@ def value_axis(series: Sequence[Series], least_span: float, from_zero: bool = Fa
 
 def mode_band(spans: Sequence[ModeSpan], moments: Sequence[Moment], time: Axis) -> Markup:
     """Return the modes over time, and a mark with the number of each moment above them."""
-    pieces = []
-    for span in spans:
-        begin, end = time.at(span.begin_s), time.at(span.end_s)
-        width = max(end - begin, 0.75)
-        kind = span.mode if span.mode in MODE_NAMES else "IDLE"
-        name = span.mode.replace("_", " ")
-        box = {"y": BAND_TOP, "width": width, "height": BAND_BOTTOM - BAND_TOP}
-        told = f"{span.mode} from {span.begin_s:.2f} s to {span.end_s:.2f} s: {span.reason}"
-        fits = width > len(name) * CHARACTER_PX + 8
-        middle = (BAND_TOP + BAND_BOTTOM) / 2 + 4
-        pieces.append(
-            tag(
-                "g",
-                tag("title", told),
-                tag("rect", x=begin, **box, class_=f"mode {kind}"),
-                tag("text", name, x=begin + 6, y=middle, class_="mode-name") if fits else None,
-            )
-        )
+    pieces = [_mode(span, time) for span in spans]
     named_to = -NUMBER_PX
     for number, moment in enumerate(moments, 1):
         has_room = time.at(moment.t_s) - named_to >= NUMBER_PX
@@ -155,6 +135,20 @@ def mode_band(spans: Sequence[ModeSpan], moments: Sequence[Moment], time: Axis) 
             id="plot-modes",
         ),
     )
+
+
+def _mode(span: ModeSpan, time: Axis) -> Markup:
+    begin = time.at(span.begin_s)
+    width = max(time.at(span.end_s) - begin, 0.75)
+    name = span.mode.replace("_", " ")
+    told = f"{span.mode} from {span.begin_s:.2f} s to {span.end_s:.2f} s: {span.reason}"
+    text = None
+    if width > len(name) * CHARACTER_PX + 8:
+        middle = (BAND_TOP + BAND_BOTTOM) / 2 + 4
+        text = tag("text", name, x=begin + 6, y=middle, class_="mode-name")
+    height = BAND_BOTTOM - BAND_TOP
+    box = tag("rect", x=begin, y=BAND_TOP, width=width, height=height, class_=f"mode {span.mode}")
+    return tag("g", tag("title", told), box, text)
 
 
 def path_data(lines: Iterable[Sequence[Sample]], time: Axis, values: Axis) -> Markup:
