@@ -110,9 +110,14 @@ def _turned(motion: Motion) -> Turned | None:
     """Return what a turn tells, None if the base did not turn.
 
     Raises:
-        Refused: It told too little, or did not stop.
+        Refused: It told too little, did not stop, or turned the other way.
     """
     line = _line(motion)
+    if line.speed <= -MOVES_SHARE * motion.wanted:
+        raise Refused(
+            f"the base turned at {line.speed:.2f} rad/s where {motion.wanted:g} was commanded",
+            "see whether its left and right wheels are swapped",
+        )
     if not _moves(motion, line):
         return None
     stopping_rad, stopping_s = _stop(motion, line)

@@ -141,6 +141,11 @@ def test_a_base_whose_wheels_are_farther_apart_than_it_thinks_is_warned_of() -> 
     ]
 
 
+def test_a_base_that_turns_the_other_way_is_refused_with_a_cure() -> None:
+    with pytest.raises(Refused, match=r"-0\.\d+ rad/s where 0\.3 was .* wheels are swapped"):
+        measured(Base(replace(EXACT, actuation_angular_factor=-1.0)).trial())
+
+
 def test_a_turn_beyond_half_a_circle_is_measured_as_one() -> None:
     motion = Base().trial().motions[2]
     angle_rad = motion.way()[-1][1]
