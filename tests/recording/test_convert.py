@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import resource
 import shutil
@@ -278,11 +279,29 @@ def test_a_view_in_the_place_of_a_table_is_refused(tmp_path: Path) -> None:
         convert(bag, tmp_path / "copy", Form())
 
 
-def test_reading_a_database_writes_nothing_beside_it(tmp_path: Path) -> None:
+@pytest.mark.parametrize("journal", ["DELETE", "WAL"])
+def test_reading_a_database_writes_nothing_beside_it(tmp_path: Path, journal: str) -> None:
     bag = sqlite_bag(tmp_path / "bag")
+    alter(bag, f"PRAGMA journal_mode={journal}")
     before = {path.name: path.read_bytes() for path in bag.iterdir()}
     convert(bag, tmp_path / "copy", Form())
     assert {path.name: path.read_bytes() for path in bag.iterdir()} == before
+
+
+def test_what_a_killed_rosbag2_left_in_its_write_ahead_log_is_converted(tmp_path: Path) -> None:
+    bag = sqlite_bag(tmp_path / "bag")
+    (path,) = bag.glob("*.db3")
+    with contextlib.closing(sqlite3.connect(path)) as database:
+        database.execute("PRAGMA journal_mode=WAL")
+        database.execute(
+            "INSERT INTO messages SELECT 99, topic_id, timestamp + 1000, data "
+            "FROM messages WHERE id = 50"
+        )
+        database.commit()
+        shutil.copytree(bag, tmp_path / "killed", ignore=shutil.ignore_patterns("*-shm"))
+    assert [each.name for each in (tmp_path / "killed").glob("*-wal")] == ["bag.db3-wal"]
+    done = convert(tmp_path / "killed", tmp_path / "copy", Form())
+    assert (done.message_count, done.lost) == (51, [])
 
 
 def test_a_file_that_is_missing_is_told(tmp_path: Path) -> None:
