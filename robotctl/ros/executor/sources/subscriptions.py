@@ -158,7 +158,7 @@ class SubscriptionSource(_TakenSource):
         self._polls += 1
         if self._polls >= POLLS_PER_RATE_CHECK:
             self._check_rate()
-        return _TakenSource.drain(self)
+        return super().drain()
 
     def _check_rate(self) -> None:
         now = time.monotonic_ns()
