@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from robotctl.recording import Recorder
 from tests.cli.conftest import Ran
 
 GOLDEN = Path(__file__).parents[1] / "golden"
@@ -26,6 +27,7 @@ def test_the_answer_names_the_new_files_and_counts_the_messages(cli: Cli, tmp_pa
         "files": ["copy_0.mcap", "copy_1.mcap"],
         "messages": 586,
         "attachments": 0,
+        "live": False,
         "lost": [],
     }
     ran = cli("convert", str(target), str(tmp_path / "one.mcap"), "--compression", "lz4")
@@ -39,6 +41,16 @@ def test_a_loss_is_told_and_is_code_8(cli: Cli, tmp_path: Path) -> None:
     ran = cli("convert", str(tmp_path / "run"), str(tmp_path / "copy"))
     assert (ran.exit_code, "97 messages in 1 file" in ran.out) == (8, True)
     assert "could not be converted completely: robot_20261122_041528_1.mcap" in ran.err
+
+
+def test_of_a_recording_that_goes_on_the_answer_says_so(cli: Cli, tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "run", on_failure=print)
+    try:
+        ran = cli("convert", str(tmp_path / "run"), str(tmp_path / "copy"))
+    finally:
+        recorder.close()
+    assert ran.exit_code == 0
+    assert ran.err == f"robotctl: {tmp_path}/run is still being recorded: the copy ends here\n"
 
 
 @pytest.mark.parametrize(

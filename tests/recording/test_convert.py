@@ -9,11 +9,13 @@ import shutil
 import sqlite3
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from mcap.reader import make_reader
+from mcap.records import Channel as McapChannel
 from mcap.writer import Writer as McapWriter
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import (
@@ -29,6 +31,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from robotctl.errors import Refused, UnreadableFile
 from robotctl.recording import Compression, Recorder, RecorderOptions, read_info, read_messages
+from robotctl.recording.convert.channel_table import ChannelTable
 from robotctl.recording.convert.conversion import convert
 from robotctl.recording.convert.converter import Form
 from robotctl.recording.read.verified import Proof, verify_recording
@@ -302,6 +305,15 @@ def test_what_a_killed_rosbag2_left_in_its_write_ahead_log_is_converted(tmp_path
     assert [each.name for each in (tmp_path / "killed").glob("*-wal")] == ["bag.db3-wal"]
     done = convert(tmp_path / "killed", tmp_path / "copy", Form())
     assert (done.message_count, done.lost) == (51, [])
+
+
+def test_more_topics_than_mcap_can_number_are_refused() -> None:
+    table = ChannelTable()
+    channel = McapChannel(id=0, topic="", message_encoding="", metadata={}, schema_id=0)
+    for number in range(1 << 16):
+        assert table.add(replace(channel, topic=str(number)), None) == number
+    with pytest.raises(UnreadableFile, match="more than 65536 topics: convert them one by one"):
+        table.add(replace(channel, topic="one more"), None)
 
 
 def test_a_file_that_is_missing_is_told(tmp_path: Path) -> None:

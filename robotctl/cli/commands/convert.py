@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,7 +15,7 @@ from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.recording_paths import RecordedBy, RecordingsFolder, find_recording
 from robotctl.cli.support.signals import interrupted_by
 from robotctl.cli.terminal.progress import progress_bar
-from robotctl.cli.terminal.text import short_path
+from robotctl.cli.terminal.text import printable, short_path
 from robotctl.errors import RecoveredWithLoss, UsageError
 from robotctl.recording.format.compression import Compression
 
@@ -72,6 +73,9 @@ def convert(
         progress_bar("converting", quiet=as_json) as on_progress,
     ):
         done = convert(path, target, form, on_progress)
+    if done.is_live:
+        note = f"{path} is still being recorded: the copy ends here"
+        print(f"robotctl: {printable(note)}", file=sys.stderr)
     error = None
     if done.lost:
         error = RecoveredWithLoss(
@@ -87,6 +91,7 @@ def _as_object(source: Path, target: Path, done: Converted) -> dict[str, Any]:
         "files": [file.name for file in done.files],
         "messages": done.message_count,
         "attachments": done.attachment_count,
+        "live": done.is_live,
         "lost": list(done.lost),
     }
 

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Final
 
 from mcap.records import Channel, Schema
 
+from robotctl.errors import UnreadableFile
 from robotctl.recording.convert.named_policies import named_policies
 from robotctl.recording.format.topics import Topic
+
+_MAX_CHANNELS: Final = 1 << 16
+"""A channel id of MCAP has 16 bits."""
 
 _QOS = "offered_qos_profiles"
 
@@ -33,6 +38,10 @@ class ChannelTable:
         key = (channel.topic, channel.message_encoding, schema_id, tuple(sorted(metadata.items())))
         if key not in self._ids:
             number = self._ids[key] = len(self.channels)
+            if number >= _MAX_CHANNELS:
+                raise UnreadableFile(
+                    f"its files have more than {_MAX_CHANNELS} topics", "convert them one by one"
+                )
             self.channels.append(
                 replace(channel, id=number, schema_id=schema_id, metadata=metadata)
             )

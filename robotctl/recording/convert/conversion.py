@@ -43,5 +43,5 @@ def convert(
             raise UnreadableFile(f"{source} holds no readable message: {'; '.join(lost)}")
         if unfinished.is_dir():
             converter.write_list(unfinished)
-    done.lost = lost
+    done.lost, done.is_live = lost, sources.is_live
     return done

@@ -50,6 +50,8 @@ class Converted:
     files: list[BagFile] = field(default_factory=list)
     lost: list[str] = field(default_factory=list)
     attachment_count: int = 0
+    is_live: bool = False
+    """Whether the source was still being recorded: later messages are missing."""
 
     @property
     def message_count(self) -> int:
@@ -141,7 +143,7 @@ class Converter:
         if self._output is None:
             return
         about = {"of": ", ".join(self._sources), "lost": "\n".join(self.done.lost)}
-        self._output.add_values(CONVERSION_RECORD, about)
+        self._output.add_metadata([Metadata(name=CONVERSION_RECORD, metadata=about)])
         self.done.files.append(self._output.finish(self._ledger))
         self._output, self._ledger = None, []
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from mcap.records import Attachment, Metadata
@@ -25,7 +25,7 @@ class OutputFile:
         self, path: Path, table: ChannelTable, compression: Compression, profile: str, origin: str
     ) -> None:
         """Create the file; `origin` is the program that wrote the source."""
-        self.path = path
+        self._path = path
         self._table = table
         self._storage = DiskFile(path)
         library = f"{LIBRARY}, converted from {origin}"
@@ -54,30 +54,22 @@ class OutputFile:
         for record in records:
             self._mcap.add_metadata(record.name, record.metadata)
 
-    def add_values(self, name: str, values: Mapping[str, str]) -> None:
-        """Add a record of the conversion."""
-        self._mcap.add_metadata(name, values)
-
     def add_attachment(self, attachment: Attachment) -> None:
         """Write an attachment."""
         self._mcap.add_attachment(attachment)
         self._mcap.commit(finished=False)  # one at a time in memory
 
     def finish(self, ledger: Sequence[Metadata]) -> BagFile:
-        """Write what `metadata.yaml` says, then the ledger, and close the file."""
+        """Write the end of the file, with the ledger last; return its entry in `metadata.yaml`."""
         self._announce()
-        described = self.describe()
+        summary = self._mcap.summary
+        described = BagFile(self._path.name, summary.start_ns, summary.end_ns, dict(summary.counts))
         text = serialized_metadata(self._table.topics, [described])
         self._mcap.add_metadata(METADATA_RECORD, {"serialized_metadata": text})
         self.add_metadata(ledger)
         self._mcap.commit()
         self.close()
         return described
-
-    def describe(self) -> BagFile:
-        """Return its entry in `metadata.yaml`."""
-        summary = self._mcap.summary
-        return BagFile(self.path.name, summary.start_ns, summary.end_ns, dict(summary.counts))
 
     def close(self) -> None:
         """Close the file; closing twice is harmless."""

@@ -34,7 +34,8 @@ Progress = Callable[[int, int], None]
 class Sources:
     """The files of the recording `path`, in MCAP or sqlite3.
 
-    After they were read, `lost` has a sentence about each that is not there or cannot be opened.
+    `lost` and `is_live` are complete after they were read; `lost` has a sentence about each file
+    that is not there or cannot be opened.
     """
 
     def __init__(self, path: Path, on_progress: Progress) -> None:
@@ -49,6 +50,9 @@ class Sources:
         self.lost = absent_files(text, self._paths) if is_whole else []
         self.told_messages = total_count_in(text) if is_whole else 0
         """Messages that `metadata.yaml` counts, 0 if it says nothing."""
+
+        self.is_live = False
+        """Whether a file was still being recorded when it was read."""
 
         self._text = text
         self._on_progress = on_progress
@@ -70,6 +74,7 @@ class Sources:
 
     def _open_mcap(self, path: Path, share: _Share) -> Iterator[ConvertibleFile]:
         with InputFile(path) as file:
+            self.is_live |= file.is_changing()
             size = max(file.size, 1)
             # Half is for the index, which is quick unless the file must be scanned.
             index = index_of(file, lambda done: share.tell(done / size / 2))
