@@ -18,6 +18,7 @@ from robotctl.kernel.types import (
     FaultReported,
     ForeignCommandHeard,
     LoopStalled,
+    OdomReceived,
     PublishTwist,
     Tick,
 )
@@ -216,11 +217,22 @@ class CommandPairs:
         self.paired += len(numbers)
         for decided in found.decided_after:
             self._decide(*decided)
-        for message in found.sent_after:
-            self._reach(run.last_step(message))
-            self.message(message.sequence, message.data, message.publish_ns)
-        self._reach(run.last_step())
+        self._take_early(run, found.sent_after)
+        last = run.last_step()
+        if last is not None:
+            self._t_ns = last.event.t_ns
         return True
+
+    def _take_early(self, run: OrdinaryRun, messages: Sequence[Message]) -> None:
+        """Take messages of decisions after the run, each at its time in the run."""
+        following = iter(messages)
+        message = next(following, None)
+        for item in run.items if messages else ():
+            if item is message:
+                self.message(message.sequence, message.data, message.publish_ns)
+                message = next(following, None)
+            elif isinstance(item, Agreed) and type(item.event) is not OdomReceived:
+                self._t_ns = item.event.t_ns
 
     def _can_take(self, found: CommandRun) -> bool:
         """Return whether a run follows what was taken before it, and fits what waits."""
@@ -243,10 +255,6 @@ class CommandPairs:
 
     def _is_early(self, number: int, decided: Decided) -> bool:
         return [each[0] for each in self._early.get(number, ())] == [decided[0]]
-
-    def _reach(self, step: Agreed | None) -> None:
-        if step is not None:
-            self._t_ns = step.event.t_ns
 
     def _decide(self, numbers: bytes, moments: Moments) -> None:
         self._number = number = (self._number + 1) & MAX_SEQUENCE

@@ -121,8 +121,11 @@ class InputPairs:
         """Return whether the numbers of messages, rising, are new, and nothing with the numbers
         `common` waits.
         """
-        waiting = self._inputs.keys() | self._messages.keys()
-        return sent[0] > self._newest and waiting.isdisjoint(common)
+        return (
+            sent[0] > self._newest
+            and self._inputs.keys().isdisjoint(common)
+            and self._messages.keys().isdisjoint(common)
+        )
 
     def run(self, sequences: Sequence[int], first: Input, last_ns: int) -> None:
         """Take inputs of one publisher, each with its message, which is equal.

@@ -46,15 +46,10 @@ class OrdinaryRun:
         self.messages: defaultdict[str | None, list[Message]] = defaultdict(list)
         """The messages by topic."""
 
-    def last_step(self, before: Message | None = None) -> Agreed | None:
-        """Return the last step, or the last one `before` a message; odometry does not count."""
-        is_before = before is None
-        for item in reversed(self.items):
-            if isinstance(item, Message):
-                is_before = is_before or item is before
-            elif is_before and type(item.event) is not OdomReceived:
-                return item
-        return None
+    def last_step(self) -> Agreed | None:
+        """Return the last step; odometry does not count."""
+        others = (step for step in reversed(self.steps) if type(step.event) is not OdomReceived)
+        return next(others, None)
 
     def keeps_clock(self, offset_ns: int | None) -> bool:
         """Return whether the wall clock was not set in this run.

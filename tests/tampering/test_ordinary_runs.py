@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Container, Iterable, Iterator
 from dataclasses import replace
 from itertools import islice
@@ -10,16 +11,20 @@ from pathlib import Path
 import pytest
 
 from robotctl.rerun import check
-from robotctl.rerun.check_report import Report
+from robotctl.rerun.check_report import Report, Verdict
 from robotctl.rerun.journal_steps import Item, LogTimes, Step
 from robotctl.rerun.ordinary_run import OrdinaryRun, Single, ordinary_runs
 from robotctl.rerun.rerun import Agreed
 from tests.support.edited_recordings import Contents, write_contents
+from tests.support.heard_drives import COMMANDS
 from tests.tampering.sources import sources
 from tests.tampering.test_tampering import edits
 
 ATTEMPTS = 40
 MANY = 2_000
+
+FLOOD = 30_000
+"""In quadratic time it would take 20 s."""
 
 
 def each_alone(
@@ -94,3 +99,22 @@ def test_thousands_of_reports_do_not_depend_on_how_much_is_compared_at_once(
     tmp_path: Path, honest: dict[str, Contents], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert differing(tmp_path, honest, monkeypatch, 4, MANY) == []
+
+
+def test_a_flood_of_commands_of_decisions_that_never_come_takes_time_in_proportion(
+    tmp_path: Path, honest: dict[str, Contents]
+) -> None:
+    edited = honest["stopped"].copy()
+    at = [i for i, each in enumerate(edited.messages) if each.topic == COMMANDS][20]
+    last = edited.messages[at]
+    edited.messages[at + 1 : at + 1] = [
+        replace(last, sequence=last.sequence + 5_000 + number) for number in range(FLOOD)
+    ]
+    path = write_contents(tmp_path / "run", edited)
+    began = time.process_time()
+    report = reported(path)
+    assert time.process_time() - began < 5.0
+    assert (report.verdict, report.commands) == (
+        Verdict.BROKEN,
+        FLOOD + honest["stopped"].counts[COMMANDS],
+    )
