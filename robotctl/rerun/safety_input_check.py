@@ -5,8 +5,10 @@ Of many equal messages only some become events, so that most are never heard.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import partial
+from math import isfinite
 from typing import Final
 
 from robotctl.cdr.safety_inputs import MESSAGE_TYPES, reader_of
@@ -47,9 +49,9 @@ class SafetyInputCheck:
         """`topic` is None if it is not recorded."""
         values = info.metadata.get(INFO_RECORD, {})
         robot = values.get("robot", "")
-        button = int(values.get("parameter.inputs.joy.button", 0))
+        button = int(_number(values, "parameter.inputs.joy.button", 0.0))
         default_s = SafetyInputParams().of(kind).timeout_s
-        timeout_s = float(values.get(f"parameter.inputs.{kind.value}.timeout_s", default_s))
+        timeout_s = _number(values, f"parameter.inputs.{kind.value}.timeout_s", default_s)
         self.topic = topic
         self._is_latched = any(
             each.name == topic and LATCHED_QOS in each.offered_qos for each in info.topics
@@ -176,6 +178,14 @@ class SafetyInputChecks:
         """Report what differs; the journal ends at `end_ns`, since the epoch at `log_ns`."""
         for each in self._checks.values():
             each.end(invariants, ending(each.topic), end_ns, log_ns, self._stalls)
+
+
+def _number(values: Mapping[str, str], key: str, default: float) -> float:
+    """Return a parameter of the metadata, the default for what is no number."""
+    with suppress(KeyError, ValueError):
+        value = float(values[key])
+        return value if isfinite(value) else default
+    return default
 
 
 def _is_used(info: RecordingInfo, kind: SafetyInput) -> bool:

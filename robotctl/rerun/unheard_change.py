@@ -18,7 +18,7 @@ BEGIN_NS = 5 * NS_PER_S
 """How long all of them may at the beginning, until the control loop is connected."""
 
 MAX_WAITING = 100_000
-"""The number of messages that may wait; older ones are not compared."""
+"""The number of messages, and of inputs, that may wait; older ones are not compared."""
 
 
 class Shown(NamedTuple):
@@ -66,7 +66,8 @@ class UnheardChange:
         newest = max(self._heard, default=0)
         while self._waiting and self._waiting[0].sequence <= newest:
             self._take(self._waiting.popleft(), stall_ns)
-        self._heard.clear()
+        if len(self._heard) > MAX_WAITING:
+            self._heard.clear()
 
     def end(self, log_ns: int, stall_ns: int) -> None:
         """Compare the messages up to the end of the journal."""
@@ -77,6 +78,7 @@ class UnheardChange:
 
     def _take(self, shown: Shown, stall_ns: int) -> None:
         if shown.sequence in self._heard:
+            self._heard.discard(shown.sequence)
             self._last, self._since, self._is_begin = shown, None, False
             return
         last = self._last = self._last or shown

@@ -24,6 +24,7 @@ from robotctl.kernel.safety_inputs import (
 )
 from robotctl.kernel.types import Event, SafetyInputReceived
 from robotctl.recording.format.journal import decode
+from robotctl.recording.format.metadata_names import INFO_RECORD
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Report, Verdict
 from robotctl.testing.drives import BEGIN_NS, drive_requested
@@ -70,7 +71,7 @@ def pressed(tmp_path_factory: pytest.TempPathFactory) -> Contents:
     requests.sort(key=lambda event: event.t_ns)
     config = Config(kernel=replace(KernelParams(), inputs=inputs))
     folder = tmp_path_factory.mktemp("pressed") / "run"
-    return heard_drive(folder, 6.0, requests=requests, config=config)
+    return heard_drive(folder, 6.0, requests=requests, config=config, snapshots_s=(0.0, 3.05))
 
 
 def check(tmp_path: Path, contents: Contents) -> Report:
@@ -186,3 +187,29 @@ def test_an_unreadable_message_is_an_input_too(tmp_path: Path) -> None:
     ]
     contents = heard_drive(tmp_path / "made", 2.0, requests=requests, config=config)
     assert check(tmp_path, contents).verdict is Verdict.SAME
+
+
+@pytest.mark.parametrize("text", ["fast", "nan", "1e400", ""])
+def test_a_parameter_that_is_no_number_fails_no_check(
+    tmp_path: Path, pressed: Contents, text: str
+) -> None:
+    edited = pressed.copy()
+    for name, values in edited.metadata:
+        if name == INFO_RECORD:
+            values["parameter.inputs.joy.button"] = text
+            values["parameter.inputs.estop.timeout_s"] = text
+    assert check(tmp_path, edited).verdict is not Verdict.BROKEN
+
+
+def test_messages_that_are_recorded_late_were_heard(tmp_path: Path, pressed: Contents) -> None:
+    """A busy recorder takes them up to a second after the control loop, also over a snapshot."""
+    topic, late = TOPICS[SafetyInput.ESTOP], 10**9
+    edited = pressed.copy()
+    edited.messages = sorted(
+        (replace(m, log_ns=m.log_ns + late) if m.topic == topic else m for m in pressed.messages),
+        key=lambda each: each.log_ns,
+    )
+    end_ns = pressed.messages[-1].log_ns
+    edited.messages = [m for m in edited.messages if m.topic != topic or m.log_ns <= end_ns]
+    edited.lose(topic, 20)
+    assert check(tmp_path, edited).verdict is Verdict.SAME
