@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import nan
 from typing import Any
 
@@ -84,25 +84,27 @@ class InputCheck:
     def _input(self, event: Event, seq: int) -> Input:
         return Input(event.t_ns, self.kind.source(event), self.kind.value(event), seq)
 
-    def run(self, steps: Sequence[Agreed], messages: Sequence[Message]) -> None:
-        """Take the steps of many inputs, and messages of the topic.
-
-        It does not matter which of an input and its message comes first.
-        """
+    def run(self, run: OrdinaryRun) -> None:
+        """Take many steps, and the messages of the topic among them."""
+        steps, messages = run.by_kind[self.kind.event], run.messages[self.topic]
         parts = self._equal_parts(steps, messages)
-        of_messages, of_steps = parts or (slice(0, 0), slice(0, 0))
-        self._each(steps[: of_steps.start], messages[: of_messages.start])
-        if parts is not None:
-            first, last = steps[of_steps.start], steps[of_steps.stop - 1]
-            sequences = [message.sequence for message in messages[of_messages]]
-            self._pairs.run(sequences, self._input(first.event, first.seq), last.event.t_ns)
-        self._each(steps[of_steps.stop :], messages[of_messages.stop :])
+        if parts is None:
+            self._each(run.items if steps and messages else [*steps, *messages])
+            return
+        of_messages, of_steps = parts
+        self._each([*messages[: of_messages.start], *steps[: of_steps.start]])
+        first, last = steps[of_steps.start], steps[of_steps.stop - 1]
+        sequences = [message.sequence for message in messages[of_messages]]
+        self._pairs.run(sequences, self._input(first.event, first.seq), last.event.t_ns)
+        self._each([*messages[of_messages.stop :], *steps[of_steps.stop :]])
 
-    def _each(self, steps: Sequence[Agreed], messages: Sequence[Message]) -> None:
-        for message in messages:
-            self.message(message)
-        for step in steps:
-            self.received(step.event, step.seq)
+    def _each(self, items: Iterable[Agreed | Message]) -> None:
+        for item in items:
+            if isinstance(item, Message):
+                if item.topic == self.topic:
+                    self.message(item)
+            elif type(item.event) is self.kind.event:
+                self.received(item.event, item.seq)
 
     def _equal_parts(
         self, steps: Sequence[Agreed], messages: Sequence[Message]
@@ -192,7 +194,7 @@ class Inputs:
     def run(self, run: OrdinaryRun) -> None:
         """Take many steps and messages."""
         for each in self._all:
-            each.run(run.by_kind[each.kind.event], run.messages[each.topic])
+            each.run(run)
 
     def snapshot(self, has_proof: bool) -> None:
         """Take a snapshot."""

@@ -166,3 +166,16 @@ def test_the_first_messages_of_a_later_file_may_be_in_the_file_before(
     (file,) = write_contents(tmp_path / "run", edited).glob("*.mcap")
     report = check_recording(file.rename(file.with_name("run_1.mcap")))
     assert report.verdict is verdict, report
+
+
+def test_a_flood_of_messages_that_were_not_heard_is_no_violation(
+    tmp_path: Path, heard: Contents
+) -> None:
+    edited = heard.copy()
+    at = [i for i, each in enumerate(edited.messages) if each.topic == ODOMETRY][2]
+    last = edited.messages[at]
+    edited.messages[at + 1 : at + 1] = [
+        replace(last, sequence=last.sequence + 100_000 + number) for number in range(20_000)
+    ]
+    report = check(tmp_path, edited)
+    assert (report.verdict, report.violations) == (Verdict.INCOMPLETE, [])
