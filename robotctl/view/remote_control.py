@@ -6,6 +6,7 @@ import asyncio
 import json
 import math
 import os
+from collections import Counter
 from collections.abc import Coroutine
 from contextlib import suppress
 from typing import Any, Final
@@ -41,8 +42,9 @@ LET_GO_S: Final = 1.0
 """How long an operator must be silent after a motion was refused or ended: a slow network is no
 letting go."""
 
-MAX_CALLS: Final = 8
-"""Limit on calls of services that are not answered yet; each takes a thread."""
+MAX_CALLS: Final = {ESTOP.id: 3, STOP.id: 1}
+"""Limit on calls of each service that are not answered yet. With the held velocity they take all
+threads of the loop's pool, which has five on one core, so that no call delays an emergency stop."""
 
 CALL_S: Final = 1.0
 """How long the daemon may take to answer a held velocity; its robot stands long before."""
@@ -58,7 +60,7 @@ class RemoteControl:
         self._source = f"robotctl view (uid {os.getuid()}, pid {os.getpid()})"
         self._lease = lease
         self._tasks: set[asyncio.Task[None]] = set()
-        self._calls = 0
+        self._calls: Counter[int] = Counter()
         self._driver: Viewer | None = None
         self._wish: tuple[float, float] | None = None
         self._wished = asyncio.Event()
@@ -72,11 +74,11 @@ class RemoteControl:
     def _call(self, viewer: Viewer, request: ServiceCall) -> None:
         if request.service_id not in _MODES:
             raise WrongRequest("there is no such service")
-        if self._calls >= MAX_CALLS:
-            text = "too many calls are not answered yet"
+        if self._calls[request.service_id] >= MAX_CALLS[request.service_id]:
+            text = "the same was asked for already, and is not answered yet"
             viewer.tell(service_failure(request.service_id, request.call_id, text))
             return
-        self._calls += 1
+        self._calls[request.service_id] += 1
         self._start(self._answer(viewer, request))
 
     async def _answer(self, viewer: Viewer, request: ServiceCall) -> None:
@@ -90,7 +92,7 @@ class RemoteControl:
         else:
             result = {"success": True, "message": answer["message"]}
         finally:
-            self._calls -= 1
+            self._calls[request.service_id] -= 1
         viewer.tell(service_response(request.service_id, request.call_id, result))
 
     # Motion

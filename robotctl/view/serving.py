@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import os
+import socket
 from collections.abc import Callable, Coroutine
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
 
-from robotctl import environment
 from robotctl.end_signals import end_signals
 from robotctl.errors import UsageError
 from robotctl.processes import pidfd_of
@@ -20,7 +20,11 @@ from robotctl.view.view_server import ViewServer
 
 Report = Callable[[dict[str, Any]], None]
 
+NICENESS: Final = 5
+"""On a busy computer the robot goes before its spectators."""
+
 _STDIN: Final = 0
+_WILDCARDS: Final = ("0.0.0.0", "::")
 
 
 async def serve(job: ViewJob, report: Report, at_end: ExitStack) -> None:
@@ -50,7 +54,7 @@ class Serving:
 
     async def show_domain(self, target: LiveTarget, at_end: ExitStack) -> None:
         """Serve the topics of a domain until its daemon ends."""
-        os.environ.setdefault(environment.RANGE, target.discovery_range)
+        os.nice(NICENESS)
         # After environment.prepare(), because they import rclpy.
         from robotctl.ros.session import ros_session
         from robotctl.view.live_view import LiveView
@@ -117,7 +121,8 @@ class Serving:
 
     def _address(self, port: int) -> dict[str, Any]:
         """Return the URL to connect to, and the one that opens the desktop application."""
-        host = f"[{self._job.host}]" if ":" in self._job.host else self._job.host
+        host = socket.gethostname() if self._job.host in _WILDCARDS else self._job.host
+        host = f"[{host}]" if ":" in host else host
         url = f"ws://{host}:{port}/?token={self._token}"
         opens = f"foxglove://open?ds=foxglove-websocket&ds.url={quote(url, safe='')}"
         return {"url": url, "open": opens, "port": port}

@@ -16,7 +16,6 @@ class LiveTarget:
     """Its end ends the view; 0 for a daemon whose pid is not known."""
     namespace: str
     domain_id: int
-    discovery_range: str
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,6 +6,7 @@ import asyncio
 import secrets
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Final
 
 from robotctl.view.admission import Admission
@@ -113,7 +114,8 @@ class ViewServer:
         """
         sock = listening_socket(host, port)
         loop = asyncio.get_running_loop()
-        self._listener = await loop.create_server(self._connection, sock=sock, backlog=MAX_VIEWERS)
+        connection = partial(Viewer, self, self._admission)
+        self._listener = await loop.create_server(connection, sock=sock)
         return int(sock.getsockname()[1])
 
     async def run(self) -> None:
@@ -122,9 +124,9 @@ class ViewServer:
             await asyncio.sleep(_PERIOD_S)
             now_s = time.monotonic()
             for viewer in list(self._connections):
-                limit_s = STALL_S if viewer.admitted else HANDSHAKE_S
-                is_waiting = viewer.is_stalled or not viewer.admitted
-                if is_waiting and now_s - viewer.since_s > limit_s:
+                is_viewer = viewer in self._viewers
+                limit_s = STALL_S if is_viewer else HANDSHAKE_S
+                if (viewer.is_stalled or not is_viewer) and now_s - viewer.since_s > limit_s:
                     viewer.abort()
                 else:
                     _tell_dropped(viewer)
@@ -196,6 +198,12 @@ class ViewServer:
 
     # From the connections
 
+    def connected(self, viewer: Viewer) -> None:
+        """Take a connection before its handshake, or end it beyond the limit."""
+        self._connections.add(viewer)
+        if len(self._connections) > MAX_CONNECTIONS:
+            viewer.abort()
+
     def admit(self, viewer: Viewer) -> None:
         """Greet a viewer, and offer it everything."""
         if len(self._viewers) >= MAX_VIEWERS:
@@ -227,6 +235,8 @@ class ViewServer:
         Raises:
             WrongRequest: It is not possible.
         """
+        if viewer not in self._viewers:
+            return  # it was told to leave
         match request:
             case Subscribe():
                 for subscription, channel_id in request.channels.items():
@@ -252,13 +262,6 @@ class ViewServer:
     def wrong(self, viewer: Viewer, problem: str) -> None:
         """Tell a viewer what is wrong with its message."""
         viewer.tell(status(StatusLevel.WARNING, problem))
-
-    def _connection(self) -> Viewer:
-        viewer = Viewer(self, self._admission)
-        self._connections.add(viewer)
-        if len(self._connections) > MAX_CONNECTIONS:
-            asyncio.get_running_loop().call_soon(viewer.abort)
-        return viewer
 
     def _subscribe(self, viewer: Viewer, subscription: int, channel_id: int) -> None:
         if channel_id not in self._channels:

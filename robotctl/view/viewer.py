@@ -42,6 +42,9 @@ _LOGGER.disabled = True  # what a stranger sends would fill the terminal
 class ViewerHost(Protocol):
     """The server, as its connections see it."""
 
+    def connected(self, viewer: Viewer) -> None:
+        """Take a connection before its handshake."""
+
     def admit(self, viewer: Viewer) -> None:
         """Take a viewer whose handshake is done."""
 
@@ -103,6 +106,7 @@ class Viewer(asyncio.Protocol):
         sock = self._transport.get_extra_info("socket")
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SOCKET_BYTES)
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        self._host.connected(self)
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Leave the server."""

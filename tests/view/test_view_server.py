@@ -113,6 +113,14 @@ async def test_none_of_200_foreign_pages_rebound_names_and_old_tokens_gets_throu
 async def handshake(view: Served, host: str, origin: str | None, token: str) -> bytes:
     """Return the first line of the answer."""
     reader, writer = await asyncio.open_connection("127.0.0.1", view.port)
+    writer.write(handshake_request(host, origin, token))
+    first = await reader.readline()
+    writer.close()
+    return first
+
+
+def handshake_request(host: str, origin: str | None, token: str) -> bytes:
+    """Return the first request of a connection."""
     lines = [
         f"GET /?token={token} HTTP/1.1",
         f"Host: {host}",
@@ -123,10 +131,7 @@ async def handshake(view: Served, host: str, origin: str | None, token: str) -> 
         "Sec-WebSocket-Protocol: foxglove.sdk.v1",
         *([f"Origin: {origin}"] if origin else []),
     ]
-    writer.write("\r\n".join([*lines, "", ""]).encode())
-    first = await reader.readline()
-    writer.close()
-    return first
+    return "\r\n".join([*lines, "", ""]).encode()
 
 
 async def test_a_token_is_of_one_run() -> None:
@@ -220,6 +225,36 @@ async def test_too_many_viewers_are_told_to_try_later(monkeypatch: pytest.Monkey
         with pytest.raises(ConnectionClosed, match="1 viewers are connected already"):
             async with view_client(view.url) as second:
                 await second.until(lambda: False)
+
+
+async def test_a_connection_beyond_the_limit_is_ended_at_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(view_server, "MAX_CONNECTIONS", 1)
+    async with served() as view, view_client(view.url) as first:
+        reader, writer = await asyncio.open_connection("127.0.0.1", view.port)
+        async with asyncio.timeout(2.0):  # a handshake may take 5 s
+            with suppress(ConnectionError):
+                assert await reader.read() == b""
+        writer.close()
+        await in_order(first)
+
+
+async def test_a_viewer_that_was_told_to_leave_gets_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(view_server, "MAX_VIEWERS", 0)
+    async with served() as view:
+        channel = view.server.offer("/a", *STRING)
+        text = json.dumps({"op": "subscribe", "subscriptions": [{"id": 1, "channelId": channel}]})
+        subscribe = bytes((0x81, 0x80 | len(text), 0, 0, 0, 0)) + text.encode()
+        reader, writer = await asyncio.open_connection("127.0.0.1", view.port)
+        request = handshake_request(f"127.0.0.1:{view.port}", None, TOKEN)
+        writer.write(request + subscribe)
+        answer = await reader.readuntil(b"are connected already")
+        assert answer.startswith(b"HTTP/1.1 101 ")
+        assert channel not in view.server._subscribers
+        writer.close()
 
 
 async def test_a_request_that_is_too_large_ends_only_its_connection() -> None:

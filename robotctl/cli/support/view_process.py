@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from collections.abc import Iterator
 from contextlib import suppress
@@ -11,6 +12,7 @@ from typing import Any, Final
 
 from robotctl.cli.support.signals import interrupted_by
 from robotctl.cli.terminal.text import json_text, printable
+from robotctl.environment import RANGE
 from robotctl.errors import Interrupted, NoDaemon, Refused, RobotctlError, error_for_exit_code
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import STATUS
@@ -28,15 +30,14 @@ END_S: Final = 10.0
 
 
 def live_target(robot: str) -> LiveTarget:
-    """Return the running daemon of a robot, and its domain.
+    """Return the running daemon of a robot, and its domain; use its discovery range from now on.
 
     Raises:
         NoDaemon: None runs.
     """
     status = call(robot, STATUS)
-    return LiveTarget(
-        robot, status["pid"], status["namespace"], status["domain_id"], status["discovery_range"]
-    )
+    os.environ.setdefault(RANGE, status["discovery_range"])
+    return LiveTarget(robot, status["pid"], status["namespace"], status["domain_id"])
 
 
 def check_view_installed() -> None:
