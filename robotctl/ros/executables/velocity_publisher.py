@@ -174,10 +174,11 @@ class VelocityPublisher(Node):
         self._own_gid = gid_of(self._publisher)
 
     def _follow_type(self, type_name: str) -> None:
-        """Change to the type of the owner; while a motion passes, it cannot be another."""
-        others = COMMAND_TYPES - {self._kind.type_name}
-        if type_name not in others or self._last != ZERO:
+        """Change to the type of the owner: what it commands in another type is not heard."""
+        if type_name not in COMMAND_TYPES - {self._kind.type_name}:
             return
+        if self._last != ZERO:  # of the sweep
+            self._send(ZERO)
         self.destroy_subscription(self._owned)
         self.destroy_publisher(self._publisher)
         self._next_kind = stamped(FRAME_ID) if type_name == TWIST_STAMPED else PLAIN

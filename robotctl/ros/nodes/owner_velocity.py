@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from robotctl.kernel.params import OWNER_SUFFIX
 from robotctl.printable import short_name
@@ -90,6 +90,8 @@ class OwnerVelocity(VelocityPublisher):
             return f"no gate passes commands on to {self.robot_topic}"
         if len(gates) > 1:
             return f"{len(gates)} gates publish {self.robot_topic}"
+        if not self._takes_our_type(gates):
+            return f"the gate does not take {self._type_name} yet"
         robots, types = self._robots()
         if robots:
             return ""
@@ -105,6 +107,17 @@ class OwnerVelocity(VelocityPublisher):
         ]
         others = sorted(set(types) - {self._type_name})
         return types.count(self._type_name), tuple(others[:MAX_NAMED])
+
+    def _takes_our_type(self, gates: frozenset[bytes]) -> bool:
+        """Return whether a gate takes our type and passes it on: it hears no other."""
+
+        def of_our_type(found: Iterable[endpoints.Endpoint]) -> list[endpoints.Endpoint]:
+            return [each for each in found if short_name(each.topic_type) == self._type_name]
+
+        subscribed = of_our_type(endpoints.subscriptions(self._node, self.topic))
+        takers = {_node_of(each) for each in subscribed}
+        published = of_our_type(endpoints.publishers(self._node, self.robot_topic))
+        return any(each.gid in gates and _node_of(each) in takers for each in published)
 
     def _is_gate(self, gid: bytes) -> bool:
         if gid in self._gates:
