@@ -20,6 +20,7 @@ from robotctl.recording.read.journal_reader import (
 )
 from robotctl.recording.read.messages import Message
 from robotctl.recording.read.source import Source
+from robotctl.rerun.agreed import Agreed
 from robotctl.rerun.bytes_check import BytesFound, check_bytes
 from robotctl.rerun.check_reading import CheckReading, Readers
 from robotctl.rerun.check_report import Report
@@ -35,7 +36,7 @@ from robotctl.rerun.piece_pool import PiecePool, pool_for
 from robotctl.rerun.rare_collections import rare_collections
 from robotctl.rerun.recording_ends import RecordingEnds
 from robotctl.rerun.recording_groups import FileGroup, file_groups
-from robotctl.rerun.rerun import Agreed, Rerun
+from robotctl.rerun.rerun import Rerun
 
 Progress = Callable[[int, int], None]
 """Called with the bytes that are done and the bytes in total."""

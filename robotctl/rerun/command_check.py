@@ -5,6 +5,7 @@ from __future__ import annotations
 from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.types import Effect, Event, OdomReceived
 from robotctl.recording.read.messages import Message
+from robotctl.rerun.agreed import Agreed
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.clock_changes import ClockChanges
 from robotctl.rerun.command_pairs import CommandPairs
@@ -12,7 +13,6 @@ from robotctl.rerun.ending import Ending
 from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.journal_steps import Moments
 from robotctl.rerun.ordinary_run import OrdinaryRun
-from robotctl.rerun.rerun import Agreed
 from robotctl.rerun.traffic import CommandTraffic
 
 CUT = 3

@@ -25,12 +25,12 @@ from robotctl.kernel.types import (
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.records import MAX_SEQUENCE
 from robotctl.recording.read.messages import Message
+from robotctl.rerun.agreed import Agreed
 from robotctl.rerun.command_bytes import STILL, is_zero, numbers_of, serialized, shown_command
 from robotctl.rerun.command_run import LATE_NS, CommandRun, Decided, command_run
 from robotctl.rerun.journal_steps import Moments
 from robotctl.rerun.ordinary_run import OrdinaryRun
 from robotctl.rerun.other_commands import OtherCommands
-from robotctl.rerun.rerun import Agreed
 
 MAX_WAITING = 20_000
 """The number of commands, decided or sent, that may wait for their counterpart."""

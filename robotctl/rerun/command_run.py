@@ -8,11 +8,11 @@ from typing import Final, NamedTuple
 from robotctl.kernel.types import PublishTwist, Tick
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.read.messages import Message
+from robotctl.rerun.agreed import Agreed
 from robotctl.rerun.command_bytes import numbers_of, serialized
 from robotctl.rerun.journal_steps import Moments
 from robotctl.rerun.lockstep import lockstep
 from robotctl.rerun.ordinary_run import OrdinaryRun
-from robotctl.rerun.rerun import Agreed
 
 LATE_NS: Final = NS_PER_S // 2
 """How far the time of a command may lie outside of its step."""

@@ -21,6 +21,7 @@ from robotctl.recording.format.metadata_names import INFO_RECORD
 from robotctl.recording.format.records import MAX_SEQUENCE
 from robotctl.recording.format.topics import LATCHED_QOS
 from robotctl.recording.read.messages import Message
+from robotctl.rerun.agreed import Agreed
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.ending import Ending
 from robotctl.rerun.input_kinds import BATTERY, ODOMETRY, SCAN, WANTED, InputKind, sequence_of
@@ -30,7 +31,6 @@ from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.lockstep import lockstep
 from robotctl.rerun.ordinary_run import OrdinaryRun
 from robotctl.rerun.own_topics import full_name
-from robotctl.rerun.rerun import Agreed
 
 _NOTHING = "[]"
 """An empty list of topics in the metadata."""

@@ -38,8 +38,8 @@ from robotctl.kernel.types import (
     Twist,
 )
 from robotctl.kernel.units import NS_PER_S
+from robotctl.rerun.agreed import Agreed
 from robotctl.rerun.ordinary_run import OrdinaryRun
-from robotctl.rerun.rerun import Agreed
 
 MAX_VIOLATIONS = 20
 """The number of violations that are kept; all are counted."""

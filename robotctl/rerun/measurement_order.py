@@ -10,8 +10,8 @@ from typing import Final
 
 from robotctl.kernel.types import Event
 from robotctl.kernel.units import NS_PER_S
+from robotctl.rerun.agreed import Agreed
 from robotctl.rerun.ordinary_run import MEASUREMENTS
-from robotctl.rerun.rerun import Agreed
 
 SLACK_NS: Final = NS_PER_S // 1_000
 """How much earlier than the one before a measurement may be."""

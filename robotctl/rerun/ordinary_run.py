@@ -21,9 +21,9 @@ from robotctl.kernel.types import (
     Tick,
 )
 from robotctl.recording.read.messages import Message
+from robotctl.rerun.agreed import Agreed
 from robotctl.rerun.clock_changes import CLOCK_NS
 from robotctl.rerun.journal_steps import Item, LogTimes, Step
-from robotctl.rerun.rerun import Agreed
 
 MEASUREMENTS: Final = frozenset(
     {OdomReceived, BatteryReceived, ScanReceived, GuardedCommandReceived, SafetyInputReceived}

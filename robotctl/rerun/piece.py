@@ -18,13 +18,14 @@ from robotctl.recording import Recording
 from robotctl.recording.format.journal import EntryKind, JournalEntry, is_snapshot
 from robotctl.recording.read.journal_reader import EntryDecoder
 from robotctl.recording.read.spots import Spot
+from robotctl.rerun.agreed import Agreed
 from robotctl.rerun.comparison import Comparison
 from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.journal_steps import Step
 from robotctl.rerun.journal_values import read_snapshot
 from robotctl.rerun.ordinary_run import OrdinaryRun, ordinary_runs
 from robotctl.rerun.rare_collections import rare_collections
-from robotctl.rerun.rerun import Agreed, ConfirmedPiece, Rerun
+from robotctl.rerun.rerun import ConfirmedPiece, Rerun
 
 MAX_UNUSED = 1000
 """A piece with more odometry that the kernel did not take as new is left to the check."""

@@ -15,9 +15,10 @@ from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.state import State
 from robotctl.kernel.types import Decision, Effect, Event
 from robotctl.recording.format.journal import JournalEntry
+from robotctl.rerun.agreed import Agreed, followed_steps, new_tuple, read_events
 from robotctl.rerun.comparison import DECISION_NAMES, Comparison
 from robotctl.rerun.divergence import Divergence
-from robotctl.rerun.journal_steps import Gap, LogTimes, Moments, Step, steps
+from robotctl.rerun.journal_steps import Gap, LogTimes, Step, steps
 from robotctl.rerun.journal_values import (
     KERNEL_FAILURES,
     read_effect,
@@ -26,9 +27,6 @@ from robotctl.rerun.journal_values import (
     text_of,
 )
 from robotctl.rerun.measured import Followed, Measured
-
-_new = tuple.__new__
-"""Makes a named tuple in a third of the time of its class."""
 
 MAX_SHAPES = 4096
 """The number of entry shapes that are remembered: a source may be any text."""
@@ -49,24 +47,6 @@ class Decided(NamedTuple):
     event: Event
     effects: tuple[Effect, ...] | None = None
     divergence: Divergence | None = None
-
-
-class Agreed(NamedTuple):
-    """A step that a kernel decides as it is recorded, and what is measured after it.
-
-    `seq` is the number of the event's entry.
-    """
-
-    seq: int
-    event: Event
-    effects: tuple[Effect, ...]
-    measured: Measured
-    log_times: LogTimes
-
-    @property
-    def moments(self) -> Moments:
-        """When it was handled."""
-        return self.event.t_ns, *self.log_times
 
 
 class Rerun:
@@ -179,15 +159,15 @@ class Rerun:
         if kernel is None or not self._same_version:
             return []
         if self._followed is not None:
-            return _followed_steps(self._followed, steps, log_times)
+            return followed_steps(self._followed, steps, log_times)
         before = kernel.params, kernel.state
-        events = _read_events(steps)
+        events = read_events(steps)
         agreed: list[Agreed] = []
         with suppress(*KERNEL_FAILURES):
             for step, event, times in zip(steps, events, log_times, strict=False):
                 effects = kernel.step(event)
                 agreed.append(
-                    _new(Agreed, (step.event.seq, event, effects, kernel.state.health, times))
+                    new_tuple(Agreed, (step.event.seq, event, effects, kernel.state.health, times))
                 )
         count = self._agreeing(steps, agreed)
         if count < len(steps):
@@ -307,29 +287,6 @@ def first_divergence(entries: Iterable[JournalEntry]) -> Divergence | None:
         if found is not None:
             return found
     return None
-
-
-def _read_events(steps: Iterable[Step]) -> list[Event]:
-    """Return the events of many steps, up to the first that cannot be read."""
-    events: list[Event] = []
-    with suppress(UnreadableFile):
-        for step in steps:
-            events.append(read_event(step.event))  # noqa: PERF401 - an error keeps the others
-    return events
-
-
-def _followed_steps(
-    followed: Followed, steps: Iterable[Step], log_times: Iterable[LogTimes]
-) -> list[Agreed]:
-    """Return steps that were re-run elsewhere, up to the first that cannot be read."""
-    agreed: list[Agreed] = []
-    with suppress(UnreadableFile):
-        for step, times in zip(steps, log_times, strict=False):
-            event, seq = read_event(step.event), step.event.seq
-            effects = tuple([read_effect(effect) for effect in step.effects])
-            measured = followed.step(seq, event)
-            agreed.append(_new(Agreed, (seq, event, effects, measured, times)))
-    return agreed
 
 
 def _shape(entry: JournalEntry) -> bytes:

@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 
 from robotctl.rerun import check
+from robotctl.rerun.agreed import Agreed
 from robotctl.rerun.check_report import Report, Verdict
 from robotctl.rerun.journal_steps import Item, LogTimes, Step
 from robotctl.rerun.ordinary_run import OrdinaryRun, Single, ordinary_runs
-from robotctl.rerun.rerun import Agreed
 from tests.support.edited_recordings import Contents, write_contents
 from tests.support.heard_drives import COMMANDS
 from tests.tampering.sources import sources
