@@ -14,7 +14,10 @@ from robotctl.kernel.units import NS_PER_S
 PATIENCE_NS = NS_PER_S // 2
 """How long messages may go unheard; a stall of the control loop adds its time."""
 
-BEGIN_NS = 5 * NS_PER_S
+GAP_NS = NS_PER_S // 10
+"""The most that counts of the time between two messages: in a longer gap nothing could be heard."""
+
+BEGIN_NS = 3 * NS_PER_S
 """How long all of them may at the beginning, until the control loop is connected."""
 
 MAX_WAITING = 100_000
@@ -45,6 +48,7 @@ class UnheardChange:
 
         self._is_begin = True
         self._since: Shown | None = None
+        self._before_ns = self._unheard_ns = 0
 
     def message(self, shown: Shown) -> None:
         """Take a message."""
@@ -85,8 +89,10 @@ class UnheardChange:
         if shown.value == last.value and shown.log_ns - last.log_ns < self._repeat_ns:
             self._since = None
         elif self._since is None:
-            self._since = shown
+            self._since, self._unheard_ns = shown, 0
         else:
+            self._unheard_ns += min(shown.log_ns - self._before_ns, GAP_NS)
             patience_ns = stall_ns + (BEGIN_NS if self._is_begin else PATIENCE_NS)
-            if shown.log_ns - self._since.log_ns > patience_ns and not self.example:
+            if self._unheard_ns > patience_ns and not self.example:
                 self.example = f"messages {self._since.sequence} to {shown.sequence}"
+        self._before_ns = shown.log_ns

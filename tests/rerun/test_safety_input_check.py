@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import replace
 from math import nan
 from pathlib import Path
@@ -88,7 +88,7 @@ def heard(entry_name: str, data: str, kind: SafetyInput) -> bool:
     return entry_name == "SafetyInputReceived" and json.loads(data)["kind"] == kind.value
 
 
-def without_events(contents: Contents, kind: SafetyInput, numbers: range) -> Contents:
+def without_events(contents: Contents, kind: SafetyInput, numbers: Container[int]) -> Contents:
     """Return the contents without the events of these messages, as best effort may lose them."""
     gone = {
         at
@@ -212,4 +212,17 @@ def test_messages_that_are_recorded_late_were_heard(tmp_path: Path, pressed: Con
     end_ns = pressed.messages[-1].log_ns
     edited.messages = [m for m in edited.messages if m.topic != topic or m.log_ns <= end_ns]
     edited.lose(topic, 20)
+    assert check(tmp_path, edited).verdict is Verdict.SAME
+
+
+def test_a_gap_in_which_nothing_could_be_heard_does_not_count(
+    tmp_path: Path, pressed: Contents
+) -> None:
+    """A process that was stopped receives only the last messages of its queue."""
+    topic, edited = TOPICS[SafetyInput.ESTOP], without_events(pressed, SafetyInput.ESTOP, {20, 28})
+    edited.messages = [m for m in edited.messages if m.topic != topic or m.sequence <= 20]
+    edited.messages += [m for m in pressed.messages if m.topic == topic and m.sequence >= 28]
+    edited.messages.sort(key=lambda each: each.log_ns)
+    edited = without_events(edited, SafetyInput.ESTOP, set(range(21, 28)))
+    edited.lose(topic, 7)
     assert check(tmp_path, edited).verdict is Verdict.SAME
