@@ -27,7 +27,9 @@ def test_the_gate_passes_twist_stamped_on_to_a_base_that_takes_it(
     settings = world.folder / "base.yaml"
     settings.write_text("command: {stamped: true, frame_id: base_footprint}\n")
     roles = Arrangement(world)
-    roles.sim("--config", str(settings))
+    base = roles.sim("--config", str(settings))
+    assert base.stdout is not None
+    assert base.stdout.readline()  # an owner that starts before the base chooses Twist
     roles.gate(*PATIENT_GATE)
     roles.owner(*PATIENT_OWNER, *stamped, "-p", "command.frame_id:=base_footprint")
     roles.until_complete()
