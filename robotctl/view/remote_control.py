@@ -8,7 +8,7 @@ import math
 import os
 from collections import Counter
 from collections.abc import Coroutine
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from typing import Any, Final
 
 from robotctl.errors import Refused, RobotctlError
@@ -115,7 +115,9 @@ class RemoteControl:
     async def _drive(self, viewer: Viewer) -> None:
         """Ask for each wish through one connection, until a silence; it ends the motion."""
         try:
-            with Client(self._robot) as client:
+            with ExitStack() as stack:
+                # In a thread, because a busy daemon lets a client wait for seconds.
+                client = await asyncio.to_thread(stack.enter_context, Client(self._robot))
                 number = 0
                 while await self._has_wish(MAX_SILENCE_S):
                     velocity, self._wish = self._wish or _STAND, None

@@ -73,7 +73,7 @@ def gate(
     Examples:
       robotctl gate --in recordings --junit gate.xml
       robotctl gate --what-if odometry.timeout_s=0.3
-      robotctl gate --baseline accepted.json --accept "the ramp is shorter since 0.2"
+      robotctl gate --baseline accepted.json --accept "a shorter ramp"
     """
     from robotctl.fleet.baseline import Baseline, read_baseline
     from robotctl.fleet.gate import judge_all

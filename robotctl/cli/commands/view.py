@@ -59,7 +59,6 @@ def view(
       robotctl view last
       robotctl view recordings/robot_20261123_101500 --port 9000
       robotctl view --control
-      robotctl lease take -- robotctl view --control
       robotctl view --origin https://lichtblick.example.org
     """
     if port is not None and not 0 <= port <= MAX_PORT:
