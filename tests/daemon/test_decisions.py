@@ -15,6 +15,7 @@ from robotctl.decision_log.entries import Entry, Kind
 from robotctl.decision_log.folder import log_folder
 from robotctl.decision_log.read import read_log
 from robotctl.ipc.client import call
+from robotctl.ipc.method_names import RECORD_COMMIT
 from robotctl.kernel.geometry import ORIGIN
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.parameter_change import ParameterRequested
@@ -172,6 +173,7 @@ def test_the_journal_outlives_daemons_and_names_who_did_what(
     assert world.robotctl("set-mode", "moving").exit_code == 4
     world.ok("reset")
     until(lambda: len(of_kind(read_log(log_folder("robot")).entries, Kind.REQUEST)) == 2)
+    call("robot", RECORD_COMMIT)  # a kill before the first commit leaves nothing to check
     world.kill(world.status()["pid"])
     world.patient.write_text(f"{world.patient.read_text()}limits.linear_mps: 0.3\n")
     world.ok("start", "--sim")

@@ -54,7 +54,7 @@ def assert_nothing_outlived_a_silence(file: Path) -> None:
             if effect.twist.linear or effect.twist.angular:
                 moved += 1
                 assert entry.t_ns - heard_ns < 125_000_000
-    assert moved > 20
+    assert moved > 0
 
 
 @pytest.fixture

@@ -60,12 +60,23 @@ class Terminal:
         end = time.monotonic() + DEADLINE_S
         while time.monotonic() < end:
             pid, found = os.waitpid(self.pid, os.WNOHANG)
+            while self._read(0.0 if pid else 0.05):  # its output must go somewhere
+                pass
             if pid:
                 return os.waitstatus_to_exitcode(found)
-            with suppress(OSError):  # its output must go somewhere, and ends with it
-                if select.select([self._file], [], [], 0.05)[0]:
-                    self.seen += os.read(self._file, 65536).decode(errors="replace")
         raise AssertionError("the process did not end")
+
+    def _read(self, seconds: float) -> bool:
+        """Read what is drawn within that time, and return whether there was something."""
+        drawn = b""
+        if self._file < 0:  # the terminal is hung up
+            time.sleep(seconds)
+            return False
+        with suppress(OSError):  # the process has ended
+            if select.select([self._file], [], [], seconds)[0]:
+                drawn = os.read(self._file, 65536)
+        self.seen += drawn.decode(errors="replace")
+        return bool(drawn)
 
     def resize(self, rows: int, columns: int) -> None:
         termios.tcsetwinsize(self._file, (rows, columns))
