@@ -18,7 +18,8 @@ SETTLE_S = 0.6
 """The longest time that the reference waits at a stop for the robot to arrive."""
 
 ARRIVED = 1e-9
-"""A lead less ahead than this [m, rad] is where the reference is: the rest is rounding."""
+"""A lead less ahead than this [m, rad] is where the reference is, and a reference that is slower
+than this per second stands: the rest is rounding, and might never become 0."""
 
 
 @quick_init
@@ -91,7 +92,7 @@ def advanced(
     rate = fsum(rates) / ticks
     part = min(rate * dt_s, ahead)
     ahead -= part
-    if stands and (ahead < ARRIVED or rate == 0.0):
+    if stands and (ahead < ARRIVED or rate < ARRIVED):
         return Progress(lap, index, leg.length, rate, at.settling_s, at.closure_m), True
     index, lap, length = at.segment, at.laps, at.length + part
     leg = legs[index]

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import random
 from dataclasses import replace
 from math import cos, inf, isclose, isnan, pi, sin, sqrt
 
 import pytest
 
+from robotctl.kernel.course import PLAIN
 from robotctl.kernel.drive import Drive
 from robotctl.kernel.figure_eight import FigureEight, figure_eight
 from robotctl.kernel.geometry import ORIGIN, Pose
 from robotctl.kernel.params import KernelParams, VelocityLimits
 from robotctl.kernel.patterns import Pattern, PatternKind, lap_of
-from robotctl.kernel.reference import Progress
+from robotctl.kernel.reference import Progress, advanced
+from robotctl.kernel.routes import legs_for, path_for
 from robotctl.kernel.segments import Arc, Circle, Line, Turn
 from robotctl.kernel.tracking import Reference, track
 
@@ -322,3 +325,18 @@ def test_the_correction_sideways_is_smooth_around_a_heading_without_error(theta:
     sinc = sin(theta) / theta if theta else 1.0
     sideways = gains.k_y * 0.4 * sinc * 0.02
     assert isclose(command.angular, 0.1 + sideways + gains.k_theta * theta)
+
+
+@pytest.mark.parametrize("seed", [4, 7, 64, 79, 149])
+def test_no_corner_holds_a_reference_whose_ticks_come_early_and_late(seed: int) -> None:
+    """Rounding once left it with a speed of 1e-14 rad/s at a corner, for minutes."""
+    path = path_for(Pattern(), PLAIN, 1)
+    legs = legs_for(path, Pattern().speed_mps, KernelParams().limits)
+    jitter, at, ticks = random.Random(seed), Progress(), 0
+    for leg in range(len(legs)):
+        at, stands = Progress(segment=leg), False
+        while not stands:
+            at, stands = advanced(at, legs, 1, jitter.gauss(0.02, 0.0005), 4)
+            ticks += 1
+            assert ticks < 2000
+    assert ticks < 1000
