@@ -1,0 +1,36 @@
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from robotctl.store import ObjectStore, open_store
+from tests.support.faulty_bucket import FaultyBucket, faulty_bucket
+from tests.support.s3_server import environment, s3_server
+
+
+@pytest.fixture(scope="session")
+def s3_endpoint() -> Iterator[str]:
+    with s3_server() as endpoint:
+        yield endpoint
+
+
+@pytest.fixture(params=["s3", "folder"])
+def store(
+    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> ObjectStore:
+    """An empty store of each kind."""
+    if request.param == "folder":
+        return open_store(str(tmp_path / "store"))
+    for name, value in environment(request.getfixturevalue("s3_endpoint")).items():
+        monkeypatch.setenv(name, value)
+    return open_store(f"s3://robots/{tmp_path.name}")
+
+
+@pytest.fixture
+def bucket(monkeypatch: pytest.MonkeyPatch) -> Iterator[FaultyBucket]:
+    with faulty_bucket() as served:
+        for name, value in environment(served.endpoint).items():
+            monkeypatch.setenv(name, value)
+        yield served
