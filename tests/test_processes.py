@@ -280,11 +280,10 @@ def test_lines_come_out_of_pieces() -> None:
 
 
 def test_every_child_is_started_in_one_way() -> None:
-    from robotctl.cli.commands.replay import player_process
-    from robotctl.cli.support import launch
+    from robotctl.cli.support import early_player, launch
     from robotctl.rerun import check_many as checking
 
-    programs = (launch.DAEMON, player_process.PLAYER, checking.WORKER, black_box.CUTTER)
+    programs = (launch.DAEMON, early_player.PLAYER, checking.WORKER, black_box.CUTTER)
     assert all(each[:3] == (sys.executable, "-P", "-m") for each in programs)
     root = Path(launch.__file__).parent.parent
     foreign = (root / "support" / "systemd.py", root / "commands" / "lease" / "take.py")

@@ -8,8 +8,12 @@ from __future__ import annotations
 
 import os
 import sys
+from typing import TYPE_CHECKING
 
 from robotctl.streams import open_standard_streams
+
+if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
 
 LOOKS = (["topic"], ["node"], ["service"])
 """The groups of commands that look at ROS."""
@@ -59,19 +63,27 @@ def run(arguments: list[str]) -> int:
 
 
 def _parse_and_run(arguments: list[str]) -> None:
-    """Run a command line through the option parser, with a process for a look at ROS."""
-    if arguments[:1] not in LOOKS:
-        from robotctl.cli.registry import dispatch
-
-        dispatch(arguments)
-        return
-    from robotctl.cli.support.look_process import look_processes
-
-    with look_processes(arguments):
+    """Run a command line through the option parser, beside a process for ROS if it needs one."""
+    with _process_for(arguments):
         from robotctl.cli.registry import dispatch
 
         dispatch(arguments)
         sys.stdout.flush()  # the answer is there before the process has left ROS
+
+
+def _process_for(arguments: list[str]) -> AbstractContextManager[None]:
+    """Return a block during which the process that a command needs for ROS starts."""
+    if arguments[:1] in LOOKS:
+        from robotctl.cli.support.look_process import look_processes
+
+        return look_processes(arguments)
+    if arguments[:1] == ["replay"]:
+        from robotctl.cli.support.early_player import early_player
+
+        return early_player(arguments)
+    from contextlib import nullcontext
+
+    return nullcontext()
 
 
 def _wants_json(arguments: list[str]) -> bool:

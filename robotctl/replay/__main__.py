@@ -25,6 +25,7 @@ from robotctl.replay.other_daemons import domain_of
 
 if TYPE_CHECKING:
     from robotctl.replay.report import Emit
+    from robotctl.ros.playback.membership import Membership
 
 SWITCH_INTERVAL_S = 1e-4
 """How long the player's thread waits at most for the interpreter lock (default 5 ms)."""
@@ -41,17 +42,25 @@ def _main(arguments: list[str], at_end: ExitStack) -> int:
     note = environment.prepare()
     emit = partial(_emit, report_fd(arguments))
     sys.setswitchinterval(SWITCH_INTERVAL_S)
-    lines = _lines()
-    job = Job.from_json(next(lines, b"").decode())
-    if note:
-        emit({"note": note})
+    debug = False
     try:
-        _play(job, lines, emit, at_end)
+        # After environment.prepare(), because it imports rclpy; before the wait for the job.
+        from robotctl.ros.playback.membership import Membership
+
+        lines = _lines()
+        line = next(lines, b"")
+        if not line:
+            return 0
+        job = Job.from_json(line.decode())
+        debug = job.debug
+        if note:
+            emit({"note": note})
+        _play(job, at_end.enter_context(Membership(domain_of(job))), lines, emit)
     except RobotctlError as error:
         emit({"error": str(error), "exit_code": error.exit_code, **error.details()})
         return error.exit_code
     except Exception as error:  # noqa: BLE001 - show a traceback only with --debug
-        if job.debug:
+        if debug:
             traceback.print_exc()
         text = f"unexpected {type(error).__name__}: {error}"
         emit({"error": text, "exit_code": RobotctlError.exit_code})
@@ -59,12 +68,8 @@ def _main(arguments: list[str], at_end: ExitStack) -> int:
     return 0
 
 
-def _play(job: Job, lines: Iterator[bytes], emit: Emit, at_end: ExitStack) -> None:
+def _play(job: Job, membership: Membership, lines: Iterator[bytes], emit: Emit) -> None:
     """Play a job under the control of `lines`."""
-    # Imported after environment.prepare(), because it imports rclpy.
-    from robotctl.ros.playback.membership import Membership
-
-    membership = at_end.enter_context(Membership(domain_of(job)))
     # Discovery goes on during these imports.
     from robotctl.replay.commands import command_of
     from robotctl.replay.run import Replay

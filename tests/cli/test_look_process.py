@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.cli.support import look_process
+from robotctl.cli.support import early_process, look_process
 from robotctl.cli.support.look_process import look_processes
 from robotctl.cli.support.ros_view import RosView
 from robotctl.paths import socket_path
@@ -47,7 +47,7 @@ class Started:
 @pytest.fixture
 def started(monkeypatch: pytest.MonkeyPatch) -> Iterator[Started]:
     made = Started()
-    monkeypatch.setattr(look_process, "start", made)
+    monkeypatch.setattr(early_process, "start", made)
     yield made
     assert made.killed == made.count
 

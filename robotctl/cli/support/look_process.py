@@ -8,16 +8,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Final
 
+from robotctl.cli.support.early_process import END_S, early_or_new, started_early
 from robotctl.paths import DEFAULT_ROBOT, ROBOT_VARIABLE, socket_path
-from robotctl.processes import Child, program, start
+from robotctl.processes import Child, program
 
 LOOK: Final = program("robotctl.ros.looks")
-
-END_S: Final = 10.0
-"""How long it may take to leave the domain."""
 
 _ALWAYS: Final = (("service", "call"), ("topic", "echo"), ("topic", "hz"))
 """The commands that look through a process of their own even where a daemon runs."""
@@ -30,9 +28,6 @@ _WITHOUT_DAEMON: Final = (
 _OTHERWISE: Final = ("--file", "--help", "-h")
 """Options with which these commands do not look at ROS."""
 
-_early: list[Child] = []
-"""The process that was started early, until it is used."""
-
 _leaving: list[Child] = []
 """Processes that were asked to end."""
 
@@ -42,27 +37,27 @@ def look_processes(arguments: Sequence[str]) -> Iterator[None]:
     """Start the process if the command line seems to need it; at the end, wait for all to leave."""
     command = tuple(arguments[:2])
     needed = command in _ALWAYS or (command in _WITHOUT_DAEMON and not _may_have_daemon(arguments))
-    if needed and not any(word.partition("=")[0] in _OTHERWISE for word in arguments):
-        _early.append(look_process())
-    try:
+    with ExitStack() as at_end:
+        at_end.callback(_wait_until_left)
+        if needed and not any(word.partition("=")[0] in _OTHERWISE for word in arguments):
+            at_end.enter_context(started_early(LOOK))
         yield
-    finally:
-        while _early:  # it was not asked for anything, and has joined no domain
-            _early[-1].kill()
-            _early.pop().close(END_S)
-        while _leaving:
-            _leaving.pop().close(END_S)
 
 
 def look_process() -> Child:
     """Return a process that has not been asked for anything yet; the caller closes it."""
-    return _early.pop() if _early else start(LOOK, with_stdin=True)
+    return early_or_new(LOOK)
 
 
 def leave(child: Child) -> None:
     """Ask a process to end; the end of `look_processes` waits for it."""
     child.close_stdin()
     _leaving.append(child)
+
+
+def _wait_until_left() -> None:
+    while _leaving:
+        _leaving.pop().close(END_S)
 
 
 def _may_have_daemon(arguments: Sequence[str]) -> bool:

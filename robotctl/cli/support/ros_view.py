@@ -11,7 +11,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
-from robotctl.cli.support.look_process import END_S, leave, look_process
+from robotctl.cli.support.early_process import END_S
+from robotctl.cli.support.look_process import leave, look_process
 from robotctl.domains import requested_domain
 from robotctl.environment import RANGE
 from robotctl.errors import NoDaemon, RobotctlError, UsageError, error_for_exit_code

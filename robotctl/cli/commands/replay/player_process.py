@@ -9,14 +9,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from robotctl.cli.commands.replay.keys import KEYS, QUIT
+from robotctl.cli.support.early_player import PLAYER
+from robotctl.cli.support.early_process import early_or_new
 from robotctl.cli.terminal.keyboard import Keyboard
 from robotctl.cli.terminal.replay_screen import Screen
 from robotctl.errors import RobotctlError, error_for_exit_code
-from robotctl.processes import Child, program, start
+from robotctl.processes import Child
 from robotctl.replay.commands import Command
 from robotctl.replay.job import Job
-
-PLAYER = program("robotctl.replay")
 
 END_DEADLINE_S = 15.0
 """How long the player may take to remove its publishers from the graph and exit."""
@@ -39,14 +39,14 @@ def play_in_process(
 ) -> PlayerReport:
     """Play the job in a child process, and return its report; the first Ctrl-C asks it to end.
 
-    The screen is opened while the process starts.
+    The screen is opened while the process joins ROS.
 
     Raises:
         RobotctlError: The process ended without a report.
         KeyboardInterrupt: Ctrl-C was pressed a second time.
     """
     report = PlayerReport()
-    child = start(PLAYER, with_stdin=True)
+    child = early_or_new(PLAYER)
     try:
         with suppress(BrokenPipeError):  # it has ended; the loop below notices
             child.send(f"{job.to_json()}\n".encode())
