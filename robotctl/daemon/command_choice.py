@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from robotctl.daemon.host import Host
 from robotctl.daemon.waiting import until
+from robotctl.kernel.command_types import COMMAND_TYPES, TWIST_STAMPED
 from robotctl.kernel.params import OWNER_SUFFIX, CommandParams, Stamping
-from robotctl.kernel.types import COMMAND_TYPES, TWIST_STAMPED
 from robotctl.ros.graph import endpoints
 from robotctl.ros.messages.command_type import PLAIN, CommandType, stamped
 from robotctl.ros.messages.qos import COMMANDS

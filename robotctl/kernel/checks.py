@@ -6,11 +6,12 @@ from collections.abc import Callable
 from math import inf, isfinite
 
 from robotctl.kernel.battery import is_level
+from robotctl.kernel.command_types import COMMAND_TYPES, TWIST, TWIST_STAMPED
 from robotctl.kernel.fence import left_by
 from robotctl.kernel.health import Health
 from robotctl.kernel.lifecycle import LifecycleState
 from robotctl.kernel.params import Foreign, KernelParams, Stamping
-from robotctl.kernel.types import COMMAND_TYPES, TWIST, TWIST_STAMPED, Cause
+from robotctl.kernel.types import Cause
 from robotctl.kernel.units import NS_PER_S
 
 FOREIGN_COMMAND_S = 1.0

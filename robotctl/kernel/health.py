@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import inf
 
+from robotctl.kernel.command_types import TWIST
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.lifecycle import LifecycleState
 from robotctl.kernel.quick_init import quick_init
 from robotctl.kernel.safety_inputs import Reading
-from robotctl.kernel.types import TWIST, Cause, Odometry
+from robotctl.kernel.types import Cause, Odometry
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from typing import Final, Protocol
 
 from robotctl.errors import Refused
 from robotctl.ipc.client import command_for
-from robotctl.kernel.types import COMMAND_TYPES
+from robotctl.kernel.command_types import COMMAND_TYPES
 from robotctl.replay.other_daemons import RunningDaemon, daemons_in
 from robotctl.replay.plan import Route, absolute, is_named
 

@@ -9,7 +9,7 @@ from typing import Final
 
 from robotctl.cdr.battery import read_battery_level
 from robotctl.cdr.motion import decode_twist, decode_twist_stamped, read_sample
-from robotctl.kernel.types import TWIST, TWIST_STAMPED
+from robotctl.kernel.command_types import TWIST, TWIST_STAMPED
 from robotctl.recording import TopicInfo
 from robotctl.recording.read.messages import Message
 from robotctl.report.traces import Traces

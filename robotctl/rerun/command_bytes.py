@@ -5,7 +5,8 @@ from __future__ import annotations
 import struct
 
 from robotctl.errors import UnreadableFile
-from robotctl.kernel.types import COMMAND_TYPES, Twist
+from robotctl.kernel.command_types import COMMAND_TYPES
+from robotctl.kernel.types import Twist
 from robotctl.recording import RecordingInfo
 from robotctl.rerun.own_topics import full_name
 

@@ -9,13 +9,9 @@ from typing import Any
 
 from robotctl.cdr.battery import read_battery_level
 from robotctl.cdr.motion import decode_twist, decode_twist_stamped, read_sample
+from robotctl.kernel.command_types import COMMAND_TYPES, TWIST_STAMPED
 from robotctl.kernel.safety_inputs import Use
-from robotctl.kernel.types import (
-    COMMAND_TYPES,
-    TWIST_STAMPED,
-    Event,
-    Twist,
-)
+from robotctl.kernel.types import Event, Twist
 from robotctl.recording import RecordingInfo
 from robotctl.recording.format.metadata_names import INFO_RECORD
 from robotctl.recording.format.records import MAX_SEQUENCE

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from robotctl.cdr.motion import frame_id_of
-from robotctl.kernel.types import TWIST_STAMPED
+from robotctl.kernel.command_types import TWIST_STAMPED
 from robotctl.recording import Recording
 from tests.support.arrangement import PATIENT_GATE, PATIENT_OWNER, Arrangement
 from tests.support.bags import padded

@@ -4,15 +4,10 @@ from __future__ import annotations
 
 import pytest
 
+from robotctl.kernel.command_types import TWIST, TWIST_STAMPED
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import CommandParams, KernelParams, Stamping
-from robotctl.kernel.types import (
-    TWIST,
-    TWIST_STAMPED,
-    Cause,
-    CommandListenersSeen,
-    ForeignCommandHeard,
-)
+from robotctl.kernel.types import Cause, CommandListenersSeen, ForeignCommandHeard
 from robotctl.testing.kernels import moving, ready, reset, start, stopped_by
 
 

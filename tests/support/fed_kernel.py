@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import inf, nan
 
+from robotctl.kernel.command_types import TWIST_STAMPED
 from robotctl.kernel.fence import FenceParams
 from robotctl.kernel.geometry import ORIGIN, Pose
 from robotctl.kernel.lifecycle import LifecycleChanged, LifecycleState
@@ -15,7 +16,6 @@ from robotctl.kernel.params import KernelParams, TrackingParams
 from robotctl.kernel.patterns import Pattern, PatternKind
 from robotctl.kernel.safety_inputs import SafetyInput, SafetyInputParams, Use
 from robotctl.kernel.types import (
-    TWIST_STAMPED,
     ZERO,
     Cause,
     CommandListenersSeen,

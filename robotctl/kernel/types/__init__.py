@@ -32,9 +32,6 @@ from robotctl.kernel.types.events import (
     Tick,
 )
 from robotctl.kernel.types.values import (
-    COMMAND_TYPES,
-    TWIST,
-    TWIST_STAMPED,
     ZERO,
     Cause,
     Odometry,
@@ -43,9 +40,6 @@ from robotctl.kernel.types.values import (
 )
 
 __all__ = [
-    "COMMAND_TYPES",
-    "TWIST",
-    "TWIST_STAMPED",
     "ZERO",
     "BatteryReceived",
     "Cause",

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from robotctl.kernel.command_types import TWIST
 from robotctl.kernel.course import PLAIN, Course
 from robotctl.kernel.lease import LeaseLost, LeaseRequested
 from robotctl.kernel.lifecycle import LifecycleChanged
 from robotctl.kernel.parameter_change import ParameterRequested
 from robotctl.kernel.patterns import Pattern
 from robotctl.kernel.safety_inputs import SafetyInput
-from robotctl.kernel.types.values import TWIST, Cause, Odometry, Twist
+from robotctl.kernel.types.values import Cause, Odometry, Twist
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,11 +20,6 @@ class Twist:
 
 ZERO = Twist()
 
-TWIST = "geometry_msgs/msg/Twist"
-TWIST_STAMPED = "geometry_msgs/msg/TwistStamped"
-COMMAND_TYPES = frozenset({TWIST, TWIST_STAMPED})
-"""The message types of a velocity command."""
-
 
 @quick_init
 @dataclass(frozen=True, slots=True)

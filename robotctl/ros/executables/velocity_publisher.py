@@ -17,8 +17,9 @@ from rclpy.node import Node
 
 from robotctl.cdr.motion import frame_id_of
 from robotctl.domains import wider_discovery
+from robotctl.kernel.command_types import COMMAND_TYPES, TWIST_STAMPED
 from robotctl.kernel.params import OWNER_SUFFIX
-from robotctl.kernel.types import COMMAND_TYPES, TWIST_STAMPED, ZERO
+from robotctl.kernel.types import ZERO
 from robotctl.kernel.types import Twist as Velocity
 from robotctl.printable import short_name
 from robotctl.ros.executables.gate import SILENCE_S, Gate

@@ -72,7 +72,7 @@ def message_class(type_name: str) -> Any:
         UnusableType: The ament index does not list the interface, or loading it failed.
     """
     name = parse_type_name(type_name)
-    if not _is_installed(name):
+    if not is_installed(name):
         raise UnusableType("is not installed")
     try:
         module = import_module(f"{name.package}.{name.kind}")
@@ -85,7 +85,8 @@ def message_class(type_name: str) -> Any:
         raise UnusableType(f"cannot be loaded ({type(error).__name__}: {error})") from error
 
 
-def _is_installed(name: TypeName) -> bool:
+def is_installed(name: TypeName) -> bool:
+    """Return whether the ament index lists the interface."""
     try:
         content, _ = get_resource("rosidl_interfaces", name.package)
     except (OSError, ValueError, LookupError):

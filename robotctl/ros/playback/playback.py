@@ -18,6 +18,7 @@ from robotctl.printable import short_name
 from robotctl.ros.graph import endpoints
 from robotctl.ros.graph.discovery import Discovery
 from robotctl.ros.messages.classes import UnusableType, message_class
+from robotctl.ros.messages.serialized_type import serialized_type
 from robotctl.ros.messages.type_definition import holds_bytes, type_hash_of
 from robotctl.ros.playback.membership import NODE_NAME, Membership
 from robotctl.ros.playback.recorded_qos import MAX_DEPTH, replay_qos
@@ -117,7 +118,7 @@ class ReplaySession:
         Raises:
             Unpublishable: It is not, or cannot be loaded.
         """
-        _installed_class(type_name)
+        _installed(serialized_type, type_name)
 
     def is_same_type(self, type_name: str, type_hash: str) -> bool:
         """Return whether the installed type has the recorded hash, or one of the two is unknown."""
@@ -134,7 +135,7 @@ class ReplaySession:
         Raises:
             Unpublishable: ROS does not allow the name, or the type cannot be published here.
         """
-        message_type = _installed_class(type_name)
+        message_type = _installed(serialized_type, type_name)
         most = (IN_FLIGHT_BULKY if holds_bytes(type_name) else IN_FLIGHT) if patient else MAX_DEPTH
         try:
             publisher = self._node.create_publisher(
@@ -156,8 +157,8 @@ class ReplaySession:
         Raises:
             Unpublishable: ROS does not allow the name, or the type cannot be loaded.
         """
-        event_class = _installed_class(event_type)
-        service_class = _installed_class(event_type.removesuffix("_Event"))
+        event_class = _installed(message_class, event_type)
+        service_class = _installed(message_class, event_type.removesuffix("_Event"))
         try:
             client = self._node.create_client(service_class, service)
         except InvalidTopicNameException:
@@ -168,7 +169,7 @@ class ReplaySession:
     def open_clock(self, topic: str) -> Callable[[int], bool]:
         """Create a publisher of the time, and return a function that sends a time in ns."""
         qos = QoSProfile(depth=10)  # reliable: matches best-effort subscriptions too
-        publisher = self._node.create_publisher(_installed_class(CLOCK_TYPE), topic, qos)
+        publisher = self._node.create_publisher(serialized_type(CLOCK_TYPE), topic, qos)
         return clock_sender(publisher)
 
     def count_matched(self) -> int:
@@ -224,8 +225,8 @@ class ReplaySession:
         )
 
 
-def _installed_class(type_name: str) -> Any:
+def _installed(load: Callable[[str], Any], type_name: str) -> Any:
     try:
-        return message_class(type_name)
+        return load(type_name)
     except UnusableType as error:
         raise Unpublishable(f"has type {short_name(type_name)}, which {error}") from None

@@ -14,7 +14,6 @@ from rclpy.duration import Duration
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.publisher import Publisher
 from rclpy.serialization import deserialize_message
-from service_msgs.msg import ServiceEventInfo
 
 from robotctl.cdr.reader import ENCAPSULATION
 from robotctl.kernel.units import NS_PER_S
@@ -126,9 +125,10 @@ class RequestSender:
         return True
 
     def _was_sent(self, event: Any) -> bool:
-        key = (event.info.sequence_number, repr(event.request[0]))  # bytes differ in their padding
+        info = event.info
+        key = (info.sequence_number, repr(event.request[0]))  # bytes differ in their padding
         balance = self._balances.pop(key, 0)
-        change = 1 if event.info.event_type == ServiceEventInfo.REQUEST_SENT else -1
+        change = 1 if info.event_type == info.REQUEST_SENT else -1
         if balance + change:
             self._balances[key] = balance + change
         if len(self._balances) > MAX_OPEN_REQUESTS:

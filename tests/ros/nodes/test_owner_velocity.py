@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable
 from typing import Any
 
-from robotctl.kernel.types import TWIST_STAMPED
+from robotctl.kernel.command_types import TWIST_STAMPED
 from robotctl.ros.messages.command_type import stamped
 from robotctl.ros.nodes.owner_velocity import OwnerVelocity
 from robotctl.ros.session import Session

@@ -11,7 +11,8 @@ from typing import Any
 
 import pytest
 
-from robotctl.kernel.types import TWIST, TWIST_STAMPED, Twist
+from robotctl.kernel.command_types import TWIST, TWIST_STAMPED
+from robotctl.kernel.types import Twist
 from robotctl.ros.graph import endpoints
 from robotctl.ros.messages import qos
 from robotctl.ros.nodes import velocity_publisher
