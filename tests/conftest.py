@@ -14,6 +14,7 @@ from hypothesis import HealthCheck, settings
 
 from robotctl.domains import reserved_domain
 from robotctl.environment import prepare
+from tests.support.s3_server import s3_server
 from tests.support.waiting import loop_until
 
 # The same examples in each run, and no limits on how long one takes: they depend on the machine.
@@ -49,6 +50,13 @@ def interruptible() -> None:
     """What a test starts can be interrupted, also under nohup and in the background."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
+@pytest.fixture(scope="session")
+def s3_endpoint() -> Iterator[str]:
+    """An S3 server with the empty bucket `robots`."""
+    with s3_server() as endpoint:
+        yield endpoint
 
 
 @pytest.fixture(scope="session", autouse=True)

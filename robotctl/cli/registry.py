@@ -44,7 +44,7 @@ SECTIONS = {
         ),
         *("verify", "key", "evidence"),
     ),
-    "Many recordings": ("index", "find", "gate"),
+    "Many recordings": ("index", "find", "gate", "sync"),
 }
 """The sections of the help, with their commands; each command is a module of `commands`."""
 

@@ -7,13 +7,7 @@ import pytest
 
 from robotctl.store import ObjectStore, open_store
 from tests.support.faulty_bucket import FaultyBucket, faulty_bucket
-from tests.support.s3_server import environment, s3_server
-
-
-@pytest.fixture(scope="session")
-def s3_endpoint() -> Iterator[str]:
-    with s3_server() as endpoint:
-        yield endpoint
+from tests.support.s3_server import environment
 
 
 @pytest.fixture(params=["s3", "folder"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +10,12 @@ from pathlib import Path
 from robotctl.recording.format.derived_files import derived_files
 from robotctl.recording.format.rosbag2 import METADATA_FILE
 from robotctl.recording.keep.bag_metadata import rewrite_metadata
-from robotctl.recording.keep.catalog import CLIPS_FOLDER, CatalogFolder, own_recordings
+from robotctl.recording.keep.catalog import (
+    CLIPS_FOLDER,
+    CatalogFile,
+    CatalogFolder,
+    own_recordings,
+)
 
 DAY_S = 86_400.0
 
@@ -30,11 +36,17 @@ class Removed:
     size: int
 
 
-def enforce_retention(recordings: Path, policy: RetentionPolicy, now_s: float) -> list[Removed]:
+def enforce_retention(
+    recordings: Path,
+    policy: RetentionPolicy,
+    now_s: float,
+    may_remove: Callable[[CatalogFile, CatalogFolder], bool] = lambda file, folder: True,
+) -> list[Removed]:
     """Remove files below `recordings`, the oldest first, until `policy` is met.
 
     Never removed: a file that is being written, a recording with a `keep` file and its clips, and
-    files that robotctl did not record. `now_s` is in seconds since the epoch. Blocks.
+    files that robotctl did not record. `may_remove` is asked just before each removal. `now_s` is
+    in seconds since the epoch. Blocks.
 
     Raises:
         OSError: `recordings` cannot be listed.
@@ -50,6 +62,8 @@ def enforce_retention(recordings: Path, policy: RetentionPolicy, now_s: float) -
         too_much = policy.max_bytes is not None and total > policy.max_bytes
         too_old = policy.max_age_s is not None and now_s - file.modified_s > policy.max_age_s
         if file.live or folder.kept or not (too_much or too_old):
+            continue
+        if not may_remove(file, folder):
             continue
         try:
             file.path.unlink()

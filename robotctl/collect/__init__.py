@@ -1,0 +1,1 @@
+"""Copies finished recordings to a store of objects, and removes them here once they are there."""

@@ -1,0 +1,56 @@
+"""What a store lacks of a recording: a pure function of the files here and the objects there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from robotctl.collect.manifest import CollectedFile, Manifest
+from robotctl.collect.object_names import CollectedRecording
+
+
+@dataclass(frozen=True, slots=True)
+class Missing:
+    """What to copy: the files, then the manifest with its number; None if there is one already.
+
+    `wrong` are objects whose size is not that of their name's file: they are never replaced.
+    """
+
+    files: tuple[CollectedFile, ...]
+    manifest: Manifest | None
+    number: int
+    wrong: tuple[CollectedFile, ...]
+
+    @property
+    def nothing(self) -> bool:
+        """Whether the store has all of the recording."""
+        return not self.files and self.manifest is None
+
+
+def missing_of(
+    here: Manifest, there: CollectedRecording, newest: Callable[[], Manifest]
+) -> Missing:
+    """Compare a recording with the objects of its name; `newest` reads the newest manifest.
+
+    Files that retention has removed here stay in the manifest. A recording that has lost data so
+    is not copied again: the list and the index that it has now tell less than those in the store.
+    """
+    number = 0 if there.manifest is None else there.manifest.manifest_number
+    wanted = here
+    if number and there.manifest != here.name(number):
+        before = newest()
+        wanted = before if before.lost_data(here) else before.united(here)
+    here_too = {(file.name, file.sha256) for file in here.files}
+    sizes = {file: there.objects.get(wanted.object_of(file)) for file in wanted.files}
+    return Missing(
+        files=tuple(
+            file
+            for file, size in sizes.items()
+            if size is None and (file.name, file.sha256) in here_too
+        ),
+        manifest=None if there.manifest == wanted.name(number) else wanted,
+        number=number + 1,
+        wrong=tuple(
+            file for file, size in sizes.items() if size is not None and size != file.size_bytes
+        ),
+    )

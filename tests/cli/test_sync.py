@@ -1,0 +1,154 @@
+"""`robotctl sync`: to a folder and to S3, with its exit codes."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robotctl.testing.drives import drive, record
+from tests.support.s3_server import environment
+
+Cli = Callable[..., Any]
+
+NAME = "robot_20260101_120000"
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    return record(tmp_path / "cwd" / "recordings" / NAME, drive(0.3))
+
+
+def stored(store: Path, file: str) -> Path:
+    """Return the object that holds a file."""
+    (found,) = store.glob(f"{NAME}/*/{file}")
+    return found
+
+
+def test_a_folder_takes_recordings_once(cli: Cli, recording: Path, tmp_path: Path) -> None:
+    usb = tmp_path / "usb"
+    dry = cli("sync", str(usb), "--dry-run")
+    assert (dry.exit_code, usb.exists()) == (0, False)
+    assert "2 files" in dry.out
+    assert "would be copied" in dry.out
+    assert "1 recordings are there; 2 files" in cli("sync", str(usb)).out
+    again = cli("sync", str(usb), "--json")
+    assert (again.exit_code, again.err) == (0, "")
+    assert json.loads(again.out)["copied"] == []
+    data = stored(usb, f"{NAME}_0.mcap")
+    assert data.read_bytes() == (recording / data.name).read_bytes()
+
+
+def test_a_bucket_takes_recordings_and_they_go_here(
+    cli: Cli,
+    recording: Path,
+    s3_endpoint: str,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    for name, value in environment(s3_endpoint).items():
+        monkeypatch.setenv(name, value)
+    url = f"s3://robots/{tmp_path.name}"
+    large = recording / f"{NAME}_1.mcap"  # goes in several parts
+    large.write_bytes((recording / f"{NAME}_0.mcap").read_bytes() + bytes(17 << 20))
+    ran = cli("sync", url, "--max-total-gb", "0", "--json")
+    assert (ran.exit_code, ran.err) == (0, "")
+    answer = json.loads(ran.out)
+    assert (answer["complete"], len(answer["copied"])) == (1, 3)
+    assert [Path(each).name for each in answer["removed"]] == [f"{NAME}_0.mcap", large.name]
+    assert not recording.exists()
+
+
+def test_an_object_that_was_changed_is_told_with_exit_code_7(
+    cli: Cli, recording: Path, tmp_path: Path
+) -> None:
+    usb = tmp_path / "usb"
+    cli("sync", str(usb))
+    data = stored(usb, f"{NAME}_0.mcap")
+    data.write_bytes(data.read_bytes()[:-1] + b"X")
+    ran = cli("sync", str(usb), "--max-age-days", "0")
+    assert ran.exit_code == 7
+    assert "does not hold what its name says" in " ".join(ran.out.split())
+    assert (recording / data.name).exists()
+
+
+def test_a_full_disk_is_told_with_exit_code_6_and_the_rest_follows_later(
+    cli: Cli, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(descriptor: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "fsync", full)
+        ran = cli("sync", str(tmp_path / "usb"))
+    assert ran.exit_code == 6
+    assert "No space left" in ran.out
+    assert not [path for path in (tmp_path / "usb").rglob("*") if path.is_file()]
+    assert cli("sync", str(tmp_path / "usb")).exit_code == 0
+
+
+def test_no_network_is_told_with_exit_code_6(
+    cli: Cli, recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from robotctl.store import remote_store
+
+    for name, value in environment("http://127.0.0.1:9").items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr(remote_store, "MAX_RETRIES", 1)
+    ran = cli("sync", "s3://robots/one")
+    assert ran.exit_code == 6
+    assert "refuses the connection" in ran.err
+
+
+def test_a_folder_that_cannot_be_the_target_is_refused(
+    cli: Cli, recording: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "file").touch()
+    for wrong in (tmp_path / "not" / "mounted", tmp_path / "file", recording.parent / "copy"):
+        assert cli("sync", str(wrong)).exit_code == 2
+
+
+def test_without_the_extra_a_url_is_one_sentence_with_its_cure(
+    cli: Cli, recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "obstore", None)
+    ran = cli("sync", "s3://robots/one")
+    assert ran.exit_code == 2
+    assert "pip install 'robotctl[store]'" in ran.err
+
+
+def test_the_limit_is_kept(cli: Cli, recording: Path, tmp_path: Path) -> None:
+    megabits = sum(path.stat().st_size for path in recording.iterdir()) * 8e-6
+    begun_s = time.monotonic()
+    cli("sync", str(tmp_path / "usb"), "--limit-mbps", str(megabits))
+    assert time.monotonic() - begun_s >= 0.5, "a second, but for the first burst"
+
+
+def test_while_the_robot_moves_nothing_is_sent(
+    cli: Cli, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from robotctl.cli.support import sync_pace
+
+    modes = ["MOVING", "MOVING", "IDLE"]
+    seen: list[bool] = []
+
+    def status(*_: object, **__: object) -> dict[str, str]:
+        seen.append((tmp_path / "usb").exists())
+        return {"mode": modes.pop(0)}
+
+    monkeypatch.setattr(sync_pace, "call", status)
+    monkeypatch.setattr(sync_pace, "_LOOK_EACH_S", 0.01)
+    monkeypatch.setattr(sync_pace.SyncPace, "_wait", lambda self, seconds: None)
+    modes += ["IDLE"] * 100
+    assert cli("sync", str(tmp_path / "usb"), "--pause-while-moving").exit_code == 0
+    assert seen[:3] == [False, False, False]
+
+
+def test_without_a_daemon_nothing_waits(cli: Cli, recording: Path, tmp_path: Path) -> None:
+    assert cli("sync", str(tmp_path / "usb"), "--pause-while-moving").exit_code == 0

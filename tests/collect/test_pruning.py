@@ -1,0 +1,118 @@
+"""What is removed here: only what retention ends and the store was seen to hold."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from robotctl.collect.collecting import GIVE_UP_AFTER
+from robotctl.collect.pruning import Pruned, prune
+from robotctl.recording.disk.storage import DiskFile
+from robotctl.recording.keep.catalog import set_kept
+from robotctl.recording.keep.retention import RetentionPolicy
+from robotctl.store import StoreFailed
+from tests.collect.conftest import FIRST, SECOND, Collect, copy_as
+from tests.support.memory_store import MemoryStore
+
+ALL = RetentionPolicy(max_bytes=0, max_age_s=None)
+NOW_S = 2e9
+
+
+@pytest.fixture
+def collected(run: Collect, recordings: Path) -> Path:
+    run()
+    return recordings
+
+
+def names(pruned: Pruned) -> list[str]:
+    return [each.path.name for each in pruned.removed]
+
+
+def data_key(store: MemoryStore, recording: str) -> str:
+    (key,) = (key for key in store.objects if key.endswith(f"{recording}_0.mcap"))
+    return key
+
+
+def test_what_is_in_the_store_is_removed_with_its_folder(
+    collected: Path, store: MemoryStore
+) -> None:
+    before = dict(store.objects)
+    pruned = prune(collected, store, ALL, NOW_S)
+    assert names(pruned) == [f"{FIRST}_0.mcap", f"{SECOND}_0.mcap"]
+    assert not list(collected.glob("robot_*"))
+    assert store.objects == before
+
+
+def test_what_retention_does_not_end_stays(collected: Path, store: MemoryStore) -> None:
+    set_kept(collected / FIRST, kept=True)
+    writing = DiskFile(collected / SECOND / f"{SECOND}_0.mcap", new=False)
+    try:
+        assert names(prune(collected, store, ALL, NOW_S)) == []
+    finally:
+        writing.close()
+    young = RetentionPolicy(max_bytes=None, max_age_s=NOW_S)
+    assert names(prune(collected, store, young, NOW_S)) == []
+
+
+def test_a_recording_that_was_never_copied_stays(
+    collected: Path, store: MemoryStore, one_recording: Path
+) -> None:
+    other = copy_as(one_recording, collected / "robot_20260103_120000")
+    pruned = prune(collected, store, ALL, NOW_S)
+    assert len(pruned.removed) == 2
+    assert pruned.problems == [
+        f"{other.name}_0.mcap is kept: its recording is not completely in the store"
+    ]
+    assert (other / f"{other.name}_0.mcap").exists()
+
+
+@pytest.mark.parametrize("kind", ["same size", "shorter", "longer"])
+def test_an_object_that_was_changed_is_named_and_its_file_stays(
+    collected: Path, store: MemoryStore, kind: str
+) -> None:
+    key = data_key(store, FIRST)
+    content = store.objects[key]
+    changed = {"same size": content[:-1] + b"X", "shorter": content[:-1], "longer": content + b"X"}
+    store.objects[key] = changed[kind]
+    pruned = prune(collected, store, ALL, NOW_S)
+    assert names(pruned) == [f"{SECOND}_0.mcap"]
+    assert key in pruned.wrong[0]
+    assert "does not hold what its name says" in pruned.wrong[0]
+    assert (collected / FIRST / f"{FIRST}_0.mcap").exists()
+
+
+def test_an_object_that_has_vanished_is_named_and_its_file_stays(
+    collected: Path, store: MemoryStore
+) -> None:
+    del store.objects[data_key(store, FIRST)]
+    pruned = prune(collected, store, ALL, NOW_S)
+    assert names(pruned) == [f"{SECOND}_0.mcap"]
+    assert "does not exist" in pruned.problems[0]
+    assert (collected / FIRST / f"{FIRST}_0.mcap").exists()
+
+
+def test_a_file_that_has_changed_since_it_was_copied_stays(
+    collected: Path, store: MemoryStore
+) -> None:
+    data = collected / FIRST / f"{FIRST}_0.mcap"
+    data.write_bytes(data.read_bytes()[:-1] + b"X")
+    pruned = prune(collected, store, ALL, NOW_S)
+    assert names(pruned) == [f"{SECOND}_0.mcap"]
+    assert pruned.problems == [f"{FIRST}_0.mcap is kept: the store holds another content"]
+
+
+def test_a_store_that_is_away_is_not_asked_for_every_file(
+    collected: Path, store: MemoryStore, one_recording: Path
+) -> None:
+    for day in range(10, 28):
+        copy_as(one_recording, collected / f"robot_202601{day}_120000")
+
+    def away(request: str, key: str) -> None:
+        raise StoreFailed("memory: it refuses the connection")
+
+    store.before = away
+    store.requests.clear()
+    pruned = prune(collected, store, ALL, NOW_S)
+    assert names(pruned) == []
+    assert len(store.requests) == GIVE_UP_AFTER

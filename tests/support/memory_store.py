@@ -1,0 +1,69 @@
+"""A store of objects in memory, which a test lets fail."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable, Iterator, Sequence
+
+from robotctl.store import NoSuchObject, ObjectChanged, StoredObject
+
+
+def works(request: str, key: str) -> None:
+    """Let every request succeed."""
+
+
+class MemoryStore:
+    """An `ObjectStore`; `before(request, key)` is called at each request and may raise."""
+
+    name = "memory"
+
+    def __init__(self, before: Callable[[str, str], None] = works) -> None:
+        self.objects: dict[str, bytes] = {}
+        self.requests: list[tuple[str, str]] = []
+        self.before = before
+
+    def _request(self, request: str, key: str) -> None:
+        self.requests.append((request, key))
+        self.before(request, key)
+
+    def list(self, prefix: str = "") -> Iterator[StoredObject]:
+        self._request("list", prefix)
+        for key in list(self.objects):
+            if not prefix or key.startswith(f"{prefix}/"):
+                yield self._described(key)
+
+    def head(self, key: str) -> StoredObject:
+        self._request("head", key)
+        return self._described(key)
+
+    def get_range(self, found: StoredObject, begin: int, end: int) -> bytes:
+        self._request("get", found.key)
+        if self._described(found.key) != found:
+            raise ObjectChanged(f"memory/{found.key} was changed while it was read")
+        return self.objects[found.key][begin:end]
+
+    def get(self, key: str, max_bytes: int) -> bytes:
+        return self.get_range(self._described(key), 0, max_bytes)
+
+    def put_if_absent(self, key: str, data: bytes) -> bool:
+        self._request("put", key)
+        return self.objects.setdefault(key, data) is data
+
+    def put(self, key: str, parts: Iterable[bytes]) -> None:
+        data = b"".join(parts)
+        self._request("put", key)
+        self.objects[key] = data
+
+    def delete(self, key: str) -> None:
+        self._request("delete", key)
+        self.objects.pop(key, None)
+
+    def puts(self) -> Sequence[str]:
+        """Return the keys of all requests that stored something."""
+        return [key for request, key in self.requests if request == "put"]
+
+    def _described(self, key: str) -> StoredObject:
+        if key not in self.objects:
+            raise NoSuchObject(f"memory/{key} does not exist")
+        content = self.objects[key]
+        return StoredObject(key, len(content), hashlib.sha1(content).hexdigest())
