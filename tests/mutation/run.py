@@ -101,7 +101,7 @@ def sites(folder: Path) -> Iterator[Site]:
     """Yield every site of the kernel in `folder`, always in the same order."""
     for path in sorted((folder / KERNEL).rglob("*.py")):
         source = path.read_text()
-        places = _Places(source, ".".join(path.relative_to(folder / KERNEL).with_suffix("").parts))
+        places = _Places(path, folder)
         nodes = list(ast_nodes(get_ast(source)))
         for name in sorted(plugins.operator_names()):
             if NOT_MUTANTS.fullmatch(name) or plugins.get_operator(name).arguments():
@@ -128,7 +128,10 @@ def mutant_at(site: Site) -> Mutant:
 class _Places:
     """Which definition a line of a module belongs to, and what of it is never run."""
 
-    def __init__(self, source: str, module: str) -> None:
+    def __init__(self, path: Path, folder: Path) -> None:
+        source = path.read_text()
+        module = ".".join(path.relative_to(folder / KERNEL).with_suffix("").parts)
+        self._lines = source.splitlines()
         self._names: dict[int, str] = {}
         self._headers: list[_Span] = []
         self._defaults: list[_Span] = []
@@ -149,6 +152,11 @@ class _Places:
     def name_of(self, line: int) -> str:
         """Return the qualified name of the innermost definition around `line`."""
         return self._names[line]
+
+    def named_lines(self) -> Iterator[tuple[str, str]]:
+        """Yield each line that is in a definition, after the definition's name."""
+        for number, name in self._names.items():
+            yield name, self._lines[number - 1].strip()
 
     def is_signature(self, place: tuple[int, int]) -> bool:
         """Say whether an annotation or a mark of a function is there; mypy holds those."""
@@ -194,16 +202,15 @@ def run_tests(folder: Path, changed: str = "", *, cache: bool = False) -> int:
     process = fork.Process(target=_test, args=(folder, groups, cache), daemon=True)
     process.start()
     process.join(WALL_S)
-    if process.exitcode is None:
-        process.kill()
-        process.join()
-        return LIMIT_CODE
-    return process.exitcode
+    process.kill()
+    process.join()
+    code = process.exitcode
+    return LIMIT_CODE if code is None or code < 0 else code
 
 
 def _test(folder: Path, groups: Iterable[Sequence[Path]], cache: bool) -> None:
     signal.signal(signal.SIGXCPU, _end_tests)
-    resource.setrlimit(resource.RLIMIT_CPU, (CPU_S, 2 * CPU_S))
+    resource.setrlimit(resource.RLIMIT_CPU, (CPU_S, CPU_S + 10))
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
     with (folder / "output").open("w") as output:
         os.dup2(output.fileno(), 1)
@@ -255,12 +262,14 @@ def equivalents() -> dict[Key, str]:
     return {tuple(key): group["reason"] for group in groups for key in group["mutants"]}
 
 
-def stale_entries(listed: Iterable[Key], every: Sequence[Site]) -> list[Key]:
-    """Return the entries whose definition or line is gone."""
-    names = {site.where for site in every}
-    paths = {site.path for site in every}
-    lines = {line.strip() for path in paths for line in path.read_text().splitlines()}
-    return [key for key in listed if key[0] not in names or key[1] not in lines]
+def stale_entries(listed: Iterable[Key], every: Sequence[Site], folder: Path) -> list[Key]:
+    """Return the entries whose definition is gone, or does not hold the line any more."""
+    lines = {
+        each
+        for path in {site.path for site in every}
+        for each in _Places(path, folder).named_lines()
+    }
+    return [key for key in listed if key[:2] not in lines]
 
 
 def main() -> int:
@@ -274,7 +283,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="robotctl-mutation-") as name:
         folder = copied(Path(name).resolve())
         every, listed = list(sites(folder)), equivalents()
-        if stale := stale_entries(listed, every):
+        if stale := stale_entries(listed, every, folder):
             print("equivalent.toml lists what is not in the code:", *stale, sep="\n")
             return 1
         drawn = [site for site in every if site.where.startswith(options.only)]
