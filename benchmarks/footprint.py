@@ -76,7 +76,8 @@ def environment(folder: Path, domain: int) -> dict[str, str]:
 def daemon(rate_hz: float, folder: Path, domain: int, settings: str = "") -> Iterator[list[int]]:
     """Start the daemon, moving, with further lines of configuration; yields its pid."""
     config = folder / "config.yaml"
-    config.write_text(f"rate_hz: {rate_hz}\nsim.odometry_rate_hz: {rate_hz}\n{settings}")
+    rates = f"rate_hz: {rate_hz}\nsim.odometry_rate_hz: {rate_hz}\n"
+    config.write_text(f"{rates}recording.index: false\n{settings}")
     read_end, write_end = os.pipe()
     command = [sys.executable, "-P", "-m", "robotctl.daemon", "--config", str(config), "--sim"]
     command += ["--recordings", str(folder), "--drive", "square", "--ready-fd", str(write_end)]

@@ -53,6 +53,7 @@ class RecordingParams:
         "with less free on the disk, the heaviest topics are not recorded; 0: off",
         Change.START,
     )
+    index: bool = setting(True, "index a closed recording; needs robotctl[parquet]")
     group_readable: bool = setting(False, "the group may read (0640, 0750)", Change.START)
     foxglove_events: bool = setting(
         False, "changes of the mode and marks are recorded as events of Foxglove", Change.START

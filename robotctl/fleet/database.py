@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from glob import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import IO, TYPE_CHECKING, Final
 
 from robotctl.errors import UsageError
+from robotctl.recording.disk.replaced_file import replaced_file
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
@@ -18,12 +21,15 @@ READING: Final = "120MB"
 WRITING: Final = "1GB"
 """What a file may take that is being written."""
 
+ABANDONED_S: Final = 3600.0
+"""An unfinished file that has not changed for so long is of a process that was killed."""
+
 
 @contextmanager
 def database(
-    readable: Sequence[Path] = (), writable: Path | None = None
+    files: Sequence[Path | str] = (), memory: str = READING
 ) -> Iterator[DuckDBPyConnection]:
-    """Open a database that may read the files `readable`, and read and write below `writable`.
+    """Open a database that may read and write these files, and no others.
 
     It loads no extension, and what is run in it cannot change that.
 
@@ -36,13 +42,9 @@ def database(
         raise UsageError(
             "an index needs duckdb, which is not installed", "pip install 'robotctl[parquet]'"
         ) from None
-    with duckdb.connect(
-        ":memory:", config={"memory_limit": READING if writable is None else WRITING}
-    ) as connection:
+    with duckdb.connect(":memory:", config={"memory_limit": memory}) as connection:
         connection.execute("SET temp_directory = ''; SET preserve_insertion_order = false")
-        connection.execute(f"SET allowed_paths = [{', '.join(map(text, readable))}]")
-        if writable is not None:
-            connection.execute(f"SET allowed_directories = [{text(writable)}]")
+        connection.execute(f"SET allowed_paths = [{', '.join(map(text, files))}]")
         for name, value in _CLOSED.items():
             connection.execute(f"SET {name} = {value}")
         yield connection
@@ -55,6 +57,45 @@ _CLOSED: Final[Mapping[str, str]] = {
     "lock_configuration": "true",
 }
 """The last one must be last: it lets nothing be set after it."""
+
+
+def write_parquet(
+    target: Path, query: str, sources: Sequence[Path | str], options: str = ""
+) -> None:
+    """Write the rows of a query over the files `sources` as a Parquet file, or nothing.
+
+    Raises:
+        OSError: The file cannot be written, or a source cannot be read.
+        UsageError: duckdb is not installed.
+    """
+    _remove_abandoned(target)
+    with replaced_file(target) as stream:
+        path = file_of(stream)
+        with database([*sources, path], WRITING) as connection:
+            import duckdb
+
+            try:
+                connection.execute(
+                    f"COPY ({query}) TO {text(path)} "
+                    f"(FORMAT parquet, COMPRESSION zstd, USE_TMP_FILE false{options})"
+                )
+            except duckdb.Error as error:
+                raise OSError(" ".join(str(error).split())[:300]) from error
+
+
+def file_of(stream: IO[bytes]) -> str:
+    """Return a path for an open file that holds even if its name is another one's."""
+    return f"/proc/self/fd/{stream.fileno()}"
+
+
+def _remove_abandoned(target: Path) -> None:
+    """Remove what processes that were killed have left of this file; and a link in its place."""
+    with suppress(OSError):
+        if target.is_symlink():
+            target.unlink()
+        for unfinished in target.parent.glob(f".{escape(target.name)}.*.tmp"):
+            if time.time() - unfinished.lstat().st_mtime > ABANDONED_S:
+                unfinished.unlink()
 
 
 def text(value: object) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from math import isfinite
 from pathlib import Path
@@ -40,13 +40,17 @@ _DIGEST = "digest"
 """The key of the hash over all modules in the software record."""
 
 
-def rows_of(path: Path, check: str, check_says: str | None, verify: str) -> list[IndexRow]:
+def rows_of(
+    path: Path, check: str, check_says: str | None, verify: str, files: Sequence[Path] = ()
+) -> list[IndexRow]:
     """Return the rows of a recording, with these verdicts; that of the recording comes first.
+
+    Only `files` of its folder are read, if given.
 
     Raises:
         UnreadableFile: Nothing can be read from it.
     """
-    with Recording(path) as recording:
+    with Recording(path, files=files) as recording:
         info = recording.info()
         history = _History(recording, info)
         with suppress(UnreadableFile):  # no journal, or one that is damaged from there on

@@ -8,20 +8,22 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import tempfile
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Final
 
 from robotctl.errors import Refused
-from robotctl.fleet.database import database, name, text
+from robotctl.fleet.database import database, file_of, name, text, write_parquet
 from robotctl.fleet.rows import IndexRow, RecordingRow, all_columns
-from robotctl.recording.disk.access import protect_like
 from robotctl.recording.format.derived_files import INDEX_FILE
 
 LAYOUT: Final = 1
 """The number of the columns' layout; an index with another one is made again."""
+
+MAX_ROWS: Final = 10_000_000
+"""Rows beside samples, of all recordings of a catalogue: a month of a robot has some 100,000."""
 
 
 def index_path(recording: Path) -> Path:
@@ -31,21 +33,26 @@ def index_path(recording: Path) -> Path:
     return recording / INDEX_FILE
 
 
-def stamp_of(recording: Path) -> str:
-    """Return a text that is another one after the recording has changed, "" without MCAP files.
+def files_of(recording: Path) -> list[Path]:
+    """Return the MCAP files of a recording; links are among them.
 
     Raises:
         OSError: The recording cannot be read.
     """
     if recording.suffix == ".mcap":
-        stats = [(recording.name, recording.stat(follow_symlinks=False))]
-    else:
-        with os.scandir(recording) as entries:
-            found = [each for each in entries if each.name.endswith(".mcap")]
-            stats = [(each.name, each.stat(follow_symlinks=False)) for each in found]
-    if not stats:
-        return ""
-    listed = sorted((each, stat.st_size, stat.st_mtime_ns) for each, stat in stats)
+        return [recording]
+    with os.scandir(recording) as entries:
+        return [Path(each.path) for each in entries if each.name.endswith(".mcap")]
+
+
+def stamp_of(files: Iterable[Path]) -> str:
+    """Return a text that is another one after these files have changed.
+
+    Raises:
+        OSError: One is gone.
+    """
+    stats = ((each.name, each.stat(follow_symlinks=False)) for each in files)
+    listed = sorted((name, stat.st_size, stat.st_mtime_ns) for name, stat in stats)
     return f"{LAYOUT}-{hashlib.sha256(repr(listed).encode()).hexdigest()[:32]}"
 
 
@@ -53,48 +60,61 @@ def write_index(recording: Path, rows: Sequence[IndexRow], stamp: str) -> Path:
     """Write the index of a recording and return its path.
 
     Raises:
-        Refused: It cannot be written, or duckdb is not installed.
+        Refused: It cannot be written.
+        UsageError: duckdb is not installed.
     """
     target = index_path(recording)
+    columns = ", ".join(f"{name(key)}: {text(kind)}" for key, kind in table_columns().items())
     try:
-        with tempfile.TemporaryDirectory(prefix=".index-", dir=target.parent) as folder:
-            lines, made = Path(folder, "rows"), Path(folder, INDEX_FILE)
-            with lines.open("w", encoding="utf-8") as file:
-                file.writelines(_lines(rows, {"stamp": stamp, "recording": recording.name}))
-            _write_table(lines, made)
-            protect_like(made, recording)
-            made.replace(target)
+        with TemporaryFile() as file:
+            file.writelines(_lines(rows, {"stamp": stamp, "recording": recording.name}))
+            file.flush()
+            lines = file_of(file)
+            query = (
+                f"SELECT * FROM read_json({text(lines)}, format='newline_delimited', "
+                f"columns={{{columns}}})"
+            )
+            write_parquet(target, query, [lines], ", PARQUET_VERSION v2")
     except OSError as error:
         raise Refused(f"cannot write {target}: {error.strerror or error}") from error
     return target
 
 
-def _lines(rows: Iterable[IndexRow], first: dict[str, str]) -> Iterable[str]:
+def stamps_in(path: Path | str) -> dict[str, str]:
+    """Return the stamps of the recordings in an index or a catalogue; none of one that is wrong.
+
+    One is wrong that has another layout, or more rows than `MAX_ROWS` beside samples.
+
+    Raises:
+        UsageError: duckdb is not installed.
+    """
+    if isinstance(path, Path) and (path.is_symlink() or not path.is_file()):
+        return {}
+    with database([path]) as connection:
+        import duckdb
+
+        source = f"read_parquet({text(path)})"
+        try:
+            described = connection.execute(f"DESCRIBE SELECT * FROM {source}").fetchall()
+            if {row[0]: row[1] for row in described} != table_columns():
+                return {}
+            counted = connection.execute(f"SELECT count(*) FROM {source} WHERE kind <> 'sample'")
+            if counted.fetchall()[0][0] > MAX_ROWS:
+                return {}
+            found = connection.execute(
+                f"SELECT recording, stamp FROM {source} WHERE kind = 'recording'"
+            ).fetchall()
+        except duckdb.Error:
+            return {}
+    return {str(name): str(stamp) for name, stamp in found}
+
+
+def _lines(rows: Iterable[IndexRow], first: dict[str, str]) -> Iterable[bytes]:
     for row in rows:
         extra = {"stamp": first["stamp"]} if isinstance(row, RecordingRow) else {}
         values = {"recording": first["recording"], "kind": row.kind, **extra, **asdict(row)}
-        yield json.dumps({key: value for key, value in values.items() if value is not None}) + "\n"
-
-
-def _write_table(lines: Path, target: Path) -> None:
-    """Turn rows, a JSON object a line, into a Parquet file.
-
-    Raises:
-        OSError: The file cannot be written.
-        Refused: duckdb is not installed.
-    """
-    columns = ", ".join(f"{name(key)}: {text(kind)}" for key, kind in table_columns().items())
-    with database(writable=target.parent) as connection:
-        import duckdb
-
-        try:
-            connection.execute(
-                f"COPY (SELECT * FROM read_json({text(lines)}, format='newline_delimited', "
-                f"columns={{{columns}}})) TO {text(target)} "
-                f"(FORMAT parquet, PARQUET_VERSION v2, COMPRESSION zstd)"
-            )
-        except duckdb.IOException as error:
-            raise OSError(str(error)) from error
+        known = {key: value for key, value in values.items() if value is not None}
+        yield f"{json.dumps(known)}\n".encode()
 
 
 def table_columns() -> dict[str, str]:

@@ -90,9 +90,9 @@ def _run(catalogue: Catalogue, sql: str, values: Sequence[Any]) -> Answer:
             connection.execute(
                 f"CREATE VIEW {table} AS SELECT {names} FROM {source} WHERE kind = '{kind.kind}'"
             )
-        if SAMPLES in sql and catalogue.indexes:
+        if SAMPLES in sql and (indexes := [each for each in catalogue.indexes if each.exists()]):
             names = ", ".join(map(name, ("recording", *columns(SampleRow))))
-            listed = ", ".join(map(text, catalogue.indexes))
+            listed = ", ".join(map(text, indexes))
             connection.execute(
                 f"CREATE VIEW {SAMPLES} AS SELECT {names} FROM read_parquet([{listed}]) "
                 f"WHERE kind = '{SampleRow.kind}'"

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
 import shutil
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import IO
 
 import pytest
 
 from robotctl.errors import UnreadableFile, UsageError
 from robotctl.fleet import catalogue as catalogues
+from robotctl.fleet import database as databases
 from robotctl.fleet.catalogue import CATALOGUE_NAME, Catalogue, catalogue_of
 from robotctl.fleet.condition import parse_condition
 from robotctl.fleet.index_file import index_path
@@ -20,6 +24,7 @@ from robotctl.fleet.indexing import index_recording
 from robotctl.fleet.questions import Answer, ask, find
 from robotctl.kernel.types import DriveEnded, ModeRequested
 from robotctl.recording import Recorder, Recording, read_journal
+from robotctl.recording.disk.replaced_file import replaced_file
 from robotctl.rerun.journal_values import read_effect
 from robotctl.testing.drives import BEGIN_NS, TWIST, drive, drive_requested, record
 
@@ -43,8 +48,10 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def folder(made: Path, tmp_path: Path) -> Path:
-    """Return a copy of it that a test may change."""
-    return Path(shutil.copytree(made, tmp_path / "recordings", copy_function=shutil.copy2))
+    """Return a copy of it, without a catalogue, that a test may change."""
+    copied = shutil.copytree(made, tmp_path / "recordings", copy_function=shutil.copy2)
+    (Path(copied) / CATALOGUE_NAME).unlink(missing_ok=True)
+    return Path(copied)
 
 
 @pytest.fixture(autouse=True)
@@ -205,21 +212,28 @@ def test_what_cannot_be_indexed_is_left_out_and_named(folder: Path) -> None:
     try:
         with catalogue_of(folder) as opened:
             assert values(find(opened, "recordings", ""), "recording") == [LAP, STOPPED]
-            broken, recorded = sorted(opened.left_out())
+            broken, recorded = sorted(opened.left_out)
         assert broken.startswith("broken_1 is left out: ")
         assert recorded == "robot_20260103_120000 is left out: it is being recorded"
     finally:
         live.close()
 
 
-def test_a_folder_that_cannot_be_written_is_read(folder: Path, tmp_path: Path) -> None:
-    (folder / CATALOGUE_NAME).unlink(missing_ok=True)
+def test_a_folder_that_cannot_be_written_is_read(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     before = set(folder.iterdir())
-    real = os.access
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(os, "access", lambda path, mode: path != folder and real(path, mode))
-        with catalogue_of(folder) as opened:
-            assert len(find(opened, "drives", "").rows) == 2
+
+    @contextmanager
+    def replaced(target: Path) -> Iterator[IO[bytes]]:
+        if target.parent == folder:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        with replaced_file(target) as stream:
+            yield stream
+
+    monkeypatch.setattr(databases, "replaced_file", replaced)
+    with catalogue_of(folder) as opened:
+        assert len(find(opened, "drives", "").rows) == 2
     assert set(folder.iterdir()) == before
     assert not opened.path.exists()
 

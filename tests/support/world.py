@@ -50,8 +50,12 @@ PATIENT = """\
 max_tick_gap_s: 5.0
 odometry.timeout_s: 10.0
 battery.timeout_s: 60.0
+recording.index: false
 """
-"""Time limits that hold even where the machine delays a process."""
+"""Time limits that hold even where the machine delays a process; and no process after the end."""
+
+NO_INDEX = ("--ros-args", "-p", "recording.index:=false")
+"""For a start with a configuration of its own."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,6 +129,8 @@ class World:
         """Start a command line; `start` without a configuration gets `PATIENT`."""
         if arguments[0] == "start" and "--config" not in arguments:
             arguments = (*arguments, "--config", str(self.patient))
+        elif arguments[0] == "start" and "--ros-args" not in arguments:
+            arguments = (*arguments, *NO_INDEX)
         process = subprocess.Popen(
             [*self.inside, ROBOTCTL, *arguments],
             text=True,
@@ -142,6 +148,8 @@ class World:
 
     def role(self, name: str, *arguments: str) -> subprocess.Popen[str]:
         """Start an executable of the tutorial; its log is `role_log(name)`."""
+        if name == "mode_service":
+            arguments = (*arguments, *NO_INDEX)
         with self._role_log(name).open("a") as log:
             process = subprocess.Popen(
                 [installed(name), *arguments],

@@ -106,7 +106,7 @@ def find(
             found = ask(catalogue, sql)
         else:
             found = find_rows(catalogue, table, condition, sort, limit)
-    left_out = catalogue.left_out()
+    left_out = catalogue.left_out
     if not as_json:
         for sentence in left_out:
             print(sentence, file=sys.stderr)

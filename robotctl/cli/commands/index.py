@@ -46,12 +46,12 @@ def index(
             "folder": str(place),
             "indexed": len(catalogue.indexes),
             "bytes": sum(bytes_of),
-            "live": [str(each) for each in catalogue.live],
+            "left_out": list(catalogue.left_out),
             "failures": {str(path): said for path, said in catalogue.failures.items()},
         }
     lines = [
         f"{short_path(place)}: {len(bytes_of)} recordings have an index, {size(sum(bytes_of))}",
-        *catalogue.left_out(),
+        *catalogue.left_out,
     ]
     failed = len(catalogue.failures)
     error = UnreadableFile(f"{failed} recordings could not be indexed") if failed else None

@@ -19,12 +19,14 @@ from robotctl.daemon.recording.disk_reserve import DiskReserve
 from robotctl.daemon.recording.folder import open_recorder, retention_policy
 from robotctl.daemon.recording.head_forwarder import HeadForwarder
 from robotctl.daemon.recording.health_looks import HealthLooks
+from robotctl.daemon.recording.indexer import Indexer
 from robotctl.daemon.recording.recorder_report import RecorderReport
 from robotctl.daemon.recording.robot_seal import RobotSealer
 from robotctl.daemon.recording.tidier import Tidier
 from robotctl.daemon.recording.topic_sinks import TopicSinks
 from robotctl.daemon.supervisor import Work
 from robotctl.ipc.advice import for_robot
+from robotctl.paths import log_path
 from robotctl.recording import RecorderStats, Topic
 from robotctl.recording.format import foxglove
 from robotctl.recording.format.event_kind import EventKind
@@ -118,6 +120,9 @@ class FlightRecorder:
         self.folder = self._recorder.stats().file.parent
         self._black_box = BlackBox(config.recording, self.folder)
         self.tidier = Tidier(retention_policy(config.recording), self.folder)
+        self._indexer = Indexer(
+            self.folder, log_path(options.robot), enabled=config.recording.index
+        )
         self._reserve = DiskReserve(round(config.recording.min_free_gb * 1e9), self._sinks.gates)
         self.report = RecorderReport(
             self._recorder,
@@ -129,10 +134,11 @@ class FlightRecorder:
         self.health = HealthLooks(self._sinks.health)
 
     def reconfigure(self, config: Config) -> None:
-        """Use the retention, the clips and the meaning of a failure of `config` from now on."""
+        """Use retention, clips, index and the meaning of a failure of `config` from now on."""
         self._must_record = config.on_recorder_failure == "stop"
         self._black_box.params = config.recording
         self.tidier.policy = retention_policy(config.recording)
+        self._indexer.enabled = config.recording.index
         self._config = config
 
     def work(self) -> dict[str, Work]:
@@ -141,6 +147,7 @@ class FlightRecorder:
             "recorder": self.tap.run,
             "black box": self._black_box.run,
             "tidier": self.tidier.run,
+            "indexer": self._indexer.run,
             "heads of the seal": self._heads.run,
             "topic health": self.health.run,
             "disk reserve": partial(self._reserve.run, self._recorder, self.folder),
@@ -216,6 +223,7 @@ class FlightRecorder:
         )
         await self._heads.finish()
         await self._black_box.finish()
+        await self._indexer.finish()
 
     async def discard(self) -> None:
         """Remove the recording of a start that failed."""
@@ -227,7 +235,7 @@ class FlightRecorder:
             *self._reserve.warnings(),
             *self.health.warnings(),
             *self.tidier.problems,
-            *filter(None, [self._heads.problem]),
+            *filter(None, [self._heads.problem, self._indexer.problem]),
         ]
 
     def _failed(self, detail: str) -> None:
@@ -242,6 +250,7 @@ class FlightRecorder:
     def _file_begun(self, path: Path) -> None:
         _log.info("recording continues in %s", path)
         self.tidier.file_finished()
+        self._indexer.file_finished()
 
 
 def _own_topics(config: Config) -> list[str]:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import Callable
 from contextlib import aclosing
 from pathlib import Path
-from typing import Any
 
-from robotctl.processes import Child, program, start
+from robotctl.daemon.recording.child_reports import reports_of
+from robotctl.processes import program, start
 from robotctl.recording.keep.retention import RetentionPolicy
 from robotctl.recording.keep.tidy_job import TidyJob
 from robotctl.recording.keep.tidy_note import TidyNote
@@ -74,7 +74,7 @@ class Tidier:
             return
         said_by = f"the process that tidies {self._recordings}"
         try:
-            async with aclosing(_heard(child)) as heard:
+            async with aclosing(reports_of(child)) as heard:
                 async for said in heard:
                     self._tell(TidyNote(said["text"], said["problem"], said["removed"]))
         except (ValueError, KeyError):
@@ -93,25 +93,3 @@ class Tidier:
             self.on_removed(done.removed)
         if done.problem and len(self.problems) < MAX_PROBLEMS:
             self.problems.append(done.text)
-
-
-async def _heard(child: Child) -> AsyncGenerator[dict[str, Any]]:
-    """Yield the reports of the child until it closes its pipe.
-
-    Raises:
-        ValueError: The child sent something else than JSON objects.
-    """
-    loop, readable = asyncio.get_running_loop(), asyncio.Event()
-    loop.add_reader(child.fileno(), readable.set)
-    try:
-        while True:
-            await readable.wait()
-            readable.clear()
-            try:
-                said = child.receive()
-            except EOFError:
-                return
-            for each in said:
-                yield each
-    finally:
-        loop.remove_reader(child.fileno())

@@ -28,5 +28,7 @@ def derived_files(folder: Path) -> Iterator[Path]:
     Raises:
         OSError: The folder cannot be read.
     """
-    for pattern in (PICTURE_FILE, PAGE_FILE, INDEX_FILE, _COMPARISON.format("*")):
+    unfinished_index = f".{INDEX_FILE}.*.tmp"  # of a process that was killed
+    made = (PICTURE_FILE, PAGE_FILE, INDEX_FILE, unfinished_index, _COMPARISON.format("*"))
+    for pattern in made:
         yield from folder.glob(pattern)

@@ -1,0 +1,133 @@
+"""The index of the recording, made by a separate process when a file of it is closed."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+from contextlib import aclosing
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Final
+
+from robotctl.daemon.recording.child_reports import reports_of
+from robotctl.processes import program, start
+
+_log = logging.getLogger(__name__)
+
+MAX_BYTES: Final = 2_000_000_000
+"""A larger recording is indexed when it is asked about, and not on the robot's machine."""
+
+NOT_INSTALLED: Final = (
+    "recordings are not indexed, because duckdb is not installed: pip install 'robotctl[parquet]'"
+)
+
+
+def has_grown(files: int, indexed: int) -> bool:
+    """Return whether there are half as many files again as were indexed the last time.
+
+    So all indexes of a recording that goes on cost three times the last one, however long it is.
+    """
+    return 2 * files >= 3 * indexed
+
+
+class Indexer:
+    """Starts a process of the lowest priority that writes the index of the present recording.
+
+    One runs at a time. The last one, of the closed recording, outlives the daemon, which does not
+    wait for it. For the loop's thread.
+    """
+
+    def __init__(self, recording: Path, log: Path, *, enabled: bool) -> None:
+        """`recording` is the folder; `log`, if it exists, gets what the last process says."""
+        self._recording = recording
+        self._command = (*program("robotctl.fleet.index_process"), str(recording))
+        self._log = log
+        self.enabled = enabled
+        self._closed_files = 0
+        self._file_closed = asyncio.Event()
+        self._failures = 0
+        self._last_failure = ""
+
+    @property
+    def problem(self) -> str:
+        """How often indexing has failed, and why the last time; "" if it has not."""
+        if not self._failures:
+            return ""
+        times = "once" if self._failures == 1 else f"{self._failures} times"
+        return f"indexing failed {times}: {self._last_failure}"
+
+    def file_finished(self) -> None:
+        """Note that a file of the recording is closed, and another one is written."""
+        self._closed_files += 1
+        self._file_closed.set()
+
+    async def run(self) -> None:
+        """Index the closed files when there are enough new ones, until cancelled."""
+        indexed = 0
+        while True:
+            await self._file_closed.wait()
+            self._file_closed.clear()
+            if has_grown(self._closed_files, indexed) and await asyncio.to_thread(self._is_wanted):
+                indexed = self._closed_files
+                await self._index()
+
+    async def finish(self) -> None:
+        """Start to index the closed recording, and return at once."""
+        await asyncio.to_thread(self._start_last)
+
+    async def _index(self) -> None:
+        try:
+            child = start(self._command)
+        except OSError as error:  # no process or no descriptor
+            self._tell(str(error))
+            return
+        failure: str | None = None
+        try:
+            async with aclosing(reports_of(child)) as reports:
+                async for report in reports:
+                    failure = report["failure"]
+        except (ValueError, KeyError):
+            failure = "its process sent an invalid report"
+        except asyncio.CancelledError:
+            child.kill()  # the closed recording is indexed as a whole
+            raise
+        finally:
+            exit_code = await asyncio.shield(asyncio.to_thread(child.close, 1.0))
+        if failure is None:
+            failure = f"its process ended with {exit_code}"
+        if failure:
+            self._tell(failure)
+
+    def _tell(self, failure: str) -> None:
+        _log.warning("%s was not indexed: %s", self._recording, failure)
+        self._failures += 1
+        self._last_failure = failure
+
+    # In a thread
+
+    def _start_last(self) -> None:
+        if not self._is_wanted():
+            return
+        try:
+            log = self._log if self._log.exists() else Path(os.devnull)
+            start(self._command, log=log).detach()
+        except OSError as error:
+            _log.warning("%s was not indexed: %s", self._recording, error)
+
+    def _is_wanted(self) -> bool:
+        if not self.enabled:
+            return False
+        if find_spec("duckdb") is None:
+            _log.info(NOT_INSTALLED)
+            self.enabled = False  # said once
+            return False
+        return _size(self._recording) <= MAX_BYTES
+
+
+def _size(recording: Path) -> int:
+    """Return the bytes of the files of a recording, 0 if its folder is gone."""
+    try:
+        return sum(file.stat().st_size for file in recording.glob("*.mcap"))
+    except OSError:
+        return 0
