@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Final
 
 from robotctl.fleet.baseline import Accepted, Baseline
-from robotctl.fleet.jobs import Done, Processes, local_processes, results_of
-from robotctl.fleet.judgement import UNREADABLE, Judgement, content_hash, judge, key_of
+from robotctl.fleet.jobs import Done
+from robotctl.fleet.judgement import UNREADABLE, Judgement, software_hash
+from robotctl.fleet.judging import Engine, Judging, judge_here
 from robotctl.fleet.result_store import ResultStore
 from robotctl.rerun.check_report import Verdict
 
@@ -28,7 +28,7 @@ CHANGED: Final = "changed"
 class GateReport:
     """The judgements of the recordings by their paths, in that order.
 
-    `stored` counts those that an earlier run had made. `lost` are recordings whose process was
+    `stored` counts those that were in the store already. `lost` are recordings whose process was
     killed twice, or whose files cannot be read.
     """
 
@@ -62,10 +62,12 @@ class GateReport:
 
     def causes(self) -> dict[str, list[Path]]:
         """Return what is not the same by its cause, the most frequent first."""
-        groups: dict[str, list[Path]] = {}
-        for path, each in (self.failures() | self.unknown()).items():
-            groups.setdefault(cause_of(each), []).append(path)
-        return dict(sorted(groups.items(), key=lambda item: (-len(item[1]), item[0])))
+        wrong = self.failures() | self.unknown()
+        return _grouped({path: cause_of(each) for path, each in wrong.items()})
+
+    def lost_causes(self) -> dict[str, list[Path]]:
+        """Return what was lost by its reason, the most frequent first."""
+        return _grouped(self.lost)
 
     def _open(self) -> list[tuple[Path, Judgement]]:
         return [item for item in self.results.items() if item[0] not in self.accepted]
@@ -78,12 +80,19 @@ def cause_of(result: Judgement) -> str:
     return f"{result.verdict}: {result.cause}"
 
 
+def _grouped(reasons: Mapping[Path, str]) -> dict[str, list[Path]]:
+    groups: dict[str, list[Path]] = {}
+    for path, reason in reasons.items():
+        groups.setdefault(reason, []).append(path)
+    return dict(sorted(groups.items(), key=lambda item: (-len(item[1]), item[0])))
+
+
 def judge_all(
     recordings: Sequence[Path],
     store: ResultStore,
     settings: Mapping[str, str],
     baseline: Baseline,
-    processes: Processes = local_processes,
+    engine: Engine = judge_here,
     on_progress: Done = lambda done, total: None,
 ) -> GateReport:
     """Judge recordings; those with a stored result are not judged again.
@@ -91,28 +100,19 @@ def judge_all(
     Each result is stored as soon as it is there, so a run that is killed goes on where it was.
 
     Raises:
-        Refused: A result cannot be stored.
+        Refused: A result cannot be stored, or the engine is not there.
     """
     found: dict[Path, Judgement] = {}
     report = GateReport()
-    new: list[Path] = []
-    for path in recordings:
-        try:
-            known = store.get(key_of(content_hash(path), settings))
-        except OSError as error:
-            report.lost[path] = f"it cannot be read: {error.strerror or error}"
-            continue
-        if known is None:
-            new.append(path)
-        else:
-            found[path] = known
-            report.stored += 1
-    function = partial(judge, settings=dict(settings))
-    for path, result in results_of(function, new, processes, on_progress):
-        if result is None:
+    judging = Judging(dict(settings), store, software_hash())
+    for path, answer in engine(judging, recordings, on_progress):
+        if answer is None:
             report.lost[path] = "the process that judged it was killed"
+        elif answer.judgement is None:
+            report.lost[path] = answer.problem
         else:
-            found[path] = store.put(result)
+            found[path] = answer.judgement
+            report.stored += answer.was_stored
     report.results = {path: found[path] for path in recordings if path in found}
     report.pass_accepted(baseline)
     return report

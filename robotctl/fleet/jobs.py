@@ -5,8 +5,13 @@ from __future__ import annotations
 import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import (
+    BrokenExecutor,
+    Executor,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+    as_completed,
+)
 from contextlib import AbstractContextManager, contextmanager
 from multiprocessing import get_context
 from pathlib import Path
@@ -56,8 +61,18 @@ def _run(
         for job in as_completed(jobs):
             try:
                 yield jobs[job], job.result(), False
-            except BrokenProcessPool:
+            except BrokenExecutor:
                 yield jobs[job], None, True
+
+
+@contextmanager
+def local_threads(jobs: int) -> Iterator[Executor]:
+    """Yield an executor with a thread per processor, for jobs that read files and hash them."""
+    executor = ThreadPoolExecutor(min(jobs, _processors()))
+    try:
+        yield executor
+    finally:
+        executor.shutdown(cancel_futures=True)
 
 
 @contextmanager
@@ -67,7 +82,7 @@ def local_processes(jobs: int) -> Iterator[Executor]:
     They ignore Ctrl-C, which ends the process that started them, and are killed at the end.
     """
     executor = ProcessPoolExecutor(
-        min(jobs, len(os.sched_getaffinity(0))),
+        min(jobs, _processors()),
         mp_context=get_context("spawn"),
         initializer=signal.signal,
         initargs=(signal.SIGINT, signal.SIG_IGN),
@@ -79,3 +94,7 @@ def local_processes(jobs: int) -> Iterator[Executor]:
         executor.shutdown(wait=False, cancel_futures=True)
         for worker in workers:
             worker.kill()
+
+
+def _processors() -> int:
+    return len(os.sched_getaffinity(0))

@@ -61,6 +61,7 @@ def judge(path: Path, settings: Mapping[str, str]) -> Judgement:
 
     Raises:
         OSError: A file cannot be read.
+        UnreadableFile: There are no files.
     """
     content = content_hash(path)
     try:
@@ -94,13 +95,10 @@ def content_hash(path: Path) -> str:
 
     Raises:
         OSError: A file cannot be read.
+        UnreadableFile: There are no files.
     """
     digest = hashlib.sha256()
-    try:
-        files = recording_files(path)
-    except RobotctlError:  # it has none: its judgement says so
-        files = []
-    for file in files:
+    for file in recording_files(path):
         with file.open("rb") as opened:
             digest.update(
                 f"{file.name}\n{hashlib.file_digest(opened, 'sha256').hexdigest()}\n".encode()

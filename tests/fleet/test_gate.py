@@ -9,6 +9,7 @@ import signal
 from collections.abc import Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -16,11 +17,12 @@ import pytest
 
 from robotctl.errors import ConfigError
 from robotctl.fleet import gate as gates
-from robotctl.fleet import judgement
+from robotctl.fleet import judgement, judging
 from robotctl.fleet.baseline import Baseline, read_baseline
 from robotctl.fleet.gate import GateReport, judge_all
 from robotctl.fleet.jobs import local_processes, results_of
 from robotctl.fleet.judgement import judge
+from robotctl.fleet.judging import judge_here
 from robotctl.fleet.junit import junit_text
 from robotctl.fleet.result_store import ResultStore
 from robotctl.rerun.check_report import Verdict
@@ -56,7 +58,8 @@ def judged(
 ) -> GateReport:
     recordings = [folder / GOOD, folder / WRONG]
     store = ResultStore(folder / ".gate")
-    return judge_all(recordings, store, settings or {}, baseline or Baseline(), threads)
+    engine = partial(judge_here, processes=threads)
+    return judge_all(recordings, store, settings or {}, baseline or Baseline(), engine)
 
 
 def test_what_is_decided_differently_closes_the_gate_with_its_first_cause(folder: Path) -> None:
@@ -72,7 +75,7 @@ def test_nothing_is_judged_twice_by_the_same_software(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     first = judged(folder)
-    monkeypatch.setattr(gates, "judge", lambda *_, **__: pytest.fail("it was judged again"))
+    monkeypatch.setattr(judging, "judge", lambda *_, **__: pytest.fail("it was judged again"))
     second = judged(folder)
     assert (first.stored, second.stored) == (0, 2)
     assert second.results == first.results
@@ -86,7 +89,8 @@ def test_other_software_or_parameters_or_bytes_are_judged_again(
     (file,) = (folder / GOOD).glob("*.mcap")
     file.write_bytes(file.read_bytes() + b"\0")
     assert judged(folder).stored == 1
-    monkeypatch.setattr(judgement, "software_hash", lambda: "another")
+    for module in (gates, judgement, judging):
+        monkeypatch.setattr(module, "software_hash", lambda: "another")
     assert judged(folder).stored == 0
 
 

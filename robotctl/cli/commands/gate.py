@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import getpass
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -20,6 +20,7 @@ from robotctl.errors import Divergence, Refused, RobotctlError, UnreadableFile, 
 if TYPE_CHECKING:
     from robotctl.fleet.gate import GateReport
     from robotctl.fleet.judgement import Judgement
+    from robotctl.fleet.judging import Engine
 
 app = new_app()
 
@@ -59,6 +60,12 @@ def gate(
     junit: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write JUnit XML here, too.")
     ] = None,
+    cluster: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS", help="Judge on the workers of this Dask scheduler: tcp://HOST:PORT."
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Decide every recording again with this robotctl, before it drives.
@@ -74,9 +81,11 @@ def gate(
       robotctl gate --in recordings --junit gate.xml
       robotctl gate --what-if odometry.timeout_s=0.3
       robotctl gate --baseline accepted.json --accept "a shorter ramp"
+      robotctl gate --in /mnt/recordings --cluster tcp://10.0.0.5:8786
     """
     from robotctl.fleet.baseline import Baseline, read_baseline
     from robotctl.fleet.gate import judge_all
+    from robotctl.fleet.judging import judge_here
     from robotctl.fleet.junit import junit_text
     from robotctl.fleet.result_store import ResultStore
     from robotctl.recording.keep.listing import recordings_in
@@ -90,13 +99,19 @@ def gate(
     check_scope(settings, closed_loop=False)
     known = Baseline() if baseline is None else read_baseline(baseline)
     place = folder or recordings_folder(None, None)
+    engine: Engine = judge_here
+    if cluster is not None:
+        from robotctl.fleet.cluster import Cluster
+
+        place = place.resolve()  # a worker has another working directory
+        engine = Cluster(cluster, place).judge
     try:
         recordings = recordings_in(place)
     except OSError as error:
         raise Refused(f"{place} cannot be listed: {error.strerror}") from error
     with progress_bar("judging", quiet=as_json) as on_progress:
-        store = ResultStore(results or place / RESULTS)
-        report = judge_all(recordings, store, settings, known, on_progress=on_progress)
+        store = ResultStore((results or place / RESULTS).absolute())
+        report = judge_all(recordings, store, settings, known, engine, on_progress)
     if accept is not None and baseline is not None:
         at = datetime.now(UTC).isoformat(timespec="seconds")
         for path, result in (report.failures() | report.unknown()).items():
@@ -144,12 +159,17 @@ def _lines(place: Path, report: GateReport) -> Iterator[str]:
     yield f"  {report.stored} of them judged before, {len(report.accepted)} accepted"
     for cause, paths in report.causes().items():
         yield from row(f"  {len(paths):5}  ", cause)
-        more = f" and {len(paths) - MAX_NAMED} more" if len(paths) > MAX_NAMED else ""
-        yield from row(" " * 9, ", ".join(path.name for path in paths[:MAX_NAMED]) + more)
+        yield from row(" " * 9, _names(paths))
         yield from row(" " * 9, f"first: {_first(report.results[paths[0]])}")
-    for path, said in report.lost.items():
-        yield from row("  lost   ", f"{path.name}: {said}")
+    for said, paths in report.lost_causes().items():
+        yield from row(f"  {len(paths):5}  ", f"lost: {said}")
+        yield from row(" " * 9, _names(paths))
     yield from _change_lines(report)
+
+
+def _names(paths: Sequence[Path]) -> str:
+    more = f" and {len(paths) - MAX_NAMED} more" if len(paths) > MAX_NAMED else ""
+    return ", ".join(path.name for path in paths[:MAX_NAMED]) + more
 
 
 def _first(result: Judgement) -> str:

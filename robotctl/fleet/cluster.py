@@ -1,0 +1,221 @@
+"""The gate's jobs on the workers of a Dask cluster, which may come, go and be killed."""
+
+from __future__ import annotations
+
+import logging
+import re
+import socket
+import time
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError, Future
+from contextlib import closing, contextmanager
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import TYPE_CHECKING, Final
+
+from robotctl import __version__
+from robotctl.errors import IN_PARENTHESES, Refused, UsageError
+from robotctl.fleet.jobs import Done
+from robotctl.fleet.judgement import software_hash
+from robotctl.fleet.judging import Answers, Judged, Judging
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+CONNECT_S: Final = 10.0
+"""How long the gate waits for a scheduler at first."""
+
+PATIENCE_S: Final = 60.0
+"""How long it waits for one that was lost, and for the first worker: a restart takes that long."""
+
+_CHECK_S: Final = 5.0
+"""Without an answer for this time, the gate asks whether there are still workers."""
+
+_ADDRESS = re.compile(r"(?:tcp|tls)://(?P<host>[^/\s]+|\[[^]\s]+\]):(?P<port>\d{1,5})")
+
+
+class Cluster:
+    """The workers of the scheduler at an address; all of them see the files in `place`."""
+
+    def __init__(
+        self,
+        address: str,
+        place: Path,
+        *,
+        connect_s: float = CONNECT_S,
+        patience_s: float = PATIENCE_S,
+    ) -> None:
+        """Check the address; nothing is connected yet.
+
+        Raises:
+            UsageError: It is no address of a scheduler, or Dask is not installed.
+        """
+        found = _ADDRESS.fullmatch(address)
+        if found is None or int(found["port"]) > 65535:
+            raise UsageError(f"{address} is no address of a cluster", "give tcp://HOST:PORT")
+        try:
+            import distributed  # noqa: F401
+        except ImportError:
+            raise UsageError(
+                "a cluster needs Dask, which is not installed", "pip install 'robotctl[cluster]'"
+            ) from None
+        self._address = address
+        self._endpoint = found["host"].strip("[]"), int(found["port"])
+        self._place = place
+        self._connect_s = connect_s
+        self._patience_s = patience_s
+
+    def judge(self, judging: Judging, recordings: Sequence[Path], on_progress: Done) -> Answers:
+        """Do the jobs of a gate; a scheduler that was restarted gets those that are left.
+
+        Raises:
+            Refused: The scheduler or its workers are gone for too long, or a worker has another
+                robotctl, or does not see the recordings, or cannot store a result.
+        """
+        left = dict.fromkeys(recordings)
+        connect_s = self._connect_s
+        while left:
+            with self._connected(connect_s) as client:
+                connect_s = self._patience_s
+                try:
+                    self._check(client, judging.software)
+                except OSError:  # it is gone again
+                    continue
+                for path, answer in _answers(client, judging.judged, list(left)):
+                    del left[path]
+                    on_progress(len(recordings) - len(left), len(recordings))
+                    yield path, answer
+
+    @contextmanager
+    def _connected(self, connect_s: float) -> Iterator[Client]:
+        from distributed import Client
+
+        with _quiet():
+            self._wait_for_port(connect_s)
+            try:
+                client = Client(self._address, timeout=connect_s, set_as_default=False)
+            except (OSError, ValueError) as error:
+                raise self._no_scheduler(error) from error
+            with closing(client):
+                try:
+                    client.wait_for_workers(1, timeout=self._patience_s)
+                except TimeoutError:
+                    raise Refused(
+                        f"the scheduler at {self._address} has no workers",
+                        f"start some with `dask worker {self._address} --no-nanny --nthreads 1`",
+                    ) from None
+                yield client
+
+    def _wait_for_port(self, seconds: float) -> None:
+        """Wait until something listens there: a client of Dask that fails is noisy."""
+        until = time.monotonic() + seconds
+        while True:
+            try:
+                socket.create_connection(self._endpoint, timeout=seconds).close()
+            except OSError as error:
+                if time.monotonic() > until:
+                    raise self._no_scheduler(error) from error
+                time.sleep(0.2)
+            else:
+                return
+
+    def _check(self, client: Client, software: str) -> None:
+        """Refuse the cluster by the name of the worker that is not fit for it."""
+        found = client.run(_state, str(self._place), on_error="return")
+        for worker, state in found.items():
+            if isinstance(state, OSError):  # it has ended; others get its jobs
+                continue
+            if isinstance(state, Exception):
+                raise Refused(
+                    f"the worker {worker} cannot run robotctl ({state})",
+                    f"install robotctl {__version__} there",
+                )
+            version, worker_software, sees_place = state
+            if worker_software != software:
+                raise Refused(
+                    f"the worker {worker} has another robotctl ({version}) than the gate",
+                    f"install this one ({__version__}) there, and start the worker again",
+                )
+            if not sees_place:
+                raise Refused(
+                    f"the worker {worker} does not see {self._place}",
+                    "give --in a folder that all workers see under this name",
+                )
+
+    def _no_scheduler(self, error: OSError | ValueError) -> Refused:
+        said = (error.strerror if isinstance(error, OSError) else None) or error
+        return Refused(
+            f"no Dask scheduler answers at {self._address}: {said}",
+            "start it with `dask scheduler`; the same command goes on from what is stored",
+            sentence=IN_PARENTHESES,
+        )
+
+
+def _answers(
+    client: Client, judged: Callable[[Path], Judged], recordings: Sequence[Path]
+) -> Answers:
+    """Yield what is answered until all is, or the scheduler or all workers are gone.
+
+    Dask connects again to a scheduler that was restarted, but what was on its way is lost to it.
+    """
+    if not (scheduler := _scheduler(client)):
+        return
+    executor = client.get_executor(pure=False)
+    ready: SimpleQueue[Future[Judged]] = SimpleQueue()
+    jobs: dict[Future[Judged], Path] = {}
+    from distributed import KilledWorker
+
+    for path in recordings:
+        job = executor.submit(judged, path)
+        jobs[job] = path
+        job.add_done_callback(ready.put)
+    patience_s = _CHECK_S
+    try:
+        while jobs:
+            try:
+                job = ready.get(timeout=patience_s)
+            except Empty:
+                if _scheduler(client) != scheduler:
+                    return
+                patience_s = _CHECK_S
+                continue
+            path = jobs.pop(job)
+            try:
+                yield path, job.result()
+            except CancelledError:  # Dask has lost the connection
+                patience_s = 0.0
+            except KilledWorker:
+                yield path, None
+    finally:
+        executor.shutdown(wait=False)
+
+
+def _scheduler(client: Client) -> str:
+    """Return which scheduler the client is connected to, "" if none or one without workers."""
+    try:
+        info = client.scheduler_info() if client.status == "running" else {}
+    except OSError:
+        return ""
+    return str(info["id"]) if info.get("workers") else ""
+
+
+def _state(place: str) -> tuple[str, str, bool]:
+    """Return, in a worker, version and hash of its robotctl, and whether it sees a path."""
+    return __version__, software_hash(), Path(place).exists()
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep Dask from logging what the gate handles, or says in a sentence."""
+    loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
+    levels = [logger.level for logger in loggers]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for logger in loggers:
+            logger.setLevel(logging.CRITICAL + 1)
+        try:
+            yield
+        finally:
+            for logger, level in zip(loggers, levels, strict=True):
+                logger.setLevel(level)
