@@ -1,4 +1,4 @@
-"""Copies the finished recordings of a folder to a store, each file under its hash."""
+"""Copies the recordings of a folder to a store, each file under its hash."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ GIVE_UP_AFTER: Final = 3
 class Collected:
     """What a run did: objects that were copied, by recording, and sentences about the rest."""
 
-    recordings: int = 0
-    """Finished recordings that the store has completely."""
+    complete: list[str] = field(default_factory=list)
+    """Recordings that the store has completely."""
 
     copied: dict[str, list[CollectedFile]] = field(default_factory=dict)
     live: list[str] = field(default_factory=list)
-    """Recordings that are being made."""
+    """Recordings that are being made: the store has their finished files."""
 
     problems: list[str] = field(default_factory=list)
     wrong: list[str] = field(default_factory=list)
@@ -65,10 +65,9 @@ def collect(
         StoreError: The store cannot be listed.
     """
     there = collected_recordings(store.list())
-    found = list(own_recordings(recordings))
-    finished = [each for each in found if not each.live]
-    run = Collected(live=[each.path.name for each in found if each.live])
-    total, done, sent, failed = sum(map(_size, finished)), 0, 0, 0
+    found = [each for each in own_recordings(recordings) if collected_paths(each)]
+    run = Collected()
+    total, done, sent, failed = sum(map(_size, found)), 0, 0, 0
 
     def send(count: int) -> None:
         pace(count)
@@ -76,7 +75,7 @@ def collect(
         sent += count
         on_progress(min(done + sent, total), total)
 
-    for each in finished:
+    for each in found:
         on_progress(done, total)
         name, sent = each.path.name, 0
         try:
@@ -91,7 +90,7 @@ def collect(
                 break
         else:
             failed = 0
-            run.recordings += 1
+            (run.live if each.live else run.complete).append(name)
             if lacking:
                 run.copied[name] = lacking
         done += _size(each)
@@ -177,4 +176,4 @@ def _verified(path: Path, sha256: str, pace: Pace) -> Iterator[bytes]:
 
 
 def _size(recording: CatalogFolder) -> int:
-    return sum(file.size for file in (*recording.files, *recording.clips))
+    return sum(file.size for file in (*recording.files, *recording.clips) if not file.live)

@@ -32,10 +32,15 @@ class FileStamp:
 
 
 def collected_paths(recording: CatalogFolder) -> list[Path]:
-    """Return the files of a recording to collect: data, clips, list of files, index."""
+    """Return the files of a recording to collect: data, clips, list of files, index.
+
+    While it is being made, these are the files of data that are finished.
+    """
     folder = recording.path
+    data = [file.path for file in (*recording.files, *recording.clips) if not file.live]
+    if recording.live:
+        return data
     beside = [folder / METADATA_FILE, folder / INDEX_FILE]
-    data = [file.path for file in (*recording.files, *recording.clips)]
     return data + [path for path in beside if path.is_file() and not path.is_symlink()]
 
 

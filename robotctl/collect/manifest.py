@@ -59,12 +59,15 @@ class Manifest(Struct, frozen=True):
         """Return the object that holds the manifest itself."""
         return manifest_name(self.recording, hashlib.sha256(self.to_bytes()).hexdigest(), number)
 
+    def data(self) -> Manifest:
+        """Return it without what was made from the data."""
+        data = (file for file in self.files if file.name.endswith(_DATA_SUFFIX))
+        return Manifest(self.recording, tuple(data))
+
     def lost_data(self, here: Manifest) -> bool:
         """Return whether it names recorded data that `here` has no more, as after retention."""
         names = {file.name for file in here.files}
-        return any(
-            file.name.endswith(_DATA_SUFFIX) and file.name not in names for file in self.files
-        )
+        return any(file.name not in names for file in self.data().files)
 
     def united(self, here: Manifest) -> Manifest:
         """Return the manifest with the files of `here`, and those that only this one names."""

@@ -32,14 +32,14 @@ def missing_of(
 ) -> Missing:
     """Compare a recording with the objects of its name; `newest` reads the newest manifest.
 
-    Files that retention has removed here stay in the manifest. A recording that has lost data so
-    is not copied again: the list and the index that it has now tell less than those in the store.
+    Files that retention has removed here stay in the manifest. Then only further data is added to
+    it: the list and the index that the recording has now tell less than those in the store.
     """
     number = 0 if there.manifest is None else there.manifest.manifest_number
     wanted = here
     if number and there.manifest != here.name(number):
         before = newest()
-        wanted = before if before.lost_data(here) else before.united(here)
+        wanted = before.united(here.data() if before.lost_data(here) else here)
     here_too = {(file.name, file.sha256) for file in here.files}
     sizes = {file: there.objects.get(wanted.object_of(file)) for file in wanted.files}
     return Missing(

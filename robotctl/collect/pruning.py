@@ -10,7 +10,9 @@ from robotctl.collect.local_files import sha256_of
 from robotctl.collect.object_names import CollectedRecording, ObjectName, collected_recordings
 from robotctl.collect.read_back import WrongContent, check_content, read_manifest
 from robotctl.errors import RobotctlError, UnreadableFile
+from robotctl.recording.disk.disk_errors import reason_of
 from robotctl.recording.keep.catalog import CatalogFile, CatalogFolder
+from robotctl.recording.keep.removal_notes import note_removal
 from robotctl.recording.keep.retention import Removed, RetentionPolicy, enforce_retention
 from robotctl.store import ObjectStore, StoreError
 
@@ -54,8 +56,12 @@ def prune(
             if name not in there:
                 there[name] = collected_recordings(store.list(name)).get(name, CollectedRecording())
             _check_stored(file, folder, store, there[name], pace)
+            note_removal(recordings, file.path, f"removed after its copy to {store.name} was read")
         except WrongContent as error:
             pruned.wrong.append(str(error))
+        except OSError as error:
+            cause = f"its removal cannot be noted: {reason_of(error)}"
+            pruned.problems.append(f"{file.path.name} is kept: {cause}")
         except RobotctlError as error:
             pruned.problems.append(f"{file.path.name} is kept: {error}")
             failed = failed + 1 if isinstance(error, StoreError) else 0

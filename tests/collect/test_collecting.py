@@ -7,6 +7,8 @@ import os
 import random
 import shutil
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -24,6 +26,16 @@ from tests.support.memory_store import MemoryStore, works
 
 class Killed(BaseException):
     """What ends a run at once, as a signal does."""
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Hold a file as its recorder does."""
+    file = DiskFile(path, new=False)
+    try:
+        yield
+    finally:
+        file.close()
 
 
 def contents(store: MemoryStore) -> dict[str, CollectedRecording]:
@@ -51,7 +63,7 @@ def test_every_file_is_stored_under_its_hash_and_named_by_a_manifest(
     (recordings / FIRST / "clips").mkdir()
     shutil.copy(recordings / FIRST / f"{FIRST}_0.mcap", recordings / FIRST / "clips" / "a.mcap")
     done = run()
-    assert (done.recordings, done.problems, done.wrong) == (2, [], [])
+    assert (done.complete, done.problems, done.wrong) == ([FIRST, SECOND], [], [])
     for name in (FIRST, SECOND):
         assert stored_files(store, name) == files_here(recordings / name)
     for key, content in store.objects.items():
@@ -67,7 +79,7 @@ def test_a_second_run_sends_nothing_hashes_nothing_and_asks_once(
     store.requests.clear()
     with hash_ledger(recordings, time.time_ns) as ledger:
         done = collect(recordings, store, ledger)
-    assert (done.recordings, done.copied, ledger.hashed_bytes) == (2, {}, 0)
+    assert (done.complete, done.copied, ledger.hashed_bytes) == ([FIRST, SECOND], {}, 0)
     assert store.requests == [("list", "")]
 
 
@@ -113,12 +125,12 @@ def test_a_store_that_fails_often_gets_everything_in_the_end(
 
     store.before = fails
     first = run()
-    assert 0 < len(first.problems) == 20 - first.recordings
+    assert 0 < len(first.problems) == 20 - len(first.complete)
     assert all("HTTP status 503" in said for said in first.problems)
     for _ in range(5):
         last = run()
     store.before = works
-    assert (last.recordings, last.problems) == (20, [])
+    assert (len(last.complete), last.problems) == (20, [])
     for folder in recordings.glob("robot_*"):
         assert stored_files(store, folder.name) == files_here(folder)
 
@@ -139,17 +151,36 @@ def test_a_store_that_is_away_is_not_asked_for_every_recording(
     assert "the rest is left for later" in done.problems[-1]
 
 
-def test_a_recording_that_is_being_made_is_left_out(
+def test_of_a_recording_that_is_being_made_the_finished_files_are_there(
     run: Collect, store: MemoryStore, recordings: Path
 ) -> None:
-    writing = DiskFile(recordings / SECOND / f"{SECOND}_0.mcap", new=False)
-    try:
+    folder = recordings / SECOND
+    shutil.copy(folder / f"{SECOND}_0.mcap", folder / f"{SECOND}_1.mcap")
+    data = files_here(folder)
+    with writing(folder / f"{SECOND}_1.mcap"):
         done = run()
-    finally:
-        writing.close()
-    assert (done.recordings, done.live) == (1, [SECOND])
-    assert not any(key.startswith(SECOND) for key in store.objects)
-    assert run().recordings == 2
+    assert (done.complete, done.live) == ([FIRST], [SECOND])
+    assert stored_files(store, SECOND) == {f"{SECOND}_0.mcap": data[f"{SECOND}_0.mcap"]}
+    assert run().complete == [FIRST, SECOND]
+    assert stored_files(store, SECOND) == data
+
+
+def test_what_retention_takes_from_a_recording_that_goes_on_is_in_its_last_manifest(
+    run: Collect, store: MemoryStore, recordings: Path
+) -> None:
+    folder = recordings / SECOND
+    data = {}
+    for number in range(1, 4):
+        new = folder / f"{SECOND}_{number}.mcap"
+        shutil.copy(folder / f"{SECOND}_{number - 1}.mcap", new)
+        data[new.name] = new.read_bytes()
+        with writing(new):
+            run()
+        (folder / f"{SECOND}_{number - 1}.mcap").unlink()
+    assert run().problems == []
+    there = stored_files(store, SECOND)
+    assert {name: there[name] for name in data} == data
+    assert len([name for name in there if name.endswith(".mcap")]) == 4
 
 
 def test_a_file_that_is_written_while_it_is_copied_is_named_and_not_stored(
@@ -162,11 +193,11 @@ def test_a_file_that_is_written_while_it_is_copied_is_named_and_not_stored(
     data.write_bytes(data.read_bytes()[:-1] + b"X")
     os.utime(data, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
     first = run()
-    assert first.recordings == 1
+    assert first.complete == [SECOND]
     assert "was written while it was copied" in first.problems[0]
     assert not any(key.endswith(data.name) and FIRST in key for key in store.objects)
     assert contents(store)[FIRST].manifest is None
-    assert run().recordings == 2
+    assert run().complete == [FIRST, SECOND]
     assert stored_files(store, FIRST) == files_here(recordings / FIRST)
 
 
@@ -195,7 +226,7 @@ def test_what_retention_has_removed_here_stays_in_the_manifest(
     assert run().problems == []
     assert store.objects == before
     shutil.rmtree(recordings / SECOND)
-    assert run().recordings == 1
+    assert run().complete == [FIRST]
     assert store.objects == before
 
 
@@ -217,7 +248,7 @@ def test_an_object_of_another_size_than_its_name_says_is_named_and_left(
     (changed,) = (key for key in store.objects if key.endswith(f"{FIRST}_0.mcap"))
     store.objects[changed] = b"short"
     done = run()
-    assert done.recordings == 1
+    assert done.complete == [SECOND]
     assert changed in done.wrong[0]
     assert store.objects[changed] == b"short"
 
@@ -252,7 +283,7 @@ def test_a_name_that_not_every_store_can_hold_is_named(
 ) -> None:
     copy_as(one_recording, recordings / "a\x1b[31m b")
     done = run()
-    assert done.recordings == 2
+    assert done.complete == [FIRST, SECOND]
     assert "is left out" in done.problems[0]
     assert "\x1b" not in done.problems[0]
 
@@ -274,8 +305,8 @@ def test_a_full_disk_here_does_not_keep_recordings_from_the_store(
     run: Collect, recordings: Path
 ) -> None:
     (recordings / ".sync").write_text("in the way of the folder of hashes")
-    assert run().recordings == 2
-    assert run().recordings == 2
+    assert run().complete == [FIRST, SECOND]
+    assert run().complete == [FIRST, SECOND]
 
 
 def test_two_runs_at_once_are_one(run: Collect, recordings: Path) -> None:
@@ -290,10 +321,10 @@ def test_a_month_of_recordings_is_looked_through_with_one_listing(
     for number in range(240):
         copy_as(one_recording, month / f"robot_202601{number // 10:02}_12000{number % 10}")
     with hash_ledger(month, time.time_ns) as ledger:
-        assert collect(month, store, ledger).recordings == 240
+        assert len(collect(month, store, ledger).complete) == 240
     files = len(list(one_recording.iterdir()))
     assert len(store.requests) == 1 + 240 * (files + 1)
     store.requests.clear()
     with hash_ledger(month, time.time_ns) as ledger:
-        assert collect(month, store, ledger).recordings == 240
+        assert len(collect(month, store, ledger).complete) == 240
     assert store.requests == [("list", "")]

@@ -10,7 +10,9 @@ from robotctl.collect.collecting import GIVE_UP_AFTER
 from robotctl.collect.pruning import Pruned, prune
 from robotctl.recording.disk.storage import DiskFile
 from robotctl.recording.keep.catalog import set_kept
+from robotctl.recording.keep.removal_notes import NOTES_FILE
 from robotctl.recording.keep.retention import RetentionPolicy
+from robotctl.recording.keep.tidy_job import TidyJob, tidy
 from robotctl.store import StoreFailed
 from tests.collect.conftest import FIRST, SECOND, Collect, copy_as
 from tests.support.memory_store import MemoryStore
@@ -42,6 +44,22 @@ def test_what_is_in_the_store_is_removed_with_its_folder(
     assert names(pruned) == [f"{FIRST}_0.mcap", f"{SECOND}_0.mcap"]
     assert not list(collected.glob("robot_*"))
     assert store.objects == before
+
+
+def test_the_next_daemon_that_tidies_tells_what_was_removed(
+    collected: Path, store: MemoryStore
+) -> None:
+    removed = prune(collected, store, ALL, NOW_S).removed
+    notes = list(tidy(TidyJob(collected, RetentionPolicy(), repairs=False)))
+    assert [each.removed for each in notes] == [str(each.path) for each in removed]
+    assert "its copy to memory was read" in notes[0].text
+
+
+def test_a_removal_that_cannot_be_noted_is_not_made(collected: Path, store: MemoryStore) -> None:
+    (collected / NOTES_FILE).mkdir()
+    pruned = prune(collected, store, ALL, NOW_S)
+    assert names(pruned) == []
+    assert "its removal cannot be noted" in pruned.problems[0]
 
 
 def test_what_retention_does_not_end_stays(collected: Path, store: MemoryStore) -> None:

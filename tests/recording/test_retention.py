@@ -14,6 +14,7 @@ from robotctl.recording import Recorder, RecorderOptions, read_info
 from robotctl.recording.format.derived_files import comparison_file
 from robotctl.recording.keep.clip import Moment
 from robotctl.recording.keep.clip_job import ClipJob, make_clip
+from robotctl.recording.keep.removal_notes import NOTES_FILE, note_removal
 from robotctl.recording.keep.retention import DAY_S, RetentionPolicy, enforce_retention
 from robotctl.recording.keep.tidy_job import TidyJob, tidy
 from robotctl.testing.drives import TWIST
@@ -187,7 +188,22 @@ def test_a_file_system_without_such_locks_is_tidied_all_the_same(
     def no_lock(fd: int, operation: int) -> None:
         raise OSError(errno.EBADF, os.strerror(errno.EBADF))
 
-    monkeypatch.setattr("robotctl.recording.keep.tidy_job.flock", no_lock)
+    monkeypatch.setattr("robotctl.recording.keep.removal_notes.flock", no_lock)
     (done,) = tidy(TidyJob(tmp_path, RetentionPolicy(max_bytes=0), repairs=False))
     assert done.text.startswith("removed for its age or to free space: ")
     assert names(tmp_path) == []
+
+
+def test_a_removal_that_another_program_noted_is_told_once_when_it_is_done(tmp_path: Path) -> None:
+    recorded(tmp_path / "run", age_s=0.0)
+    file = tmp_path / "run" / "run_0.mcap"
+    job = TidyJob(tmp_path, RetentionPolicy(), repairs=False)
+    note_removal(tmp_path, file, "removed after its copy was read")
+    with (tmp_path / NOTES_FILE).open("ab") as notes:
+        notes.write(b"[1]\n\xff\n[[[")
+    assert list(tidy(job)) == []
+    file.unlink()
+    (done,) = tidy(job)
+    assert (done.removed, done.problem) == (str(file), False)
+    assert list(tidy(job)) == []
+    assert names(tmp_path) == ["run"]

@@ -52,10 +52,10 @@ def sync(
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Copy the finished recordings to a store; what is there already is not sent again.
+    """Copy the recordings to a store; what is there already is not sent again.
 
-    Each file becomes RECORDING/SHA256/FILE below the URL and is never overwritten; a manifest
-    says that a recording is complete. A run that was killed goes on. Nothing is removed here
+    Each finished file becomes RECORDING/SHA256/FILE below the URL and is never overwritten. A run
+    that was killed goes on. Nothing is removed here
     without --max-age-days or --max-total-gb; then only files that were read back from the store
     and hold the same bytes, and no recording with `recordings keep`. URLs need the extra
     robotctl[store], a folder needs nothing. The exit code is 6 if something could not be copied
@@ -117,7 +117,7 @@ def _as_object(
         "store": place,
         "folder": str(here),
         "dry_run": dry_run,
-        "complete": run.recordings,
+        "complete": run.complete,
         "copied_bytes": run.copied_bytes,
         "copied": [
             {
@@ -144,9 +144,9 @@ def _lines(
     if dry_run:
         yield f"{short_path(here)}: {copied} would be copied to {place}"
     else:
-        yield f"{place}: {run.recordings} recordings are there; {copied} copied now"
+        yield f"{place}: {len(run.complete)} recordings are there; {copied} copied now"
     for name in run.live:
-        yield f"  {name} is left out: it is being recorded"
+        yield f"  {name} is being recorded: the file that is written follows later"
     if pruned.removed:
         removed_bytes = sum(each.size for each in pruned.removed)
         yield f"  {len(pruned.removed)} files are removed here: {size(removed_bytes)}"

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
-from fcntl import LOCK_EX, flock
 from pathlib import Path
 from typing import Any, Self
 
+from robotctl.recording.keep.removal_notes import noted_removals, only_one_in
 from robotctl.recording.keep.repair import repair
 from robotctl.recording.keep.retention import RetentionPolicy, enforce_retention
 from robotctl.recording.keep.tidy_note import TidyNote
@@ -38,13 +36,14 @@ class TidyJob:
 
 
 def tidy(job: TidyJob) -> Iterator[TidyNote]:
-    """Remove first, then repair the rest; yield each action. Blocks.
+    """Remove first, then repair the rest; yield each action, and what others removed. Blocks.
 
     Waits for other processes that tidy the folder. Files that are being written are not changed.
     """
     recordings = job.recordings
     try:
-        with _alone_in(recordings):
+        with only_one_in(recordings):
+            yield from noted_removals(recordings)
             for removed in enforce_retention(recordings, job.policy, time.time()):
                 text = f"removed for its age or to free space: {removed.path}"
                 yield TidyNote(text, removed=str(removed.path))
@@ -53,19 +52,3 @@ def tidy(job: TidyJob) -> Iterator[TidyNote]:
     except Exception as error:  # noqa: BLE001 - files of any origin
         text = f"{recordings} could not be tidied: {type(error).__name__}: {error}"
         yield TidyNote(text, problem=True)
-
-
-@contextmanager
-def _alone_in(recordings: Path) -> Iterator[None]:
-    """Wait until no other process tidies the folder, if its file system has such locks.
-
-    Raises:
-        OSError: The folder cannot be opened.
-    """
-    folder = os.open(recordings, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        with suppress(OSError):  # NFS cannot lock a read-only descriptor
-            flock(folder, LOCK_EX)
-        yield
-    finally:
-        os.close(folder)
