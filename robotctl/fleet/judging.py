@@ -47,16 +47,22 @@ class Judging:
         if known is not None:
             return known
         try:
-            return Judged(self.store.put(judge(path, self.settings)))
+            found = judge(path, self.settings)
         except (OSError, UnreadableFile) as error:
             return _unread(error)
+        return Judged(self.store.put(found))
 
     def stored(self, path: Path) -> Judged | None:
-        """Return the result if it is stored, or why the recording cannot be read."""
+        """Return the result if it is stored, or why the recording cannot be read.
+
+        Raises:
+            Refused: The store cannot be read.
+        """
         try:
-            known = self.store.get(key_of(content_hash(path), self.settings))
+            content = content_hash(path)
         except (OSError, UnreadableFile) as error:
             return _unread(error)
+        known = self.store.get(key_of(content, self.settings))
         return None if known is None else Judged(known, was_stored=True)
 
 

@@ -26,8 +26,10 @@ from robotctl.fleet.judging import judge_here
 from robotctl.fleet.junit import junit_text
 from robotctl.fleet.result_store import ResultStore
 from robotctl.rerun.check_report import Verdict
+from robotctl.store import open_store
 from robotctl.testing.drives import drive, record
 from tests.support.checked_drives import altered
+from tests.support.s3_server import environment
 
 GOOD, WRONG = "robot_20260101_120000", "robot_20260102_120000"
 
@@ -126,24 +128,30 @@ def test_the_report_for_continuous_integration_names_each_recording(folder: Path
     assert cases == {GOOD: [], WRONG: ["failure"], "gone\\x1b": ["error"]}
 
 
-def test_a_result_is_stored_once_and_a_damaged_one_is_made_again(
-    made: Path, tmp_path: Path
-) -> None:
-    store = ResultStore(tmp_path / "results")
+@pytest.fixture(params=["s3", "folder"])
+def place(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> str:
+    """A place for results."""
+    if request.param == "folder":
+        return str(tmp_path / "results")
+    for name, value in environment(request.getfixturevalue("s3_endpoint")).items():
+        monkeypatch.setenv(name, value)
+    return f"s3://robots/{tmp_path.name}/results"
+
+
+def test_a_result_is_stored_once_and_a_damaged_one_is_made_again(made: Path, place: str) -> None:
+    results, raw = ResultStore(place), open_store(place)
     result = judge(made / GOOD, {})
-    assert store.put(result) == result
-    (file,) = (tmp_path / "results").iterdir()
-    before = file.stat().st_ino
-    assert store.put(result) == result
-    assert file.stat().st_ino == before
-    file.write_text("{")
-    assert store.get(result.key) is None
-    assert store.put(result) == result
-    assert store.get(result.key) == result
-    assert list((tmp_path / "results").iterdir()) == [file]
-    forged = json.loads(file.read_text()) | {"recording": "0" * 64}
-    file.write_text(json.dumps(forged))
-    assert store.get(result.key) is None
+    assert results.get(result.key) is None
+    assert results.put(result) == result
+    (stored,) = raw.list()
+    assert results.put(result) == result
+    assert list(raw.list()) == [stored]
+    forged = json.dumps(result.as_object() | {"recording": "0" * 64})
+    for damage in ("{", forged):
+        raw.put(stored.key, [damage.encode()])
+        assert results.get(result.key) is None
+        assert results.put(result) == result
+        assert results.get(result.key) == result
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"accepted": [{"name": 1}]}', "[" * 100_000])

@@ -54,8 +54,10 @@ def gate(
         typer.Option(metavar="WHY", help="Accept what is wrong now, and add it to the baseline."),
     ] = None,
     results: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help=f"Where results are kept [default: {RESULTS} in --in]."),
+        str | None,
+        typer.Option(
+            metavar="DIR|URL", help=f"Where results are kept [default: {RESULTS} in --in]."
+        ),
     ] = None,
     junit: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write JUnit XML here, too.")
@@ -110,7 +112,7 @@ def gate(
     except OSError as error:
         raise Refused(f"{place} cannot be listed: {error.strerror}") from error
     with progress_bar("judging", quiet=as_json) as on_progress:
-        store = ResultStore((results or place / RESULTS).absolute())
+        store = ResultStore(results or place / RESULTS)
         report = judge_all(recordings, store, settings, known, engine, on_progress)
     if accept is not None and baseline is not None:
         at = datetime.now(UTC).isoformat(timespec="seconds")
