@@ -76,6 +76,11 @@
   });
   const opened = document.getElementById(location.hash.slice(1));
   if (opened && opened.dataset.t) choose(Number(opened.dataset.t), opened.id);
+  const asked = /^#t=(\d+(?:\.\d+)?)$/.exec(location.hash);
+  if (asked) {
+    choose(Number(asked[1]));
+    time.scrollIntoView();
+  }
   addEventListener("beforeprint", () => {
     for (const each of document.querySelectorAll("details")) each.open = true;
   });

@@ -37,14 +37,19 @@ _SCHEMAS: Final = ("ros2msg", "ros2idl")
 
 
 class RecordedView:
-    """Plays while there is a viewer, from the beginning on; all viewers share one position."""
+    """Plays while there is a viewer; all viewers share one position."""
 
-    def __init__(self, recording: Recording, server: ViewServer, span_ns: tuple[int, int]) -> None:
-        """Offer the topics of a recording; `span_ns` is its first and last time."""
+    def __init__(
+        self, recording: Recording, server: ViewServer, span_ns: tuple[int, int], at_ns: int = 0
+    ) -> None:
+        """Offer the topics of a recording; `span_ns` is its first and last time.
+
+        It begins at `at_ns` [since the epoch], or where that is not in the span, at its nearer end.
+        """
         self._recording = recording
         self._server = server
         self._start_ns, self._end_ns = span_ns
-        self._schedule = Schedule(time.monotonic_ns(), self._start_ns, 1.0, paused=True)
+        self._schedule = Schedule(time.monotonic_ns(), self._within(at_ns), 1.0, paused=True)
         self._plays = True
         """Whether viewers want it to play; it does while there is one."""
 
@@ -109,7 +114,7 @@ class RecordedView:
         if seek_ns is None and request.play and self._status() is PlaybackStatus.ENDED:
             seek_ns = self._start_ns
         if seek_ns is not None:
-            at_ns = min(max(seek_ns, self._start_ns), self._end_ns)
+            at_ns = self._within(seek_ns)
             self._schedule = replace(self._schedule, moment_ns=now_ns, at_ns=at_ns)
             self._restart()
         rate = min(max(request.rate, MIN_RATE), MAX_RATE)
@@ -119,6 +124,9 @@ class RecordedView:
         self._tell(did_seek=seek_ns is not None, request_id=request.request_id)
 
     # The playback
+
+    def _within(self, at_ns: int) -> int:
+        return min(max(at_ns, self._start_ns), self._end_ns)
 
     def _offer(self) -> None:
         for key, (channel, schema) in self._recording.channels().items():

@@ -101,7 +101,8 @@ class Serving:
                 capabilities=CAPABILITIES,
                 span_ns=span_ns,
             )
-            await self._run(server, RecordedView(recording, server, span_ns).run())
+            view = RecordedView(recording, server, span_ns, self._job.at_ns)
+            await self._run(server, view.run())
 
     async def _run(self, server: ViewServer, feed: Coroutine[Any, Any, None]) -> None:
         """Run the server with its source until the end."""

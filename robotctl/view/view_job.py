@@ -24,6 +24,8 @@ class ViewJob:
 
     live: LiveTarget | None = None
     file: str = ""
+    at_ns: int = 0
+    """Where the recording begins to play, since the epoch; 0 is its beginning."""
     host: str = "127.0.0.1"
     port: int | None = None
     """None is the usual port, or a free one where that is taken."""

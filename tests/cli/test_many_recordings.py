@@ -3,18 +3,34 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from robotctl.cli.support import view_process
+from robotctl.fleet.indexing import index_recording
 from robotctl.testing.drives import drive, drive_requested, record
 
 pytest.importorskip("duckdb", reason="indexes are an extra: robotctl[parquet]")
 
 Cli = Callable[..., Any]
 LAP = Path("recordings/robot_20260101_120000")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("made") / "recordings"
+    assert index_recording(record(folder / LAP.name, drive(4.0))) == ""
+    return folder
+
+
+@pytest.fixture
+def indexed(made: Path, cli: Cli) -> None:
+    """A recording in ./recordings that has an index."""
+    shutil.copytree(made, LAP.parent)
 
 
 def test_a_user_finds_the_drives_of_a_folder(cli: Cli) -> None:
@@ -30,6 +46,57 @@ def test_a_user_finds_the_drives_of_a_folder(cli: Cli) -> None:
     assert indexed["indexed"] == 1
     counted = cli("find", "--sql", "SELECT count(*) AS drives FROM drives").out
     assert counted.split() == ["drives", "1", "1", "row"]
+
+
+@pytest.mark.usefixtures("indexed")
+def test_a_row_of_the_answer_is_opened_at_its_moment(
+    cli: Cli, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = cli("find", "--open", "1")
+    assert page.exit_code == 0
+    assert page.out.startswith(f"{LAP}/report.html ")
+    (event,) = json.loads(cli("find", "mode == 'MOVING'", "--events", "--json").out)["rows"]
+    clip = json.loads(cli("find", "--events", "--open", "1", "--as", "clip", "--json").out)
+    assert abs(clip["event_ns"] - event["start_ns"]) < 1_000_000
+    assert Path(clip["target"]).parent == LAP.absolute() / "clips"
+    viewed: list[Any] = []
+    monkeypatch.setattr(view_process, "show_view", lambda job, *_, **__: viewed.append(job))
+    query = "SELECT recording, start_ns + 1000000000 AS start_ns FROM drives"
+    assert cli("find", "--sql", query, "--open", "1", "--as", "view").exit_code == 0
+    assert abs(viewed[0].at_ns - event["start_ns"] - 1_000_000_000) < 1_000_000
+
+
+@pytest.mark.usefixtures("indexed")
+@pytest.mark.parametrize(
+    ("arguments", "exit_code", "says"),
+    [
+        (("--open", "2"), 4, "there is no row 2: the answer has 1"),
+        (("laps > 9", "--open", "1"), 4, "there is no row 1: the answer has none"),
+        (("--recordings", "--open", "1", "--as", "clip"), 2, "no moment to clip"),
+        (("--sql", "SELECT 1 AS a", "--open", "1"), 2, "needs the column recording"),
+    ],
+)
+def test_a_row_that_cannot_be_opened_is_named(
+    cli: Cli, arguments: tuple[str, ...], exit_code: int, says: str
+) -> None:
+    ran = cli("find", *arguments)
+    assert ran.exit_code == exit_code
+    assert says in " ".join(ran.err.split())
+
+
+@pytest.mark.usefixtures("indexed")
+def test_a_browser_shows_the_page_at_the_moment_where_there_is_a_display(
+    cli: Cli, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: list[str] = []
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    for display in (":0", ""):
+        monkeypatch.setenv("DISPLAY", display)
+        monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+        assert cli("find", "--open", "1").exit_code == 0
+    (url,) = opened
+    assert url.startswith(f"file://{LAP.absolute()}/report.html#t=")
 
 
 @pytest.mark.parametrize(

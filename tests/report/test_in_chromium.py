@@ -98,6 +98,9 @@ def test_a_link_to_a_moment_opens_the_page_there(browser: Chromium, page: Path) 
     browser.open(f"{page.as_uri()}#moment-1")
     expected = browser.value("Number(document.querySelector('#moment-1').dataset.t)")
     assert cursor(browser) == pytest.approx(expected)
+    browser.open("about:blank")
+    browser.open(f"{page.as_uri()}#t=1.25")
+    assert cursor(browser) == pytest.approx(1.25)
 
 
 def test_every_inner_link_leads_somewhere(browser: Chromium, page: Path) -> None:

@@ -40,12 +40,13 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @asynccontextmanager
-async def playing(file: Path) -> AsyncIterator[Served]:
+async def playing(file: Path, at_ns: int = 0) -> AsyncIterator[Served]:
     """Play a recording during a block."""
     with Recording(file) as recording:
         span_ns = span_of_recording(recording)
         async with served(capabilities=CAPABILITIES, span_ns=span_ns) as view:
-            task = asyncio.create_task(RecordedView(recording, view.server, span_ns).run())
+            playback = RecordedView(recording, view.server, span_ns, at_ns)
+            task = asyncio.create_task(playback.run())
             try:
                 yield view
             finally:
@@ -99,6 +100,14 @@ async def test_a_seek_shows_the_state_there_and_goes_on_from_there(file: Path) -
         await client.control(play=True, rate=10.0)
         await client.until(lambda: 120 in numbers(client))
         assert numbers(client)[1:] == list(range(100, numbers(client)[-1] + 1))
+
+
+async def test_it_begins_at_a_given_moment(file: Path) -> None:
+    at_ns = START_NS + 10 * NS_PER_S
+    async with playing(file, at_ns) as view, view_client(view.url) as client:
+        await client.subscribe("/a", "/b")
+        await client.until(lambda: 101 in numbers(client) and client.of("/b"))
+        assert numbers(client)[0] in (99, 100)
 
 
 async def test_a_seek_backwards_and_beyond_the_end_is_possible(file: Path) -> None:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from robotctl.cli.options import Json, Robot, new_app
+from robotctl.cli.support.time_argument import parse_moment
 from robotctl.cli.terminal.text import short_path
 from robotctl.errors import UsageError
 from robotctl.paths import DEFAULT_ROBOT
@@ -23,6 +25,12 @@ def view(
         str,
         typer.Argument(metavar="[FILE]", help="Play this recording, or the last one: last."),
     ] = "",
+    at: Annotated[
+        str | None,
+        typer.Option(
+            metavar="T", help="Begin there: seconds into the recording, 12:03:04, or a date."
+        ),
+    ] = None,
     host: Annotated[
         str, typer.Option(metavar="ADDRESS", help="Listen on this address.")
     ] = "127.0.0.1",
@@ -57,6 +65,7 @@ def view(
     Examples:
       robotctl view
       robotctl view last
+      robotctl view last --at 12:03:04
       robotctl view recordings/robot_20261123_101500 --port 9000
       robotctl view --control
       robotctl view --origin https://lichtblick.example.org
@@ -65,6 +74,8 @@ def view(
         raise UsageError(f"--port {port}", f"use 1 to {MAX_PORT}, or 0 for a free one")
     if control and file:
         raise UsageError("--control with a recording", "leave one of them out")
+    if at is not None and not file:
+        raise UsageError("--at without a recording", "name one, or `last`")
     from robotctl.cli.support.lease_token import own_token
     from robotctl.cli.support.recording_paths import find_recording
     from robotctl.cli.support.view_process import check_view_installed, live_target, show_view
@@ -73,10 +84,20 @@ def view(
     check_view_installed()
     if file:
         path = find_recording(file, robot)
-        job, what = ViewJob(file=str(path)), short_path(path)
+        job, what = ViewJob(file=str(path), at_ns=_moment(path, at)), short_path(path)
     else:
         lease = (own_token() or "") if control else ""
         job = ViewJob(live=live_target(robot), control=control, lease=lease)
         what = f"robot {robot}"
     job = replace(job, host=host, port=port, origins=tuple(origin or ()))
     show_view(job, what, as_json=as_json)
+
+
+def _moment(path: Path, at: str | None) -> int:
+    """Return where to begin [ns since the epoch], 0 for the beginning."""
+    if at is None:
+        return 0
+    from robotctl.recording import read_info
+
+    info = read_info(path)
+    return parse_moment(at, info.start_ns, info.end_ns)

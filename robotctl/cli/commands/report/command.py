@@ -77,7 +77,7 @@ def report(
         target = output or _beside(paths[0], comparison_file(paths[1].resolve().stem))
     else:
         page = report_page(recorded[0], judged[0])
-        target = output or _beside(paths[0], PAGE_FILE)
+        target = output or page_of(paths[0])
     data = page.encode()
     _write(target, data)
     reports = [
@@ -94,6 +94,11 @@ def _read(path: Path, *, quiet: bool) -> Recorded:
 
     with progress_bar("reading", quiet=quiet) as on_progress:
         return read_recorded(path, on_progress)
+
+
+def page_of(path: Path) -> Path:
+    """Return where the page of a recording is written."""
+    return _beside(path, PAGE_FILE)
 
 
 def _beside(path: Path, name: str) -> Path:

@@ -1,4 +1,4 @@
-"""find: search all recordings of a folder for drives, recordings, events or topics."""
+"""The options of `find`, and its answers."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from robotctl.cli.commands.find.opening import OpenAs, open_as, shown_row
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.catalogue import open_catalogue
@@ -73,6 +74,12 @@ def find(
             help="Ask in SQL: tables recordings, drives, events, topics, samples.",
         ),
     ] = None,
+    open_row: Annotated[
+        int | None, typer.Option("--open", metavar="N", help="Open row N of the answer.")
+    ] = None,
+    open_kind: Annotated[
+        OpenAs, typer.Option("--as", help="How to open it, at its moment.")
+    ] = OpenAs.REPORT,
     as_json: Json = False,
 ) -> None:
     """Find drives in many recordings by a condition.
@@ -81,11 +88,17 @@ def find(
     missing or old. The condition compares columns with < <= == != >= >, and joins them with
     and, or, not. `--json` shows all columns. Needs the extra robotctl[parquet].
 
+    `--open N` does for row N what `report`, `clip` or `view` does, and prints what that prints:
+    where the page or the clip is, or where to connect. A browser shows the page at the moment if
+    there is a display.
+
     \b
     Examples:
       robotctl find "laps >= 1 and max_error_m > 0.1"
       robotctl find "check != 'same'" --recordings --in /data/robots
       robotctl find --sort -max_error_m --limit 3 --json
+      robotctl find --sort -max_error_m --open 1
+      robotctl find "mode == 'EMERGENCY_STOP'" --events --open 2 --as clip
       robotctl find --sql "SELECT cause, count(*) FROM drives GROUP BY cause"
     """
     wanted = [
@@ -101,7 +114,7 @@ def find(
     from robotctl.fleet.questions import ask
     from robotctl.fleet.questions import find as find_rows
 
-    with open_catalogue(folder, quiet=as_json) as (_, catalogue):
+    with open_catalogue(folder, quiet=as_json) as (place, catalogue):
         if sql is not None:
             found = ask(catalogue, sql)
         else:
@@ -109,7 +122,10 @@ def find(
     left_out = catalogue.left_out
     if not as_json:
         for sentence in left_out:
-            print(sentence, file=sys.stderr)
+            print(f"robotctl: {sentence}", file=sys.stderr)
+    if open_row is not None:
+        open_as(shown_row(found.as_objects(), open_row, place), open_kind, as_json=as_json)
+        return
     shown = found.columns if sql is not None else SHOWN[table]
     answer = {"rows": found.as_objects(), "left_out": left_out}
     print_answer(answer, _lines(found, shown), as_json=as_json)
