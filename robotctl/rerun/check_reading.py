@@ -91,6 +91,7 @@ class CheckReading:
                 if seq != self._last_seq + 1 or len(row) >= MAX_BATCH:
                     self._note_row()
                     if not report.begin_log_ns:
+                        self._ends.first_message(message)
                         report.begin_ns, report.begin_log_ns = t_ns, message.log_ns
                 row.append(message.data)
                 self._last_seq, self.end_ns, self._last_ns = seq, t_ns, message.log_ns

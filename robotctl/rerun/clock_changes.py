@@ -20,6 +20,11 @@ class ClockChanges:
 
         self._changed_ns: list[int] = []
 
+    @property
+    def has_changed(self) -> bool:
+        """Whether there was a change at all."""
+        return bool(self._changed_ns)
+
     def look(self, steady_ns: int, wall_ns: int) -> None:
         """Take one moment by both clocks."""
         offset_ns = wall_ns - steady_ns

@@ -89,12 +89,15 @@ class CommandCheck:
                 self._tell_extra(invariants, ending, extra, example)
             return
         pairs = self._pairs
-        old, recent = pairs.end(CUT if ending.is_clip else 0)
+        is_closed = ending.ledger is not None
+        cut = CUT if ending.is_clip else 0
+        old, recent = pairs.end(cut, is_own=ending.is_own, is_closed=is_closed)
         others = pairs.others
         self._tell_foreign(invariants, others.foreign, others.foreign_example)
         self._tell_extra(invariants, ending, others.extra, others.extra_example)
         self._tell_missing(invariants, ending)
         self._tell_end(invariants, ending, old, recent)
+        self._tell_undecided(ending)
         if ending.is_own:
             self._tell_late(invariants, ending)
         if pairs.unsent:
@@ -138,6 +141,17 @@ class CommandCheck:
             ending.accuse(self._report, invariants, f"none of {count} decided commands is recorded")
         else:
             self._report.miss(f"the last {count} decided commands are missing")
+
+    def _tell_undecided(self, ending: Ending) -> None:
+        notes, undecided = self._report.notes, self._pairs.undecided
+        if not ending.is_own:
+            if after := undecided + self._pairs.others.after_end:
+                notes.append(f"{after} commands are later than the journal that was received")
+        elif undecided and not ending.is_clip:
+            notes.append(
+                f"the last {undecided} zeros have no decision: the recording ends before its "
+                "journal tells of a stall or a failure"
+            )
 
     def _tell_late(self, invariants: Invariants, ending: Ending) -> None:
         late = [text for steady_ns, text in self._pairs.late if not self._clock.is_near(steady_ns)]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Sequence
+from math import inf
 
 from robotctl.kernel.snapshot import Proof
 from robotctl.kernel.types import (
@@ -31,6 +32,7 @@ from robotctl.rerun.command_run import LATE_NS, CommandRun, Decided, command_run
 from robotctl.rerun.journal_steps import Moments
 from robotctl.rerun.ordinary_run import OrdinaryRun
 from robotctl.rerun.other_commands import OtherCommands
+from robotctl.rerun.undecided_end import JOURNAL_LAG_NS, LAST_ZEROS, Early, UndecidedEnd
 
 MAX_WAITING = 20_000
 """The number of commands, decided or sent, that may wait for their counterpart."""
@@ -38,15 +40,8 @@ MAX_WAITING = 20_000
 TAIL_NS = 2 * NS_PER_S
 """How long before the end of a journal a decision may lack its message: it was under way."""
 
-LAST_ZEROS = 2
-"""How many zeros a daemon that fails while it moves the robot may send after its kernel's last
-command."""
-
 SEND_FAILED = f"{PublishTwist.__name__} failed"
 """How the fault of a command that could not be sent begins."""
-
-Early = tuple[bytes, int, int]
-"""A message before its decision: its six numbers, publish time and journal time [ns]."""
 
 
 class CommandPairs:
@@ -55,6 +50,9 @@ class CommandPairs:
     def __init__(self) -> None:
         self.others = OtherCommands()
         self.paired = 0
+        self.undecided = 0
+        """The number of commands at the end that may have been decided after it."""
+
         self.missing = 0
         """The number of decided commands without a message, before the last one with a message."""
 
@@ -86,7 +84,9 @@ class CommandPairs:
 
         self._first: int | None = None
         self._newest = 0
-        self._t_ns = 0
+        self._t_ns = self._log_ns = 0
+        """When the last event was handled, on the steady clock and since the epoch."""
+
         self._wanted: dict[int, Decided] = {}
         self._early: dict[int, list[Early]] = {}
         """Messages before their decision, by number. Two publishers may use one number."""
@@ -117,7 +117,7 @@ class CommandPairs:
     def _keep(self, sequence: int, numbers: bytes, publish_ns: int) -> None:
         """Keep a message that is not decided yet, or doubt it."""
         if _follows(sequence, self._number):
-            self._early.setdefault(sequence, []).append((numbers, publish_ns, self._t_ns))
+            self._early.setdefault(sequence, []).append(Early(numbers, publish_ns, self._t_ns))
             if len(self._early) > MAX_WAITING:
                 self._doubt_all(self._early.pop(next(iter(self._early))))
         elif self._first is not None or not self._base:
@@ -175,7 +175,7 @@ class CommandPairs:
         """Take an event with its effects."""
         if not self.is_counting:
             return
-        self._t_ns = event.t_ns
+        self._t_ns, self._log_ns, _ = moments
         if self._has_ended:
             self.resumed += 1
             self._has_ended = False
@@ -220,7 +220,7 @@ class CommandPairs:
         self._take_early(run, found.sent_after)
         last = run.last_step()
         if last is not None:
-            self._t_ns = last.event.t_ns
+            self._t_ns, self._log_ns, _ = last.moments
         return True
 
     def _take_early(self, run: OrdinaryRun, messages: Sequence[Message]) -> None:
@@ -311,15 +311,17 @@ class CommandPairs:
             self._instead.clear()
         self.others.settle(self._t_ns)
 
-    def end(self, cut: int = 0) -> tuple[int, int]:
+    def end(self, cut: int = 0, *, is_own: bool = True, is_closed: bool = True) -> tuple[int, int]:
         """Count what still waits; return how many of the last decided commands are missing.
 
         The first number is of those that were decided more than TAIL_NS before the end, the second
-        of the others. Up to `cut` messages may belong to decisions after the end.
+        of the others. Up to `cut` messages may belong to decisions after the end. A journal that
+        the recorder did not write itself may end before the recording.
         """
-        for number, early in self._early.items():
-            if (number - self._number) & MAX_SEQUENCE > cut:
-                self._doubt_all(each for each in early if each[0] != STILL)
+        end = UndecidedEnd(self._number, self._log_ns, cut, is_own, is_closed)
+        unexplained = [*end.unexplained(self._early)]
+        self.undecided = sum(map(len, self._early.values())) - len(unexplained)
+        self._doubt_all(unexplained)
         for number, (_, publish_ns) in self._instead.items():  # the end fell into a stall
             self._pair(number, self._wanted.pop(number)[1], publish_ns)
         old = recent = 0
@@ -330,7 +332,7 @@ class CommandPairs:
                 old += 1
             else:
                 recent += 1
-        self.others.end()
+        self.others.end(inf if is_own else self._t_ns - JOURNAL_LAG_NS)
         return old, recent
 
     def _lack(self, number: int) -> None:

@@ -12,7 +12,7 @@ from robotctl.rerun.check_report import Report
 from robotctl.rerun.clock_changes import ClockChanges
 from robotctl.rerun.command_bytes import command_topic
 from robotctl.rerun.command_check import CommandCheck
-from robotctl.rerun.ending import Ending
+from robotctl.rerun.ending import Ending, JournalEnd
 from robotctl.rerun.input_check import input_checks
 from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.journal_steps import Moments
@@ -30,7 +30,7 @@ class Comparisons:
     """The invariants, and the comparisons of commands, inputs, services and statuses."""
 
     def __init__(self, report: Report, info: RecordingInfo, journal_topic: str) -> None:
-        clock = ClockChanges()
+        clock = self._clock = ClockChanges()
         self.invariants = Invariants()
         self._ticks = TickSchedule()
         self._order = MeasurementOrder()
@@ -137,7 +137,9 @@ class Comparisons:
             text = f"{swapped} measurements are earlier than one before them"
             self.invariants.violate(f"{text}, the first is entry {self._order.first_seq}")
         self._commands.end(self.invariants, ending(self._command_topic))
-        self._inputs.end(self.invariants, ending, end_ns, self._stalls.recent_ns(end_ns))
-        self._safety_inputs.end(self.invariants, ending, end_ns, log_ns)
+        stalled_ns = self._stalls.recent_ns(end_ns)
+        moment = JournalEnd(end_ns, log_ns, stalled_ns, self._clock.has_changed)
+        self._inputs.end(self.invariants, ending, moment)
+        self._safety_inputs.end(self.invariants, ending, moment)
         self._services.end(self.invariants, ending, end_ns, log_ns)
         self._status.end(self.invariants, ending(self._status.topic), log_ns)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.invariants import Invariants
@@ -50,3 +51,15 @@ class Ending:
             report.notes.append(text)
         else:
             invariants.violate(text)
+
+
+class JournalEnd(NamedTuple):
+    """When the journal ends, on the steady clock and since the epoch, after stalls shortly before.
+
+    `clock_changed` tells whether the two clocks ever moved against each other.
+    """
+
+    t_ns: int
+    log_ns: int
+    stalled_ns: int
+    clock_changed: bool

@@ -19,14 +19,15 @@ from robotctl.recording.format.topics import LATCHED_QOS
 from robotctl.recording.read.messages import Message
 from robotctl.rerun.agreed import Agreed
 from robotctl.rerun.check_report import Report
-from robotctl.rerun.ending import Ending
+from robotctl.rerun.ending import Ending, JournalEnd
 from robotctl.rerun.input_kinds import BATTERY, ODOMETRY, SCAN, WANTED, InputKind, sequence_of
 from robotctl.rerun.input_pairs import Input, InputPairs
-from robotctl.rerun.input_report import report_inputs
+from robotctl.rerun.input_report import report_inputs, report_last
 from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.lockstep import lockstep
 from robotctl.rerun.ordinary_run import OrdinaryRun
 from robotctl.rerun.own_topics import full_name
+from robotctl.rerun.repeated_latched import RepeatedLatched
 
 _NOTHING = "[]"
 """An empty list of topics in the metadata."""
@@ -55,7 +56,7 @@ class InputCheck:
         self._is_latched = any(
             each.name == topic and LATCHED_QOS in each.offered_qos for each in info.topics
         )
-        self._last: tuple[int, bytes] | None = None
+        self._repeats = RepeatedLatched(info)
         self.is_on = False
         self._report = report
         self.kind = kind
@@ -65,12 +66,10 @@ class InputCheck:
 
     def message(self, message: Message) -> None:
         """Take a message; a file begins with the last latched one of the file before."""
-        if self._is_latched:
-            last, self._last = self._last, (message.sequence, message.data)
-            if self._last == last:
-                return
+        if self._is_latched and self._repeats.take(message):
+            return
         if self.is_on:
-            self._pairs.message(message.sequence, self._read(message.data))
+            self._pairs.message(message.sequence, self._read(message.data), message.log_ns)
 
     def received(self, event: Event, seq: int) -> None:
         """Take an input; `seq` is the number of its entry."""
@@ -122,6 +121,7 @@ class InputCheck:
     def snapshot(self, has_proof: bool) -> None:
         """Compare from this snapshot on, if it is one of this version."""
         self.is_on = self.is_on or has_proof
+        self._repeats.snapshot()
         self._pairs.settle()
 
     def stop(self) -> None:
@@ -129,15 +129,19 @@ class InputCheck:
         self.is_on = False
         self._pairs.forget()
 
-    def end(self, invariants: Invariants, ending: Ending, end_ns: int, stalled_ns: int) -> None:
-        """Report what differs; the journal ends at `end_ns`, after stalls of `stalled_ns`."""
+    def end(self, invariants: Invariants, ending: Ending, moment: JournalEnd) -> None:
+        """Report what differs."""
         pairs, report = self._pairs, self._report
-        pairs.end(end_ns, stalled_ns)
+        pairs.end(moment.t_ns, moment.stalled_ns)
+        pairs.repeated += self._repeats.excess
         is_recorded = self.topic is not None
         report_inputs(report, invariants, self._name, pairs, ending, is_recorded=is_recorded)
-        if pairs.unheard and pairs.has_one_publisher and self._is_always_heard:
+        if not self._is_always_heard:
+            return
+        last = report_last(report, self._name, pairs, ending, moment, moment.stalled_ns)
+        if pairs.unheard + last and pairs.has_one_publisher:
             report.notes.append(
-                f"{pairs.unheard} messages of {self._name} did not reach the control loop"
+                f"{pairs.unheard + last} messages of {self._name} did not reach the control loop"
             )
 
 
@@ -206,15 +210,11 @@ class Inputs:
         self,
         invariants: Invariants,
         ending: Callable[[str | None], Ending],
-        end_ns: int,
-        stalled_ns: int,
+        moment: JournalEnd,
     ) -> None:
-        """Report what differs; `ending(topic)` tells how the recording ends for a topic.
-
-        The journal ends at `end_ns`, shortly after stalls of `stalled_ns`.
-        """
+        """Report what differs; `ending(topic)` tells how the recording ends for a topic."""
         for each in self._all:
-            each.end(invariants, ending(each.topic), end_ns, stalled_ns)
+            each.end(invariants, ending(each.topic), moment)
 
 
 _TYPES: Mapping[str, str] = {

@@ -33,6 +33,13 @@ class Input(NamedTuple):
     seq: int
 
 
+class Sent(NamedTuple):
+    """A message: its value, and when it was recorded [ns since the epoch]."""
+
+    value: Any
+    log_ns: int
+
+
 class InputPairs:
     """The comparison of the inputs of one topic with its messages."""
 
@@ -62,16 +69,22 @@ class InputPairs:
         """The number of messages whose number is not above that of the one before them."""
 
         self._inputs: dict[int, list[Input]] = {}
-        self._messages: dict[int, list[Any]] = {}
+        self._messages: dict[int, list[Sent]] = {}
         self._found: dict[Hashable, int] = {}
         """The highest number of each publisher that was paired."""
 
         self._lives: dict[Hashable, tuple[int, int]] = {}
         self._unfound: list[tuple[Input, int]] = []
-        self._unheard: list[int] = []
+        self._unheard: list[tuple[int, int]] = []
+        """Number and log time of each message that was given up."""
+
         self._first_ns: int | None = None
+        self._last_ns = 0
         self._numbers = (0, 0)
         """The lowest and the highest number that was paired."""
+
+        self.later_ns: list[int] = []
+        """The log times of the messages with a number above all that were paired."""
 
         self._newest = 0
         self._t_ns = 0
@@ -81,8 +94,16 @@ class InputPairs:
         """Whether all inputs came from one publisher, so that their numbers are unique."""
         return len(self._lives) <= 1
 
-    def message(self, sequence: int, value: Any) -> None:
-        """Take a message of the topic; 0 is no number."""
+    @property
+    def rate_hz(self) -> float:
+        """The mean rate of the messages between those that were paired."""
+        first, last = self._numbers
+        if self._first_ns is None or self._last_ns <= self._first_ns:
+            return 0.0
+        return (last - first) * NS_PER_S / (self._last_ns - self._first_ns)
+
+    def message(self, sequence: int, value: Any, log_ns: int) -> None:
+        """Take a message of the topic; number 0 is none."""
         self.repeated += sequence <= self._newest
         self._newest = sequence
         inputs = self._inputs.get(sequence)
@@ -94,10 +115,10 @@ class InputPairs:
                     if not inputs:
                         del self._inputs[sequence]
                     return
-        self._messages.setdefault(sequence, []).append(value)
+        self._messages.setdefault(sequence, []).append(Sent(value, log_ns))
         if len(self._messages) > MAX_WAITING:
             oldest = next(iter(self._messages))
-            self._unheard += [oldest] * len(self._messages.pop(oldest))
+            self._unheard += [(oldest, each.log_ns) for each in self._messages.pop(oldest)]
 
     def received(self, sequence: int, found: Input) -> None:
         """Take an input of the journal."""
@@ -106,13 +127,13 @@ class InputPairs:
             return
         begin_ns, _ = self._lives.get(found.source, (found.t_ns, 0))
         self._lives[found.source] = begin_ns, found.t_ns
-        values = self._messages.get(sequence)
-        if values is not None:
-            for position, value in enumerate(values):
-                if _same(found.value, value):
+        messages = self._messages.get(sequence)
+        if messages is not None:
+            for position, sent in enumerate(messages):
+                if _same(found.value, sent.value):
                     self._pair(sequence, found)
-                    del values[position]
-                    if not values:
+                    del messages[position]
+                    if not messages:
                         del self._messages[sequence]
                     return
         self._inputs.setdefault(sequence, []).append(found)
@@ -135,7 +156,7 @@ class InputPairs:
         begin_ns, _ = self._lives.get(first.source, (first.t_ns, 0))
         self._lives[first.source] = begin_ns, last_ns
         self._pair(sequences[0], first)
-        self._pair(sequences[-1], first)
+        self._pair(sequences[-1], first._replace(t_ns=last_ns))
         self.paired += len(sequences) - 2
         self._newest, self._t_ns = sequences[-1], last_ns
 
@@ -143,10 +164,11 @@ class InputPairs:
         self.paired += 1
         self._found[found.source] = sequence
         if self._first_ns is None:
-            self._first_ns = found.t_ns
+            self._first_ns = self._last_ns = found.t_ns
             self._numbers = sequence, sequence
         elif sequence > self._numbers[1]:
             self._numbers = self._numbers[0], sequence
+            self._last_ns = found.t_ns
 
     def settle(self) -> None:
         """Give up the inputs that have waited for too long; called at each snapshot."""
@@ -184,18 +206,19 @@ class InputPairs:
             begin_ns, end_ns = self._lives.get(each.source, (0, 0))
             if each.source in self._found or end_ns - begin_ns > UNFOUND_NS:
                 self._count(sequence, each)
-        for sequence, values in self._messages.items():
-            self._unheard += [sequence] * len(values)
+        for sequence, messages in self._messages.items():
+            self._unheard += [(sequence, each.log_ns) for each in messages]
         first, last = self._numbers
-        self.unheard += sum(first < sequence < last for sequence in self._unheard)
+        self.unheard += sum(first < sequence < last for sequence, _ in self._unheard)
+        self.later_ns = [log_ns for sequence, log_ns in self._unheard if sequence > last]
         return near
 
     def _lack(self, sequence: int, found: Input) -> None:
-        values = self._messages.get(sequence)
-        if values:
+        messages = self._messages.get(sequence)
+        if messages:
             self.differing += 1
-            value = values.pop()  # it was heard, and said something else
-            if not values:
+            value = messages.pop().value  # it was heard, and said something else
+            if not messages:
                 del self._messages[sequence]
             self.differing_example = self.differing_example or (
                 f"entry {found.seq} has {found.value}, message {sequence} has {value}"

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from math import inf
+
 from robotctl.rerun.check_report import Report
-from robotctl.rerun.ending import Ending
-from robotctl.rerun.input_pairs import InputPairs
+from robotctl.rerun.ending import Ending, JournalEnd
+from robotctl.rerun.input_pairs import EDGE_NS, InputPairs
 from robotctl.rerun.invariants import Invariants
+from robotctl.rerun.unheard_end import LOST, UnheardEnd
 
 
 def report_inputs(
@@ -67,3 +70,33 @@ def _report_lacking(
         report.miss(f"{text}; {ending.unknown_losses}")
     else:
         ending.accuse(report, invariants, text)
+
+
+def report_last(
+    report: Report,
+    name: str,
+    pairs: InputPairs,
+    ending: Ending,
+    moment: JournalEnd,
+    waited_ns: int,
+    *,
+    is_rare: bool = False,
+) -> int:
+    """Report messages after the last input that cannot all have been under way.
+
+    The control loop may have been `waited_ns` late. Of what `is_rare` most messages never become an
+    input. Return how many messages may have been lost.
+    """
+    if not (pairs.paired and pairs.has_one_publisher and ending.is_own) or moment.clock_changed:
+        return 0
+    last = UnheardEnd(
+        pairs.later_ns,
+        moment.log_ns,
+        EDGE_NS + waited_ns,
+        pairs.rate_hz,
+        inf if is_rare else pairs.unheard + LOST,
+    )
+    if difference := last.difference():
+        report.miss(f"{name}: {difference}")
+        return 0
+    return last.earlier

@@ -26,6 +26,9 @@ class OtherCommands:
         """The number of messages of other publishers."""
 
         self.foreign_example = ""
+        self.after_end = 0
+        """The number of messages after the end of a journal that the recording outlives."""
+
         self._heard_ns: int | None = None
         self._publish = False
         self._waiting: deque[tuple[int, bytes]] = deque()
@@ -65,10 +68,14 @@ class OtherCommands:
         while self._waiting and t_ns - self._waiting[0][0] > NEAR_NS:
             self._note_extra(self._waiting.popleft()[1])
 
-    def end(self) -> None:
-        """Give up everything that is left."""
-        while self._waiting:
-            self._note_extra(self._waiting.popleft()[1])
+    def end(self, end_ns: float) -> None:
+        """Give up everything that is left; what came from `end_ns` on is after the journal."""
+        for t_ns, numbers in self._waiting:
+            if t_ns < end_ns:
+                self._note_extra(numbers)
+            else:
+                self.after_end += 1
+        self._waiting.clear()
 
     def _note_extra(self, numbers: bytes) -> None:
         self.extra += 1

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Final
 
 from robotctl.kernel.snapshot import Proof, Snapshot
 from robotctl.recording import Recording, RecordingInfo
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.format.ledger_record import read_ledger
 from robotctl.recording.format.metadata_names import CLIP_RECORD, INFO_RECORD
+from robotctl.recording.read.messages import Message
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.ending import Ending
 from robotctl.rerun.input_check import is_filtered
 from robotctl.rerun.invariants import Invariants, unbalanced
 from robotctl.rerun.journal_values import read_snapshot
 from robotctl.rerun.recorded_parameters import differing_parameters
+
+OBSERVING: Final = "observing"
+"""The mode of a recorder that drives nothing. It may observe a robot with its own name."""
 
 
 class RecordingEnds:
@@ -23,8 +28,10 @@ class RecordingEnds:
     def __init__(
         self, recording: Recording, info: RecordingInfo, report: Report, *, is_own: bool
     ) -> None:
-        """`is_own`: the recorder wrote the journal itself, and not what it received of it."""
+        """`is_own`: the journal is that of the robot that recorded."""
         self.is_own = is_own
+        """Whether the recorder wrote the journal itself, and not what it received of it."""
+
         self._recording = recording
         self._info = info
         self._report = report
@@ -36,6 +43,12 @@ class RecordingEnds:
     def is_whole(self) -> bool:
         """Whether all files are there."""
         return self._recording.path.is_dir()
+
+    def first_message(self, message: Message) -> None:
+        """Take the first message of the journal: the recorder stamps its own ones itself."""
+        noted = self._info.metadata.get(INFO_RECORD, {})
+        was_received = message.log_ns != message.publish_ns
+        self.is_own = self.is_own and not (was_received and noted.get("mode") == OBSERVING)
 
     def entries(self, first: int, last: int) -> None:
         """Take the numbers of the next entries, which are in a row."""

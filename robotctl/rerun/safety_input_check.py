@@ -21,12 +21,13 @@ from robotctl.recording.format.records import MAX_SEQUENCE
 from robotctl.recording.format.topics import LATCHED_QOS
 from robotctl.recording.read.messages import Message
 from robotctl.rerun.check_report import Report
-from robotctl.rerun.ending import Ending
+from robotctl.rerun.ending import Ending, JournalEnd
 from robotctl.rerun.input_pairs import Input, InputPairs
-from robotctl.rerun.input_report import report_inputs
+from robotctl.rerun.input_report import report_inputs, report_last
 from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.ordinary_run import OrdinaryRun
 from robotctl.rerun.own_topics import full_name
+from robotctl.rerun.repeated_latched import RepeatedLatched
 from robotctl.rerun.said_diagnoses import SaidDiagnoses
 from robotctl.rerun.stalls import Stalls
 from robotctl.rerun.unheard_change import Shown, UnheardChange
@@ -61,21 +62,22 @@ class SafetyInputCheck:
         self._read = reader_of(kind, button=button, robot=robot)
         self._diagnoses = SaidDiagnoses(robot) if kind is SafetyInput.DIAGNOSTICS else None
         self._pairs = InputPairs()
-        self._unheard = UnheardChange(round(timeout_s * NS_PER_S / REPEATS_PER_TIMEOUT))
+        self._repeat_ns = round(timeout_s * NS_PER_S / REPEATS_PER_TIMEOUT)
+        self._unheard = UnheardChange(self._repeat_ns)
         self._is_on = False
-        self._last: tuple[int, bytes] | None = None
+        self._repeats = RepeatedLatched(info)
 
     def message(self, message: Message) -> None:
         """Take a message; a file begins with the last latched one of the file before."""
-        last, self._last = self._last, (message.sequence, message.data)
-        if not self._is_on or (self._is_latched and self._last == last):
+        is_repeat = self._is_latched and self._repeats.take(message)
+        if is_repeat or not self._is_on:
             return
         if self._diagnoses is not None:
             self._diagnoses.message(message.data)
-            self._pairs.message(message.sequence, None)
+            self._pairs.message(message.sequence, None, message.log_ns)
             return
         value, _ = self._read(message.data)
-        self._pairs.message(message.sequence, value)
+        self._pairs.message(message.sequence, value, message.log_ns)
         self._unheard.message(Shown(message.sequence, str(value), message.log_ns))
 
     def received(self, event: SafetyInputReceived, seq: int) -> None:
@@ -93,6 +95,7 @@ class SafetyInputCheck:
     def snapshot(self, has_proof: bool, stall_ns: int) -> None:
         """Compare from this snapshot on, if it is one of this version."""
         self._is_on = self._is_on or has_proof
+        self._repeats.snapshot()
         self._pairs.settle()
         self._unheard.settle(stall_ns)
 
@@ -103,20 +106,25 @@ class SafetyInputCheck:
         self._unheard.forget()
 
     def end(
-        self, invariants: Invariants, ending: Ending, end_ns: int, log_ns: int, stalls: Stalls
+        self, invariants: Invariants, ending: Ending, moment: JournalEnd, longest_ns: int
     ) -> None:
-        """Report what differs; times are as for `SafetyInputChecks.end`."""
+        """Report what differs; the longest stall was of `longest_ns`."""
         pairs, report = self._pairs, self._report
         if self._diagnoses is not None:
             if ending.is_clip:
                 return  # its messages begin later than its journal
             pairs.repeated = 0  # robotctl publishes on the topic as well
-        pairs.end(end_ns, stalls.recent_ns(end_ns))
+        else:
+            pairs.repeated += self._repeats.excess
+        pairs.end(moment.t_ns, moment.stalled_ns)
         is_recorded = self.topic is not None
         report_inputs(report, invariants, self._name, pairs, ending, is_recorded=is_recorded)
-        self._unheard.end(log_ns, stalls.longest_ns)
+        self._unheard.end(moment.log_ns, longest_ns)
         if self._unheard.example and pairs.has_one_publisher:
             report.miss(f"the journal does not hold {self._unheard.example} of {self._name}")
+        if self._diagnoses is None:
+            waited_ns = longest_ns + self._repeat_ns
+            report_last(report, self._name, pairs, ending, moment, waited_ns, is_rare=True)
         unsaid = [] if self._diagnoses is None else self._diagnoses.unsaid()
         if unsaid and is_recorded and ending.has_begin and ending.lost == 0:
             text = f"{len(unsaid)} diagnoses in the journal are in no message: {unsaid[0]}"
@@ -176,12 +184,11 @@ class SafetyInputChecks:
         self,
         invariants: Invariants,
         ending: Callable[[str | None], Ending],
-        end_ns: int,
-        log_ns: int,
+        moment: JournalEnd,
     ) -> None:
-        """Report what differs; the journal ends at `end_ns`, since the epoch at `log_ns`."""
+        """Report what differs; `ending(topic)` tells how the recording ends for a topic."""
         for each in self._checks.values():
-            each.end(invariants, ending(each.topic), end_ns, log_ns, self._stalls)
+            each.end(invariants, ending(each.topic), moment, self._stalls.longest_ns)
 
 
 def _number(values: Mapping[str, str], key: str, default: float) -> float:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
-from math import inf
+from typing import Final
 
 from robotctl.kernel.types import Effect, Event, ModeRequested, Reply
 from robotctl.kernel.units import NS_PER_S
@@ -24,6 +24,10 @@ from robotctl.rerun.journal_steps import Moments
 from robotctl.rerun.own_topics import own_name
 from robotctl.rerun.service_events import SERVICES, Service, read_service_event
 from robotctl.rerun.service_pairs import Asked, Call, ServicePairs
+from robotctl.rerun.unheard_end import AFTER_NS
+
+MAX_UNDER_WAY: Final = 1_000
+"""How many calls may have been received before the journal could tell of them."""
 
 END_NS = 2 * NS_PER_S
 """How long before the end a request may lack its call: it was under way."""
@@ -153,9 +157,11 @@ class _ServiceCheck:
 
     def _tell_unasked(self, invariants: Invariants, ending: Ending, end_log_ns: int) -> None:
         begin_ns = (self._begin_ns or 0) + LATE_NS
-        is_closed = ending.is_whole and ending.ledger is not None
-        until_ns = inf if is_closed else end_log_ns - LATE_NS
-        unasked = [call for call in self.pairs.unasked if begin_ns < call.publish_ns <= until_ns]
+        unasked = [call for call in self.pairs.unasked if begin_ns < call.publish_ns]
+        if not (ending.is_whole and ending.ledger is not None):
+            judged = [call for call in unasked if not self._is_under_way(call, end_log_ns)]
+            if len(unasked) - len(judged) <= MAX_UNDER_WAY:
+                unasked = judged
         if not unasked:
             return
         text = (
@@ -166,6 +172,11 @@ class _ServiceCheck:
             ending.accuse(self._report, invariants, text)
         else:
             self._report.notes.append(f"{text}: another node serves it as well")
+
+    def _is_under_way(self, call: Call, end_log_ns: int) -> bool:
+        """Return whether the journal may end before it tells of a call."""
+        after_ns = call.publish_ns - end_log_ns
+        return after_ns > -LATE_NS and (after_ns <= AFTER_NS or self._clock.has_changed)
 
     def _tell_unheard(self, invariants: Invariants, ending: Ending, end_ns: int) -> None:
         report, pairs = self._report, self.pairs
@@ -204,7 +215,11 @@ class _ServiceCheck:
                 return
         unanswered = len(pairs.unanswered(end_ns))
         alone = pairs.answers_alone if ending.is_whole and not ending.is_clip else 0
-        if unanswered + alone > ending.lost and ending.ledger is not None:
+        if ending.ledger is None:
+            if alone:
+                text = f"{self.topic}: the calls of {alone} responses are not recorded"
+                report.miss(f"{text}; {ending.unknown_losses}")
+        elif unanswered + alone > ending.lost:
             report.miss(
                 f"{self.topic}: of {unanswered} calls the response is not recorded, "
                 f"and of {alone} responses the call"

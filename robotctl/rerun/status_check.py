@@ -19,6 +19,7 @@ from robotctl.rerun.journal_steps import Moments
 from robotctl.rerun.measured import Measured
 from robotctl.rerun.ordinary_run import OrdinaryRun
 from robotctl.rerun.own_topics import own_name
+from robotctl.rerun.repeated_latched import RepeatedLatched
 from robotctl.rerun.status_times import Status, StatusTimes
 
 TYPE = "robot_controller/msg/RobotStatus"
@@ -46,6 +47,7 @@ class StatusCheck:
         self._newest = 0
         self._gaps = 0
         self._seen = 0
+        self._repeats = RepeatedLatched(info)
         self._ahead: set[int] = set()
         """The numbers of statuses that are recorded before they were sent, and did not come yet."""
 
@@ -61,9 +63,10 @@ class StatusCheck:
         """
         if message.log_ns < message.publish_ns:
             self._ahead.add(message.sequence)
+            self._repeats.count()
             return
         self._ahead.discard(message.sequence)
-        if message.sequence == self._newest and self._seen:
+        if self._repeats.take(message):
             return
         try:
             reader = CdrReader(message.data)
@@ -77,7 +80,7 @@ class StatusCheck:
         if not self._seen:
             self._first = message.sequence
         self._gaps += max(message.sequence - self._newest - 1, 0) if self._seen else 0
-        self._unordered += message.sequence < self._newest
+        self._unordered += message.sequence <= self._newest
         self._newest = message.sequence
         self._seen += 1
         if self._report.robot and name != self._report.robot:
@@ -88,6 +91,7 @@ class StatusCheck:
         """Continue from a snapshot, with its time by the steady clock and since the epoch."""
         if snapshot.proof is None:
             return
+        self._repeats.snapshot()
         if not self.is_on:
             self.is_on, self._begin_ns = True, log_ns
         self._times.snapshot(snapshot, t_ns, log_ns)
@@ -150,6 +154,8 @@ class StatusCheck:
                 self._accuse(invariants, ending, text)
         if self._unordered:
             report.miss(f"{self._unordered} robot statuses are out of order")
+        if excess := self._repeats.excess:
+            report.miss(f"{excess} robot statuses are repeated where no file begins")
 
     def _accuse(self, invariants: Invariants, ending: Ending, text: str) -> None:
         if self._unordered:  # another node publishes them as well: they are not told apart

@@ -71,3 +71,10 @@ def sources(folder: Path) -> dict[str, Contents]:
     last = max(i for i, each in enumerate(killed.messages) if b"Snapshot" in each.data[:60])
     del killed.messages[last]
     return {**made, "killed": killed}
+
+
+def recording_for(kind: str) -> str:
+    """Return the recording that an edit of this name needs."""
+    if "killed" in kind:
+        return "killed"
+    return "pressed" if "button" in kind else "stopped"

@@ -17,8 +17,8 @@ from robotctl.recording.read.verified import Proof, verify_recording
 from robotctl.recording.write import file_seal
 from tests.support.edited_recordings import Contents, write_contents
 from tests.support.sealed import Forger, keyring
-from tests.tampering.kinds import ACCEPTED
-from tests.tampering.sources import sources
+from tests.tampering.honest_looks import ACCEPTED
+from tests.tampering.sources import recording_for, sources
 from tests.tampering.test_tampering import edits
 
 ATTEMPTS = 60
@@ -87,5 +87,5 @@ def test_what_looks_honest_without_a_seal_is_found_with_it(
     tmp_path: Path, honest: dict[str, Contents], forger: Forger, name: str
 ) -> None:
     kind, _ = ACCEPTED[name]
-    recording = "pressed" if "button" in name else "stopped"
+    recording = recording_for(name)
     assert is_found(tmp_path, kind(honest[recording], Random(1)), forger)

@@ -15,8 +15,9 @@ from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Report, Verdict
 from tests.support.edited_recordings import Contents, write_contents
 from tests.tampering.edits import Kind
-from tests.tampering.kinds import ACCEPTED, FOUND, ON_A_BUTTON, ONLY_IF_CLOSED
-from tests.tampering.sources import sources
+from tests.tampering.honest_looks import ACCEPTED
+from tests.tampering.kinds import FOUND, ON_A_BUTTON, ONLY_IF_CLOSED
+from tests.tampering.sources import recording_for, sources
 
 ATTEMPTS = 200
 MANY = 10_000
@@ -90,7 +91,7 @@ def test_what_looks_honest_is_listed(
 ) -> None:
     kind, reason = ACCEPTED[name]
     assert reason
-    recording = "pressed" if "button" in name else "stopped"
+    recording = recording_for(name)
     report = checked(tmp_path, kind(honest[recording], Random(1)))
     assert report.verdict is Verdict.SAME
 
