@@ -66,10 +66,8 @@ def unit(robot: str, arguments: tuple[str, ...], *, system: bool, user: str) -> 
     Raises:
         UsageError: There is no such user, or a word cannot stand in a unit.
     """
-    program = Path(sys.executable).with_name("robotctl")
-    state = _home_of(user) / ".local" / "state" / "robotctl" if system else state_folder()
-    recordings = state / "recordings" / robot
-    command: tuple[str, ...] = (str(program), "start", "--foreground", "--robot", robot)
+    recordings = state_of(user, system=system) / "recordings" / robot
+    command: tuple[str, ...] = (program_of(), "start", "--foreground", "--robot", robot)
     if "--recordings" not in arguments:
         command += ("--recordings", str(recordings))
     lines = [
@@ -80,7 +78,7 @@ def unit(robot: str, arguments: tuple[str, ...], *, system: bool, user: str) -> 
         "[Service]",
         "Type=notify",
         "NotifyAccess=main",
-        f"ExecStart={' '.join(map(_quoted, (*command, *arguments)))}",
+        f"ExecStart={' '.join(map(quoted, (*command, *arguments)))}",
         "Restart=on-failure",
         "RestartSec=2",
         f"RestartPreventExitStatus={IN_VAIN}",
@@ -88,7 +86,7 @@ def unit(robot: str, arguments: tuple[str, ...], *, system: bool, user: str) -> 
         f"TimeoutStopSec={STOP_S}",
         "UMask=0077",
         *(
-            f"Environment={_quoted(f'{key}={os.environ[key]}')}"
+            f"Environment={quoted(f'{key}={os.environ[key]}')}"
             for key in (*PASSED_ON, *(() if system else (STATE_VARIABLE,)))
             if key in os.environ
         ),
@@ -106,14 +104,26 @@ def unit(robot: str, arguments: tuple[str, ...], *, system: bool, user: str) -> 
     return Unit(unit_path(robot, system=system), "\n".join(lines), scope, runtime)
 
 
-def _home_of(user: str) -> Path:
+def program_of() -> str:
+    """Return the path of the robotctl that runs."""
+    return str(Path(sys.executable).with_name("robotctl"))
+
+
+def state_of(user: str, *, system: bool) -> Path:
+    """Return the folder of logs and recordings that a unit of `user` has.
+
+    Raises:
+        UsageError: There is no such user.
+    """
+    if not system:
+        return state_folder()
     try:
-        return Path(pwd.getpwnam(user).pw_dir)
+        return Path(pwd.getpwnam(user).pw_dir) / ".local" / "state" / "robotctl"
     except KeyError:
         raise UsageError(f"there is no user {user!r}", "name one with --user") from None
 
 
-def _quoted(word: str) -> str:
+def quoted(word: str) -> str:
     """Return a word of a unit file, quoted as systemd.syntax(7) says.
 
     Raises:

@@ -10,8 +10,7 @@ from robotctl.cli.commands.boot.group import Arguments, System, UnitUser, group,
 from robotctl.cli.options import Json, Robot
 from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.boot_unit import unit
-from robotctl.cli.support.systemd import systemctl
-from robotctl.errors import RobotctlError
+from robotctl.cli.support.unit_files import enable_unit, enabling_command, write_unit
 from robotctl.paths import DEFAULT_ROBOT, RUNTIME_VARIABLE, check_robot_name
 
 
@@ -36,20 +35,12 @@ def install(
     """
     runner = user or me()
     made = unit(check_robot_name(robot), start_arguments(arguments), system=system, user=runner)
-    try:
-        made.path.parent.mkdir(parents=True, exist_ok=True)
-        made.path.write_text(made.text)
-    except OSError as error:
-        cure = "use sudo" if system else "check the folder"
-        raise RobotctlError(f"{made.path}: {error.strerror}", cure) from None
-    problem = systemctl(made.scope, "daemon-reload")
-    if not problem:
-        problem = systemctl(made.scope, "enable", *(("--now",) if now else ()), made.name)
+    write_unit(made)
+    problem = enable_unit(made, now=now)
     started = "" if problem else "enabled and started" if now else "enabled"
     lines = [f"{made.path} written" + (f", {started}" if started else "")]
     if problem:
-        wanted = " ".join(("systemctl", *made.scope, "enable --now", made.name))
-        lines.append(f"systemd did not take it ({problem}); once it runs: {wanted}")
+        lines.append(f"systemd did not take it ({problem}); once it runs: {enabling_command(made)}")
     if made.runtime:
         variable = f"export {RUNTIME_VARIABLE}={made.runtime}"
         lines.append(

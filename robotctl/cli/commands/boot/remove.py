@@ -6,8 +6,8 @@ from robotctl.cli.commands.boot.group import System, group
 from robotctl.cli.options import Json, Robot
 from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.boot_unit import unit_path
-from robotctl.cli.support.systemd import systemctl
-from robotctl.errors import Refused, RobotctlError
+from robotctl.cli.support.unit_files import remove_unit
+from robotctl.errors import Refused
 from robotctl.paths import DEFAULT_ROBOT, check_robot_name
 
 
@@ -22,13 +22,6 @@ def remove(system: System = False, robot: Robot = DEFAULT_ROBOT, as_json: Json =
     path = unit_path(check_robot_name(robot), system=system)
     if not path.exists():
         raise Refused(f"there is no {path}", "robotctl boot install writes one")
-    scope = () if system else ("--user",)
-    problem = systemctl(scope, "disable", "--now", path.name)
-    try:
-        path.unlink()
-    except OSError as error:
-        cure = "use sudo" if system else "check the folder"
-        raise RobotctlError(f"{path}: {error.strerror}", cure) from None
-    systemctl(scope, "daemon-reload")
+    problem = remove_unit(path, system=system)
     lines = [f"{path} removed" + (f"; systemd: {problem}" if problem else ", the daemon stopped")]
     print_answer({"path": str(path), "problem": problem}, lines, as_json=as_json)
