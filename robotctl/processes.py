@@ -2,6 +2,8 @@
 
     python -P -m robotctl.MODULE ARGUMENTS --report-fd 3
 
+or, where many imports would be made again, as a copy of this process (`fork`).
+
 The child sends reports, one JSON object per line, through a pipe of its own. It may also receive
 lines on its stdin. Reports do not use stdout, because libraries print there (Fast DDS warns about
 lock files); stdout and stderr go where a user reads them.
@@ -10,16 +12,19 @@ lock files); stdout and stderr go where a user reads them.
 from __future__ import annotations
 
 import fcntl
+import gc
 import json
 import os
 import select
 import signal
 import sys
 import time
-from collections.abc import Iterator, Sequence
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NoReturn
 
 REPORT_OPTION: Final = "--report-fd"
 
@@ -30,6 +35,7 @@ _FIRST_FREE_FD: Final = 10
 """The lowest number for our ends of the pipes. It is above the descriptors of the child, so that
 nothing overwrites our ends, even in a process that was started without stdin, stdout and stderr."""
 
+_INTERRUPTIONS: Final = (signal.SIGINT, signal.SIGTERM)
 _PIECE_BYTES: Final = 1 << 16
 _REAP_POLL_S: Final = 0.01
 
@@ -201,6 +207,66 @@ def start(
         for descriptor in (*theirs, *ours):
             os.close(descriptor)
     return Child(pid, reports, our_stdin)
+
+
+def has_one_thread() -> bool:
+    """Return whether no other thread runs in this process, so that `fork` may copy it."""
+    try:
+        return len(os.listdir("/proc/self/task")) == 1
+    except OSError:  # no /proc, or no descriptor left
+        return False
+
+
+def fork(work: Callable[[int, int], None]) -> Child:
+    """Start a copy of this process that ends after `work`; it has nothing to import.
+
+    `work(stdin, reports)` gets two descriptors: one to read our lines from, one for `send_report`.
+    The copy has its own process group, as after `start`. Fork a process with one thread only: a
+    lock that another thread holds would stay locked in the copy.
+
+    Raises:
+        OSError: There is no memory or no descriptor left.
+    """
+    ours: list[int] = []
+    theirs: list[int] = []
+    signals = signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPTIONS)
+    try:
+        reports, reporting = _pipe()
+        ours.append(reports)
+        theirs.append(reporting)
+        their_stdin, our_stdin = _pipe()
+        ours.append(our_stdin)
+        theirs.append(their_stdin)
+        pid = os.fork()
+        if not pid:
+            _run_copy(partial(work, their_stdin, reporting), ours, signals)
+        ours.clear()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, signals)
+        for descriptor in (*theirs, *ours):
+            os.close(descriptor)
+    return Child(pid, reports, our_stdin)
+
+
+def _run_copy(
+    work: Callable[[], None], ends: Iterable[int], signals: Iterable[signal.Signals | int]
+) -> NoReturn:
+    """Do the work of a copy, and end it; `ends` are the parent's ends of its pipes."""
+    exit_code = 1
+    try:
+        os.setpgid(0, 0)
+        for number in _INTERRUPTIONS:
+            signal.signal(number, signal.SIG_DFL)
+        signal.pthread_sigmask(signal.SIG_SETMASK, signals)
+        for descriptor in ends:
+            os.close(descriptor)
+        gc.freeze()  # a search through what the parent made would copy its memory
+        work()
+        exit_code = 0
+    except BaseException:  # noqa: BLE001 - nothing may go on behind the fork
+        traceback.print_exc()
+    finally:
+        os._exit(exit_code)
 
 
 def report_fd(arguments: Sequence[str]) -> int:

@@ -269,6 +269,82 @@ def test_a_child_that_is_started_by_hand_reports_it(module: str) -> None:
     assert ran.stderr == "this is started by robotctl, with --report-fd\n"
 
 
+# A copy
+
+COPY = """
+import os, signal, sys, threading
+from robotctl.processes import fork, has_one_thread, send_report
+def echo(stdin, reports):
+    send_report(reports, {"pid": os.getpid(), "group": os.getpgrp()})
+    for line in os.fdopen(stdin):
+        send_report(reports, {"told": line})
+"""
+
+
+def of_copy(code: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", COPY + code],
+        capture_output=True,
+        text=True,
+        timeout=2 * DEADLINE_S,
+    )
+
+
+def test_a_copy_reads_lines_and_reports_until_its_stdin_is_closed() -> None:
+    ran = of_copy(
+        "print('once', end=' ')\n"  # a copy that ended as a program does would print it again
+        "assert has_one_thread()\n"
+        "copy = fork(echo)\n"
+        "said = copy.receive_one(30.0)\n"
+        "copy.send(b'a\\n')\n"
+        "told = copy.receive_one(30.0)\n"
+        "print(said == {'pid': copy.pid, 'group': copy.pid}, told, copy.close(30.0))"
+    )
+    assert (ran.stdout, ran.stderr) == ("once True {'told': 'a\\n'} 0\n", "")
+
+
+def test_a_copy_ends_with_its_parent_and_at_its_signals() -> None:
+    ran = of_copy(
+        "signal.signal(signal.SIGTERM, lambda *_: print('ours'))\n"
+        "first, second = fork(echo), fork(echo)\n"
+        "for each in (first, second): each.receive_one(30.0)\n"
+        "first.kill(signal.SIGTERM)\n"
+        "print(first.wait(30.0), second.wait(0.0), flush=True)\n"
+        "os.kill(os.getpid(), signal.SIGKILL)"  # the pipes of `ran` close when the copy has ended
+    )
+    assert (ran.stdout, ran.stderr) == ("-15 None\n", "")
+
+
+def test_a_copy_that_fails_says_why() -> None:
+    ran = of_copy("print(fork(lambda *_: 1 / 0).close(30.0))")
+    assert ran.stdout == "1\n"
+    assert "ZeroDivisionError" in ran.stderr
+
+
+def test_a_process_with_another_thread_is_not_to_be_copied() -> None:
+    ran = of_copy(
+        "end = threading.Event()\n"
+        "threading.Thread(target=end.wait).start()\n"
+        "print(has_one_thread())\n"
+        "end.set()"
+    )
+    assert ran.stdout == "False\n"
+
+
+def test_a_copy_that_cannot_be_made_leaves_no_descriptor_behind() -> None:
+    ran = of_copy(
+        "import resource\n"
+        "before = os.listdir('/proc/self/fd')\n"
+        "os.fork = lambda: open('/nowhere')\n"
+        "try: fork(echo)\n"
+        "except OSError: print(os.listdir('/proc/self/fd') == before)\n"
+        "resource.setrlimit(resource.RLIMIT_NOFILE, (11, 11))\n"
+        "try: fork(echo)\n"
+        "except OSError as error: print(error.strerror)\n"
+    )
+    assert ran.stdout == "True\nToo many open files\n"
+
+
 def test_lines_come_out_of_pieces() -> None:
     lines = LineSplitter()
     assert [lines.feed(piece) for piece in (b"a", b"b\nc\n", b"", b"d\n")] == [
@@ -294,3 +370,4 @@ def test_every_child_is_started_in_one_way() -> None:
             text = path.read_text(encoding="utf-8")
             assert "import subprocess" not in text, path
             assert "posix_spawn" not in text, path
+            assert "os.fork" not in text, path

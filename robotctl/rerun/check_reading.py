@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from itertools import chain
 
 from robotctl.errors import UnreadableFile
 from robotctl.recording import Recording
@@ -81,10 +82,10 @@ class CheckReading:
     def _entries(self, topic: str, readers: Readers) -> Iterator[JournalEntry]:
         """Yield the journal entries; put the other messages into the batch."""
         report, row, event, effect = self._report, self._row, EntryKind.EVENT, EntryKind.EFFECT
-        messages = self._recording.in_order_written(
+        blocks = self._recording.blocks_in_order_written(
             {topic, *readers}, report.miss, self._on_progress, self._enter
         )
-        for message in messages:
+        for message in chain.from_iterable(blocks):
             if message.topic == topic:
                 entry = decode(message.data)
                 seq, t_ns, kind, _, _ = entry

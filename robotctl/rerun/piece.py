@@ -56,16 +56,19 @@ def confirmed_pieces(
     piece: _Piece | None = None
     place, number, is_beyond = begin, -1, False
     start = Position(*begin, -1)
-    for spot, message in recording.messages_from(topic, begin):
-        number += 1
+    for spot, messages in recording.messages_from(topic, begin):
         if spot is not place:
-            place, number = spot, 0
+            place, number = spot, -1
             is_beyond = end is not None and spot >= end
         if is_beyond and piece is None:
             break
-        if message is None:
+        if messages is None:
             piece = None
-        elif piece is not None or is_snapshot(message.data):
+            continue
+        for message in messages:
+            number += 1
+            if piece is None and not is_snapshot(message.data):
+                continue
             try:
                 entry = decoder.decode(message.data)
                 if entry.kind is EntryKind.SNAPSHOT:

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import json
+import os
 import time
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from types import TracebackType
 from typing import Final, Self
 
 from robotctl import __version__
-from robotctl.processes import Child, program, start
+from robotctl.errors import UnreadableFile
+from robotctl.processes import Child, fork, has_one_thread, program, start
 from robotctl.recording import Recording
 from robotctl.recording.read.journal_reader import journal_topic
 from robotctl.recording.read.spots import Spot
 from robotctl.rerun.bytes_check import BytesFound, is_small
 from robotctl.rerun.piece import BYTES, Position
+from robotctl.rerun.piece_process import do_jobs
 from robotctl.rerun.rerun import ConfirmedPiece
 
 WORKER: Final = program("robotctl.rerun.piece_process")
@@ -48,7 +52,7 @@ class PiecePool:
 
     def __init__(
         self,
-        task: dict[str, str],
+        begin: Callable[[], Child],
         places: Sequence[tuple[Spot, int]],
         processes: int,
         *,
@@ -56,7 +60,8 @@ class PiecePool:
     ) -> None:
         """Share the `places` of the journal, each with its bytes, among so many processes.
 
-        With `reads_bytes` the first one reads every byte of the recording before.
+        `begin` starts one, and raises OSError if it cannot. With `reads_bytes` the first one reads
+        every byte of the recording before.
         """
         self._begins = cut_places(places, JOB_BYTES)
         self._waiting = list(range(1, len(self._begins)))
@@ -68,12 +73,11 @@ class PiecePool:
         self._given: dict[Child, list[int]] = {}
         for number in range(min(processes, len(self._waiting))):
             try:
-                child = start(WORKER, with_stdin=True)
+                child = begin()
             except OSError:
                 break  # no memory or descriptors: the check does more itself
             self._given[child] = []
-            self._send(child, task)
-            if reads_bytes and not number and child in self._given:
+            if reads_bytes and not number:
                 self._given[child].append(BYTES)
                 self._send(child, {"job": BYTES})
             self._give(child)
@@ -181,10 +185,34 @@ def pool_for(recording: Recording, version: str, processes: int) -> Iterator[Pie
     if sum(size for _, size in places) < LEAST_BYTES:
         yield None
         return
-    task = {"path": str(recording.path), "topic": topic, "version": version}
+    begin = partial(begin_helper, recording, topic, version)
     reads_bytes = is_small(recording.path)
-    with PiecePool(task, places, processes, reads_bytes=reads_bytes) as pool:
+    with PiecePool(begin, places, processes, reads_bytes=reads_bytes) as pool:
         yield pool
+
+
+def begin_helper(recording: Recording, topic: str, version: str) -> Child:
+    """Start a process that re-runs pieces: a copy of this one, if that is safe.
+
+    Importing the kernel again would take it 0.15 s, half a minute of the recording.
+
+    Raises:
+        OSError: It cannot be started.
+    """
+    if has_one_thread():
+        return fork(partial(_work_as_copy, recording, topic, version))
+    child = start(WORKER, with_stdin=True)
+    task = {"path": str(recording.path), "topic": topic, "version": version}
+    with suppress(BrokenPipeError):  # it has ended already: the pool will notice
+        child.send(f"{json.dumps(task)}\n".encode())
+    return child
+
+
+def _work_as_copy(
+    recording: Recording, topic: str, version: str, stdin: int, descriptor: int
+) -> None:
+    with suppress(BrokenPipeError, UnreadableFile), os.fdopen(stdin) as lines:
+        do_jobs(recording, topic, version, lines, descriptor)
 
 
 def cut_places(places: Sequence[tuple[Spot, int]], job_bytes: int) -> list[Spot]:

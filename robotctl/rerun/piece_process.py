@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
@@ -27,18 +28,27 @@ def main() -> None:
     descriptor = report_fd(sys.argv)
     task = json.loads(sys.stdin.readline())
     with Recording(Path(task["path"])) as recording:
-        for line in sys.stdin:
-            job = json.loads(line)
-            if job["job"] == BYTES:
-                found = read_bytes(Path(task["path"]))
-                send_report(descriptor, {"job": BYTES, "bytes": found and asdict(found)})
-                continue
-            begin, end = Spot(*job["begin"]), job["end"]
-            confirmed = confirmed_pieces(
-                recording, task["topic"], task["version"], begin, end and Spot(*end)
-            )
-            told = [[position, sorted(piece.unused)] for position, piece in confirmed.items()]
-            send_report(descriptor, {"job": job["job"], "confirmed": told})
+        do_jobs(recording, task["topic"], task["version"], sys.stdin, descriptor)
+
+
+def do_jobs(
+    recording: Recording, topic: str, version: str, lines: Iterable[str], descriptor: int
+) -> None:
+    """Do the jobs in `lines`, and report each on the descriptor.
+
+    Raises:
+        BrokenPipeError: The process that asked for them has ended.
+    """
+    for line in lines:
+        job = json.loads(line)
+        if job["job"] == BYTES:
+            found = read_bytes(recording.path)
+            send_report(descriptor, {"job": BYTES, "bytes": found and asdict(found)})
+            continue
+        begin, end = Spot(*job["begin"]), job["end"]
+        confirmed = confirmed_pieces(recording, topic, version, begin, end and Spot(*end))
+        told = [[position, sorted(piece.unused)] for position, piece in confirmed.items()]
+        send_report(descriptor, {"job": job["job"], "confirmed": told})
 
 
 if __name__ == "__main__":

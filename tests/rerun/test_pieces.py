@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import cycle, islice
@@ -18,7 +20,6 @@ import pytest
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.types import Event, Odometry, OdomReceived, Twist
 from robotctl.kernel.units import NS_PER_S
-from robotctl.processes import start
 from robotctl.recording import Recording
 from robotctl.recording.read.journal_reader import journal_topic
 from robotctl.recording.read.spots import Spot
@@ -119,6 +120,7 @@ def test_processes_confirm_the_pieces_of_an_honest_recording(
     recording: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = set(psutil.Process().children())
+    monkeypatch.setattr(piece_pool, "has_one_thread", lambda: False)
     monkeypatch.setattr(piece_pool, "PATIENCE_S", DEADLINE_S)
     confirmed = small_jobs(monkeypatch)
     report = told(recording, processes=2)
@@ -126,6 +128,28 @@ def test_processes_confirm_the_pieces_of_an_honest_recording(
     assert report == told(recording)
     assert sum(confirmed) > 0
     assert set(psutil.Process().children()) <= before
+
+
+def test_copies_of_a_process_with_one_thread_confirm_them_as_well(recording: Path) -> None:
+    program = f"""
+from pathlib import Path
+from robotctl.rerun import piece_pool
+from robotctl.rerun.check import check_recording
+piece_pool.LEAST_BYTES, piece_pool.JOB_BYTES = 0, 1
+piece_pool.PATIENCE_S = piece_pool.BYTES_PATIENCE_S = {DEADLINE_S}
+piece_pool.start = None
+answer, answers = piece_pool.PiecePool.confirmed, []
+def confirmed(pool, position):
+    answers.append(answer(pool, position))
+    return answers[-1]
+piece_pool.PiecePool.confirmed = confirmed
+report = check_recording(Path({str(recording)!r}), processes=2)
+print(report.verdict, any(answers))
+"""
+    ran = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=2 * DEADLINE_S
+    )
+    assert (ran.stdout, ran.stderr) == ("same True\n", "")
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
@@ -148,6 +172,7 @@ def test_a_process_that_cannot_be_started_changes_nothing(
     def fail(*_: Any, **__: Any) -> None:
         raise OSError("no descriptors")
 
+    monkeypatch.setattr(piece_pool, "fork", fail)
     monkeypatch.setattr(piece_pool, "start", fail)
     assert told(recording, processes=2) == told(recording)
     assert confirmed
@@ -179,19 +204,18 @@ def test_a_process_is_given_only_jobs_that_the_check_reaches_later(
 ) -> None:
     children: list[_StandingChild] = []
 
-    def begin(*_: Any, **__: Any) -> _StandingChild:
+    def begin() -> Any:
         children.append(_StandingChild())
         return children[-1]
 
-    monkeypatch.setattr(piece_pool, "start", begin)
     monkeypatch.setattr(piece_pool, "PATIENCE_S", 0.0)
     places = [(Spot(0, offset), piece_pool.JOB_BYTES) for offset in range(10)]
-    with PiecePool({}, places, 1, reads_bytes=False) as pool:
+    with PiecePool(begin, places, 1, reads_bytes=False) as pool:
         assert children[0].jobs == [1, 3]
-    with PiecePool({}, places, 2, reads_bytes=False) as pool:
+    with PiecePool(begin, places, 2, reads_bytes=False) as pool:
         assert [child.jobs for child in children[1:]] == [[1, 3], [2, 4]]
         assert pool.confirmed(Position(0, 5, 0)) is None
-    with PiecePool({}, places[:2], 1, reads_bytes=False) as pool:
+    with PiecePool(begin, places[:2], 1, reads_bytes=False) as pool:
         assert children[-1].jobs == [1]
 
 
@@ -207,13 +231,15 @@ def small_jobs(
         answers.append(piece is not None)
         return piece
 
-    def begin(*arguments: Any, **options: Any) -> Any:
-        child = start(*arguments, **options)
+    begin = piece_pool.begin_helper
+
+    def begin_noted(*arguments: Any) -> Any:
+        child = begin(*arguments)
         at_start(child.pid)
         return child
 
     monkeypatch.setattr(piece_pool, "LEAST_BYTES", 0)
     monkeypatch.setattr(piece_pool, "JOB_BYTES", 1)
     monkeypatch.setattr(PiecePool, "confirmed", answer)
-    monkeypatch.setattr(piece_pool, "start", begin)
+    monkeypatch.setattr(piece_pool, "begin_helper", begin_noted)
     return answers

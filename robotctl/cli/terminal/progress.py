@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Final
 
 from robotctl.cli.terminal.text import is_terminal
 
 Progress = Callable[[int, int], None]
 """Receives how much is done, and the total."""
+
+PERIOD_S: Final = 0.1
+"""How often the bar is drawn again, at most."""
 
 
 @contextmanager
@@ -26,6 +31,15 @@ def progress_bar(label: str, *, quiet: bool) -> Iterator[Progress]:
         TaskProgressColumn(),
         TimeRemainingColumn(),
     )
-    with Bar(*columns, transient=True) as bar:
+    # It draws without a thread: a check may copy a process with one thread only.
+    with Bar(*columns, transient=True, auto_refresh=False) as bar:
         task = bar.add_task(label, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
+        drawn_s = 0.0
+
+        def draw(done: int, total: int) -> None:
+            nonlocal drawn_s
+            if time.monotonic() - drawn_s >= PERIOD_S:
+                drawn_s = time.monotonic()
+                bar.update(task, completed=done, total=total, refresh=True)
+
+        yield draw

@@ -9,6 +9,7 @@ import struct
 import sys
 from collections.abc import Callable, Iterator
 from io import BytesIO
+from itertools import chain
 from pathlib import Path
 from typing import Final, Protocol, Self, TypeVar
 
@@ -32,6 +33,10 @@ _MESSAGE_HEAD: Final = struct.Struct("<BQHIQQ")
 
 RecordHead = tuple[int, int, int, int, int, int]
 """Opcode, length of the content [bytes]; in a message also MESSAGE_FIELDS, else without meaning."""
+
+_BLOCK_RECORDS: Final = 512
+_BLOCK_BYTES: Final = 1 << 20
+"""So much of a chunk is walked at once, whichever is less."""
 
 MAX_RECORD_BYTES: Final = 64 << 20
 """A larger schema, channel, metadata or index record is regarded as damage."""
@@ -174,27 +179,48 @@ def walk_heads(data: bytes, most: int = sys.maxsize) -> Iterator[tuple[int, Reco
         Damaged: A record is cut off or malformed.
         BeyondLimit: There are more than `most` records.
     """
+    return chain.from_iterable(head_blocks(data, most))
+
+
+def head_blocks(data: bytes, most: int = sys.maxsize) -> Iterator[list[tuple[int, RecordHead]]]:
+    """Yield what `walk_heads` yields, many at once.
+
+    Raises:
+        Damaged: After the last record, if the next one is cut off or malformed.
+        BeyondLimit: There are more than `most` records.
+    """
     position, size = 0, len(data)
     last_message = size - _MESSAGE_HEAD.size
     unpack, message, head_bytes = _MESSAGE_HEAD.unpack_from, Opcode.MESSAGE.value, RECORD_HEAD.size
     least_bytes = MESSAGE_FIELDS.size
-    for _ in range(most):
-        if position <= last_message:
-            head = unpack(data, position)
-        elif position >= size:
-            return
-        else:
-            head = _short_head(data, position)
-        opcode, length = head[0], head[1]
-        end = position + head_bytes + length
-        if end > size or (opcode == message and length < least_bytes):
-            raise Damaged("a chunk ends in the middle of a record")
-        if opcode == 0:
-            raise Damaged("a chunk holds zeros in the place of a record")
-        yield position, head
-        position = end
-    if position < size:
-        raise BeyondLimit(TOO_MANY_RECORDS)
+    while position < size:
+        if most <= 0:
+            raise BeyondLimit(TOO_MANY_RECORDS)
+        block: list[tuple[int, RecordHead]] = []
+        add, block_end = block.append, position + _BLOCK_BYTES
+        try:
+            for _ in range(min(most, _BLOCK_RECORDS)):
+                if position <= last_message:
+                    head = unpack(data, position)
+                elif position >= size:
+                    break
+                else:
+                    head = _short_head(data, position)
+                opcode, length, _, _, _, _ = head
+                end = position + head_bytes + length
+                if end > size or (opcode == message and length < least_bytes):
+                    raise Damaged("a chunk ends in the middle of a record")
+                if opcode == 0:
+                    raise Damaged("a chunk holds zeros in the place of a record")
+                add((position, head))
+                position = end
+                if position >= block_end:
+                    break
+        except Damaged:
+            yield block
+            raise
+        yield block
+        most -= len(block)
 
 
 def _short_head(data: bytes, position: int) -> RecordHead:

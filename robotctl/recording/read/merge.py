@@ -63,9 +63,9 @@ def in_order_written(
     on_missing: Callable[[str], None],
     on_progress: Callable[[int, int], None] = lambda done, total: None,
     on_place: Callable[[Spot], None] = lambda spot: None,
-) -> Iterator[Message]:
-    """Yield messages as `merge` does, but in file order; `on_progress` gets bytes done and in
-    total, and `on_place` each place before its messages.
+) -> Iterator[list[Message]]:
+    """Yield messages as `merge` does, but in file order, many at once; `on_progress` gets bytes
+    done and in total, and `on_place` each place before its messages.
     """
     done, total = 0, sum(file.file.size for file in files)
     for number, file in enumerate(files):

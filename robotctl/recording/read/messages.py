@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, NamedTuple, TypeVar
+from typing import Final, NamedTuple
 
 from mcap.opcode import Opcode
 
@@ -20,7 +20,7 @@ from robotctl.recording.read.mcap_input import (
     TOO_MANY_RECORDS,
     InputFile,
     RecordHead,
-    walk_heads,
+    head_blocks,
 )
 
 Window = tuple[int, int]
@@ -28,8 +28,6 @@ Window = tuple[int, int]
 
 ALWAYS: Final[Window] = (0, (1 << 64) - 1)
 
-
-_Made = TypeVar("_Made")
 
 _FIELDS_BYTES: Final = MESSAGE_FIELDS.size
 
@@ -113,9 +111,12 @@ class PlaceReader:
         self.size = len(data)
         first_ns, last_ns = self.window
         try:
-            for start, (_, length, _, _, log_ns, _) in self._wanted(data):
-                if first_ns <= log_ns <= last_ns:
-                    self.entries.append((log_ns, start, start + length))
+            for wanted in self._wanted(data):
+                self.entries += [
+                    (log_ns, start, start + length)
+                    for start, (_, length, _, _, log_ns, _) in wanted
+                    if first_ns <= log_ns <= last_ns
+                ]
         finally:
             self.entries.sort()
 
@@ -127,31 +128,53 @@ class PlaceReader:
         """
         _, start, end = self.entries[self.next]
         self.next += 1
-        fields = MESSAGE_FIELDS.unpack_from(self._data, start)
-        return self._message(self._data, start, (Opcode.MESSAGE.value, end - start, *fields))
+        channel, sequence, log_ns, publish_ns = MESSAGE_FIELDS.unpack_from(self._data, start)
+        content = self._data[start + _FIELDS_BYTES : end]
+        if self._decompressor is not None:
+            content = self._decompressor.decompress(content)
+        return Message(*self._names[channel], content, log_ns, publish_ns, sequence)
 
-    def as_written(self) -> Iterator[Message]:
-        """Yield all messages in file order, without `load`.
+    def as_written(self) -> Iterator[list[Message]]:
+        """Yield all messages in file order, many at once, without `load`.
 
         Raises:
             Damaged: After the last message, if some are missing.
         """
-        return self._each(self._message)
+        names = self._names
+        for contents in self._contents():
+            yield [
+                _new(Message, (*names[channel], content, log_ns, publish_ns, sequence))
+                for (_, _, channel, sequence, log_ns, publish_ns), content in contents
+            ]
 
     def plain_messages(self) -> Iterator[PlainMessage]:
-        """Yield messages as `as_written` does, with the channel's number."""
-        return self._each(self._plain_message)
+        """Yield messages as `as_written` does, one by one, with the channel's number."""
+        for contents in self._contents():
+            for (_, _, channel, sequence, log_ns, publish_ns), content in contents:
+                yield channel, content, log_ns, publish_ns, sequence
 
-    def _each(self, make: Callable[[bytes, int, RecordHead], _Made]) -> Iterator[_Made]:
+    def _contents(self) -> Iterator[list[tuple[RecordHead, bytes]]]:
+        """Yield head and content of the selected messages, many at once.
+
+        Raises:
+            Damaged: After the last message, if some are missing.
+        """
         data = self._read()
         failure: Damaged | None = None
-        for start, head in self._wanted(data):
-            try:
-                made = make(data, start, head)
-            except Damaged as damage:
-                failure = damage
+        for wanted in self._wanted(data):
+            contents = [
+                (head, data[start + _FIELDS_BYTES : start + head[1]]) for start, head in wanted
+            ]
+            if self._decompressor is None:
+                yield contents
                 continue
-            yield made
+            for head, packed in contents:
+                try:
+                    content = self._decompressor.decompress(packed)
+                except Damaged as damage:
+                    failure = damage
+                    continue
+                yield [(head, content)]
         if failure is not None:
             raise failure
 
@@ -169,49 +192,38 @@ class PlaceReader:
         limit = self.file.file.limits.records
         return self.file.index.tally.records_left(self.place.offset, limit)
 
-    def _wanted(self, data: bytes) -> Iterator[tuple[int, RecordHead]]:
+    def _wanted(self, data: bytes) -> Iterator[list[tuple[int, RecordHead]]]:
         """Yield where the content begins, and the head, of the messages of selected channels.
 
         Raises:
             Damaged: After the last message, if the place is damaged.
         """
-        unknown = messages = others = 0
+        records = others = unknown = 0
         names, known, message = self._names, self.file.index.channels, Opcode.MESSAGE.value
         offset, tally = self.place.offset, self.file.index.tally
         try:
-            for position, head in walk_heads(data, self._records_left()):
-                if head[0] == message:
-                    messages += 1
-                    if head[2] in names:
-                        yield position + RECORD_HEAD.size, head
+            for block in head_blocks(data, self._records_left()):
+                records += len(block)
+                wanted = [
+                    (position + RECORD_HEAD.size, head)
+                    for position, head in block
+                    if head[0] == message and head[2] in names
+                ]
+                for _, head in block if len(wanted) < len(block) else ():
+                    if head[0] != message:
+                        others += 1
                     elif head[2] not in known:
                         unknown += 1
-                else:
-                    others += 1
-            tally.note_messages(offset, messages)
+                yield wanted
+            tally.note_messages(offset, records - others)
         except Damaged as damage:
             # The tear was already reported.
             if self.place.kind is not PlaceKind.TORN_CHUNK or isinstance(damage, BeyondLimit):
                 raise
         finally:
-            tally.note_records(offset, messages + others)
+            tally.note_records(offset, records)
         if unknown and not self.file.index.scanned:  # else already reported
             raise Damaged(f"{unknown} messages belong to no channel")
-
-    def _message(self, data: bytes, start: int, head: RecordHead) -> Message:
-        _, length, channel, sequence, log_ns, publish_ns = head
-        topic, type_name = self._names[channel]
-        content = data[start + _FIELDS_BYTES : start + length]
-        if self._decompressor is not None:
-            content = self._decompressor.decompress(content)
-        return _new(Message, (topic, type_name, content, log_ns, publish_ns, sequence))
-
-    def _plain_message(self, data: bytes, start: int, head: RecordHead) -> PlainMessage:
-        _, length, channel, sequence, log_ns, publish_ns = head
-        content = data[start + _FIELDS_BYTES : start + length]
-        if self._decompressor is not None:
-            content = self._decompressor.decompress(content)
-        return channel, content, log_ns, publish_ns, sequence
 
     def loss(self, damage: Damaged) -> str:
         """Return a sentence about a place that cannot be read."""

@@ -7,6 +7,7 @@ A file without a valid summary is scanned. Parts that cannot be read are always 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Self
 
@@ -187,12 +188,24 @@ class Recording:
         topics: Collection[str] | None,
         on_missing: Callable[[str], None],
         on_progress: Callable[[int, int], None] = lambda done, total: None,
-        on_place: Callable[[Spot], None] = lambda spot: None,
     ) -> Iterator[Message]:
         """Yield messages as `messages` does, in file order: log times step back if the clock was
         set.
 
-        `on_progress` gets bytes done and in total, and `on_place` each place before its messages.
+        `on_progress` gets bytes done and in total.
+        """
+        blocks = in_order_written(self._files, topics, on_missing, on_progress)
+        return chain.from_iterable(blocks)
+
+    def blocks_in_order_written(
+        self,
+        topics: Collection[str] | None,
+        on_missing: Callable[[str], None],
+        on_progress: Callable[[int, int], None],
+        on_place: Callable[[Spot], None],
+    ) -> Iterator[list[Message]]:
+        """Yield what `in_order_written` yields, many at once; `on_place` gets each place before its
+        messages.
         """
         return in_order_written(self._files, topics, on_missing, on_progress, on_place)
 
@@ -200,8 +213,10 @@ class Recording:
         """Return the places that may hold messages of a topic, with their bytes, in file order."""
         return spots_of(self._files, topic)
 
-    def messages_from(self, topic: str, begin: Spot) -> Iterator[tuple[Spot, Message | None]]:
-        """Yield the messages of a topic in file order from a place on; None for what is lost."""
+    def messages_from(self, topic: str, begin: Spot) -> Iterator[tuple[Spot, list[Message] | None]]:
+        """Yield the messages of a topic in file order from a place on, many at once, with their
+        place; None for what is lost.
+        """
         return messages_from(self._files, topic, begin)
 
     def _open(self, path: Path, *, only: bool, on_progress: Callable[[int, int], None]) -> None:

@@ -27,8 +27,8 @@ def spots_of(files: Sequence[OpenFile], topic: str) -> list[tuple[Spot, int]]:
 
 def messages_from(
     files: Sequence[OpenFile], topic: str, begin: Spot
-) -> Iterator[tuple[Spot, Message | None]]:
-    """Yield the messages of a topic in file order, from a place on, each with its place.
+) -> Iterator[tuple[Spot, list[Message] | None]]:
+    """Yield the messages of a topic in file order, from a place on: many at once, and their place.
 
     None stands for what cannot be read.
     """
@@ -38,7 +38,7 @@ def messages_from(
             if spot < begin:
                 continue
             try:
-                for message in reader.as_written():
-                    yield spot, message
+                for messages in reader.as_written():
+                    yield spot, messages
             except Damaged:
                 yield spot, None
