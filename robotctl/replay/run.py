@@ -26,7 +26,7 @@ from robotctl.replay.read_ahead import AHEAD_ENTRIES, ReadAhead
 from robotctl.replay.report import Emit, ReplayReport
 from robotctl.replay.timeline import Span, recorded, span_of
 from robotctl.ros.executor.realtime import FifoScheduling
-from robotctl.ros.playback.playback import GLANCE_S, QUIET_S, ReplaySession
+from robotctl.ros.playback.playback import QUIET_S, ReplaySession
 from robotctl.ros.playback.recorded_qos import latched_depth
 from robotctl.ros.playback.senders import BLOCKED_S
 
@@ -95,7 +95,7 @@ class Replay:
             guard = ReplayGuard(ros, ros.domain_id, job.topics, original_names=job.original_names)
             # A daemon stops its robot for a second publisher of its commands.
             commands = any(is_command(route) and guard.names(route) for route in routes)
-            ros.settle(QUIET_S if commands else GLANCE_S)
+            ros.settle(QUIET_S if commands else 0.0)
             if self._stopped.is_set():
                 routes = []  # discovery is incomplete, so do not create publishers
             self._report.note(guard.choose_prefix())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import faulthandler
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from typing import Final
 
@@ -30,8 +30,12 @@ def open_context(domain_id: int, remaps: Iterable[str] = ()) -> Context:
     return context
 
 
-def close_context(context: Context, nodes: Iterable[Node]) -> None:
-    """Destroy the nodes and leave the domain: the last thing that a process does.
+def close_context(
+    context: Context, nodes: Iterable[Node], before: Iterable[Callable[[], object]] = ()
+) -> None:
+    """Call what is to be done `before`, destroy the nodes and leave the domain.
+
+    It is the last thing that a process does.
 
     Where that takes more than END_S, the process ends with exit code 1 and prints on stderr where
     its threads were.
@@ -43,3 +47,5 @@ def close_context(context: Context, nodes: Iterable[Node]) -> None:
         leaving.callback(context.try_shutdown)
         for node in nodes:
             leaving.callback(node.destroy_node)
+        for each in before:
+            leaving.callback(each)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import threading
 import time
 from collections.abc import Iterator
@@ -11,34 +12,34 @@ from rclpy.context import Context
 from rclpy.node import Node
 from std_msgs.msg import String
 
-from robotctl.ros.graph.discovery import Discovery, _count_complete
+from robotctl.ros.graph.discovery import Found, count_complete
+from robotctl.ros.graph.introductions import Introduction, read_introduction
 from robotctl.ros.playback.membership import Membership
+from tests.support.waiting import DEADLINE_S
 
 TOPICS = [f"/topic_{number}" for number in range(20)]
 OURS, THEIRS = bytes(12), bytes([1] * 12)
-WRITER, READER = b"\0\0\4\3", b"\0\0\5\4"
-DISCOVERY = "ros_discovery_info"
-UNNAMED = "_NODE_NAME_UNKNOWN_"
+WRITER, READER, HELLO = b"\0\0\4\3", b"\0\0\5\4", b"\0\0\6\3"
 
 
 @pytest.fixture
-def others(domain_id: int) -> Iterator[None]:
+def others(domain_id: int) -> Iterator[Node]:
     """A node with many subscribers."""
     context = Context()
     context.init(args=[], domain_id=domain_id)
     node = Node("others", context=context)
     for topic in TOPICS:
         node.create_subscription(String, topic, print, 10)
-    yield
+    yield node
     node.destroy_node()
     context.try_shutdown()
     context.destroy()
 
 
-def test_everybody_is_known_in_full_when_the_wait_ends(domain_id: int, others: None) -> None:
+def test_everybody_is_known_in_full_when_the_wait_ends(domain_id: int, others: Node) -> None:
     with Membership(domain_id) as membership:
         node = membership.node
-        Discovery(node, domain_id).wait(0.3, time.monotonic() + 30.0, threading.Event())
+        membership.discovery.wait(0.0, time.monotonic() + 30.0, threading.Event())
         assert not membership.was_certainly_empty
         assert [node.count_subscribers(topic) for topic in TOPICS] == [1] * len(TOPICS)
         assert "others" in node.get_node_names()
@@ -48,12 +49,11 @@ def test_who_is_alone_on_this_machine_has_nothing_to_wait_for(
     domain_id: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with Membership(domain_id) as membership:
-        discovery = Discovery(membership.node, domain_id)
-        assert discovery.is_alone()
+        assert membership.discovery.is_alone()
         with Membership(domain_id):
-            assert not discovery.is_alone()
+            assert not membership.discovery.is_alone()
         monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
-        assert not discovery.is_alone()
+        assert not membership.discovery.is_alone()
 
 
 def test_where_others_may_be_on_other_machines_all_the_time_is_taken(
@@ -62,7 +62,7 @@ def test_where_others_may_be_on_other_machines_all_the_time_is_taken(
     with Membership(domain_id) as membership:
         monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
         until_s = time.monotonic() + 0.5
-        Discovery(membership.node, domain_id).wait(0.1, until_s, threading.Event())
+        membership.discovery.wait(0.1, until_s, threading.Event())
         assert time.monotonic() >= until_s
 
 
@@ -71,16 +71,46 @@ def test_a_wait_that_is_stopped_ends(domain_id: int, monkeypatch: pytest.MonkeyP
     stopped.set()
     with Membership(domain_id) as membership:
         monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
-        Discovery(membership.node, domain_id).wait(0.1, time.monotonic() + 3600.0, stopped)
+        membership.discovery.wait(0.1, time.monotonic() + 3600.0, stopped)
 
 
-def test_whoever_has_not_said_whose_all_its_endpoints_are_has_not_been_count_complete() -> None:
-    we = {(DISCOVERY, UNNAMED, OURS + WRITER), ("rt/rosout", "we", OURS + WRITER)}
-    greeted = we | {(DISCOVERY, UNNAMED, THEIRS + WRITER)}
-    half_known = greeted | {("rt/odom", UNNAMED, THEIRS + READER)}
-    named = greeted | {("rt/odom", "they", THEIRS + READER)}
-    in_part = named | {("rt/scan", UNNAMED, THEIRS + WRITER)}
-    heard = [
-        _count_complete(frozenset(known)) for known in (we, greeted, half_known, named, in_part)
-    ]
-    assert heard == [1, 1, 1, 2, 1]
+def test_a_process_is_complete_when_its_announced_endpoints_are_the_known_ones() -> None:
+    hello, odom, scan = THEIRS + HELLO, THEIRS + READER, THEIRS + WRITER
+    nobody = {OURS: introduced(OURS + WRITER), THEIRS: introduced()}
+    met = [Found(OURS + WRITER, introduces=False), Found(hello, introduces=True)]
+    knows_odom = [*met, Found(odom, introduces=False)]
+    knows_both = [*knows_odom, Found(scan, introduces=False)]
+    with_odom = nobody | {THEIRS: introduced(odom)}
+    with_hello = nobody | {THEIRS: introduced(hello, odom)}
+    assert count_complete(met, {OURS: nobody[OURS]}) == 1
+    assert count_complete(met, nobody) == 2  # a node without endpoints
+    assert count_complete(met, with_odom) == 1
+    assert count_complete(knows_odom, nobody) == 1
+    assert count_complete(knows_odom, with_odom) == 2
+    assert count_complete(knows_odom, with_hello) == 2
+    assert count_complete(knows_both, with_odom) == 1
+
+
+def introduced(*gids: bytes) -> Introduction:
+    return Introduction(b"", frozenset(gids), b"")
+
+
+@pytest.mark.parametrize("cut", [0, 3, 19, 30, -1])
+def test_an_introduction_that_is_cut_short_is_none(cut: int) -> None:
+    name = struct.pack("<I4s", 4, b"/a\0\0")
+    gids = struct.pack("<I", 2) + OURS + WRITER + OURS + READER
+    data = b"\0\1\0\0" + OURS + b"\0\0\1\xc1" + struct.pack("<I", 1) + name * 2 + gids * 2
+    assert read_introduction(data).endpoints == {OURS + WRITER, OURS + READER}
+    assert read_introduction(data).process == OURS
+    with pytest.raises(struct.error):
+        read_introduction(data[:cut])
+
+
+def test_others_know_our_publishers_when_they_have_said_so(domain_id: int, others: Node) -> None:
+    with Membership(domain_id) as membership:
+        membership.discovery.wait(0.0, time.monotonic() + DEADLINE_S, threading.Event())
+        for topic in TOPICS:
+            membership.node.create_publisher(String, topic, 10)
+        assert membership.discovery.make_known(time.monotonic() + DEADLINE_S, threading.Event())
+        assert [others.count_publishers(topic) for topic in TOPICS] == [1] * len(TOPICS)
+        assert [each.get_publisher_count() for each in others.subscriptions] == [1] * len(TOPICS)

@@ -104,12 +104,18 @@ async def test_a_replay_discovers_others_whatever_their_names_are(
     for name in names:
         await hostile("offer", topic=f"{topic}{name}", type_name=STRANGE_TYPES[-1])
 
-    def found() -> set[str]:
-        return {each for each, name, _ in _discovered(node) if name == "\\xff\x1b[31m"}
+    def found() -> dict[str, bytes]:
+        return {
+            name: each.gid
+            for name in endpoints.topics(node, dds_names=True)
+            for each in endpoints.publishers(node, name, dds_names=True)
+            if each.node_name == "\\xff\x1b[31m"
+        }
 
     expected = {f"rt{topic}{name}" for name in names if name.isascii()}
-    await rename(hostile, lambda: expected <= found())
+    await rename(hostile, lambda: expected <= found().keys())
     assert f"rt{topic}/bad\udcff\x1b[31m" in found()
+    assert set(found().values()) <= {each.gid for each in _discovered(node)}
 
 
 async def rename(hostile: Hostile, seen: Callable[[], bool]) -> None:

@@ -1,38 +1,61 @@
-"""Waiting until all processes in a ROS domain are discovered."""
+"""Waiting until all processes in a ROS domain are discovered, and have discovered this one."""
 
 from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
-from typing import Final
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Final, NamedTuple
 
 from rclpy.node import Node
 
 from robotctl.domains import is_on_this_machine_only, participants_here
-from robotctl.ros.graph import endpoints
+from robotctl.ros.graph import endpoints, introductions
+from robotctl.ros.graph.introductions import (
+    PROCESS_BYTES,
+    Introduction,
+    IntroductionReader,
+    IntroductionWriter,
+)
+from robotctl.ros.graph.publishers import gid_of
 
-_DISCOVERY_TOPIC: Final = "ros_discovery_info"
-"""The DDS topic on which each ROS process announces which endpoints belong to which node."""
+_POLL_S: Final = 0.005
+_ACKNOWLEDGED_POLL_S: Final = 0.001
 
-_UNNAMED: Final = "_NODE_NAME_UNKNOWN_"
-"""The node name of an endpoint that its process has not announced there yet."""
+REPEAT_S: Final = 0.02
+"""The time between two messages that others shall acknowledge; that takes them about 8 ms."""
 
-_PROCESS_BYTES: Final = 12
-"""Length of the gid prefix that all endpoints of a process share (DDSI-RTPS 2.5, 8.2.4.1,
-GuidPrefix_t)."""
 
-_POLL_S: Final = 0.01
+class Found(NamedTuple):
+    """A discovered endpoint."""
+
+    gid: bytes
+    introduces: bool
+    """Whether its topic is that of the introductions: it need not belong to a node."""
+
+    @property
+    def process(self) -> bytes:
+        """The part of the gid that all endpoints of a process share."""
+        return self.gid[:PROCESS_BYTES]
 
 
 class Discovery:
-    """The other endpoints that a node has discovered, and since when none was added or removed."""
+    """The other endpoints that a node has discovered, and since when none was added or removed.
+
+    Close it before the node is destroyed.
+    """
 
     def __init__(self, node: Node, domain_id: int) -> None:
         self._node = node
         self._domain_id = domain_id
-        self._others: frozenset[tuple[str, str, bytes]] = frozenset()
+        self._introductions = IntroductionReader(node)
+        self._process = gid_of(next(node.publishers))[:PROCESS_BYTES]
+        self._others: frozenset[Found] = frozenset()
         self._since_s = time.monotonic()
+
+    def close(self) -> None:
+        """Remove what it added to the graph."""
+        self._introductions.close()
 
     def wait(self, quiet_s: float, until_s: float, stopped: threading.Event) -> None:
         """Wait until all processes are discovered and nothing changed for `quiet_s` seconds.
@@ -42,8 +65,8 @@ class Discovery:
         Fast DDS announces a process every 3 s by default, and about half of the first
         announcements get lost. So the processes on this machine are counted by their ports; where
         processes may be on other machines, which cannot be counted, the wait lasts until
-        `until_s`. A process may announce its last endpoint after it has announced its nodes:
-        `quiet_s` waits for that.
+        `until_s`. A process that starts adds one endpoint after the other: `quiet_s` waits for
+        that.
         """
         while time.monotonic() < until_s and not stopped.is_set():
             if self.is_complete(quiet_s):
@@ -62,30 +85,55 @@ class Discovery:
 
         False where processes may be on other machines.
         """
+        self._introductions.look()
         known = frozenset(_discovered(self._node))
-        others = frozenset(each for each in known if each[1] != self._node.get_name())
+        others = frozenset(each for each in known if each.process != self._process)
         now_s = time.monotonic()
         if others != self._others:
             self._others, self._since_s = others, now_s
-        if now_s - self._since_s <= quiet_s or not is_on_this_machine_only():
+        if now_s - self._since_s < quiet_s or not is_on_this_machine_only():
             return False
         here = participants_here(self._domain_id)
-        return here is not None and _count_complete(known) >= here
+        return here is not None and count_complete(known, self._introductions.by_process) >= here
+
+    def make_known(self, until_s: float, stopped: threading.Event) -> bool:
+        """Wait until all discovered processes know all publishers of this one.
+
+        Returns False where one has not said so at `until_s`, or when `stopped` is set.
+        """
+        writer = IntroductionWriter(self._node)
+        try:
+            repeat_s = 0.0
+            while (now_s := time.monotonic()) < until_s and not stopped.is_set():
+                self._introductions.look()
+                ours = self._introductions.by_process.get(self._process)
+                if ours is not None and now_s >= repeat_s:
+                    writer.write(ours.data)
+                    repeat_s = now_s + REPEAT_S
+                if repeat_s and writer.is_acknowledged():
+                    return True
+                stopped.wait(_ACKNOWLEDGED_POLL_S)
+            return False
+        finally:
+            writer.close()
 
 
-def _discovered(node: Node) -> Iterator[tuple[str, str, bytes]]:
-    """Yield every discovered endpoint: its topic, its node's name, and its gid."""
+def _discovered(node: Node) -> Iterator[Found]:
     for topic in endpoints.topics(node, dds_names=True):
-        for found in (endpoints.publishers, endpoints.subscriptions):
-            for each in found(node, topic, dds_names=True):
-                yield topic, each.node_name, each.gid
+        for find in (endpoints.publishers, endpoints.subscriptions):
+            for each in find(node, topic, dds_names=True):
+                yield Found(each.gid, topic == introductions.TOPIC)
 
 
-def _count_complete(known: frozenset[tuple[str, str, bytes]]) -> int:
-    """Count the processes, this one included, whose known endpoints all have a node name."""
-    named: set[bytes] = set()
-    unnamed: set[bytes] = set()
-    for topic, node_name, gid in known:
-        if topic != _DISCOVERY_TOPIC:  # its endpoints belong to no node
-            (unnamed if node_name == _UNNAMED else named).add(gid[:_PROCESS_BYTES])
-    return len(named - unnamed)
+def count_complete(known: Iterable[Found], introduced: Mapping[bytes, Introduction]) -> int:
+    """Count the processes that have introduced themselves with exactly their known endpoints."""
+    of_nodes: dict[bytes, set[bytes]] = {}
+    all_gids: dict[bytes, set[bytes]] = {}
+    for each in known:
+        all_gids.setdefault(each.process, set()).add(each.gid)
+        if not each.introduces:
+            of_nodes.setdefault(each.process, set()).add(each.gid)
+    return sum(
+        of_nodes.get(process, set()) <= introduction.endpoints <= all_gids.get(process, set())
+        for process, introduction in introduced.items()
+    )

@@ -68,6 +68,26 @@ class EndpointInfos(ctypes.Structure):
     _fields_ = (("size", ctypes.c_size_t), ("array", ctypes.POINTER(EndpointInfo)))
 
 
+class SubscriptionOptions(ctypes.Structure):
+    """rmw_subscription_options_t"""
+
+    _fields_ = (
+        ("payload", ctypes.c_void_p),
+        ("ignore_local_publications", ctypes.c_bool),
+        ("require_unique_network_flow_endpoints", ctypes.c_int),
+        ("content_filter_options", ctypes.c_void_p),
+    )
+
+
+class PublisherOptions(ctypes.Structure):
+    """rmw_publisher_options_t"""
+
+    _fields_ = (
+        ("payload", ctypes.c_void_p),
+        ("require_unique_network_flow_endpoints", ctypes.c_int),
+    )
+
+
 class Gid(ctypes.Structure):
     """rmw_gid_t"""
 

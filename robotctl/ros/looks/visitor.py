@@ -56,7 +56,7 @@ class Visitor:
 
     def __exit__(self, *_: object) -> None:
         """Leave the domain, with everything that was made of the node."""
-        close_context(self._context, [self.node])
+        close_context(self._context, [self.node], [self._discovery.close])
 
     @property
     def context(self) -> Context:

@@ -10,6 +10,7 @@ from rclpy.parameter import Parameter
 
 from robotctl.domains import is_certainly_empty
 from robotctl.ros.context import close_context, open_context
+from robotctl.ros.graph.discovery import Discovery
 
 NODE_NAME: Final = "robotctl_replay"
 
@@ -34,6 +35,7 @@ class Membership:
             enable_rosout=False,
             parameter_overrides=[Parameter("start_type_description_service", value=False)],
         )
+        self.discovery = Discovery(self.node, domain_id)
 
     def __enter__(self) -> Self:
         """Return the membership itself."""
@@ -41,4 +43,4 @@ class Membership:
 
     def __exit__(self, *_: object) -> None:
         """Leave the domain, with everything that was made of the node."""
-        close_context(self._context, [self.node])
+        close_context(self._context, [self.node], [self.discovery.close])

@@ -16,7 +16,6 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from robotctl.printable import short_name
 from robotctl.ros.graph import endpoints
-from robotctl.ros.graph.discovery import Discovery
 from robotctl.ros.messages.classes import UnusableType, message_class
 from robotctl.ros.messages.serialized_type import serialized_type
 from robotctl.ros.messages.type_definition import holds_bytes, type_hash_of
@@ -30,16 +29,13 @@ DAEMON_TYPE: Final = "robot_controller/msg/JournalEntry"
 SETTLE_S: Final = 3.5
 """How long discovery may take: an announcement that was lost is repeated after 3 s."""
 
-QUIET_S: Final = 0.3
-"""How long the graph must not change; lost parts of an announcement are repeated sooner."""
-
-GLANCE_S: Final = 0.1
-"""A shorter QUIET_S, enough to create publishers that send nothing before QUIET_S is over."""
+QUIET_S: Final = 0.03
+"""How long the graph must not change: a process that starts adds one endpoint after the other."""
 
 MATCH_S: Final = 2.0
-KNOWN_S: Final = 0.1
-"""A publisher matches its subscribers before they match it; what it sends until then is lost, or
-late where it is reliable. It took 2 ms, and 9 ms beside four busy processes."""
+KNOWN_S: Final = 0.5
+"""How long others may take to say that they know our publishers. It takes them 8 ms, or 0.2 s where
+a message gets lost; a process that was killed never says so."""
 
 CLOCK_TYPE: Final = "rosgraph_msgs/msg/Clock"
 
@@ -55,6 +51,7 @@ IN_FLIGHT_BULKY: Final = 5
 """The same for images, point clouds and the like."""
 
 _POLL_S: Final = 0.02
+_MATCHED_POLL_S: Final = 0.002
 
 
 class Unpublishable(Exception):
@@ -73,7 +70,7 @@ class ReplaySession:
         self._is_alone = membership.was_certainly_empty
         self._joined = membership.since_s
         self._node = membership.node
-        self._discovery = Discovery(membership.node, membership.domain_id)
+        self._discovery = membership.discovery
         self._publishers: list[Publisher] = []
         self._patient: list[PatientSender] = []
         self._clients: list[Client] = []
@@ -190,17 +187,17 @@ class ReplaySession:
     def wait_for_matches(self) -> None:
         """Wait until discovered subscriptions and servers have matched on both sides.
 
-        The wait takes 2 s at most, and none where there is no other process.
+        The wait takes 2 s at most, and none where there is no other process. A publisher matches
+        its subscribers before they match it; what it sends until then is lost, or late where it is
+        reliable.
         """
         if self._is_alone:
             return
-        until = time.monotonic() + MATCH_S
-        matched, since = -1, time.monotonic()
-        while time.monotonic() < until and not self.stopped.wait(_POLL_S):
-            if self.count_matched() != matched:
-                matched, since = self.count_matched(), time.monotonic()
-            if time.monotonic() - since > KNOWN_S and self._all_matched():
+        until_s = time.monotonic() + MATCH_S
+        while not self._all_matched() and time.monotonic() < until_s:
+            if self.stopped.wait(_MATCHED_POLL_S):
                 return
+        self._discovery.make_known(time.monotonic() + KNOWN_S, self.stopped)
 
     def wait_until_received(self) -> None:
         """Wait until reliable subscriptions have acknowledged all messages, 7 s at most."""
