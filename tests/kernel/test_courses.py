@@ -154,6 +154,17 @@ def test_the_plan_slows_down_before_a_bend_and_speeds_up_after_it() -> None:
     assert (legs[-1].end_speed > 0.0, legs[-1].last_end_speed) == (True, 0.0)
 
 
+def test_the_plan_turns_no_faster_into_a_bend_than_the_turning_rate_may_grow() -> None:
+    limits = replace(LIMITS, angular_accel_rps2=0.1)
+    path = path_of(Pattern(PatternKind.FIGURE_EIGHT), Course())
+    growth_rps2 = [
+        leg.top_speed**2 / segment.length * abs(end - begin)
+        for leg, segment in zip(speed_plan(path, 0.5, limits), path.segments, strict=True)
+        for begin, end in [(segment.curvature_at(0.0), segment.curvature_at(segment.length))]
+    ]
+    assert isclose(max(growth_rps2), 0.7 * 0.1)
+
+
 @pytest.mark.parametrize("ticks", [1, 2, 4, 8])
 @pytest.mark.parametrize("size_m", [0.1, 0.7, 2.0])
 def test_the_acceleration_of_the_reference_builds_up_over_the_ticks(

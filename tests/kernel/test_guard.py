@@ -8,6 +8,7 @@ from math import inf, nan
 import pytest
 
 from robotctl.kernel.geometry import Pose
+from robotctl.kernel.guard import Guarded
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.types import (
@@ -18,6 +19,7 @@ from robotctl.kernel.types import (
     LoopStalled,
     Twist,
 )
+from robotctl.kernel.units import NS_PER_S
 from robotctl.testing.kernels import Bench, ready, stopped_by
 
 GUARDING = replace(KernelParams(), guard=True)
@@ -47,6 +49,13 @@ def test_what_another_node_wants_is_commanded_within_the_limits() -> None:
     assert bench.state.command == Twist(limits.linear_mps, limits.angular_rps)
     steps = [b.linear - a.linear for a, b in zip(bench.commands, bench.commands[1:], strict=False)]
     assert max(steps) <= limits.linear_accel_mps2 * 0.02 + 1e-9
+
+
+def test_the_silence_is_counted_from_the_last_velocity_whatever_the_clock_shows() -> None:
+    early = Guarded(Twist(0.3, 0.0), NS_PER_S)
+    assert early.wanted(NS_PER_S + NS_PER_S // 2, 0.5) == Twist(0.3, 0.0)
+    assert early.wanted(3 * NS_PER_S, 0.5) is None
+    assert early.wanted(0, 0.5) is None
 
 
 def test_a_silence_of_a_quarter_of_a_second_is_zero_at_once() -> None:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.parameter_change import ParameterChanged, ParameterRequested
-from robotctl.kernel.parameters import conflict
+from robotctl.kernel.parameters import Conflict, conflict
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.patterns import PatternKind
 from robotctl.kernel.remedies import Remedy
+from robotctl.kernel.safety_inputs import SafetyInput, Use
 from robotctl.kernel.types import Effect, Reply
 from robotctl.testing.kernels import Bench, in_mode, moving, ready
 
@@ -123,3 +125,19 @@ def test_two_parts_on_one_topic_are_a_conflict(first: str, second: str) -> None:
     found = conflict(changed)
     assert found is not None
     assert found.key == f"{second}.topic"
+
+
+@pytest.mark.parametrize("kind", SafetyInput)
+def test_an_input_on_the_topic_of_another_part_is_a_conflict_if_it_is_used(
+    kind: SafetyInput,
+) -> None:
+    params = KernelParams()
+
+    def found_for(use: Use) -> Conflict | None:
+        one: Any = replace(params.inputs.of(kind), topic=params.odometry.topic, use=use)
+        return conflict(replace(params, inputs=replace(params.inputs, **{kind.value: one})))
+
+    found = found_for(Use.REQUIRED)
+    assert found is not None
+    assert found.key == f"inputs.{kind.value}.topic"
+    assert found_for(Use.OFF) is None

@@ -13,6 +13,7 @@ from robotctl.kernel.drive import Drive
 from robotctl.kernel.figure_eight import FigureEight, figure_eight
 from robotctl.kernel.geometry import ORIGIN, Pose
 from robotctl.kernel.params import KernelParams, VelocityLimits
+from robotctl.kernel.path import Path
 from robotctl.kernel.patterns import Pattern, PatternKind, lap_of
 from robotctl.kernel.reference import Progress, advanced
 from robotctl.kernel.routes import legs_for, path_for
@@ -281,6 +282,17 @@ def test_the_outline_of_a_circle_is_a_pose_every_2_degrees() -> None:
     assert len(outline) == 181
     for number, pose in enumerate(outline):
         assert isclose(pose.theta, number * pi / 90, abs_tol=1e-9)
+
+
+def test_an_outline_leaves_no_curve_out_however_many_there_are() -> None:
+    assert len(Path((Circle(0.5),) * 400, 0.5).outline()) == 401
+
+
+def test_behind_a_corner_of_an_open_path_the_side_before_it_counts() -> None:
+    sides = (Line(ORIGIN, 1.0), Line(Pose(1.0, 0.0, pi / 2), 1.0))
+    path = Path(sides, 1.0, closed=False)
+    assert isclose(path.distance_to(Pose(0.9, -0.01, 0.0), 1, 0.02), 0.01)
+    assert isclose(path.distance_to(Pose(-0.3, 0.0, 0.0), 0, 0.02), 0.3)
 
 
 def test_the_figure_eight_goes_where_its_heading_points() -> None:
