@@ -37,6 +37,7 @@ from robotctl.rerun.rare_collections import rare_collections
 from robotctl.rerun.recording_ends import RecordingEnds
 from robotctl.rerun.recording_groups import FileGroup, file_groups
 from robotctl.rerun.rerun import Rerun
+from robotctl.store.store_path import StorePath
 
 Progress = Callable[[int, int], None]
 """Called with the bytes that are done and the bytes in total."""
@@ -66,7 +67,7 @@ def check_recording(
         files: list[Path] = []
         if source is None:
             (_, files), *others = file_groups(path)
-        if source or others:
+        if source or others or isinstance(path, StorePath):
             processes = 0
         with Recording(path, source=source, files=files if others else ()) as recording:
             check = _Check(recording, report, on_progress)
@@ -82,10 +83,11 @@ def check_recording(
                 f"{file.name} is of another recording, of robot {other.robot or '(unknown)'}: "
                 f"checked on its own, it is {other.verdict}"
             )
-    if source is None:
+    if source is None and not (isinstance(path, StorePath) and not all_bytes):
         check_bytes(path, report, all_bytes=all_bytes, found=found)
     else:
-        report.notes.append("not every byte was read, only what the check needs")
+        how = ": --all-bytes reads them all" if source is None else ", only what the check needs"
+        report.notes.append(f"not every byte was read{how}")
     report.took_s = time.perf_counter() - began
     return report
 

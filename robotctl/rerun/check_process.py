@@ -10,10 +10,10 @@ import json
 import sys
 import time
 from contextlib import suppress
-from pathlib import Path
 
 from robotctl.processes import report_fd, send_report
 from robotctl.rerun.check import check_recording
+from robotctl.store.store_path import path_of
 
 PROGRESS_PERIOD_S = 0.1
 
@@ -35,7 +35,7 @@ def main() -> None:
             descriptor,
             {
                 "report": check_recording(
-                    Path(job["path"]), tell_progress, all_bytes=job["all_bytes"]
+                    path_of(job["path"]), tell_progress, all_bytes=job["all_bytes"]
                 ).as_object()
             },
         )

@@ -67,6 +67,11 @@ class RemoteStore:
         """Return the URL."""
         return printable(self._url)
 
+    @property
+    def can_list(self) -> bool:
+        """Return whether it is a bucket: a web server does not tell what it has."""
+        return self._url.scheme not in ("https", "http")
+
     def list(self, prefix: str = "") -> Iterator[StoredObject]:
         """Yield the objects below the folder `prefix`, and below its folders."""
         if prefix:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from robotctl.store import ObjectStore, open_store
-from tests.support.faulty_bucket import FaultyBucket, faulty_bucket
+from tests.support.faulty_bucket import FaultyBucket, serving
 from tests.support.s3_server import environment
 
 
@@ -24,7 +24,5 @@ def store(
 
 @pytest.fixture
 def bucket(monkeypatch: pytest.MonkeyPatch) -> Iterator[FaultyBucket]:
-    with faulty_bucket() as served:
-        for name, value in environment(served.endpoint).items():
-            monkeypatch.setenv(name, value)
+    with serving(monkeypatch) as served:
         yield served

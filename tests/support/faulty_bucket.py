@@ -15,6 +15,11 @@ from typing import Protocol
 from urllib.parse import parse_qs, unquote, urlsplit
 from xml.sax.saxutils import escape
 
+import pytest
+
+from robotctl.store.store_path import opened_bucket
+from tests.support.s3_server import environment
+
 
 class Content(Protocol):
     """The bytes of an object, which may be larger than any memory."""
@@ -87,6 +92,16 @@ def faulty_bucket() -> Iterator[FaultyBucket]:
         server.shutdown()
         thread.join()
         server.server_close()
+
+
+@contextmanager
+def serving(monkeypatch: pytest.MonkeyPatch) -> Iterator[FaultyBucket]:
+    """Serve an empty bucket to this process and its children; forget what was known of another."""
+    opened_bucket.cache_clear()
+    with faulty_bucket() as bucket:
+        for name, value in environment(bucket.endpoint).items():
+            monkeypatch.setenv(name, value)
+        yield bucket
 
 
 class _Handler(BaseHTTPRequestHandler):

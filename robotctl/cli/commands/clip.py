@@ -75,7 +75,10 @@ def clip(
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output", "-o", metavar="OUT", help="What to write [default: in RECORDING/clips]."
+            "--output",
+            "-o",
+            metavar="OUT",
+            help="What to write [default: in RECORDING/clips; of a URL, here].",
         ),
     ] = None,
     folder: RecordingsFolder = None,
@@ -92,6 +95,7 @@ def clip(
       robotctl clip
       robotctl clip --event estop --before 30 --after 5
       robotctl clip last --at 12:03:04 -o incident.mcap
+      robotctl clip s3://bucket/robots/robot_20260101_120000 --event estop
     """
     from robotctl.recording.keep.clip_job import ClipJob, make_clip, remaining_s
 

@@ -49,7 +49,7 @@ def export(
     file: Annotated[
         str,
         typer.Argument(
-            metavar="FILE", help="An MCAP file, a recording's folder or name, or `last`."
+            metavar="FILE", help="An MCAP file, a recording's folder or name, a URL, or `last`."
         ),
     ],
     topic: Annotated[str, typer.Option(metavar="TOPIC", help="The topic, such as /odom.")],

@@ -40,7 +40,7 @@ def info(
     file: Annotated[
         str,
         typer.Argument(
-            metavar="FILE", help="An MCAP file, a recording's folder or name, or `last`."
+            metavar="FILE", help="An MCAP file, a recording's folder or name, a URL, or `last`."
         ),
     ],
     folder: RecordingsFolder = None,
@@ -56,6 +56,7 @@ def info(
     Examples:
       robotctl info last
       robotctl info recordings/robot_20260101_120000
+      robotctl info s3://bucket/robots/robot_20260101_120000
       robotctl info run.mcap --json | jq '.topics[].name'
     """
     from robotctl.recording import read_info

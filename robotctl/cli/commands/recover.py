@@ -10,7 +10,7 @@ import typer
 
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.support.answer import print_answer
-from robotctl.cli.support.recording_paths import RecordedBy, RecordingsFolder, find_recording
+from robotctl.cli.support.recording_paths import RecordedBy, RecordingsFolder, find_local_recording
 from robotctl.cli.terminal.progress import progress_bar
 from robotctl.cli.terminal.text import short_path
 from robotctl.errors import RecoveredWithLoss
@@ -49,7 +49,7 @@ def recover(
     from robotctl.recording.keep.recover import recover as recover_file
     from robotctl.recording.keep.recover_folder import recover_folder
 
-    source = find_recording(file, robot, folder)
+    source = find_local_recording(file, robot, folder)
     target = output or _beside(source)
     with progress_bar("recovering", quiet=as_json) as on_progress:
         work = recover_folder if source.is_dir() else recover_file

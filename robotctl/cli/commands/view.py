@@ -77,13 +77,13 @@ def view(
     if at is not None and not file:
         raise UsageError("--at without a recording", "name one, or `last`")
     from robotctl.cli.support.lease_token import own_token
-    from robotctl.cli.support.recording_paths import find_recording
+    from robotctl.cli.support.recording_paths import find_local_recording
     from robotctl.cli.support.view_process import check_view_installed, live_target, show_view
     from robotctl.view.view_job import ViewJob
 
     check_view_installed()
     if file:
-        path = find_recording(file, robot)
+        path = find_local_recording(file, robot)
         job, what = ViewJob(file=str(path), at_ns=_moment(path, at)), short_path(path)
     else:
         lease = (own_token() or "") if control else ""

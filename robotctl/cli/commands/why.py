@@ -17,6 +17,7 @@ from robotctl.cli.support.recording_paths import (
     RecordedBy,
     RecordingsFolder,
     find_recording,
+    recording_path,
     recordings_of,
     robot_of,
 )
@@ -84,6 +85,7 @@ def why(
       robotctl why
       robotctl why last --at 12:03:04
       robotctl why incident.mcap --json
+      robotctl why s3://bucket/robots
     """
     missing: list[str] = []
     paths = _recordings_to_search(file, robot, folder, missing)
@@ -100,8 +102,8 @@ def _recordings_to_search(
     file: str | None, robot: str | None, folder: Path | None, missing: list[str]
 ) -> list[Path]:
     """Let a running daemon commit, then return the recordings to search, newest first."""
-    if file not in (None, LAST) and _holds_recordings(Path(file)):
-        folder, file = Path(file), LAST
+    if file not in (None, LAST) and _holds_recordings(recording_path(file)):
+        folder, file = recording_path(file), LAST
     newest = asked = None
     if file is None and folder is None:
         asked = robot or DEFAULT_ROBOT

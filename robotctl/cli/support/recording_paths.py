@@ -73,15 +73,30 @@ def recordings_folder(robot: str | None, given: Path | None) -> Path:
     return here.absolute()
 
 
+def recording_path(text: str) -> Path:
+    """Return what an argument names: a path of this computer, or a URL.
+
+    Raises:
+        UsageError: It is a URL that no recording can have.
+    """
+    if "://" not in text:
+        return Path(text)
+    from robotctl.store.store_path import path_of
+
+    return path_of(text)
+
+
 def find_recording(name: str, robot: str | None, given: Path | None = None) -> Path:
-    """Return the path of a recording: a path, a name in the folder of recordings, or `last`.
+    """Return the path of a recording: a path, a URL, a name in the folder of recordings, or `last`.
 
     A name that is not found is returned as it is; opening it then fails with the reason.
 
     Raises:
         Refused: `name` is `last`, and there is no recording.
     """
-    path = Path(name)
+    path = recording_path(name)
+    if "://" in name:
+        return path
     if os.path.exists(name):  # unlike Path.exists, False if permission is denied
         return path
     folder = recordings_folder(robot, given)
@@ -96,6 +111,18 @@ def find_recording(name: str, robot: str | None, given: Path | None = None) -> P
             )
         return newest[0]
     return folder / name if os.path.exists(folder / name) else path
+
+
+def find_local_recording(name: str, robot: str | None, given: Path | None = None) -> Path:
+    """Return what `find_recording` returns, for a command that needs files of this computer.
+
+    Raises:
+        Refused: `name` is `last`, and there is no recording.
+        UsageError: It is a URL.
+    """
+    path = find_recording(name, robot, given)
+    os.fspath(path)  # which a path of a store refuses
+    return path
 
 
 def recordings_of(robot: str | None, folder: Path) -> list[Path]:

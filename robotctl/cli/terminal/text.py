@@ -50,6 +50,8 @@ def row(label: str, text: object) -> Iterator[str]:
 def short_path(path: object) -> str:
     """Return a path, relative if it is below the working directory."""
     text = str(path)
+    if "://" in text:
+        return printable(text)
     try:
         relative = os.path.relpath(text)
     except (OSError, ValueError):

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from robotctl.recording.disk.access import open_private, share_like
 from robotctl.recording.format.topics import Topic
-from robotctl.regular_file import open_regular
+from robotctl.store.store_path import open_file
 
 METADATA_FILE = "metadata.yaml"
 METADATA_RECORD = "rosbag2"
@@ -86,7 +86,7 @@ def metadata_text(path: Path) -> str:
     """Return the `metadata.yaml` of a recording (a folder or one of its files), or ""."""
     try:
         folder = path if path.is_dir() else path.parent
-        with TextIOWrapper(open_regular(folder / METADATA_FILE), encoding="utf-8") as stream:
+        with TextIOWrapper(open_file(folder / METADATA_FILE), encoding="utf-8") as stream:
             return stream.read(_MAX_METADATA_CHARACTERS)
     except (OSError, ValueError):
         return ""

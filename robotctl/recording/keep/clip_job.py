@@ -17,6 +17,7 @@ from robotctl.recording.keep.catalog import CLIPS_FOLDER
 from robotctl.recording.keep.clip import Clip, Moment, Progress, cut_clip
 from robotctl.recording.keep.listing import ListedRecording, list_recording
 from robotctl.recording.read.reader import Recording
+from robotctl.store.store_path import StorePath
 
 PATIENCE_S = 3.0
 """How long to wait for a live recording to contain messages that are due."""
@@ -107,9 +108,14 @@ def _wait_for_end(job: ClipJob) -> None:
 
 
 def _free_name(job: ClipJob) -> Path:
-    """Return an unused name in the clips folder of the recording, and create that folder."""
+    """Return an unused name in the clips folder of the recording, and create that folder.
+
+    The clip of a recording in a store goes into the working directory.
+    """
     source = job.source
     folder = (source if source.is_dir() else source.parent) / CLIPS_FOLDER
+    if isinstance(source, StorePath):
+        folder = Path()
     try:
         if not folder.is_dir():
             make_folder(folder, shared=is_shared(folder.parent))

@@ -53,7 +53,9 @@ def read_data_section(
     data = WholeData(header)
     if data.own and record_bytes(header) != file.read(len(MAGIC), offset - len(MAGIC)):
         flaws.add(len(MAGIC), offset, "the header is not as robotctl writes it")
+    file.expect([(offset, (file.size if stop is None else stop) - offset)])
     reading = _Reading(file, data, flaws)
+    checksum = _Checksum(file)
     while stop is None or offset < stop:
         try:
             end = reading.record(offset)
@@ -70,21 +72,31 @@ def read_data_section(
             break
         on_progress(offset)
         offset = end
-    data.end = offset
-    data.crc = checksum(file, offset)
+        if offset - checksum.end > _PIECE_BYTES:
+            checksum.add_up_to(offset)
+    checksum.add_up_to(offset)
+    data.end, data.crc = offset, checksum.crc
     return data
 
 
-def checksum(file: InputFile, end: int) -> int:
-    """Return the CRC of the file's bytes up to `end`.
+class _Checksum:
+    """The CRC of a file's bytes up to `end`. It follows the reading, while the bytes are near."""
 
-    Raises:
-        Damaged: They cannot be read.
-    """
-    crc = 0
-    for offset in range(0, end, _PIECE_BYTES):
-        crc = crc32(file.read(offset, min(_PIECE_BYTES, end - offset)), crc)
-    return crc
+    def __init__(self, file: InputFile) -> None:
+        self._file = file
+        self.end = 0
+        self.crc = 0
+
+    def add_up_to(self, end: int) -> None:
+        """Go on to `end`.
+
+        Raises:
+            Damaged: The bytes cannot be read.
+        """
+        while self.end < end:
+            piece = self._file.read(self.end, min(_PIECE_BYTES, end - self.end))
+            self.crc = crc32(piece, self.crc)
+            self.end += len(piece)
 
 
 class _Reading:

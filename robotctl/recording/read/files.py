@@ -11,7 +11,7 @@ from robotctl.errors import UnreadableFile
 from robotctl.recording.format.records import MAGIC
 from robotctl.recording.format.rosbag2 import METADATA_FILE, files_in
 from robotctl.recording.read.zstd_file import SUFFIX
-from robotctl.regular_file import open_regular
+from robotctl.store.store_path import open_file
 
 SQLITE_SUFFIX = ".db3"
 """Suffix of the files of rosbag2's sqlite3 storage."""
@@ -61,7 +61,7 @@ def is_recording(path: Path) -> bool:
             return True
         if not S_ISREG(mode):
             return False
-        with open_regular(path) as file:
+        with open_file(path) as file:
             return file.read(len(MAGIC)) == MAGIC
     except (OSError, ValueError):
         return True

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import struct
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from io import BytesIO
 from itertools import chain
 from pathlib import Path
@@ -20,7 +20,7 @@ from mcap.records import McapRecord
 
 from robotctl.recording.read.damage import BeyondLimit, Damaged, Unreadable
 from robotctl.recording.read.read_limits import BYTES_PER_RECORD, RECORDS, ReadLimits
-from robotctl.recording.read.source import LocalSource, Source
+from robotctl.recording.read.source import Source, open_source
 
 RECORD_HEAD: Final = struct.Struct("<BQ")
 """Opcode, length of what follows [bytes]."""
@@ -98,7 +98,7 @@ class InputFile:
         """The first read that failed because of the disk or the memory, not the content of the
         file."""
 
-        self._source = source or LocalSource(path, on_progress)
+        self._source = source or open_source(path, on_progress)
         self.size = 0
         self.stored_bytes = 0
         """Bytes on the disk; the limits depend on them."""
@@ -124,6 +124,7 @@ class InputFile:
 
         Raises:
             Damaged: The file ends before that, or the disk fails.
+            UnreadableFile: The store of the file fails.
         """
         if offset < 0 or length < 0 or offset + length > self.size:
             raise Damaged(f"it ends at byte {self.size}, in the middle of a record")
@@ -140,6 +141,10 @@ class InputFile:
             reason = f"the disk cannot read it at byte {offset}: {error.strerror or error}"
             raise self.failed(reason) from error
         return data
+
+    def expect(self, ranges: Iterable[tuple[int, int]]) -> None:
+        """Take notice of ranges that will be read in this order, each an offset and a length."""
+        self._source.expect(ranges)
 
     def failed(self, reason: str) -> Unreadable:
         """Return the error for a failure of disk or memory; `failure` keeps the first."""

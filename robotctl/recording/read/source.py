@@ -1,20 +1,24 @@
-"""Where the bytes of a file come from: the disk, or anything that returns ranges of bytes."""
+"""Where the bytes of a file come from: the disk, a store, or anything that returns ranges."""
 
 from __future__ import annotations
 
 import errno
 import os
 import stat
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Protocol
 
 from robotctl.recording.disk.storage import is_locked
 from robotctl.recording.read.zstd_file import is_zstd_file, unpack_zstd_file
+from robotctl.store.store_path import StorePath
 
 
 class Source(Protocol):
-    """A file that is read by ranges; it may grow. Every method but `close` may raise OSError."""
+    """A file that is read by ranges; it may grow.
+
+    Every method but `close` may raise OSError, or UnreadableFile, which ends the reading.
+    """
 
     def size(self) -> int:
         """Return the present size [bytes]."""
@@ -25,11 +29,27 @@ class Source(Protocol):
     def read(self, offset: int, length: int) -> bytes:
         """Return `length` bytes at `offset`, or fewer; none only at the end."""
 
+    def expect(self, ranges: Iterable[tuple[int, int]]) -> None:
+        """Take notice of ranges that will be read in this order, each an offset and a length."""
+
     def is_written(self) -> bool:
         """Return whether a process has it open for recording."""
 
     def close(self) -> None:
         """Close it; closing twice is harmless."""
+
+
+def open_source(
+    path: Path, on_progress: Callable[[int, int], None] = lambda done, total: None
+) -> Source:
+    """Open a file; `on_progress` gets bytes done and in total while it is decompressed.
+
+    Raises:
+        OSError: It cannot be opened, or is not a regular file.
+        Damaged: It cannot be decompressed.
+        UnreadableFile: The store fails.
+    """
+    return StoreSource(path) if isinstance(path, StorePath) else LocalSource(path, on_progress)
 
 
 class LocalSource:
@@ -71,6 +91,9 @@ class LocalSource:
         """Return `length` bytes at `offset`, or fewer; none only at the end."""
         return os.pread(self._fd, length, offset)
 
+    def expect(self, ranges: Iterable[tuple[int, int]]) -> None:
+        """Do nothing: the system reads ahead."""
+
     def is_written(self) -> bool:
         """Return whether a process has it open for recording."""
         return is_locked(self._fd)
@@ -80,3 +103,43 @@ class LocalSource:
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
+
+
+class StoreSource:
+    """A file of a store, which nobody can change in place."""
+
+    def __init__(self, path: StorePath) -> None:
+        """Find the file.
+
+        Raises:
+            OSError: It is compressed as a whole.
+            UnreadableFile: The store fails.
+        """
+        if is_zstd_file(path):
+            reason = "it is compressed as a whole: download it first"
+            raise OSError(errno.EOPNOTSUPP, reason, str(path))
+        self._size = path.stat().st_size
+        self._reader = path.reader()
+
+    def size(self) -> int:
+        """Return the size when it was found [bytes]."""
+        return self._size
+
+    def stored_bytes(self) -> int:
+        """Return the same."""
+        return self._size
+
+    def read(self, offset: int, length: int) -> bytes:
+        """Return `length` bytes at `offset`, or fewer; none only at the end."""
+        return self._reader.read(offset, length)
+
+    def expect(self, ranges: Iterable[tuple[int, int]]) -> None:
+        """Ask for the ranges ahead."""
+        self._reader.expect(ranges)
+
+    def is_written(self) -> bool:
+        """Return False: an object is complete when it appears."""
+        return False
+
+    def close(self) -> None:
+        """Do nothing: no connection is open for it."""

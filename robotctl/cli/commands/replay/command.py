@@ -11,7 +11,7 @@ import typer
 
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.support.given_options import given_options
-from robotctl.cli.support.recording_paths import RecordedBy, find_recording
+from robotctl.cli.support.recording_paths import RecordedBy, find_local_recording, recording_path
 from robotctl.cli.support.signals import interrupted_by
 from robotctl.cli.terminal.text import short_path
 from robotctl.domains import requested_domain
@@ -33,7 +33,11 @@ def replay(
     context: typer.Context,
     files: Annotated[
         list[Path],
-        typer.Argument(metavar="FILE", help="An MCAP file, a recording's folder or name, or last."),
+        typer.Argument(
+            metavar="FILE",
+            parser=recording_path,
+            help="An MCAP file, a recording's folder or name, a URL, or `last`.",
+        ),
     ],
     rate: Annotated[
         str,
@@ -129,6 +133,7 @@ def replay(
       robotctl replay run.mcap --remap /odom:=/old/odom --wait-for 1
       robotctl replay run.mcap --rate max --json
       robotctl replay recordings/* --check
+      robotctl replay s3://bucket/robots/run.mcap --check
       robotctl replay run.mcap --resim --what-if tracking.k_y=8
       robotctl replay run.mcap --draw-only --start-offset 30
     """
@@ -174,7 +179,7 @@ def replay(
     )
 
     name = _only(files)
-    path = find_recording(str(name), robot)
+    path = find_local_recording(str(name), robot)
     job = Job(
         file=path.absolute(),
         robot=daemon_robot,

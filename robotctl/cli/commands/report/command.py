@@ -31,7 +31,7 @@ def report(
     files: Annotated[
         list[str],
         typer.Argument(
-            metavar="FILE", help="An MCAP file, a recording's folder or name, or `last`."
+            metavar="FILE", help="An MCAP file, a recording's folder or name, a URL, or `last`."
         ),
     ],
     compare: Annotated[
@@ -39,7 +39,9 @@ def report(
     ] = False,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", metavar="HTML", help="[default: beside the recording]"),
+        typer.Option(
+            "-o", "--output", metavar="HTML", help="[default: beside the recording; of a URL, here]"
+        ),
     ] = None,
     folder: RecordingsFolder = None,
     robot: RecordedBy = None,
@@ -102,7 +104,14 @@ def page_of(path: Path) -> Path:
 
 
 def _beside(path: Path, name: str) -> Path:
-    """Return where a page about a recording goes: into its folder, or beside the file."""
+    """Return where a page about a recording goes: into its folder, or beside the file.
+
+    That of a recording in a store goes into the working directory.
+    """
+    from robotctl.store.store_path import StorePath
+
+    if isinstance(path, StorePath):
+        return Path(f"{path.stem}.{name}")
     return path / name if path.is_dir() else path.with_name(f"{path.stem}.{name}")
 
 

@@ -18,11 +18,14 @@ from robotctl.report.recorded import Recorded
 from robotctl.rerun import find_incident
 from robotctl.rerun.check_many import check_recordings
 from robotctl.rerun.check_report import Verdict
+from robotctl.store.store_path import StorePath
 
 MAX_EXPLAINED: Final = 5
 """Each explanation reads the journal once."""
 
 MAX_SENTENCES: Final = 20
+
+_NOT_VERIFIED: Final = "it reads every byte of the store's files: robotctl verify URL"
 
 _CHECK_TONES: Final = {Verdict.SAME: Tone.GOOD, Verdict.INCOMPLETE: Tone.UNSURE}
 _VERIFY_TONES: Final = {"sealed": Tone.GOOD, "whole": Tone.UNSURE}
@@ -37,6 +40,9 @@ def judge(path: Path, recorded: Recorded, *, quiet: bool) -> Judged:
             (checked,) = check_recordings([path], on_progress)
         judgements.append(_checked(checked))
         explanations = _explained(path, recorded, quiet=quiet)
+    if isinstance(path, StorePath):
+        judgements.append(Judgement("verify", "not run", Tone.UNSURE, (_NOT_VERIFIED,)))
+        return Judged(tuple(judgements), tuple(explanations))
     with progress_bar("verifying", quiet=quiet) as on_progress:
         judgements.append(_verified(verified(path, on_progress)))
     return Judged(tuple(judgements), tuple(explanations))

@@ -11,7 +11,7 @@ import typer
 from robotctl.cli.commands.verify.clip import verify_clip
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.support.answer import print_answer
-from robotctl.cli.support.recording_paths import RecordedBy
+from robotctl.cli.support.recording_paths import RecordedBy, recording_path
 from robotctl.cli.terminal.progress import progress_bar
 from robotctl.errors import Divergence, NotSealed, RobotctlError, UnreadableFile, UsageError
 
@@ -26,7 +26,8 @@ def verify(
         list[Path],
         typer.Argument(
             metavar="FILE",
-            help="An MCAP file, a recording's folder or name, a folder of them, last.",
+            parser=recording_path,
+            help="An MCAP file, a recording's folder or name, a folder of them, a URL, last.",
         ),
     ],
     head: Annotated[
@@ -37,6 +38,7 @@ def verify(
         Path | None,
         typer.Option(
             metavar="FILE",
+            parser=recording_path,
             help="The recording that a clip was cut from: the clip must hold the same messages.",
         ),
     ] = None,
@@ -52,6 +54,7 @@ def verify(
     Examples:
       robotctl verify last
       robotctl verify recordings
+      robotctl verify s3://bucket/robots/robot_20260101_120000
       robotctl verify robot_0.mcap --head $(ssh robot robotctl key head)
       robotctl verify stop.mcap --source recordings/robot_20260101_120000
     """

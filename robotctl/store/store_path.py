@@ -1,0 +1,204 @@
+"""A file or folder of a store as a path, so that what reads recordings reads them from there."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from collections.abc import Iterator
+from functools import cache
+from io import BytesIO
+from pathlib import Path, PosixPath, PurePosixPath
+from typing import TYPE_CHECKING, Any, BinaryIO, Final, Self
+
+from robotctl.errors import UsageError
+from robotctl.regular_file import open_regular
+from robotctl.store.range_reader import RangeReader
+from robotctl.store.store_errors import AccessDenied, NoSuchObject
+from robotctl.store.stored_object import StoredObject
+from robotctl.store.url import is_url, parse_url
+
+if TYPE_CHECKING:
+    from robotctl.store.remote_store import RemoteStore
+
+_MAX_OPENED_BYTES: Final = 64 << 20
+"""Of a file that is read as a whole, as `metadata.yaml`."""
+
+_HOST_PARTS: Final = 2
+"""Scheme and host, the first two parts of a path."""
+
+
+def path_of(text: str) -> Path:
+    """Return the path that a user means: of this computer, or of a store if it is a URL.
+
+    Raises:
+        UsageError: It is a URL, but of no store.
+    """
+    if not is_url(text):
+        return Path(text)
+    url = parse_url(text)
+    return Path("/", url.path) if url.scheme == "file" else StorePath(str(url))
+
+
+def open_file(path: Path) -> BinaryIO:
+    """Open a regular file of this computer, or a small one of a store, for reading.
+
+    Raises:
+        OSError: It cannot be opened, or is not a regular file.
+        StoreError: The store fails.
+    """
+    return path.open() if isinstance(path, StorePath) else open_regular(path)
+
+
+class StorePath(PosixPath):
+    """A path below a URL. Where it is listed or read, the store is asked, once in a process.
+
+    What needs a file of this computer, and so uses the path as a name for the operating system,
+    gets a UsageError.
+    """
+
+    def __str__(self) -> str:
+        """Return the URL."""
+        return super().__str__().replace(":/", "://", 1)
+
+    def __fspath__(self) -> str:
+        """Refuse to be a name of the operating system."""
+        raise UsageError(f"{self} is not on this computer, as this needs", "download it first")
+
+    def reader(self) -> RangeReader:
+        """Return what reads this file."""
+        return opened_bucket(self._root_url).reader(self._key)
+
+    def stat(self, *, follow_symlinks: bool = True) -> os.stat_result:
+        """Return kind and size; the rest is zero.
+
+        Raises:
+            NoSuchObject: There is no such file, and no file below it.
+        """
+        found = self._found()
+        if found is None and not self._below():
+            raise NoSuchObject(f"{self} does not exist", opened_bucket(self._root_url).cure)
+        mode = stat.S_IFDIR if found is None else stat.S_IFREG
+        size = 0 if found is None else found.size_bytes
+        return os.stat_result((mode, 0, 0, 1, 0, 0, size, 0, 0, 0))
+
+    def exists(self, *, follow_symlinks: bool = True) -> bool:
+        """Return whether it is a file or a folder."""
+        return self.is_file() or self.is_dir()
+
+    def is_file(self, **_: Any) -> bool:
+        """Return whether it is a file."""
+        return self._found() is not None
+
+    def is_dir(self, **_: Any) -> bool:
+        """Return whether it is a folder: there are files below it."""
+        return self._found() is None and bool(self._below())
+
+    def is_symlink(self) -> bool:
+        """Return False."""
+        return False
+
+    def glob(self, pattern: str, **_: Any) -> Iterator[Self]:  # type: ignore[override]
+        """Yield the files below it whose names match, as many parts as the pattern has."""
+        parts = len(PurePosixPath(pattern).parts)
+        for name in self._below():
+            below = PurePosixPath(name)
+            if len(below.parts) == parts and below.match(pattern):
+                yield self / name
+
+    def iterdir(self) -> Iterator[Self]:  # type: ignore[override]
+        """Yield the files and folders in it."""
+        for name in dict.fromkeys(below.partition("/")[0] for below in self._below()):
+            yield self / name
+
+    def open(self, *_: Any, **__: Any) -> BytesIO:  # type: ignore[override]
+        """Return the content of a small file."""
+        try:
+            found = self._found()
+        except AccessDenied:  # what some stores answer if it does not exist
+            found = None
+        if found is None:
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(self))
+        reader = opened_bucket(self._root_url).reader(self._key)
+        return BytesIO(reader.read(0, _MAX_OPENED_BYTES))
+
+    def absolute(self) -> Self:
+        """Return the path: it is absolute."""
+        return self
+
+    def resolve(self, strict: bool = False) -> Self:
+        """Return the path: a store has no links."""
+        return self
+
+    @property
+    def _root_url(self) -> str:
+        return f"{self.parts[0]}//{self.parts[1]}"
+
+    @property
+    def _key(self) -> str:
+        return "/".join(self.parts[_HOST_PARTS:])
+
+    def _found(self) -> StoredObject | None:
+        return opened_bucket(self._root_url).found(self._key) if self._key else None
+
+    def _below(self) -> list[str]:
+        return opened_bucket(self._root_url).below(self._key)
+
+
+@cache
+def opened_bucket(root_url: str) -> _Bucket:
+    """Return what is known of a bucket; other threads and commands of this process share it."""
+    return _Bucket(root_url)
+
+
+class _Bucket:
+    """What this process knows of a bucket. It is asked only once, so that a command sees one state:
+    if an object is replaced meanwhile, reading it is an error.
+    """
+
+    def __init__(self, root_url: str) -> None:
+        from robotctl.store.remote_store import RemoteStore
+
+        self.store: RemoteStore = RemoteStore(parse_url(root_url))
+        self.cure = (
+            "check the URL" if self.store.can_list else "name the file: a server lists no folders"
+        )
+        """What to do if something does not exist."""
+
+        self._known: dict[str, StoredObject | None] = {}
+        self._listed: dict[str, list[str]] = {}
+
+    def found(self, key: str) -> StoredObject | None:
+        """Return the object of that name; None if there is none."""
+        if key not in self._known:
+            listed = any(key.startswith(f"{prefix}/") for prefix in self._listed if prefix)
+            self._known[key] = None if listed else self._ask(key)
+        return self._known[key]
+
+    def below(self, prefix: str) -> list[str]:
+        """Return the names of the objects below a folder, sorted and without the folder's name."""
+        if prefix not in self._listed:
+            found = list(self.store.list(prefix)) if self.store.can_list else []
+            self._known |= {each.key: each for each in found}
+            skipped = len(prefix) + 1 if prefix else 0
+            self._listed[prefix] = sorted(each.key[skipped:] for each in found)
+        return self._listed[prefix]
+
+    def reader(self, key: str) -> RangeReader:
+        """Return a reader of an object.
+
+        Raises:
+            NoSuchObject: There is none of that name.
+        """
+        found = self.found(key)
+        if found is None:
+            raise NoSuchObject(f"{self.store.name}/{key} does not exist", self.cure)
+        return RangeReader(
+            found.size_bytes, lambda begin, end: self.store.start_range(found, begin, end)
+        )
+
+    def _ask(self, key: str) -> StoredObject | None:
+        try:
+            return self.store.head(key)
+        except NoSuchObject:
+            return None
