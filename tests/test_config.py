@@ -7,7 +7,15 @@ from pathlib import Path
 import pytest
 import yaml
 
-from robotctl.config import MAX_FILE_BYTES, Config, flat, load, with_setting
+from robotctl.config import (
+    MAX_FILE_BYTES,
+    Config,
+    ShadowSettings,
+    flat,
+    load,
+    read_shadow,
+    with_setting,
+)
 from robotctl.errors import ConfigError
 from robotctl.kernel.patterns import PatternKind
 
@@ -218,3 +226,42 @@ def test_patterns_of_topics_are_read_as_they_stand(tmp_path: Path) -> None:
     assert config.recording.exclude == ("/camera/*", "type:sensor_msgs/msg/Image")
     assert config.recording.include == ("*",)
     assert load(write(tmp_path, yaml.safe_dump(flat(config)))) == config
+
+
+SHADOWS = {
+    "no file": (None, "No such file"),
+    "unknown key": ("# fast\nlimits.linear_mp: 1", "line 2: limits.linear_mp: no such key"),
+    "value": ("limits:\n  linear_mps: 99", "line 2: limits.linear_mps: 99 is not allowed"),
+    "a key of the recorder": ("recording.seal: false", "no decision depends on it: leave it out"),
+    "the rate": ("rate_hz: 20", "decides on the ticks of the robot"),
+    "does not fit": ("\nbattery.stop_level: 0.3", "battery.clear_level: 0.2 is not allowed"),
+    "twice": (
+        "rate_hz: 1\n\nlimits: {linear_mps: 1}\nlimits.linear_mps: 1",
+        "line 4: limits.linear",
+    ),
+}
+
+
+@pytest.mark.parametrize(("content", "says"), SHADOWS.values(), ids=SHADOWS)
+def test_a_bad_file_of_a_shadow_is_refused_with_its_line(
+    tmp_path: Path, content: str | None, says: str
+) -> None:
+    if content is not None:
+        (tmp_path / "shadow.yaml").write_text(content)
+    config = load(write(tmp_path, "shadow: shadow.yaml"))
+    with pytest.raises(ConfigError) as caught:
+        read_shadow(config)
+    assert str(caught.value).startswith(f"{tmp_path / 'shadow.yaml'}: ")
+    assert says in str(caught.value)
+
+
+def test_a_shadow_has_the_parameters_of_the_robot_but_for_those_of_its_file(tmp_path: Path) -> None:
+    (tmp_path / "shadow.yaml").write_text("robot: {ros__parameters: {limits: {linear_mps: 0.3}}}")
+    config = load(write(tmp_path, "tracking.k_y: 8.0\nlimits.linear_mps: 0.5\nshadow: shadow.yaml"))
+    shadow = read_shadow(config)
+    assert shadow is not None
+    assert shadow.own == {"limits.linear_mps": "0.3"}
+    assert shadow.params.tracking.k_y == 8.0
+    assert shadow.params.limits.linear_mps == 0.3
+    assert read_shadow(Config()) is None
+    assert shadow.digest != ShadowSettings(shadow.file, config.kernel, {}).digest

@@ -12,6 +12,7 @@ Anchors and aliases are refused: with them, a file of a few lines can expand bey
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from reprlib import repr as short_repr
 from typing import Any
@@ -26,24 +27,44 @@ MAX_FILE_BYTES = 1_000_000
 
 
 def load(path: Path) -> Config:
-    """Return the configuration in the file `path`.
+    """Return the configuration in the file `path`; a relative `shadow` is beside that file.
 
     Raises:
         ConfigError: The file cannot be read, or a key or value is not allowed.
     """
-    settings = flatten(_parameters(read_yaml(path), path), path)
     config = Config()
-    seen: set[str] = set()
-    try:
-        for key, value in settings:
-            if key in seen:
-                raise ConfigError(f"{key}: is given twice", "keep one of them")
-            seen.add(key)
+    for key, value in read_settings(path):
+        try:
             config = with_setting(config, key, value)
+        except ConfigError as error:
+            raise file_error(path, key, error) from None
+    try:
         check_together(config.kernel)
     except ConfigError as error:
-        raise ConfigError(f"{path}: {error.cause}", error.cure) from None
-    return config
+        raise file_error(path, error.cause.partition(":")[0], error) from None
+    return replace(config, shadow=str(path.parent / config.shadow) if config.shadow else "")
+
+
+def read_settings(path: Path) -> list[tuple[str, object]]:
+    """Return the dotted keys of a file with their values, in its order; neither is checked.
+
+    Raises:
+        ConfigError: The file cannot be read, or has a key twice.
+    """
+    settings = list(flatten(_parameters(read_yaml(path), path), path))
+    seen: set[str] = set()
+    for key, _ in settings:
+        if key in seen:
+            raise file_error(path, key, ConfigError(f"{key}: is given twice", "keep one of them"))
+        seen.add(key)
+    return settings
+
+
+def file_error(path: Path, key: str, error: ConfigError) -> ConfigError:
+    """Return the error with the path of the file, and the line on which it names `key`."""
+    line = _line_of(path, key)
+    where = f"{path}: " if line is None else f"{path}: line {line}: "
+    return ConfigError(f"{where}{error.cause}", error.cure)
 
 
 def read_value(name: str, text: str) -> object:
@@ -86,15 +107,36 @@ def read_yaml(path: Path) -> Any:
             return super().construct_mapping(node, deep)
 
     try:
-        with open_regular(path) as file:
-            text = file.read(MAX_FILE_BYTES + 1)
-        if len(text) > MAX_FILE_BYTES:
-            raise ConfigError(f"{path}: larger than {MAX_FILE_BYTES} bytes, not a configuration")
-        return yaml.load(text, Loader)
+        return yaml.load(_text(path), Loader)
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}", "give the path of a YAML file") from None
     except (yaml.YAMLError, RecursionError, TypeError, ValueError) as error:
         raise ConfigError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
+
+
+def _text(path: Path) -> bytes:
+    with open_regular(path) as file:
+        text = file.read(MAX_FILE_BYTES + 1)
+    if len(text) > MAX_FILE_BYTES:
+        raise ConfigError(f"{path}: larger than {MAX_FILE_BYTES} bytes, not a configuration")
+    return text
+
+
+def _line_of(path: Path, key: str) -> int | None:
+    """Return the last line of a YAML file that names the dotted `key`, None if it is not found."""
+    import yaml
+
+    def lines(node: yaml.Node | None, prefix: str) -> Iterator[tuple[str, int]]:
+        for name, value in node.value if isinstance(node, yaml.MappingNode) else ():
+            yield f"{prefix}{name.value}", name.start_mark.line + 1
+            yield from lines(value, f"{prefix}{name.value}.")
+
+    try:
+        named = lines(yaml.compose(_text(path), yaml.SafeLoader), "")
+        found = [line for name, line in named if f".{name}".endswith(f".{key}")]
+    except (OSError, yaml.YAMLError):  # it was changed meanwhile
+        return None
+    return found[-1] if found else None
 
 
 def _parameters(content: Any, path: Path) -> Mapping[Any, Any]:

@@ -37,6 +37,7 @@ from robotctl.daemon.parameters import Parameters
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.daemon.remote_requests import RemoteRequests
 from robotctl.daemon.ros_parameters import serve_parameters
+from robotctl.daemon.shadow import shadow_run
 from robotctl.daemon.shown_status import ShownStatus
 from robotctl.daemon.shutdown import send_zero, stand_still
 from robotctl.daemon.simulator import recorded_robot
@@ -103,8 +104,10 @@ class Driver:
             session,
             lambda: kernel.state.mode.name,
             on_failure=lambda detail: self._inputs.recorder_failed(detail),
-            on_file=lambda: self._control.journal_snapshot(time.monotonic_ns()),
+            on_file=lambda: self._control.begin_file(time.monotonic_ns()),
+            shadow=host.shadow,
         )
+        shadow = shadow_run(host, kernel.state, self.recorder)
         tap = self.recorder.tap
         for topic in (command_topic(params.command.topic, command), STATUS, *CALLS):
             tap.subscribe_own(topic)
@@ -134,6 +137,7 @@ class Driver:
             host.supervisor.callback_failed,
             self._urgent,
             decisions.asked,
+            shadow,
         )
         self._parameters = Parameters(host.config, self._control, self.recorder.reconfigure)
         self._foreign_commands = ForeignCommands(
@@ -144,7 +148,7 @@ class Driver:
             None if params.rate_hz >= LOOKS_ENOUGH_HZ else COMMAND_LATENCY_S,
         )
         host.supervisor.report_to(self._control.dispatch)
-        self._robot_report = RobotReport(self._control, truth)
+        self._robot_report = RobotReport(self._control, truth, shadow)
         self._status = StatusSource(
             host.options,
             self.recorder.report,
@@ -202,7 +206,7 @@ class Driver:
 
     async def run(self, server: ControlServer, notes: list[str], on_ready: Ready) -> None:
         """Run every task until the daemon is stopped."""
-        self._control.journal_snapshot(time.monotonic_ns())
+        self._control.begin_file(time.monotonic_ns())
         # Without a last snapshot, a check could not tell whether the last entries are there.
         self._host.session.last.callback(
             lambda: self._control.journal_snapshot(time.monotonic_ns())

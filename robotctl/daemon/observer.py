@@ -96,6 +96,7 @@ class Observer:
             "stalls": None,
             "odometry_dropped": None,
             "drive": None,
+            "shadow": None,
         }
 
     def remedies(self) -> tuple[Remedy, ...]:

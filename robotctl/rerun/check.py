@@ -19,6 +19,7 @@ from robotctl.recording.read.journal_reader import (
     own_journal_topic,
 )
 from robotctl.recording.read.messages import Message
+from robotctl.recording.read.shadow_record import shadow_sentence
 from robotctl.recording.read.source import Source
 from robotctl.rerun.agreed import Agreed
 from robotctl.rerun.bytes_check import BytesFound, check_bytes
@@ -124,6 +125,8 @@ class _Check:
             raise UnreadableFile("it holds no journal of robotctl: there are no decisions to check")
         for other in sorted(journal_topics(info) - {topic}):
             report.notes.append(f"the journal {other} of another robot was not checked")
+        if shadow := shadow_sentence(info):
+            report.notes.append(f"{shadow}: not checked")
         is_own = topic == own_journal_topic(info)
         self._ends = RecordingEnds(self._recording, info, report, is_own=is_own)
         self._compared = Comparisons(report, info, topic)

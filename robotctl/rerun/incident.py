@@ -17,6 +17,7 @@ from robotctl.recording import Recording
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.journal_reader import EntryDecoder, journal_topic
+from robotctl.recording.read.shadow_record import shadow_entries
 from robotctl.rerun.command_bytes import command_topic, is_zero, numbers_of
 from robotctl.rerun.journal_steps import Gap, Step, steps
 from robotctl.rerun.journal_values import decide, read_effect, read_event, read_snapshot
@@ -66,6 +67,8 @@ class Incident:
     """Time and event at which the ramp to this stop began, None if there was no ramp."""
 
     next_change: tuple[int, ModeChanged] | None = None
+    shadow: tuple[JournalEntry, ...] | None = None
+    """What the shadow decided differently on the event, None without a shadow."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +97,8 @@ def find_incident(
         incident = search.run(on_progress)
         if incident is not None:
             _Context(recording, topic, incident).fill()
+            entries = shadow_entries(recording, incident.seq, incident.log_ns, search.miss)
+            incident.shadow = None if entries is None else tuple(entries)
     return Searched(incident, search.missing)
 
 
@@ -119,21 +124,21 @@ class _Search:
         for item in steps(self._entries(on_progress)):
             try:
                 if isinstance(item, Gap):
-                    self._miss(item.text)
+                    self.miss(item.text)
                     self._snapshot_seq = self._moving_since_ns = self._mode = None
                 elif isinstance(item, Step):
                     self._step(item)
                 else:
                     self._snapshot(item)
             except UnreadableFile as error:
-                self._miss(str(error))
+                self.miss(str(error))
         if self._last is not None and self._mode is Mode.MOVING and self._recording.is_cut_off:
             self._consider(self._last, IncidentKind.KILL)
         return self._best
 
     def _entries(self, on_progress: Callable[[int, int], None]) -> Iterator[JournalEntry]:
         decoder = EntryDecoder(self._recording)
-        for message in self._recording.in_order_written({self._topic}, self._miss, on_progress):
+        for message in self._recording.in_order_written({self._topic}, self.miss, on_progress):
             self._log_ns = message.log_ns
             entry = decoder.decode(message.data)
             if self._begin_ns is None:
@@ -178,7 +183,8 @@ class _Search:
             moving_since_ns=self._moving_since_ns,
         )
 
-    def _miss(self, sentence: str) -> None:
+    def miss(self, sentence: str) -> None:
+        """Note what could not be read."""
         note_missing(self.missing, sentence)
 
 

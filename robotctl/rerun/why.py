@@ -32,6 +32,7 @@ from robotctl.kernel.types import (
 )
 from robotctl.rerun.incident import Incident, IncidentKind
 from robotctl.rerun.sentences import sentence_of, span
+from robotctl.rerun.shadow_words import shadow_words
 
 _MEASURES: Mapping[Cause, tuple[str, ...]] = MappingProxyType(
     {
@@ -67,6 +68,7 @@ class Why:
     asked: str
     went_out: tuple[str, ...]
     since: str
+    shadow: str
 
 
 def explain(incident: Incident) -> Why:
@@ -80,6 +82,7 @@ def explain(incident: Incident) -> Why:
         asked=_asked(incident),
         went_out=tuple(_went_out(incident)),
         since=_since(incident),
+        shadow=shadow_words(incident.shadow),
     )
 
 

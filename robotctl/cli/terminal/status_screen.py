@@ -22,6 +22,9 @@ def status_screen_lines(status: Status) -> Iterator[str]:
     if status.get("mode_reason"):
         yield from row(f"  {'reason':{_LABEL_WIDTH}} ", status["mode_reason"])
     yield from (f"  {label:{_LABEL_WIDTH}} {text}" for label, text in status_rows(status))
+    shadow = status.get("shadow")
+    if shadow:
+        yield from row(f"  {'shadow':{_LABEL_WIDTH}} ", shadow_text(shadow))
     topics = status["topics"]
     if topics:
         table = TopicTable((topic["name"], topic["type"]) for topic in topics)
@@ -99,6 +102,23 @@ def drive_text(drive: Mapping[str, Any]) -> str:
     true_m = drive.get("true_cross_track_max_m")
     in_truth = "" if true_m is None else f" ({number(true_m, '.3f')} m in truth)"
     return f"{lap}: off track {now} m, {rms} m RMS, {worst} m at most{in_truth}"
+
+
+def shadow_text(shadow: Mapping[str, Any]) -> str:
+    """Return what the shadow decided differently, and when last."""
+    counts = ", ".join(f"{count} {name}" for name, count in shadow["aspects"].items() if count)
+    steps = f"{shadow['steps']} steps"
+    found = f"differs in {shadow['differing']} of {steps} ({counts})"
+    text = found if shadow["differing"] else f"decides the same in {steps}"
+    if shadow["apart_s"] is not None:
+        text += f", apart since {duration(shadow['apart_s'])}, {printable(shadow['mode'])}"
+    last = shadow["last"]
+    if last:
+        text += (
+            f"; last {duration(last['ago_s'])} ago: {printable(last['shadow'])}"
+            f" instead of {printable(last['driving'])}"
+        )
+    return text
 
 
 def velocity_text(status: Mapping[str, Any]) -> str:

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from robotctl.config import Config, RecordingParams, flat
+from robotctl.config import Config, RecordingParams, ShadowSettings, flat
 from robotctl.daemon.recording.provenance import provenance
 from robotctl.daemon.recording.software import software
 from robotctl.decision_log.folder import log_folder
@@ -15,7 +15,11 @@ from robotctl.decision_log.read import head_of
 from robotctl.errors import RobotctlError
 from robotctl.paths import make_private, recordings_note_path
 from robotctl.recording import Recorder, RecorderOptions
-from robotctl.recording.format.metadata_names import FOXGLOVE_RECORD, SOFTWARE_RECORD
+from robotctl.recording.format.metadata_names import (
+    FOXGLOVE_RECORD,
+    SHADOW_RECORD,
+    SOFTWARE_RECORD,
+)
 from robotctl.recording.keep.retention import DAY_S, RetentionPolicy
 from robotctl.recording.write.file_seal import Sealer
 
@@ -53,6 +57,7 @@ def open_recorder(
     sealer: Sealer | None = None,
     evidence: frozenset[str] = frozenset(),
     names: Mapping[str, str] | None = None,
+    shadow: ShadowSettings | None = None,
 ) -> Recorder:
     """Start the recording ROBOT_DATE_TIME.
 
@@ -61,7 +66,7 @@ def open_recorder(
     `present()` returns the configuration that a later file names; `config` where it is None.
     `sealer` seals the files if the configuration says so.
     `evidence` are the full names of the topics that a check needs, `names` those of the daemon's
-    own topics and services by their keys in the metadata.
+    own topics and services by their keys in the metadata. The parameters of `shadow` are recorded.
 
     Raises:
         Refused: The recording cannot be written.
@@ -74,6 +79,10 @@ def open_recorder(
         head = {"decisions": head_of(log_folder(robot))}
         return {"mode": mode(), **described, **head, **parameters}
 
+    records = {SOFTWARE_RECORD: software(), FOXGLOVE_RECORD: {"deviceName": robot}}
+    if shadow is not None:
+        own = {f"parameter.{key}": value for key, value in shadow.own.items()}
+        records[SHADOW_RECORD] = {"file": str(shadow.file), "digest": shadow.digest, **own}
     return Recorder(
         _new_folder(recordings, f"{robot}_{time.strftime('%Y%m%d_%H%M%S')}"),
         RecorderOptions(
@@ -81,7 +90,7 @@ def open_recorder(
             group_readable=config.recording.group_readable,
             sealer=sealer if config.recording.seal else None,
             evidence=evidence,
-            records={SOFTWARE_RECORD: software(), FOXGLOVE_RECORD: {"deviceName": robot}},
+            records=records,
         ),
         metadata=metadata,
         on_failure=on_failure,

@@ -12,6 +12,15 @@ from robotctl.cdr.reader import ENCAPSULATION, LITTLE_ENDIAN
 from robotctl.errors import UnreadableFile
 
 TOPIC = "robotctl/journal"
+SHADOW_TOPIC = "robotctl/shadow"
+"""What a shadow decided differently, in entries like those of the journal: `seq` is the number of
+the event in the journal."""
+
+NO_EFFECT = "Nothing"
+SHADOW_FAILED = "Failed"
+"""The names of a shadow's entries that are no effects: the shadow decided nothing where the driving
+kernel did, and the shadow was switched off."""
+
 TYPE_NAME = "robot_controller/msg/JournalEntry"
 
 

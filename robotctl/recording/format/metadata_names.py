@@ -17,6 +17,10 @@ INFO_RECORD = "robotctl"
 SOFTWARE_RECORD = "robotctl.software"
 """The content hashes of the modules that decide and command; written when a file begins."""
 
+SHADOW_RECORD = "robotctl.shadow"
+"""The parameters of the shadow that are its own, their file, and the digest of them all; written
+when a file begins."""
+
 FOXGLOVE_RECORD = "foxglove"
 """The name of the device, where Foxglove looks for it; written when a file begins."""
 
@@ -38,7 +42,8 @@ CONVERSION_RECORD = "robotctl.conversion"
 
 OWN_RECORDS = frozenset(
     (
-        *(INFO_RECORD, SOFTWARE_RECORD, FOXGLOVE_RECORD, EVENT_RECORD, LEDGER_RECORD),
+        *(INFO_RECORD, SOFTWARE_RECORD, SHADOW_RECORD, FOXGLOVE_RECORD),
+        *(EVENT_RECORD, LEDGER_RECORD),
         *(CLIP_RECORD, RECOVERY_RECORD, CONVERSION_RECORD),
     )
 )

@@ -9,7 +9,14 @@ from typing import NamedTuple
 from robotctl.errors import IN_PARENTHESES, UnreadableFile
 from robotctl.kernel.units import NS_PER_S
 from robotctl.paths import DEFAULT_ROBOT, namespace_of
-from robotctl.recording.format.journal import TOPIC, TYPE_NAME, EntryKind, JournalEntry, decode
+from robotctl.recording.format.journal import (
+    SHADOW_TOPIC,
+    TOPIC,
+    TYPE_NAME,
+    EntryKind,
+    JournalEntry,
+    decode,
+)
 from robotctl.recording.format.metadata_names import INFO_RECORD
 from robotctl.recording.read.info import RecordingInfo
 from robotctl.recording.read.messages import Message
@@ -96,7 +103,11 @@ def journal_topic(info: RecordingInfo) -> str | None:
 
 def journal_topics(info: RecordingInfo) -> set[str]:
     """Return the topics with a journal, of any robot."""
-    return {topic.name for topic in info.topics if topic.type_name == TYPE_NAME}
+    return {
+        topic.name
+        for topic in info.topics
+        if topic.type_name == TYPE_NAME and not topic.name.endswith(f"/{SHADOW_TOPIC}")
+    }
 
 
 def own_journal_topic(info: RecordingInfo) -> str:

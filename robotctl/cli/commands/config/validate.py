@@ -10,7 +10,7 @@ import typer
 from robotctl.cli.options import Json
 from robotctl.cli.support.answer import print_answer
 from robotctl.cli.terminal.text import short_path
-from robotctl.config import Config, flat, load
+from robotctl.config import Config, flat, load, read_shadow
 
 
 def validate(
@@ -23,7 +23,9 @@ def validate(
     Examples:
       robotctl config validate robot.yaml
     """
-    defaults, values = flat(Config()), flat(load(file))
+    config = load(file)
+    read_shadow(config)
+    defaults, values = flat(Config()), flat(config)
     changed = {key: value for key, value in values.items() if value != defaults[key]}
     line = f"{short_path(file)} is valid; changed from the defaults: {len(changed)}"
     print_answer({"file": str(file), "changed": changed}, [line], as_json=as_json)

@@ -29,7 +29,7 @@ _NOT_VERIFIED: Final = "it reads every byte of the store's files: robotctl verif
 
 _CHECK_TONES: Final = {Verdict.SAME: Tone.GOOD, Verdict.INCOMPLETE: Tone.UNSURE}
 _VERIFY_TONES: Final = {"sealed": Tone.GOOD, "whole": Tone.UNSURE}
-_ROWS: Final = ("came_in", "known", "rule", "asked", "went_out", "since")
+_ROWS: Final = ("came_in", "known", "rule", "asked", "went_out", "shadow", "since")
 
 
 def judge(path: Path, recorded: Recorded, *, quiet: bool) -> Judged:

@@ -1,0 +1,39 @@
+"""What `status` tells about a shadow, as it stands in JSON."""
+
+from __future__ import annotations
+
+from typing import TypedDict
+
+
+class DisagreementAnswer(TypedDict):
+    """An event on which the driving kernel and the shadow decided differently."""
+
+    ago_s: float
+    event: str
+    driving: str
+    """What the driving kernel decided, in words."""
+    shadow: str
+    aspects: list[str]
+    """mode, stop cause, command, answer; or wording, where only texts or figures differ."""
+
+
+class ShadowFacts(TypedDict):
+    """The kernel that decides beside the driving one, and commands nothing."""
+
+    file: str
+    digest: str
+    """The beginning of the SHA-256 of its parameters."""
+    failure: str
+    """Why it is off, "" while it decides."""
+    mode: str
+    steps: int
+    slow_steps: int
+    """The steps that took more than 25 ms; three in a row switch it off."""
+    differing: int
+    """The steps that it decided differently."""
+    aspects: dict[str, int]
+    """How many of these differ in each aspect."""
+    apart_s: float | None
+    """Since when it has a future of its own, None while its state is that of the robot."""
+    first: DisagreementAnswer | None
+    last: DisagreementAnswer | None

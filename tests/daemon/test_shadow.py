@@ -1,0 +1,53 @@
+"""A shadow of a real daemon: configured by a file, compared in `status`, recorded, and sealed."""
+
+from __future__ import annotations
+
+from robotctl.recording import read_info
+from robotctl.recording.format.journal import EntryKind, decode
+from robotctl.recording.format.metadata_names import SHADOW_RECORD
+from tests.support.waiting import until
+from tests.support.world import PATIENT, World, read_back
+
+
+def test_a_slower_shadow_is_told_and_recorded_and_the_check_stays_the_same(world: World) -> None:
+    (world.folder / "slow.yaml").write_text("limits: {linear_mps: 0.1}\n")
+    settings = world.folder / "robot.yaml"
+    settings.write_text(f"{PATIENT}shadow: slow.yaml\n")
+    started = world.ok("start", "--sim", "--config", str(settings))
+    assert "a shadow decides with" in started
+    assert world.status()["shadow"]["differing"] == 0
+    world.ok("drive", "line")
+    until(lambda: world.status()["shadow"]["differing"] > 5)
+    facts = world.status()["shadow"]
+    assert (facts["failure"], facts["mode"]) == ("", "MOVING")
+    assert facts["first"]["aspects"] == ["command"]
+    assert facts["apart_s"] > 0.0
+    told = " ".join(world.ok("status").split())
+    assert "shadow differs in" in told
+    assert "m/s, 0.000 rad/s instead of" in told
+    world.ok("estop")
+    world.ok("stop")
+    (recording,) = world.recordings.iterdir()
+    record = read_info(recording).metadata[SHADOW_RECORD]
+    assert record["parameter.limits.linear_mps"] == "0.1"
+    assert record["digest"] == facts["digest"]
+    head, *entries = [decode(each.data) for each in read_back(recording)["/robotctl/shadow"]]
+    assert head.kind is EntryKind.SNAPSHOT
+    assert {entry.name for entry in entries} == {"PublishTwist"}
+    checked = " ".join(world.ok("replay", "--check", "last").split())
+    assert checked.startswith("same")
+    sentence = "a shadow decided with limits.linear_mps 0.1; where it differs is in"
+    assert f"note: {sentence} /robotctl/shadow: not checked" in checked
+    assert sentence in " ".join(world.ok("info", "last").split())
+    assert "shadow no other decision of the shadow is" in " ".join(world.ok("why").split())
+    world.ok("verify", "last")
+
+
+def test_a_bad_file_of_a_shadow_ends_the_start_with_its_line(world: World) -> None:
+    bad = world.folder / "slow.yaml"
+    bad.write_text("tracking.k_y: 3\nlimits:\n  linear_mps: 99\n")
+    settings = world.folder / "robot.yaml"
+    settings.write_text("shadow: slow.yaml\n")
+    refused = world.robotctl("start", "--sim", "--config", str(settings))
+    assert refused.exit_code == 2
+    assert f"{bad}: line 3: limits.linear_mps: 99 is not allowed" in refused.err
