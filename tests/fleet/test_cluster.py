@@ -101,7 +101,7 @@ def test_results_that_cannot_be_stored_are_refused(dask: DaskProcesses, tmp_path
     (recording,) = make_recordings(tmp_path / "recordings", 1)
     (tmp_path / "results").touch()
     engine = Cluster(dask.address, tmp_path).judge
-    with pytest.raises(Refused, match="cannot read results: .*Not a directory"):
+    with pytest.raises(Refused, match=r"cannot read results: .*Not a directory"):
         judge_all([recording], ResultStore(tmp_path / "results"), {}, Baseline(), engine)
 
 
