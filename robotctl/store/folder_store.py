@@ -8,15 +8,12 @@ import stat
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from tempfile import NamedTemporaryFile
-from typing import IO
 
 from robotctl.printable import printable
 from robotctl.store.failed_request import changed, short_answer
 from robotctl.store.store_errors import AccessDenied, NoSuchObject, StoreError, StoreFailed
 from robotctl.store.stored_object import StoredObject, check_key
-
-_UNFINISHED = ".unfinished-"
+from robotctl.store.unfinished_file import PREFIX, UnfinishedFile, unfinished_file
 
 
 class FolderStore:
@@ -45,7 +42,7 @@ class FolderStore:
                 for name in names:
                     path = Path(folder, name)
                     status = path.lstat()
-                    if stat.S_ISREG(status.st_mode) and not name.startswith(_UNFINISHED):
+                    if stat.S_ISREG(status.st_mode) and not name.startswith(PREFIX):
                         yield _described(path.relative_to(self._folder).as_posix(), status)
 
     def head(self, key: str) -> StoredObject:
@@ -75,9 +72,8 @@ class FolderStore:
         """Store a file under a free name; return whether it was free."""
         with self._told(key), self._unfinished(key) as file:
             file.write(data)
-            _sync(file)
             try:
-                os.link(file.name, self._path(key))
+                file.name_if_free(self._path(key))
             except FileExistsError:
                 return False
             return True
@@ -87,8 +83,7 @@ class FolderStore:
         with self._told(key), self._unfinished(key) as file:
             for part in parts:
                 file.write(part)
-            _sync(file)
-            os.replace(file.name, self._path(key))
+            file.name_over(self._path(key))
 
     def delete(self, key: str) -> None:
         """Remove a file; one that does not exist is no error."""
@@ -107,16 +102,11 @@ class FolderStore:
             os.close(descriptor)
 
     @contextmanager
-    def _unfinished(self, key: str) -> Iterator[IO[bytes]]:
+    def _unfinished(self, key: str) -> Iterator[UnfinishedFile]:
         folder = self._path(key).parent
         folder.mkdir(parents=True, exist_ok=True)
-        file = NamedTemporaryFile(dir=folder, prefix=_UNFINISHED, delete=False)  # noqa: SIM115
-        try:
-            with file:
-                yield file
-        finally:
-            with suppress(FileNotFoundError):  # it has its name by now
-                os.unlink(file.name)
+        with unfinished_file(folder) as file:
+            yield file
 
     @contextmanager
     def _told(self, key: str) -> Iterator[None]:
@@ -143,8 +133,3 @@ class FolderStore:
 def _described(key: str, status: os.stat_result) -> StoredObject:
     etag = f"{status.st_ino}-{status.st_mtime_ns}-{status.st_size}"
     return StoredObject(key, status.st_size, etag)
-
-
-def _sync(file: IO[bytes]) -> None:
-    file.flush()
-    os.fsync(file.fileno())
