@@ -7,12 +7,14 @@ import os
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import suppress
 from pathlib import Path
 from threading import Lock
 from typing import Any
 
-from robotctl.processes import Child, program, start
+from robotctl.processes import Child, fork, has_one_thread, program, start
 from robotctl.rerun.check import Progress, check_recording
+from robotctl.rerun.check_process import check_lines
 from robotctl.rerun.check_report import Report
 
 WORKER = program("robotctl.rerun.check_process")
@@ -69,10 +71,16 @@ def check_recordings(
 
 
 class _Worker:
-    """A process that checks one recording at a time; it is replaced when it dies."""
+    """A process that checks one recording at a time; it is replaced when it dies.
+
+    The first one is a copy of this process, if that is safe: it has nothing to import.
+    """
 
     def __init__(self) -> None:
         self._child: Child | None = None
+        if has_one_thread():
+            with suppress(OSError):  # no memory or descriptors left
+                self._child = fork(_work_as_copy)
         self._ended = False
         self._lock = Lock()
 
@@ -117,3 +125,8 @@ class _Worker:
             if self._child is None and not self._ended:
                 self._child = start(WORKER, with_stdin=True)
             return self._child
+
+
+def _work_as_copy(stdin: int, descriptor: int) -> None:
+    with suppress(BrokenPipeError), os.fdopen(stdin) as lines:
+        check_lines(lines, descriptor)

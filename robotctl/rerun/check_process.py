@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import sys
 import time
+from collections.abc import Iterable
 from contextlib import suppress
 
 from robotctl.processes import report_fd, send_report
@@ -20,8 +21,16 @@ PROGRESS_PERIOD_S = 0.1
 
 def main() -> None:
     """Check recordings until stdin is closed."""
-    descriptor = report_fd(sys.argv)
-    for line in sys.stdin:
+    check_lines(sys.stdin, report_fd(sys.argv))
+
+
+def check_lines(lines: Iterable[str], descriptor: int) -> None:
+    """Check the recordings that `lines` name, and report on the descriptor.
+
+    Raises:
+        BrokenPipeError: The process that asked for them has ended.
+    """
+    for line in lines:
         job = json.loads(line)
         told = time.monotonic()
 
