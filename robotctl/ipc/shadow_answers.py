@@ -11,8 +11,9 @@ class DisagreementAnswer(TypedDict):
     ago_s: float
     event: str
     driving: str
-    """What the driving kernel decided, in words."""
+    """What only the driving kernel decided, in words."""
     shadow: str
+    """What only the shadow decided."""
     aspects: list[str]
     """mode, stop cause, command, answer; or wording, where only texts or figures differ."""
 

@@ -162,6 +162,14 @@ def _told(effects: Sequence[Effect]) -> dict[Aspect, list[object]]:
     return told
 
 
+def contrast(driving: Sequence[Effect], shadow: Sequence[Effect]) -> tuple[str, str]:
+    """Return in words what only the driving kernel decided, and what only the shadow did."""
+    return (
+        outcome([effect for effect in driving if effect not in shadow]),
+        outcome([effect for effect in shadow if effect not in driving]),
+    )
+
+
 def outcome(effects: Sequence[Effect]) -> str:
     """Return what a kernel decided, in words."""
     return "; ".join(map(_words, effects)) or "nothing"

@@ -5,13 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from robotctl.errors import UnreadableFile
-from robotctl.kernel.shadow import outcome
+from robotctl.kernel.shadow import contrast
+from robotctl.kernel.types import Effect
 from robotctl.recording.format.journal import NO_EFFECT, SHADOW_FAILED, JournalEntry
 from robotctl.rerun.journal_values import read_effect
 
 
-def shadow_words(entries: Sequence[JournalEntry] | None) -> str:
-    """Return what the entries of one event tell, "" without a shadow (None)."""
+def shadow_words(entries: Sequence[JournalEntry] | None, driving: Sequence[Effect]) -> str:
+    """Return what the entries of one event tell, "" without a shadow (None).
+
+    `driving` is what the driving kernel decided on the event.
+    """
     if entries is None:
         return ""
     if not entries:
@@ -19,6 +23,8 @@ def shadow_words(entries: Sequence[JournalEntry] | None) -> str:
     if any(entry.name == SHADOW_FAILED for entry in entries):
         return "the shadow was switched off here"
     try:
-        return outcome([read_effect(each) for each in entries if each.name != NO_EFFECT])
+        effects = [read_effect(each) for each in entries if each.name != NO_EFFECT]
     except UnreadableFile as error:
         return f"not read: {error}"
+    instead_of, decided = contrast(driving, effects)
+    return f"{decided} instead of {instead_of}"

@@ -82,7 +82,7 @@ def explain(incident: Incident) -> Why:
         asked=_asked(incident),
         went_out=tuple(_went_out(incident)),
         since=_since(incident),
-        shadow=shadow_words(incident.shadow),
+        shadow=shadow_words(incident.shadow, incident.effects),
     )
 
 

@@ -14,7 +14,7 @@ from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.parameter_change import ParameterRequested
 from robotctl.kernel.params import BatteryParams, KernelParams, VelocityLimits
-from robotctl.kernel.shadow import Aspect, Shadow, aspects_of, outcome
+from robotctl.kernel.shadow import Aspect, Shadow, aspects_of, contrast, outcome
 from robotctl.kernel.state import State
 from robotctl.kernel.types import (
     ZERO,
@@ -220,6 +220,8 @@ def test_a_decision_is_told_in_words() -> None:
         "refused: no"
     )
     assert outcome(()) == "nothing"
+    assert contrast(effects, effects[1:]) == ("0.250 m/s, -1.000 rad/s", "nothing")
+    assert contrast(effects[:-1], effects) == ("nothing", "refused: no")
 
 
 def test_the_driving_kernel_is_not_touched() -> None:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from robotctl.ipc.shadow_answers import DisagreementAnswer, ShadowFacts
 from robotctl.kernel.codec import to_json
-from robotctl.kernel.shadow import Disagreement, Shadow, outcome
+from robotctl.kernel.shadow import Disagreement, Shadow, contrast
 from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.state import State
 from robotctl.kernel.types import Effect, Event
@@ -152,10 +152,11 @@ class ShadowRun:
 def _answer(found: Disagreement | None, now_ns: int) -> DisagreementAnswer | None:
     if found is None:
         return None
+    driving, shadow = contrast(found.driving, found.shadow)
     return {
         "ago_s": (now_ns - found.t_ns) / NS_PER_S,
         "event": type(found.event).__name__,
-        "driving": outcome(found.driving),
-        "shadow": outcome(found.shadow),
+        "driving": driving,
+        "shadow": shadow,
         "aspects": [each.value for each in found.aspects],
     }
