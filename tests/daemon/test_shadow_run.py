@@ -140,6 +140,14 @@ def test_only_what_differs_is_recorded_and_it_is_what_the_shadow_decides() -> No
     assert facts["first"]["shadow"] == "0.100 m/s, 0.000 rad/s"
 
 
+def test_a_shadow_that_decides_nothing_where_the_robot_is_commanded_is_recorded() -> None:
+    driven = Driven()
+    assert driven.run is not None
+    driven.run._shadow._kernel.step = lambda event: ()  # type: ignore[method-assign]
+    driven.feed([Tick(driven.bench.t_ns + 1)])
+    assert (driven.record[-1].name, driven.record[-1].seq) == ("Nothing", 1)
+
+
 def test_a_shadow_that_fails_is_off_and_said_so(caplog: pytest.LogCaptureFixture) -> None:
     alone, driven, events = Driven(None), Driven(), drive_events(10)
     assert driven.run is not None
