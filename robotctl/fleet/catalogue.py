@@ -15,15 +15,18 @@ from pathlib import Path
 from typing import Final
 
 from robotctl.errors import Refused
-from robotctl.fleet.database import file_of, text, write_parquet
-from robotctl.fleet.index_file import files_of, index_path, stamp_of, stamps_in, table_columns
+from robotctl.fleet.database import file_of, parquet, text, write_parquet
+from robotctl.fleet.index_file import files_of, index_path, stamp_of, table_columns
 from robotctl.fleet.indexing import Failures, closed_files, index_recordings
+from robotctl.fleet.stamps import stamps_in, stamps_of_each
+from robotctl.printable import printable
 from robotctl.recording.format.derived_files import INDEX_FILE
 from robotctl.regular_file import open_regular
 
 CATALOGUE_NAME: Final = INDEX_FILE
 
 GOING_ON: Final = "it is being recorded"
+NOT_TEXT: Final = "its name is no UTF-8"
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,21 +54,28 @@ def catalogue_of(
 
     Raises:
         OSError: The folder cannot be listed.
-        Refused: The catalogue cannot be written anywhere.
+        Refused: The catalogue cannot be written anywhere, or the folder has an impossible name.
         UsageError: duckdb is not installed.
     """
     path = folder / CATALOGUE_NAME
+    if not _is_text(path):
+        raise Refused(f"{printable(folder)}: {NOT_TEXT}", "give the folder another name")
     with ExitStack() as stack:
         before = _opened(path, stack)
         known = stamps_in(before) if before else {}
         stamps, left_out = _stamps(folder, known)
         changed = [each for each, stamp in stamps.items() if known.get(each.name) != stamp]
-        old = [each for each in changed if stamps_in(index_path(each)) != {each.name: stamps[each]}]
+        indexed = stamps_of_each(list(map(index_path, changed)))
+        old = [
+            each
+            for each, found in zip(changed, indexed, strict=True)
+            if found != {each.name: stamps[each]}
+        ]
         failures = index_recordings(old, on_progress) if old else {}
         for each in changed:
             if each not in failures and not index_path(each).exists():
                 failures[each] = "it was removed meanwhile"
-        left_out += [f"{each.name} is left out: {said}" for each, said in failures.items()]
+        left_out += [_left_out(each, said) for each, said in failures.items()]
         fresh = [index_path(each) for each in changed if each not in failures]
         kept = [each.name for each in stamps if each not in changed and each not in failures]
         indexes = tuple(index_path(each) for each in stamps if each not in failures)
@@ -73,6 +83,10 @@ def catalogue_of(
             elsewhere = Path(stack.enter_context(tempfile.TemporaryDirectory()), CATALOGUE_NAME)
             path = _write((path, elsewhere), before if kept else None, kept, fresh)
         yield Catalogue(path, indexes, tuple(left_out), failures)
+
+
+def _is_text(path: Path) -> bool:
+    return not any("\ud800" <= each <= "\udfff" for each in str(path))
 
 
 def _opened(path: Path, stack: ExitStack) -> str | None:
@@ -103,6 +117,9 @@ def _stamps(folder: Path, known: dict[str, str]) -> tuple[dict[Path, str], list[
             ),
         )
     for path in found:
+        if not _is_text(path):
+            left_out.append(_left_out(path, NOT_TEXT))
+            continue
         with suppress(OSError):  # removed meanwhile, or of another user
             files = files_of(path)
             if not files:
@@ -113,11 +130,15 @@ def _stamps(folder: Path, known: dict[str, str]) -> tuple[dict[Path, str], list[
             closed = closed_files(files)
             if not closed:
                 del stamps[path]
-                left_out.append(f"{path.name} is left out: {GOING_ON}")
+                left_out.append(_left_out(path, GOING_ON))
             elif len(closed) < len(files):
                 stamps[path] = stamp_of(closed)
-                left_out.append(f"the last file of {path.name} is left out: {GOING_ON}")
+                left_out.append(f"the last file of {_left_out(path, GOING_ON)}")
     return stamps, left_out
+
+
+def _left_out(recording: Path, reason: str) -> str:
+    return f"{printable(recording.name)} is left out: {reason}"
 
 
 def _write(
@@ -130,10 +151,9 @@ def _write(
     parts = []
     if before is not None:
         names = ", ".join(map(text, kept))
-        parts.append(f"SELECT * FROM read_parquet({text(before)}) WHERE recording IN ({names})")
+        parts.append(f"SELECT * FROM {parquet([before])} WHERE recording IN ({names})")
     if indexes:
-        listed = ", ".join(map(text, indexes))
-        parts.append(f"SELECT * FROM read_parquet([{listed}]) WHERE kind <> 'sample'")
+        parts.append(f"SELECT * FROM {parquet(indexes)} WHERE kind <> 'sample'")
     if not parts:
         columns = ", ".join(f'NULL::{kind} AS "{key}"' for key, kind in table_columns().items())
         parts.append(f"SELECT {columns} WHERE false")

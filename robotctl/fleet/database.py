@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from glob import escape
 from pathlib import Path
@@ -44,7 +45,9 @@ def database(
         ) from None
     with duckdb.connect(":memory:", config={"memory_limit": memory}) as connection:
         connection.execute("SET temp_directory = ''; SET preserve_insertion_order = false")
-        connection.execute(f"SET allowed_paths = [{', '.join(map(text, files))}]")
+        connection.execute("SET enable_progress_bar = false")  # it would be printed into an answer
+        allowed = {*map(str, files), *map(_pattern, files)}
+        connection.execute(f"SET allowed_paths = [{', '.join(map(text, sorted(allowed)))}]")
         for name, value in _CLOSED.items():
             connection.execute(f"SET {name} = {value}")
         yield connection
@@ -96,6 +99,20 @@ def _remove_abandoned(target: Path) -> None:
         for unfinished in target.parent.glob(f".{escape(target.name)}.*.tmp"):
             if time.time() - unfinished.lstat().st_mtime > ABANDONED_S:
                 unfinished.unlink()
+
+
+def parquet(paths: Iterable[Path | str], options: str = "") -> str:
+    """Return the rows of Parquet files in SQL, whatever characters their paths have."""
+    return f"read_parquet([{patterns(paths)}], hive_partitioning = false{options})"
+
+
+def patterns(paths: Iterable[Path | str]) -> str:
+    """Return paths in SQL for functions that look for patterns in them."""
+    return ", ".join(text(_pattern(each)) for each in paths)
+
+
+def _pattern(path: Path | str) -> str:
+    return re.sub(r"[*?[]", r"[\g<0>]", str(path))
 
 
 def text(value: object) -> str:

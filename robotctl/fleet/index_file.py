@@ -15,15 +15,12 @@ from tempfile import TemporaryFile
 from typing import Final
 
 from robotctl.errors import Refused
-from robotctl.fleet.database import database, file_of, name, text, write_parquet
+from robotctl.fleet.database import file_of, name, text, write_parquet
 from robotctl.fleet.rows import IndexRow, RecordingRow, all_columns
 from robotctl.recording.format.derived_files import INDEX_FILE
 
 LAYOUT: Final = 1
 """The number of the columns' layout; an index with another one is made again."""
-
-MAX_ROWS: Final = 10_000_000
-"""Rows beside samples, of all recordings of a catalogue: a month of a robot has some 100,000."""
 
 
 def index_path(recording: Path) -> Path:
@@ -78,35 +75,6 @@ def write_index(recording: Path, rows: Sequence[IndexRow], stamp: str) -> Path:
     except OSError as error:
         raise Refused(f"cannot write {target}: {error.strerror or error}") from error
     return target
-
-
-def stamps_in(path: Path | str) -> dict[str, str]:
-    """Return the stamps of the recordings in an index or a catalogue; none of one that is wrong.
-
-    One is wrong that has another layout, or more rows than `MAX_ROWS` beside samples.
-
-    Raises:
-        UsageError: duckdb is not installed.
-    """
-    if isinstance(path, Path) and (path.is_symlink() or not path.is_file()):
-        return {}
-    with database([path]) as connection:
-        import duckdb
-
-        source = f"read_parquet({text(path)})"
-        try:
-            described = connection.execute(f"DESCRIBE SELECT * FROM {source}").fetchall()
-            if {row[0]: row[1] for row in described} != table_columns():
-                return {}
-            counted = connection.execute(f"SELECT count(*) FROM {source} WHERE kind <> 'sample'")
-            if counted.fetchall()[0][0] > MAX_ROWS:
-                return {}
-            found = connection.execute(
-                f"SELECT recording, stamp FROM {source} WHERE kind = 'recording'"
-            ).fetchall()
-        except duckdb.Error:
-            return {}
-    return {str(name): str(stamp) for name, stamp in found}
 
 
 def _lines(rows: Iterable[IndexRow], first: dict[str, str]) -> Iterable[bytes]:

@@ -9,7 +9,7 @@ from typing import Any, Final
 from robotctl.errors import UsageError
 from robotctl.fleet.catalogue import Catalogue
 from robotctl.fleet.condition import known_column, parse_condition
-from robotctl.fleet.database import database, name, text
+from robotctl.fleet.database import database, name, parquet
 from robotctl.fleet.rows import (
     DriveRow,
     EventRow,
@@ -84,7 +84,7 @@ def _run(catalogue: Catalogue, sql: str, values: Sequence[Any]) -> Answer:
     with database([catalogue.path, *catalogue.indexes]) as connection:
         import duckdb
 
-        source = f"read_parquet({text(catalogue.path)})"
+        source = parquet([catalogue.path])
         for table, kind in TABLES.items():
             names = ", ".join(map(name, columns_of(table)))
             connection.execute(
@@ -92,9 +92,8 @@ def _run(catalogue: Catalogue, sql: str, values: Sequence[Any]) -> Answer:
             )
         if SAMPLES in sql and (indexes := [each for each in catalogue.indexes if each.exists()]):
             names = ", ".join(map(name, ("recording", *columns(SampleRow))))
-            listed = ", ".join(map(text, indexes))
             connection.execute(
-                f"CREATE VIEW {SAMPLES} AS SELECT {names} FROM read_parquet([{listed}]) "
+                f"CREATE VIEW {SAMPLES} AS SELECT {names} FROM {parquet(indexes)} "
                 f"WHERE kind = '{SampleRow.kind}'"
             )
         try:

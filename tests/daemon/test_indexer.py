@@ -12,7 +12,8 @@ import pytest
 
 from robotctl.daemon.recording import indexer as module
 from robotctl.daemon.recording.indexer import Indexer, has_grown
-from robotctl.fleet.index_file import files_of, index_path, stamp_of, stamps_in
+from robotctl.fleet.index_file import files_of, index_path, stamp_of
+from robotctl.fleet.stamps import stamps_in
 from robotctl.recording.keep.retention import RetentionPolicy, enforce_retention
 from tests.support.waiting import until
 from tests.support.world import World
