@@ -132,4 +132,4 @@ class FolderStore:
 
 def _described(key: str, status: os.stat_result) -> StoredObject:
     etag = f"{status.st_ino}-{status.st_mtime_ns}-{status.st_size}"
-    return StoredObject(key, status.st_size, etag)
+    return StoredObject(key, status.st_size, etag, status.st_mtime)

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right, insort
-from collections import OrderedDict, deque
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future
-from dataclasses import dataclass
 from typing import Final
 
+from robotctl.store.range_cache import Extent, Extents, RangeCache
 from robotctl.store.store_errors import StoreError
-
-Range = tuple[int, int]
-"""First offset, and the offset after the last [bytes]."""
 
 _LEAST_BYTES: Final = 64 << 10
 """A smaller range takes a store about as long."""
@@ -25,32 +21,23 @@ _MOST_BYTES: Final = 4 << 20
 
 _AHEAD_REQUESTS: Final = 16
 _AHEAD_BYTES: Final = 16 << 20
-_KEPT_BYTES: Final = 48 << 20
-"""Of what was read, so that it need not be asked for again."""
 
 MAX_READ_BYTES: Final = 1 << 30
 """No part of a recording that is read at once is as large."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Extent:
-    begin: int
-    end: int
-    data: Future[bytes]
-
-
 class RangeReader:
     """Reads one object. For one thread."""
 
-    def __init__(self, size: int, fetch: Callable[[int, int], Future[bytes]]) -> None:
+    def __init__(
+        self, size: int, fetch: Callable[[int, int], Future[bytes]], cache: RangeCache
+    ) -> None:
         """`fetch` starts a request for the bytes from the first offset to before the second."""
         self._size = size
         self._fetch = fetch
-        self._extents: OrderedDict[int, _Extent] = OrderedDict()  # the one used last at the end
-        self._begins: list[int] = []
-        self._kept_bytes = 0
-        self._coming: Iterator[Range] = iter(())
-        self._ahead: deque[_Extent] = deque()
+        self._extents = Extents(cache)
+        self._coming: Iterator[tuple[int, int]] = iter(())
+        self._ahead: deque[Extent] = deque()
         self._ahead_bytes = 0
         self._window = _LEAST_BYTES
         self._missed_end = 0
@@ -58,6 +45,8 @@ class RangeReader:
 
     def expect(self, ranges: Iterable[tuple[int, int]]) -> None:
         """Ask ahead for ranges that will be read in this order, each an offset and a length."""
+        while self._ahead:
+            self._pass()
         self._coming = _requests(ranges)
         self._ask_ahead()
 
@@ -75,7 +64,7 @@ class RangeReader:
         pieces = []
         try:
             while offset < end:
-                extent = self._holding(offset) or self._ask(offset, end)
+                extent = self._held(offset) or self._asked(offset, end)
                 data = extent.data.result()
                 pieces.append(data[offset - extent.begin : end - extent.begin])
                 offset = extent.end
@@ -84,33 +73,28 @@ class RangeReader:
             raise
         return pieces[0] if len(pieces) == 1 else b"".join(pieces)
 
-    def _holding(self, offset: int) -> _Extent | None:
-        number = bisect_right(self._begins, offset) - 1
-        extent = self._extents[self._begins[number]] if number >= 0 else None
-        if extent is None or offset >= extent.end:
+    def _held(self, offset: int) -> Extent | None:
+        extent = self._extents.holding(offset)
+        if extent is None:
             return None
-        self._extents.move_to_end(extent.begin)
-        if extent in self._ahead:
-            while (passed := self._ahead.popleft()) is not extent:
-                self._ahead_bytes -= passed.end - passed.begin
-            self._ahead_bytes -= extent.end - extent.begin
+        self._extents.touch(extent)
+        was_ahead = extent.ahead
+        while extent.ahead:
+            self._pass()
+        if was_ahead:
             self._ask_ahead()
         return extent
 
-    def _ask(self, offset: int, end: int) -> _Extent:
+    def _asked(self, offset: int, end: int) -> Extent:
         """Ask for what was not expected; for more each time if it is read from start to end."""
         follows = offset == self._missed_end
         self._window = min(2 * self._window, _MOST_BYTES) if follows else _LEAST_BYTES
         begin, end = offset, min(max(end, offset + self._window), self._size)
         if end - begin < _LEAST_BYTES:  # the end of the object: it is read backwards
             begin = max(end - _LEAST_BYTES, 0)
-        number = bisect_right(self._begins, offset)
-        if number < len(self._begins):
-            end = min(end, self._begins[number])
-        if number:
-            begin = max(begin, self._extents[self._begins[number - 1]].end)
+        begin, end = self._extents.free_around(offset, begin, end)
         self._missed_end = end
-        return self._start(begin, end)
+        return self._start(begin, end, ahead=False)
 
     def _ask_ahead(self) -> None:
         while len(self._ahead) < _AHEAD_REQUESTS and self._ahead_bytes < _AHEAD_BYTES:
@@ -118,32 +102,29 @@ class RangeReader:
             if wanted is None:
                 return
             begin, end = wanted[0], min(wanted[1], self._size)
-            number = bisect_right(self._begins, begin)
-            if number:
-                begin = max(begin, self._extents[self._begins[number - 1]].end)
-            if number < len(self._begins):
-                end = min(end, self._begins[number])
-            if begin < end:
-                self._ahead.append(self._start(begin, end))
-                self._ahead_bytes += end - begin
+            while begin < end:
+                if (held := self._extents.holding(begin)) is not None:
+                    begin = held.end
+                    continue
+                _, free_end = self._extents.free_around(begin, begin, end)
+                self._ahead.append(self._start(begin, free_end, ahead=True))
+                self._ahead_bytes += free_end - begin
+                begin = free_end
 
-    def _start(self, begin: int, end: int) -> _Extent:
-        extent = _Extent(begin, end, self._fetch(begin, end))
-        self._extents[begin] = extent
-        insort(self._begins, begin)
-        self._kept_bytes += end - begin
-        while self._kept_bytes - self._ahead_bytes > _KEPT_BYTES and len(self._extents) > 1:
-            oldest = next(each for each in self._extents.values() if each not in self._ahead)
-            if oldest is extent:
-                break
-            del self._extents[oldest.begin]
-            self._begins.remove(oldest.begin)
-            self._kept_bytes -= oldest.end - oldest.begin
+    def _pass(self) -> None:
+        """Let the next extent that was asked for ahead be an ordinary one."""
+        extent = self._ahead.popleft()
+        extent.ahead = False
+        self._ahead_bytes -= extent.end - extent.begin
+
+    def _start(self, begin: int, end: int, *, ahead: bool) -> Extent:
+        extent = Extent(begin, end, self._fetch(begin, end), ahead)
+        self._extents.add(extent)
         return extent
 
 
-def _requests(ranges: Iterable[tuple[int, int]]) -> Iterator[Range]:
-    """Yield the ranges to ask for: near ones together, large ones in parts."""
+def _requests(ranges: Iterable[tuple[int, int]]) -> Iterator[tuple[int, int]]:
+    """Yield first and last offset of what to ask for: near ranges together, large ones in parts."""
     begin = end = 0
     for offset, length in ranges:
         if end and end <= offset <= end + _GAP_BYTES and offset + length - begin <= _MOST_BYTES:
@@ -154,7 +135,7 @@ def _requests(ranges: Iterable[tuple[int, int]]) -> Iterator[Range]:
     yield from _parts(begin, end)
 
 
-def _parts(begin: int, end: int) -> Iterator[Range]:
+def _parts(begin: int, end: int) -> Iterator[tuple[int, int]]:
     while begin < end:
         yield begin, min(begin + _MOST_BYTES, end)
         begin += _MOST_BYTES

@@ -190,7 +190,7 @@ class RemoteStore:
 
 def _described(meta: ObjectMeta, key: str) -> StoredObject:
     etag = meta["e_tag"] or f"of {meta['last_modified'].isoformat()}"
-    return StoredObject(key, meta["size"], etag)
+    return StoredObject(key, meta["size"], etag, meta["last_modified"].timestamp())
 
 
 def _client(*, allow_http: bool) -> ClientConfig:

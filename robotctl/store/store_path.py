@@ -6,7 +6,6 @@ import errno
 import os
 import stat
 from collections.abc import Iterator
-from functools import cache
 from io import BytesIO
 from pathlib import Path, PosixPath, PurePosixPath
 from typing import TYPE_CHECKING, Any, BinaryIO, Final, Self
@@ -19,7 +18,7 @@ from robotctl.store.stored_object import StoredObject
 from robotctl.store.url import is_url, parse_url
 
 if TYPE_CHECKING:
-    from robotctl.store.remote_store import RemoteStore
+    from robotctl.store.opened_bucket import OpenedBucket
 
 _MAX_OPENED_BYTES: Final = 64 << 20
 """Of a file that is read as a whole, as `metadata.yaml`."""
@@ -53,6 +52,8 @@ def open_file(path: Path) -> BinaryIO:
 class StorePath(PosixPath):
     """A path below a URL. Where it is listed or read, the store is asked, once in a process.
 
+    Folders that are named by a hash, as `robotctl sync` makes them, are left out of paths.
+
     What needs a file of this computer, and so uses the path as a name for the operating system,
     gets a UsageError.
     """
@@ -67,7 +68,7 @@ class StorePath(PosixPath):
 
     def reader(self) -> RangeReader:
         """Return what reads this file."""
-        return opened_bucket(self._root_url).reader(self._key)
+        return self._bucket.reader(self._key)
 
     def stat(self, *, follow_symlinks: bool = True) -> os.stat_result:
         """Return kind and size; the rest is zero.
@@ -77,7 +78,7 @@ class StorePath(PosixPath):
         """
         found = self._found()
         if found is None and not self._below():
-            raise NoSuchObject(f"{self} does not exist", opened_bucket(self._root_url).cure)
+            raise NoSuchObject(f"{self} does not exist", self._bucket.cure)
         mode = stat.S_IFDIR if found is None else stat.S_IFREG
         size = 0 if found is None else found.size_bytes
         return os.stat_result((mode, 0, 0, 1, 0, 0, size, 0, 0, 0))
@@ -119,7 +120,7 @@ class StorePath(PosixPath):
             found = None
         if found is None:
             raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(self))
-        reader = opened_bucket(self._root_url).reader(self._key)
+        reader = self._bucket.reader(self._key)
         return BytesIO(reader.read(0, _MAX_OPENED_BYTES))
 
     def absolute(self) -> Self:
@@ -131,74 +132,17 @@ class StorePath(PosixPath):
         return self
 
     @property
-    def _root_url(self) -> str:
-        return f"{self.parts[0]}//{self.parts[1]}"
+    def _bucket(self) -> OpenedBucket:
+        from robotctl.store.opened_bucket import opened_bucket  # it loads asyncio
+
+        return opened_bucket(f"{self.parts[0]}//{self.parts[1]}")
 
     @property
     def _key(self) -> str:
         return "/".join(self.parts[_HOST_PARTS:])
 
     def _found(self) -> StoredObject | None:
-        return opened_bucket(self._root_url).found(self._key) if self._key else None
+        return self._bucket.found(self._key) if self._key else None
 
     def _below(self) -> list[str]:
-        return opened_bucket(self._root_url).below(self._key)
-
-
-@cache
-def opened_bucket(root_url: str) -> _Bucket:
-    """Return what is known of a bucket; other threads and commands of this process share it."""
-    return _Bucket(root_url)
-
-
-class _Bucket:
-    """What this process knows of a bucket. It is asked only once, so that a command sees one state:
-    if an object is replaced meanwhile, reading it is an error.
-    """
-
-    def __init__(self, root_url: str) -> None:
-        from robotctl.store.remote_store import RemoteStore
-
-        self.store: RemoteStore = RemoteStore(parse_url(root_url))
-        self.cure = (
-            "check the URL" if self.store.can_list else "name the file: a server lists no folders"
-        )
-        """What to do if something does not exist."""
-
-        self._known: dict[str, StoredObject | None] = {}
-        self._listed: dict[str, list[str]] = {}
-
-    def found(self, key: str) -> StoredObject | None:
-        """Return the object of that name; None if there is none."""
-        if key not in self._known:
-            listed = any(key.startswith(f"{prefix}/") for prefix in self._listed if prefix)
-            self._known[key] = None if listed else self._ask(key)
-        return self._known[key]
-
-    def below(self, prefix: str) -> list[str]:
-        """Return the names of the objects below a folder, sorted and without the folder's name."""
-        if prefix not in self._listed:
-            found = list(self.store.list(prefix)) if self.store.can_list else []
-            self._known |= {each.key: each for each in found}
-            skipped = len(prefix) + 1 if prefix else 0
-            self._listed[prefix] = sorted(each.key[skipped:] for each in found)
-        return self._listed[prefix]
-
-    def reader(self, key: str) -> RangeReader:
-        """Return a reader of an object.
-
-        Raises:
-            NoSuchObject: There is none of that name.
-        """
-        found = self.found(key)
-        if found is None:
-            raise NoSuchObject(f"{self.store.name}/{key} does not exist", self.cure)
-        return RangeReader(
-            found.size_bytes, lambda begin, end: self.store.start_range(found, begin, end)
-        )
-
-    def _ask(self, key: str) -> StoredObject | None:
-        try:
-            return self.store.head(key)
-        except NoSuchObject:
-            return None
+        return self._bucket.below(self._key)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from robotctl.printable import short_name
 from robotctl.store.store_errors import StoreError
@@ -20,6 +20,9 @@ class StoredObject:
     size_bytes: int
     etag: str
     """Changes with the content. It is no hash: its form is up to the store."""
+
+    modified_s: float = field(default=0.0, compare=False)
+    """When it was stored, since the epoch; a listing may tell more digits than the object."""
 
 
 def check_key(key: str) -> None:

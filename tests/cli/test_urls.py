@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -11,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.store.store_path import opened_bucket
+from robotctl.store.opened_bucket import opened_bucket
 from tests.cli.conftest import Ran
 from tests.support.faulty_bucket import FaultyBucket, serving
 
@@ -65,6 +66,24 @@ def test_a_folder_of_recordings_and_one_file_are_named_by_urls_too(
         (found,) = json.loads(cli("replay", "--check", url, "--json").out)["recordings"]
         assert found["events"] > 0
         assert (found["verdict"], found["events"]) == (here["verdict"], here["events"])
+
+
+def test_what_sync_has_collected_is_read_without_its_hashes(
+    cli: Cli, bucket: FaultyBucket, tmp_path: Path
+) -> None:
+    folder = tmp_path / "recordings" / "robot_20261122_041522"
+    shutil.copytree(STOPPED, folder)
+    assert cli("sync", "s3://robots/all", "--recordings", str(folder.parent)).exit_code == 0
+    assert not any(key.startswith("all/robot_20261122_041522/robot") for key in bucket.objects)
+    (file,) = folder.glob("*.mcap")
+    for here, url in (
+        (folder, "s3://robots/all/robot_20261122_041522"),
+        (file, f"s3://robots/all/robot_20261122_041522/{file.name}"),
+    ):
+        opened_bucket.cache_clear()
+        assert cli("info", url).out == cli("info", str(here)).out.replace(str(here), url)
+    (found,) = json.loads(cli("replay", "--check", "s3://robots/all", "--json").out)["recordings"]
+    assert found["path"] == "s3://robots/all/robot_20261122_041522"
 
 
 def test_a_web_server_gives_single_files(cli: Cli, bucket: FaultyBucket) -> None:
@@ -123,7 +142,7 @@ def test_failures_of_five_percent_change_no_check(cli: Cli, bucket: FaultyBucket
         opened_bucket.cache_clear()  # as another process would
         there = cli("replay", "--check", URL, "--all-bytes")
         assert there.out == here.out.replace(str(STOPPED), URL)
-    assert bucket.requests > 30
+    assert bucket.requests > 20
 
 
 def test_a_recording_that_is_replaced_during_a_check_is_told(

@@ -17,7 +17,7 @@ from xml.sax.saxutils import escape
 
 import pytest
 
-from robotctl.store.store_path import opened_bucket
+from robotctl.store.opened_bucket import opened_bucket
 from tests.support.s3_server import environment
 
 

@@ -1,0 +1,92 @@
+"""What this process knows of a bucket: it asks once, so that a command sees one state of it."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from typing import Final
+
+from robotctl.store.range_cache import RangeCache
+from robotctl.store.range_reader import RangeReader
+from robotctl.store.remote_store import RemoteStore
+from robotctl.store.store_errors import NoSuchObject
+from robotctl.store.stored_object import StoredObject
+from robotctl.store.url import parse_url
+
+_HASH_FOLDER: Final = re.compile(r"(?<![^/])[0-9a-f]{64}/")
+"""Of a collected file: RECORDING/SHA256/FILE."""
+
+
+@cache
+def opened_bucket(root_url: str) -> OpenedBucket:
+    """Return what is known of a bucket; every command of this process shares it."""
+    return OpenedBucket(root_url)
+
+
+class OpenedBucket:
+    """The objects of a bucket by their paths, which are their names without folders of hashes.
+
+    Of several objects with one path, it is the newest. If an object is replaced after it was found,
+    reading it is an error.
+    """
+
+    def __init__(self, root_url: str) -> None:
+        """Open it; nothing is asked yet.
+
+        Raises:
+            UsageError: The library is missing.
+        """
+        self._store = RemoteStore(parse_url(root_url))
+        self._known: dict[str, StoredObject | None] = {}
+        self._listed: dict[str, list[str]] = {}
+        self._readers: dict[str, RangeReader] = {}
+        self._cache = RangeCache()
+        self.cure = (
+            "check the URL" if self._store.can_list else "name the file: a server lists no folders"
+        )
+        """What to do if something does not exist."""
+
+    def found(self, path: str) -> StoredObject | None:
+        """Return the object at a path; None if there is none."""
+        if path not in self._known:
+            folder, _, name = path.rpartition("/")
+            listed = any(path.startswith(f"{prefix}/") for prefix in self._listed if prefix)
+            self._known[path] = None if listed else self._asked(path)
+            if self._known[path] is None and "." in name:  # perhaps below the folder of a hash
+                self.below(folder)
+        return self._known[path]
+
+    def below(self, folder: str) -> list[str]:
+        """Return the paths of the objects below a folder, sorted and without that folder."""
+        if folder not in self._listed:
+            found = list(self._store.list(folder)) if self._store.can_list else []
+            skipped = len(folder) + 1 if folder else 0
+            paths: dict[str, StoredObject] = {}
+            for each in sorted(found, key=lambda each: each.modified_s):
+                paths[_HASH_FOLDER.sub("", each.key[skipped:])] = each
+            self._listed[folder] = sorted(paths)
+            self._known |= {f"{folder}/{path}".lstrip("/"): each for path, each in paths.items()}
+        return self._listed[folder]
+
+    def reader(self, path: str) -> RangeReader:
+        """Return the reader of an object, which keeps some of what it has read.
+
+        Raises:
+            NoSuchObject: There is none.
+        """
+        if path not in self._readers:
+            found = self.found(path)
+            if found is None:
+                raise NoSuchObject(f"{self._store.name}/{path} does not exist", self.cure)
+            self._readers[path] = RangeReader(
+                found.size_bytes,
+                lambda begin, end: self._store.start_range(found, begin, end),
+                self._cache,
+            )
+        return self._readers[path]
+
+    def _asked(self, path: str) -> StoredObject | None:
+        try:
+            return self._store.head(path)
+        except NoSuchObject:
+            return None
