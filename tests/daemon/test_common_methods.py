@@ -25,4 +25,4 @@ async def test_the_loop_turns_between_the_parts_of_a_status() -> None:
     answer = await common_methods(source, asyncio.Event())[STATUS].handler(NoParams())
 
     assert answer == "answer from counts"
-    assert done == ["counts", "turn", "answer from counts", "turn"]
+    assert done == ["counts", "turn", "answer from counts"]

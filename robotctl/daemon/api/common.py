@@ -17,10 +17,8 @@ def common_methods(status: StatusSource, stop: asyncio.Event) -> dict[str, Metho
 
     async def get_status(_: NoParams) -> Status:
         stats = status.stats()
-        await asyncio.sleep(0)  # with 500 topics each part takes a part of a millisecond
-        answer = status.status(stats)
-        await asyncio.sleep(0)
-        return answer
+        await asyncio.sleep(0)  # with 500 topics that all change each half takes 0.3 ms
+        return status.status(stats)
 
     async def end(_: NoParams) -> Stopped:
         stop.set()

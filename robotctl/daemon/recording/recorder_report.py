@@ -6,11 +6,13 @@ import logging
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from typing import cast
 
 from robotctl.daemon.recording.loss_diagnosis import diagnose
 from robotctl.daemon.recording.topic_rates import HeavyTopics, RateMeter
+from robotctl.daemon.recording.topic_rows import TopicRows
 from robotctl.ipc.advice import for_robot
-from robotctl.ipc.answers import RecordingFacts
+from robotctl.ipc.answers import RecordingFacts, TopicAnswer
 from robotctl.recording import Recorder, RecorderStats
 from robotctl.recording.format.topics import by_topic
 from robotctl.recording.write.topic_filter import TopicFilter
@@ -40,6 +42,7 @@ class RecorderReport:
         self._problems = problems
         self._robot = robot
         self._rates = RateMeter()
+        self._rows = TopicRows()
         self._heavy = HeavyTopics()
         self._logged: set[str] = set()
         self._logged_memory = False
@@ -51,22 +54,8 @@ class RecorderReport:
     def facts(self, stats: RecorderStats) -> RecordingFacts:
         """Return the recording's part of the status."""
         return {
-            "topics": [
-                {
-                    "name": topic.name,
-                    "type": topic.type_name,
-                    "count": topic.received,
-                    "rate": self._rates.rate((topic.name, topic.type_name)),
-                    "bytes": topic.bytes,
-                    "written": topic.written,
-                    "queued": topic.queued,
-                    "dropped": topic.dropped,
-                    "lost": topic.lost,
-                    "throttled": topic.throttled,
-                    "unseen": topic.unseen,
-                }
-                for topic in sorted(by_topic(stats.topics), key=lambda t: (t.name, t.type_name))
-            ],
+            # In JSON already, which the encoder of the answer takes as it is.
+            "topics": cast(list[TopicAnswer], self._rows.encoded(stats.topics, self._rates.rates)),
             "recorder": {
                 "state": stats.state.value,
                 "file": str(stats.file),

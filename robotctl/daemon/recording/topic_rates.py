@@ -23,21 +23,19 @@ class RateMeter:
 
     def __init__(self) -> None:
         self._counts: Mapping[TopicKey, int] = {}
-        self._rates: dict[TopicKey, float] = {}
+        self.rates: Mapping[TopicKey, float] = {}
+        """The latest rates; another object after each sample."""
+
         self._t_ns = 0
 
     def sample(self, t_ns: int, counts: Mapping[TopicKey, int]) -> None:
         """Add the counts at steady time `t_ns`."""
         hundredths = 100 * NS_PER_S / (t_ns - self._t_ns)
-        self._rates = {
+        self.rates = {
             topic: round((count - self._counts.get(topic, 0)) * hundredths) / 100
             for topic, count in counts.items()
         }
         self._counts, self._t_ns = counts, t_ns
-
-    def rate(self, topic: TopicKey) -> float:
-        """Return the latest rate, 0 before the first."""
-        return self._rates.get(topic, 0.0)
 
 
 class HeavyTopics:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from operator import attrgetter
 from typing import Final
@@ -42,3 +42,22 @@ def total(counts: Iterable[MessageCounts]) -> dict[str, int]:
     """Return the sum of each counter, by name."""
     sums = map(sum, zip(*map(_values, counts), strict=True))
     return dict(zip(COUNTERS, sums, strict=False)) or dict.fromkeys(COUNTERS, 0)
+
+
+class RunningTotal:
+    """The sum of counts of which most are the same objects as at the last sum."""
+
+    def __init__(self) -> None:
+        self._counts: Sequence[MessageCounts] = ()
+        self._sums = dict.fromkeys(COUNTERS, 0)
+
+    def of(self, counts: Sequence[MessageCounts]) -> dict[str, int]:
+        """Return the sum of each counter, by name, as `total` does."""
+        before, self._counts = self._counts, counts
+        changes = [(old, new) for old, new in zip(before, counts, strict=False) if old is not new]
+        if len(counts) != len(before) or 2 * len(changes) > len(counts):
+            self._sums = total(counts)
+        elif changes:
+            gone, come = (total(side) for side in zip(*changes, strict=True))
+            self._sums = {name: self._sums[name] - gone[name] + come[name] for name in COUNTERS}
+        return self._sums

@@ -72,8 +72,12 @@ class ChannelState:
     dropped_by_writer: int = 0
     """Changed by the writer thread: taken from the queue, but not written."""
 
+    _last: TopicStats = field(init=False)
+    """The last copy of the counts that `stats` returned."""
+
     def __post_init__(self) -> None:
         """Set `expected`, and `latched` if the topic is latched."""
+        self._last = TopicStats(name=self.topic.name, type_name=self.topic.type_name)
         self.expected = self.gaps.expected
         self.latched = {} if self.topic.latched else None
 
@@ -119,7 +123,24 @@ class ChannelState:
         return received == self.written + self.dropped_by_writer + self.dropped_by_loop
 
     def stats(self) -> TopicStats:
-        """Return a copy in which the counts agree."""
+        """Return a copy in which the counts agree; the last one if none has changed.
+
+        For the loop, whose own changes have ended then: it changes the other counts together with
+        `received` or `throttled`.
+        """
+        last = self._last
+        if (
+            self.written != last.written
+            or self.received != last.received
+            or self.dropped_by_loop + self.dropped_by_writer != last.dropped
+            or self.throttled != last.throttled
+            or self.not_kept + self.not_repeated != last.not_repeated
+        ):
+            last = self._last = self.new_stats()
+        return last
+
+    def new_stats(self) -> TopicStats:
+        """Return a copy in which the counts agree, for any thread."""
         written, dropped = self.written, self.dropped_by_loop + self.dropped_by_writer
         received = self.received  # read last, so that queued is never negative
         queued, not_repeated = received - written - dropped, self.not_kept + self.not_repeated

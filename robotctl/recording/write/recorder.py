@@ -17,7 +17,7 @@ from mcap.opcode import Opcode
 from robotctl.errors import Refused
 from robotctl.recording.disk.storage import Buffer
 from robotctl.recording.format.events import RecordedEvent
-from robotctl.recording.format.message_counts import total
+from robotctl.recording.format.message_counts import RunningTotal
 from robotctl.recording.format.records import (
     MAX_SEQUENCE,
     MAX_TIME_NS,
@@ -70,6 +70,7 @@ class Recorder:
         options = options or RecorderOptions()
         self._channels: list[ChannelState] = []
         self._channel_of: dict[Topic, int] = {}
+        self._total = RunningTotal()
         self._closed = False
         self._chunk_bytes = options.chunk_bytes
         self._memory_bytes = options.memory_bytes
@@ -171,13 +172,16 @@ class Recorder:
         self._thread.queue.put(event)
 
     def stats(self) -> RecorderStats:
-        """Return the counts at this instant."""
-        topics = tuple(state.stats() for state in list(self._channels))
+        """Return the counts at this instant; those of a topic are one object until they change.
+
+        Call it in the loop's thread.
+        """
+        topics = tuple([state.stats() for state in self._channels])
         return RecorderStats(
             state=self._state(),
             file=self._writer.path,
             bytes=self._writer.size,
-            **total(topics),
+            **self._total.of(topics),
             no_memory=self._no_memory + self._thread.no_memory,
             failure=self._thread.failure,
             warning=self._writer.warning,

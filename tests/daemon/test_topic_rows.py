@@ -1,0 +1,82 @@
+"""The rows of `status` are those of the counts, and only what changed is encoded again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from robotctl.daemon.recording.topic_rows import TopicRows
+from robotctl.recording import Recorder, Topic
+from robotctl.recording.format.message_counts import RunningTotal, total
+from robotctl.recording.format.topics import TopicStats
+
+GID = bytes(16)
+RATE = {("/b", "T"): 2.5}
+
+
+def decoded(rows: list[msgspec.Raw]) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = msgspec.json.decode(msgspec.json.encode(rows))
+    return found
+
+
+def test_the_channels_of_a_topic_are_one_row_and_rows_are_sorted() -> None:
+    topics = (
+        TopicStats(received=3, written=2, queued=1, name="/b", type_name="T", bytes=30),
+        TopicStats(received=5, dropped=5, lost=2, unseen=1, name="/a", type_name="T", bytes=50),
+        TopicStats(received=1, written=1, throttled=4, name="/b", type_name="T", bytes=10),
+        TopicStats(name="/a", type_name="S"),
+    )
+    rows = decoded(TopicRows().encoded(topics, RATE))
+    assert [(row["name"], row["type"], row["rate"]) for row in rows] == [
+        ("/a", "S", 0.0),
+        ("/a", "T", 0.0),
+        ("/b", "T", 2.5),
+    ]
+    assert rows[1] | {"count": 5, "dropped": 5, "lost": 2, "unseen": 1, "bytes": 50} == rows[1]
+    assert rows[2] | {"count": 4, "written": 3, "queued": 1, "throttled": 4, "bytes": 40} == rows[2]
+
+
+def test_a_row_follows_its_counts_its_rate_and_new_topics() -> None:
+    rows = TopicRows()
+    still, moving = TopicStats(1, name="/a", type_name="T"), TopicStats(name="/b", type_name="T")
+    first = rows.encoded((still, moving), {})
+    moving = TopicStats(received=7, name="/b", type_name="T")
+    second = rows.encoded((still, moving), {})
+    assert second[0] is first[0]
+    assert decoded(second)[1]["count"] == 7
+    assert decoded(rows.encoded((still, moving), RATE))[1]["rate"] == 2.5
+    more = rows.encoded((still, moving, TopicStats(name="/aa", type_name="T")), RATE)
+    assert [(row["name"], row["rate"]) for row in decoded(more)] == [
+        ("/a", 0.0),
+        ("/aa", 0.0),
+        ("/b", 2.5),
+    ]
+
+
+def test_a_running_total_is_the_sum() -> None:
+    running = RunningTotal()
+    counts = [TopicStats(received=number, lost=1, throttled=number % 3) for number in range(100)]
+    for changed in (0, 3, 0, 60, 1):
+        counts[:changed] = [TopicStats(received=each.received + 2) for each in counts[:changed]]
+        assert running.of(tuple(counts)) == total(counts)
+    counts.append(TopicStats(written=9))
+    assert running.of(tuple(counts)) == total(counts)
+    assert running.of(()) == total(())
+
+
+def test_the_counts_of_a_topic_are_the_same_object_until_one_changes(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
+    quiet, busy = (recorder.add_topic(Topic(name, "T")) for name in ("/quiet", "/busy"))
+    recorder.write(quiet, b"data", 1, 1, 0, GID)
+    recorder.close()
+    before = recorder.stats().topics
+    assert recorder.stats().topics[quiet] is before[quiet]
+    recorder.write(busy, b"data", 1, 1, 5, GID)
+    after = recorder.stats()
+    assert after.topics[quiet] is before[quiet]
+    assert (after.topics[busy].received, after.topics[busy].dropped) == (1, 1)
+    recorder.leave_out(busy, 1, 6, GID)
+    assert recorder.stats().topics[busy].throttled == 1
