@@ -13,6 +13,7 @@ from itertools import repeat
 from typing import NamedTuple
 
 from robotctl.errors import UnreadableFile
+from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.types import OdomReceived
 from robotctl.recording import Recording
 from robotctl.recording.format.journal import EntryKind, JournalEntry, is_snapshot
@@ -33,6 +34,10 @@ MAX_UNUSED = 1000
 
 BYTES = -1
 """The number of the job that reads every byte of a recording, instead of pieces."""
+
+_SNAPSHOT = f"{Snapshot.__name__}\0".encode()
+"""The name in the entry of a snapshot. Before a piece, places without it are passed over, which
+saves a sixth of the time."""
 
 MAX_STEPS = 512
 """How many steps are re-run at once."""
@@ -56,7 +61,11 @@ def confirmed_pieces(
     piece: _Piece | None = None
     place, number, is_beyond = begin, -1, False
     start = Position(*begin, -1)
-    for spot, messages in recording.messages_from(topic, begin):
+
+    def may_matter(records: bytes) -> bool:
+        return piece is not None or _SNAPSHOT in records
+
+    for spot, messages in recording.messages_from(topic, begin, may_matter):
         if spot is not place:
             place, number = spot, -1
             is_beyond = end is not None and spot >= end

@@ -21,6 +21,7 @@ from robotctl.kernel.geometry import Pose
 from robotctl.kernel.types import Event, Odometry, OdomReceived, Twist
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording
+from robotctl.recording.format.journal import is_snapshot
 from robotctl.recording.read.journal_reader import journal_topic
 from robotctl.recording.read.spots import Spot
 from robotctl.rerun import check as check_module
@@ -177,6 +178,18 @@ def test_a_process_that_cannot_be_started_changes_nothing(
     assert told(recording, processes=2) == told(recording)
     assert confirmed
     assert not any(confirmed)
+
+
+def test_only_places_that_may_begin_a_piece_are_searched_for_one(recording: Path) -> None:
+    with Recording(recording) as opened:
+        topic = journal_topic(opened.info())
+        assert topic is not None
+        spots = [spot for spot, _ in opened.spots(topic)]
+        nothing = list(opened.messages_from(topic, spots[0], lambda records: False))
+        places = opened.messages_from(topic, spots[0], lambda records: b"Snapshot\0" in records)
+        entries = [message.data for _, messages in places for message in messages or ()]
+    assert nothing == [(spot, []) for spot in spots]
+    assert sum(map(is_snapshot, entries)) == 6  # the last one ends the recording
 
 
 class _StandingChild:

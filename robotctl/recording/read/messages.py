@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -134,14 +134,18 @@ class PlaceReader:
             content = self._decompressor.decompress(content)
         return Message(*self._names[channel], content, log_ns, publish_ns, sequence)
 
-    def as_written(self) -> Iterator[list[Message]]:
+    def as_written(
+        self, is_wanted: Callable[[bytes], bool] = lambda records: True
+    ) -> Iterator[list[Message]]:
         """Yield all messages in file order, many at once, without `load`.
+
+        None, if the place is not wanted for its records.
 
         Raises:
             Damaged: After the last message, if some are missing.
         """
-        names = self._names
-        for contents in self._contents():
+        names, data = self._names, self._read()
+        for contents in self._contents(data) if is_wanted(data) else ():
             yield [
                 _new(Message, (*names[channel], content, log_ns, publish_ns, sequence))
                 for (_, _, channel, sequence, log_ns, publish_ns), content in contents
@@ -149,17 +153,16 @@ class PlaceReader:
 
     def plain_messages(self) -> Iterator[PlainMessage]:
         """Yield messages as `as_written` does, one by one, with the channel's number."""
-        for contents in self._contents():
+        for contents in self._contents(self._read()):
             for (_, _, channel, sequence, log_ns, publish_ns), content in contents:
                 yield channel, content, log_ns, publish_ns, sequence
 
-    def _contents(self) -> Iterator[list[tuple[RecordHead, bytes]]]:
+    def _contents(self, data: bytes) -> Iterator[list[tuple[RecordHead, bytes]]]:
         """Yield head and content of the selected messages, many at once.
 
         Raises:
             Damaged: After the last message, if some are missing.
         """
-        data = self._read()
         failure: Damaged | None = None
         for wanted in self._wanted(data):
             contents = [

@@ -213,11 +213,15 @@ class Recording:
         """Return the places that may hold messages of a topic, with their bytes, in file order."""
         return spots_of(self._files, topic)
 
-    def messages_from(self, topic: str, begin: Spot) -> Iterator[tuple[Spot, list[Message] | None]]:
+    def messages_from(
+        self, topic: str, begin: Spot, is_wanted: Callable[[bytes], bool]
+    ) -> Iterator[tuple[Spot, list[Message] | None]]:
         """Yield the messages of a topic in file order from a place on, many at once, with their
         place; None for what is lost.
+
+        Each place is told; it yields messages only if `is_wanted(records)`.
         """
-        return messages_from(self._files, topic, begin)
+        return messages_from(self._files, topic, begin, is_wanted)
 
     def _open(self, path: Path, *, only: bool, on_progress: Callable[[int, int], None]) -> None:
         try:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 from robotctl.recording.read.damage import Damaged
@@ -26,11 +26,12 @@ def spots_of(files: Sequence[OpenFile], topic: str) -> list[tuple[Spot, int]]:
 
 
 def messages_from(
-    files: Sequence[OpenFile], topic: str, begin: Spot
+    files: Sequence[OpenFile], topic: str, begin: Spot, is_wanted: Callable[[bytes], bool]
 ) -> Iterator[tuple[Spot, list[Message] | None]]:
     """Yield the messages of a topic in file order, from a place on: many at once, and their place.
 
-    None stands for what cannot be read.
+    None stands for what cannot be read. A place is passed over, and yields no messages, unless
+    `is_wanted(records)`.
     """
     for number, file in enumerate(files):
         for reader in place_readers([file], {topic}, ALWAYS):
@@ -38,7 +39,8 @@ def messages_from(
             if spot < begin:
                 continue
             try:
-                for messages in reader.as_written():
+                yield spot, []
+                for messages in reader.as_written(is_wanted):
                     yield spot, messages
             except Damaged:
                 yield spot, None
