@@ -108,8 +108,8 @@ def cure_of(remedy: Remedy, robot: str) -> str:
             return f"activate it: {activate} (configure comes first; finalized is for good)"
         case Remedy.START_BASE:
             return (
-                "start the robot's base before robotctl, and check command.topic and "
-                "command.stamped"
+                "start the robot's base; if it runs, start robotctl again (it chooses Twist or "
+                "TwistStamped at its start), or check command.topic and command.stamped"
             )
         case Remedy.ASK_HERE:
             return "ask on the robot's own computer, or start with remote_motion: true"

@@ -15,6 +15,7 @@ from robotctl.end_signals import end_signals
 from robotctl.errors import UsageError
 from robotctl.processes import pidfd_of
 from robotctl.view.admission import Admission, new_token
+from robotctl.view.loop_failures import LoopFailures
 from robotctl.view.view_job import LiveTarget, ViewJob
 from robotctl.view.view_server import ViewServer
 
@@ -33,6 +34,7 @@ async def serve(job: ViewJob, report: Report, at_end: ExitStack) -> None:
     Raises:
         RobotctlError: The view cannot be served; the text says why.
     """
+    asyncio.get_running_loop().set_exception_handler(LoopFailures().handle)
     view = Serving(job, report)
     if job.live is not None:
         await view.show_domain(job.live, at_end)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import pytest
 from geometry_msgs.msg import TwistStamped
 from rclpy.serialization import deserialize_message
 
@@ -68,6 +69,28 @@ def test_a_robot_that_wants_another_type_of_command_is_not_driven_blind(
     refused = world.here("drive", "square")
     assert refused.exit_code == 4
     assert wanted in refused.err
+    assert "if it runs, start robotctl again" in refused.err
     another("take_commands", kind="Twist")
+    until(lambda: world.here("set-mode", "moving").exit_code == 0)
+    world.ok("stop")
+
+
+@pytest.mark.slow
+def test_a_base_that_starts_after_robotctl_is_driven_as_its_refusal_says(
+    world: World, new_peer: Callable[[World], Peer]
+) -> None:
+    peer = new_peer(world)
+    peer("measure", x=0.0)
+    settings = world.folder / "late.yaml"
+    settings.write_text(f'{PATIENT}battery.topic: ""\n')
+    start = ("start", "--no-sim", "--config", str(settings))
+    world.ok(*start)
+    peer("take_commands", kind="TwistStamped")
+    until(lambda: any(STAMPED in each for each in world.status()["warnings"]))
+    refused = world.here("set-mode", "moving")
+    assert refused.exit_code == 4
+    assert "if it runs, start robotctl again" in refused.err
+    world.ok("stop")
+    world.ok(*start)
     until(lambda: world.here("set-mode", "moving").exit_code == 0)
     world.ok("stop")

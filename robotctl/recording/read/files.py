@@ -16,6 +16,8 @@ from robotctl.store.store_path import open_file
 SQLITE_SUFFIX = ".db3"
 """Suffix of the files of rosbag2's sqlite3 storage."""
 
+DENIED_CURE = "run this as its owner, or record with recording.group_readable: true"
+
 _FILES_OF_RECORDINGS = (
     *("*.mcap", f"*.mcap{SUFFIX}", f"*{SQLITE_SUFFIX}*", METADATA_FILE),
     "*/*.mcap",
@@ -33,8 +35,7 @@ def recording_files(path: Path) -> list[Path]:
         mode = path.stat().st_mode
         found = files_of_bag(path) if S_ISDIR(mode) else [path]
     except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else None
-        raise UnreadableFile(f"{path} cannot be read: {reason or error}") from error
+        raise UnreadableFile(f"{path} cannot be read: {reason_of(error)}") from error
     if not (S_ISDIR(mode) or S_ISREG(mode)):
         raise UnreadableFile(f"{path} is not a file", "give an MCAP file or a recording's folder")
     if path.suffix == SQLITE_SUFFIX or (not found and any(path.glob(f"*{SQLITE_SUFFIX}*"))):
@@ -45,6 +46,12 @@ def recording_files(path: Path) -> list[Path]:
     if not found:
         raise UnreadableFile(f"{path} holds no .mcap file")
     return found
+
+
+def reason_of(error: OSError | ValueError) -> str:
+    """Return why a file cannot be read, with the cure where this user may not read it."""
+    reason = getattr(error, "strerror", None) or str(error) or repr(error)
+    return f"{reason} ({DENIED_CURE})" if isinstance(error, PermissionError) else reason
 
 
 def is_recording(path: Path) -> bool:
@@ -73,9 +80,12 @@ def files_of_bag(folder: Path) -> list[Path]:
     Raises:
         OSError: The folder cannot be listed.
     """
-    files = list(folder.glob("*.mcap"))
+    entries = list(folder.iterdir())  # unlike glob, it raises where the user may not list
+    files = [path for path in entries if path.name.endswith(".mcap")]
     names = {path.name for path in files}
-    packed = [path for path in folder.glob(f"*.mcap{SUFFIX}") if path.stem not in names]
+    packed = [
+        path for path in entries if path.name.endswith(f".mcap{SUFFIX}") and path.stem not in names
+    ]
     return sorted([*files, *packed], key=natural_order)
 
 

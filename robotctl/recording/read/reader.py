@@ -20,7 +20,7 @@ from robotctl.recording.format.type_names import type_name_of
 from robotctl.recording.read.count_check import find_shortfalls
 from robotctl.recording.read.damage import Damaged
 from robotctl.recording.read.file_index import note_missing
-from robotctl.recording.read.files import absent_files, recording_files
+from robotctl.recording.read.files import absent_files, reason_of, recording_files
 from robotctl.recording.read.indexing import index_of
 from robotctl.recording.read.info import RecordingInfo, describe, metadata_in
 from robotctl.recording.read.lookback import last_before
@@ -227,7 +227,7 @@ class Recording:
         try:
             file = InputFile(path, on_progress, self._source)
         except OSError as error:
-            self._give_up(path, error.strerror or repr(error), only=only)
+            self._give_up(path, reason_of(error), only=only)
             return
         except Damaged as damage:
             self._give_up(path, str(damage), only=only)

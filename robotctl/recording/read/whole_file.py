@@ -36,6 +36,7 @@ from robotctl.recording.read.file_end import (
     find_end,
     forget_unlisted_chunk,
 )
+from robotctl.recording.read.files import reason_of
 from robotctl.recording.read.flaws import Flaws
 from robotctl.recording.read.mcap_input import RECORD_HEAD, InputFile, parse
 from robotctl.recording.read.single_flip import find_flip
@@ -111,7 +112,7 @@ def read_whole_file(
         with InputFile(path, on_progress) as file:
             return check_bytes(file, on_progress)
     except OSError as error:
-        raise UnreadableFile(f"{path} cannot be read: {error.strerror or error!r}") from error
+        raise UnreadableFile(f"{path} cannot be read: {reason_of(error)}") from error
     except Damaged as damage:
         raise UnreadableFile(f"{path} cannot be read: {damage}") from damage
 
