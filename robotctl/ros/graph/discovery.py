@@ -12,12 +12,11 @@ from rclpy.node import Node
 from robotctl.domains import is_on_this_machine_only, participants_here
 from robotctl.ros.graph import endpoints, introductions
 from robotctl.ros.graph.introductions import (
-    PROCESS_BYTES,
     Introduction,
     IntroductionReader,
     IntroductionWriter,
 )
-from robotctl.ros.graph.publishers import gid_of
+from robotctl.ros.graph.publishers import PROCESS_BYTES, gid_of
 
 _POLL_S: Final = 0.005
 _ACKNOWLEDGED_POLL_S: Final = 0.001

@@ -15,14 +15,11 @@ from rclpy.node import Node
 
 from robotctl.cdr.reader import CdrReader
 from robotctl.ros.executor import RclCallFailed, rcutils
+from robotctl.ros.graph.publishers import PROCESS_BYTES
 from robotctl.ros.graph.rmw_structs import GID_BYTES, PublisherOptions, Qos, SubscriptionOptions
 from robotctl.ros.graph.rmw_structs import Time as RmwTime
 
 TOPIC: Final = "ros_discovery_info"
-
-PROCESS_BYTES: Final = 12
-"""Length of the gid prefix that all endpoints of a process share (DDSI-RTPS 2.5, 8.2.4.1,
-GuidPrefix_t)."""
 
 _TYPE: Final = "rmw_dds_common__msg__ParticipantEntitiesInfo"
 _READ_DEPTH: Final = 1000

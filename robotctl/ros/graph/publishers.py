@@ -23,6 +23,13 @@ TOOL_NODES = (LOOK_NODE, "_ros2cli_")
 UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
 """The node name that rmw reports for a publisher discovered before its node."""
 
+PROCESS_BYTES = 12
+"""Length of the gid prefix that all endpoints of a process share (DDSI-RTPS 2.5, 8.2.4.1,
+GuidPrefix_t)."""
+
+_OF_EVERY_NODE = "/parameter_events"
+"""A topic on which each node publishes from its beginning."""
+
 
 def gid_of(publisher: Publisher) -> bytes:
     """Return the gid that messages of this publisher carry.
@@ -42,6 +49,23 @@ def gid_of(publisher: Publisher) -> bytes:
 def publisher_names(node: Node, topic: str) -> dict[bytes, str]:
     """Return the node of each publisher of a topic as gid -> full name, "" where unknown."""
     return {each.gid: full_name(each) for each in endpoints.publishers(node, topic)}
+
+
+def node_of(node: Node, topic: str, gid: bytes) -> str:
+    """Return the full name of the node with this publisher of a topic, "" where unknown.
+
+    A message may come before its publisher is announced. Its process is known by then: if that has
+    one node, the publisher is that node's.
+    """
+    name = publisher_names(node, topic).get(gid, "")
+    if name:
+        return name
+    of_process = {
+        name
+        for other, name in publisher_names(node, _OF_EVERY_NODE).items()
+        if name and other[:PROCESS_BYTES] == gid[:PROCESS_BYTES]
+    }
+    return of_process.pop() if len(of_process) == 1 else ""
 
 
 def full_name(endpoint: endpoints.Endpoint) -> str:

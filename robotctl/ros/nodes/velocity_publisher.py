@@ -13,7 +13,7 @@ from robotctl.kernel.types import ZERO, Twist
 from robotctl.printable import short_name
 from robotctl.ros.executor import RawTap
 from robotctl.ros.graph import endpoints
-from robotctl.ros.graph.publishers import TOOL_NODES, full_name, gid_of, publisher_names
+from robotctl.ros.graph.publishers import TOOL_NODES, full_name, gid_of, node_of
 from robotctl.ros.messages import qos
 from robotctl.ros.messages.command_type import PLAIN, CommandType
 from robotctl.ros.messages.no_events import NO_SUBSCRIPTION_EVENTS
@@ -118,7 +118,7 @@ class VelocityPublisher:
 
     def name_of(self, gid: bytes) -> str:
         """Return the name of the node whose commands carry this gid, "" where unknown."""
-        return publisher_names(self._node, self.topic).get(gid, "")
+        return node_of(self._node, self.topic, gid)
 
     def publish(self, twist: Twist) -> None:
         """Send the command; zero while the gate is closed."""
