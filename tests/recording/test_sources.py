@@ -14,7 +14,9 @@ import pytest
 from robotctl.recording import Recorder, RecorderOptions, Recording, Topic
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
+from robotctl.store.store_path import path_of
 from robotctl.testing.drives import GID, JOURNAL, ODOMETRY, TWIST, drive, record
+from tests.support.faulty_bucket import StoredFile, serving
 
 CAMERA = Topic("/camera", "sensor_msgs/msg/CompressedImage")
 IMAGE = random.Random(1).randbytes(300_000)
@@ -143,6 +145,18 @@ def test_a_check_reads_only_a_small_part_of_a_recording_with_images(
     """This one has 20 s; with the minutes of a real one, the share of the index gets smaller."""
     check_recording(Path("remote.mcap"), source=HttpSource(server.url))
     assert server.sent < 0.01 * recorded.stat().st_size
+
+
+def test_a_check_of_a_store_reads_a_small_part_and_many_ranges_at_once(
+    recorded: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with serving(monkeypatch) as bucket:
+        bucket.objects["run.mcap"] = StoredFile(recorded)
+        bucket.latency_s = 0.005
+        report = check_recording(path_of("s3://robots/run.mcap"))
+    assert (report.verdict, report.missing) == (Verdict.SAME, [])
+    assert bucket.sent_bytes < 0.01 * recorded.stat().st_size
+    assert bucket.most_at_once >= 8
 
 
 def test_without_a_server_the_recording_cannot_be_read(recorded: Path, server: RangeServer) -> None:

@@ -74,11 +74,11 @@ def test_what_is_expected_is_under_way_before_it_is_read() -> None:
     served = Served(100 * MIB)
     reader = reader_of(served)
     reader.expect((offset, 2000) for offset in range(MIB, 90 * MIB, MIB))
-    assert len(served.asked) == 16
+    assert len(served.asked) == 32
     for number, offset in enumerate(range(MIB, 90 * MIB, MIB), 1):
         reader.read(offset, 90)
         reader.read(offset + 90, 1910)
-        assert len(served.asked) == min(number + 16, 89)
+        assert len(served.asked) == min(number + 32, 89)
 
 
 def test_expected_ranges_that_are_near_are_one_request_and_large_ones_several() -> None:

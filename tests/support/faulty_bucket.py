@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from hashlib import md5
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
 from typing import Protocol
 from urllib.parse import parse_qs, unquote, urlsplit
 from xml.sax.saxutils import escape
@@ -40,6 +41,25 @@ class Stored(bytes):
         return md5(self, usedforsecurity=False).hexdigest()
 
 
+@dataclass(frozen=True, slots=True)
+class StoredFile:
+    """The bytes of a file, which need not fit into memory."""
+
+    path: Path
+
+    @property
+    def etag(self) -> str:
+        return str(self.path.stat().st_mtime_ns)
+
+    def __len__(self) -> int:
+        return self.path.stat().st_size
+
+    def __getitem__(self, piece: slice) -> bytes:
+        with self.path.open("rb") as file:
+            file.seek(piece.start)
+            return file.read(piece.stop - piece.start)
+
+
 @dataclass
 class FaultyBucket:
     """The bucket `robots`; all fields may be changed while it serves."""
@@ -60,6 +80,10 @@ class FaultyBucket:
     """Called with method and key before each answer; a returned number is its HTTP status."""
 
     requests: int = 0
+    at_once: int = 0
+    most_at_once: int = 0
+    """Requests that waited for their answer at the same time."""
+
     sent_bytes: int = 0
     seed: int = 1
 
@@ -154,7 +178,11 @@ class _Handler(BaseHTTPRequestHandler):
         with bucket.lock:
             bucket.requests += 1
             failing = bucket.chance.random() < bucket.failing_share
+            bucket.at_once += 1
+            bucket.most_at_once = max(bucket.most_at_once, bucket.at_once)
         time.sleep(bucket.latency_s)
+        with bucket.lock:
+            bucket.at_once -= 1
         status = bucket.before(bucket, self.command, key)
         if status is None and failing:
             status = 503
