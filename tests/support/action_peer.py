@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import rclpy
@@ -43,9 +44,9 @@ class Peer:
             told = message.feedback
             feedback.append((told.distance, told.lap, told.cross_track_error))
 
-        future = self.client.send_goal_async(_goal(goal), feedback_callback=keep)
-        until(future.done)
-        handle = future.result()
+        handle = self._answer(
+            lambda: self.client.send_goal_async(_goal(goal), feedback_callback=keep)
+        )
         if not handle.accepted:
             return -1
         self.sent.append(handle)
@@ -58,15 +59,11 @@ class Peer:
 
     def cancel(self, number: int) -> int:
         """Cancel a goal; return the number of goals that are cancelled."""
-        future = self.sent[number].cancel_goal_async()
-        until(future.done)
-        return len(future.result().goals_canceling)
+        return len(self._answer(self.sent[number].cancel_goal_async).goals_canceling)
 
     def result(self, number: int) -> dict[str, Any]:
         """Wait for the result of a goal."""
-        future = self.sent[number].get_result_async()
-        until(future.done)
-        response = future.result()
+        response = self._answer(self.sent[number].get_result_async)
         fields = response.result.get_fields_and_field_types()
         values = {name: getattr(response.result, name) for name in fields}
         return {"status": STATUS[response.status], **values}
@@ -74,13 +71,31 @@ class Peer:
     def begin_flood(self, count: int) -> None:
         """Send many goals at once."""
         assert self.client.wait_for_server(DEADLINE_S), "no such action"
-        self.flood = [self.client.send_goal_async(_goal({})) for _ in range(count)]
+        self.flood = self._in_executor(
+            lambda: [self.client.send_goal_async(_goal({})) for _ in range(count)]
+        )
 
     def end_flood(self) -> dict[str, int]:
         """Wait until all goals of the flood are answered; return how many and how."""
         until(lambda: all(each.done() for each in self.flood))
         answers = [each.result().accepted for each in self.flood]
         return {"answered": len(answers), "accepted": sum(answers)}
+
+    def _answer(self, ask: Callable[[], Any]) -> Any:
+        future = self._in_executor(ask)
+        until(future.done)
+        return future.result()
+
+    def _in_executor(self, ask: Callable[[], Any]) -> Any:
+        """Call `ask` in the thread of the executor.
+
+        rclpy notes a request after it was sent: elsewhere the answer may come before, and is lost.
+        """
+        executor = self.node.executor
+        assert executor is not None
+        asked = executor.create_task(ask)
+        until(asked.done)
+        return asked.result()
 
 
 def _goal(values: dict[str, Any]) -> Any:
