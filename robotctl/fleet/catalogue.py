@@ -8,15 +8,16 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 from robotctl.errors import Refused
-from robotctl.fleet.database import file_of, parquet, text, write_parquet
-from robotctl.fleet.index_file import files_of, index_path, stamp_of, table_columns
+from robotctl.fleet.catalogue_file import write_catalogue
+from robotctl.fleet.database import file_of
+from robotctl.fleet.index_file import files_of, index_path, stamp_of
 from robotctl.fleet.indexing import Failures, closed_files, index_recordings
 from robotctl.fleet.stamps import stamps_in, stamps_of_each
 from robotctl.printable import printable
@@ -81,7 +82,7 @@ def catalogue_of(
         indexes = tuple(index_path(each) for each in stamps if each not in failures)
         if fresh or len(kept) < len(known) or not before:
             elsewhere = Path(stack.enter_context(tempfile.TemporaryDirectory()), CATALOGUE_NAME)
-            path = _write((path, elsewhere), before if kept else None, kept, fresh)
+            path = write_catalogue((path, elsewhere), before if kept else None, kept, fresh)
         yield Catalogue(path, indexes, tuple(left_out), failures)
 
 
@@ -139,31 +140,3 @@ def _stamps(folder: Path, known: dict[str, str]) -> tuple[dict[Path, str], list[
 
 def _left_out(recording: Path, reason: str) -> str:
     return f"{printable(recording.name)} is left out: {reason}"
-
-
-def _write(
-    targets: Iterable[Path], before: str | None, kept: Collection[str], indexes: Sequence[Path]
-) -> Path:
-    """Write a catalogue: of the one before, the recordings `kept`, and the indexes.
-
-    Returns the first of `targets` that can be written.
-    """
-    parts = []
-    if before is not None:
-        names = ", ".join(map(text, kept))
-        parts.append(f"SELECT * FROM {parquet([before])} WHERE recording IN ({names})")
-    if indexes:
-        parts.append(f"SELECT * FROM {parquet(indexes)} WHERE kind <> 'sample'")
-    if not parts:
-        columns = ", ".join(f'NULL::{kind} AS "{key}"' for key, kind in table_columns().items())
-        parts.append(f"SELECT {columns} WHERE false")
-    sources: list[Path | str] = [*indexes, *([] if before is None else [before])]
-    failure = ""
-    for target in targets:
-        try:
-            write_parquet(target, " UNION ALL ".join(parts), sources)
-        except OSError as error:
-            failure = f"cannot write {target}: {error.strerror or error}"
-        else:
-            return target
-    raise Refused(failure)

@@ -53,18 +53,17 @@ def stamp_of(files: Iterable[Path]) -> str:
     return f"{LAYOUT}-{hashlib.sha256(repr(listed).encode()).hexdigest()[:32]}"
 
 
-def write_index(recording: Path, rows: Sequence[IndexRow], stamp: str) -> Path:
-    """Write the index of a recording and return its path.
+def write_index(target: Path, recording: str, rows: Sequence[IndexRow], stamp: str) -> None:
+    """Write the index of a recording of that name.
 
     Raises:
         Refused: It cannot be written.
         UsageError: duckdb is not installed.
     """
-    target = index_path(recording)
     columns = ", ".join(f"{name(key)}: {text(kind)}" for key, kind in table_columns().items())
     try:
         with TemporaryFile() as file:
-            file.writelines(_lines(rows, {"stamp": stamp, "recording": recording.name}))
+            file.writelines(_lines(rows, {"stamp": stamp, "recording": recording}))
             file.flush()
             lines = file_of(file)
             query = (
@@ -74,7 +73,6 @@ def write_index(recording: Path, rows: Sequence[IndexRow], stamp: str) -> Path:
             write_parquet(target, query, [lines], ", PARQUET_VERSION v2")
     except OSError as error:
         raise Refused(f"cannot write {target}: {error.strerror or error}") from error
-    return target
 
 
 def _lines(rows: Iterable[IndexRow], first: dict[str, str]) -> Iterable[bytes]:

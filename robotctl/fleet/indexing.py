@@ -8,7 +8,7 @@ from typing import Final
 
 from robotctl.errors import RobotctlError
 from robotctl.fleet.history import rows_of
-from robotctl.fleet.index_file import files_of, stamp_of, write_index
+from robotctl.fleet.index_file import files_of, index_path, stamp_of, write_index
 from robotctl.fleet.jobs import Done, local_processes, results_of
 from robotctl.recording.disk.storage import is_being_written
 from robotctl.recording.read.files import natural_order
@@ -49,7 +49,7 @@ def index_recording(recording: Path) -> str:
             report = check_recording(recording)
             says = [each.text for each in report.violations] + report.missing
             rows = rows_of(recording, report.verdict.value, says[0] if says else None, verify)
-        write_index(recording, rows, stamp)
+        write_index(index_path(recording), recording.name, rows, stamp)
     except (RobotctlError, OSError) as error:
         return str(error)
     return ""

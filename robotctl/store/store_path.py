@@ -70,6 +70,17 @@ class StorePath(PosixPath):
         """Return what reads this file."""
         return self._bucket.reader(self._key)
 
+    def described(self) -> StoredObject:
+        """Return what is known about this file.
+
+        Raises:
+            NoSuchObject: There is no such file.
+        """
+        found = self._found()
+        if found is None:
+            raise NoSuchObject(f"{self} does not exist", self._bucket.cure)
+        return found
+
     def stat(self, *, follow_symlinks: bool = True) -> os.stat_result:
         """Return kind and size; the rest is zero.
 

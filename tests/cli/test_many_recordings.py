@@ -13,6 +13,7 @@ import pytest
 from robotctl.cli.support import view_process
 from robotctl.fleet.indexing import index_recording
 from robotctl.testing.drives import drive, drive_requested, record
+from tests.support.faulty_bucket import serving
 
 pytest.importorskip("duckdb", reason="indexes are an extra: robotctl[parquet]")
 
@@ -82,6 +83,24 @@ def test_a_row_that_cannot_be_opened_is_named(
     ran = cli("find", *arguments)
     assert ran.exit_code == exit_code
     assert says in " ".join(ran.err.split())
+
+
+def test_a_row_of_a_bucket_is_found_and_opened(
+    cli: Cli, made: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    with serving(monkeypatch) as bucket:
+        for path in (made / LAP.name).iterdir():
+            bucket[f"day/{LAP.name}/{path.name}"] = path.read_bytes()
+        found = json.loads(cli("find", "--in", "s3://robots/day", "--json").out)
+        assert [row["recording"] for row in found["rows"]] == [LAP.name]
+        indexed = cli("index", "s3://robots/day")
+        assert indexed.out.startswith("s3://robots/day: 1 recording has an index")
+        opened = cli("find", "--in", "s3://robots/day", "--open", "1", "--json")
+        assert Path(json.loads(opened.out)["report"]).exists()
+        wrong = cli("find", "--in", "s3://robots/night")
+        assert (wrong.exit_code, wrong.out) == (6, "")
+        assert "there is no recording in a folder below s3://robots/night" in wrong.err
 
 
 @pytest.mark.usefixtures("indexed")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -19,9 +18,9 @@ app = new_app()
 @app.command()
 def index(
     folder: Annotated[
-        Path | None,
+        str | None,
         typer.Argument(
-            metavar="[DIR]",
+            metavar="[DIR|URL]",
             help="A folder of recordings [default: ./recordings, or the daemon's, or the last "
             "daemon's].",
         ),
@@ -39,6 +38,7 @@ def index(
     Examples:
       robotctl index
       robotctl index /data/robots --json
+      robotctl index s3://bucket/robots/one
     """
     with open_catalogue(folder, quiet=as_json) as (place, catalogue):
         bytes_of = [each.stat().st_size for each in catalogue.indexes]
@@ -49,8 +49,9 @@ def index(
             "left_out": list(catalogue.left_out),
             "failures": {str(path): said for path, said in catalogue.failures.items()},
         }
+    counted = "1 recording has" if len(bytes_of) == 1 else f"{len(bytes_of)} recordings have"
     lines = [
-        f"{short_path(place)}: {len(bytes_of)} recordings have an index, {size(sum(bytes_of))}",
+        f"{short_path(place)}: {counted} an index, {size(sum(bytes_of))}",
         *catalogue.left_out,
     ]
     failed = len(catalogue.failures)

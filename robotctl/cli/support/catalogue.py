@@ -7,7 +7,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from robotctl.cli.support.recording_paths import recordings_folder
+from robotctl.cli.support.recording_paths import recording_path, recordings_folder
 from robotctl.cli.terminal.progress import progress_bar
 from robotctl.errors import Refused, UsageError
 
@@ -16,22 +16,29 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def open_catalogue(folder: Path | None, *, quiet: bool) -> Iterator[tuple[Path, Catalogue]]:
-    """Yield the folder and its catalogue; recordings without an index are indexed first.
+def open_catalogue(given: str | None, *, quiet: bool) -> Iterator[tuple[Path, Catalogue]]:
+    """Yield a folder or URL and its catalogue; recordings without an index are indexed first.
 
     Raises:
-        UsageError: There is no such folder.
-        Refused: It cannot be listed, or duckdb is not installed.
+        UsageError: There is no such folder, or what is needed is not installed.
+        Refused: It cannot be listed.
+        UnreadableFile: The store cannot be listed.
     """
     from robotctl.fleet.catalogue import catalogue_of
+    from robotctl.fleet.stored_catalogue import stored_catalogue
+    from robotctl.store.store_path import StorePath
 
-    if folder is not None and not folder.is_dir():
-        raise UsageError(f"{folder}: no such folder")
-    place = folder or recordings_folder(None, None)
+    place = recordings_folder(None, None) if given is None else recording_path(given)
+    if given is not None and not isinstance(place, StorePath) and not place.is_dir():
+        raise UsageError(f"{place}: no such folder")
     try:
         with ExitStack() as stack:
             with progress_bar("indexing", quiet=quiet) as on_progress:
-                catalogue = stack.enter_context(catalogue_of(place, on_progress))
+                if isinstance(place, StorePath):
+                    opened = stored_catalogue(place, on_progress)
+                else:
+                    opened = catalogue_of(place, on_progress)
+                catalogue = stack.enter_context(opened)
             yield place, catalogue
     except OSError as error:
         raise Refused(f"{place} cannot be read: {error.strerror or error}") from error

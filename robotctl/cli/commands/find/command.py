@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -45,10 +44,10 @@ def find(
         typer.Argument(help="Such as 'laps >= 1 and max_error_m > 0.1' [default: every row]."),
     ] = "",
     folder: Annotated[
-        Path | None,
+        str | None,
         typer.Option(
             "--in",
-            metavar="DIR",
+            metavar="DIR|URL",
             help="A folder of recordings [default: ./recordings, or the daemon's, or the last "
             "daemon's].",
         ),
@@ -98,6 +97,7 @@ def find(
       robotctl find "check != 'same'" --recordings --in /data/robots
       robotctl find --sort -max_error_m --limit 3 --json
       robotctl find --sort -max_error_m --open 1
+      robotctl find "laps >= 1" --in s3://bucket/robots/one
       robotctl find "mode == 'EMERGENCY_STOP'" --events --open 2 --as clip
       robotctl find --sql "SELECT cause, count(*) FROM drives GROUP BY cause"
     """
