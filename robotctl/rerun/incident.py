@@ -97,9 +97,19 @@ def find_incident(
         incident = search.run(on_progress)
         if incident is not None:
             _Context(recording, topic, incident).fill()
-            entries = shadow_entries(recording, incident.seq, incident.log_ns, search.miss)
-            incident.shadow = None if entries is None else tuple(entries)
+            incident.shadow = _shadow(recording, incident, search)
     return Searched(incident, search.missing)
+
+
+def _shadow(
+    recording: Recording, incident: Incident, search: _Search
+) -> tuple[JournalEntry, ...] | None:
+    try:
+        found = shadow_entries(recording, incident.seq, incident.log_ns, search.miss)
+    except UnreadableFile as error:
+        search.miss(f"what the shadow decided: {error}")
+        return None
+    return None if found is None else tuple(found)
 
 
 class _Search:

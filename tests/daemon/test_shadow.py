@@ -2,11 +2,41 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+from robotctl.kernel.codec import to_json
+from robotctl.kernel.kernel import Kernel
+from robotctl.kernel.shadow import Shadow
 from robotctl.recording import read_info
-from robotctl.recording.format.journal import EntryKind, decode
+from robotctl.recording.format.journal import EntryKind, JournalEntry, decode
 from robotctl.recording.format.metadata_names import SHADOW_RECORD
+from robotctl.rerun.journal_steps import Step, steps
+from robotctl.rerun.journal_values import read_event, read_snapshot
 from tests.support.waiting import until
-from tests.support.world import PATIENT, World, read_back
+from tests.support.world import PATIENT, World, entries_of, read_back
+
+
+def decided_again(recording: Path, head: JournalEntry) -> list[JournalEntry]:
+    """What a shadow that begins as `head` says decides differently on the recorded events."""
+    first = read_snapshot(head)
+    shadow = Shadow(first.params, first.state, ("limits.linear_mps",))
+    kernel: Kernel | None = None
+    found: list[JournalEntry] = []
+    for item in steps(entries_of(recording)):
+        if isinstance(item, Step):
+            assert kernel is not None
+            event = read_event(item.event)
+            mine = shadow.step(event, kernel.step(event), kernel.state)
+            found += [
+                item.event._replace(
+                    kind=EntryKind.EFFECT, name=type(effect).__name__, data=to_json(effect)
+                )
+                for effect in mine or ()
+            ]
+        elif kernel is None:
+            assert isinstance(item, JournalEntry)
+            kernel = read_snapshot(item).kernel()
+    return found
 
 
 def test_a_slower_shadow_is_told_and_recorded_and_the_check_stays_the_same(world: World) -> None:
@@ -34,6 +64,7 @@ def test_a_slower_shadow_is_told_and_recorded_and_the_check_stays_the_same(world
     head, *entries = [decode(each.data) for each in read_back(recording)["/robotctl/shadow"]]
     assert head.kind is EntryKind.SNAPSHOT
     assert {entry.name for entry in entries} == {"PublishTwist"}
+    assert entries == decided_again(recording, head)
     checked = " ".join(world.ok("replay", "--check", "last").split())
     assert checked.startswith("same")
     sentence = "a shadow decided with limits.linear_mps 0.1; where it differs is in"

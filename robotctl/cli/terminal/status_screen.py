@@ -105,18 +105,18 @@ def drive_text(drive: Mapping[str, Any]) -> str:
 
 
 def shadow_text(shadow: Mapping[str, Any]) -> str:
-    """Return what the shadow decided differently, and when last."""
+    """Return how often the shadow decided differently, and how it did last."""
+    steps, differing, last = shadow["steps"], shadow["differing"], shadow["last"]
+    text = "off; until then: " if shadow["failure"] else ""
+    if not differing:
+        return f"{text}decides the same in {steps} steps"
     counts = ", ".join(f"{count} {name}" for name, count in shadow["aspects"].items() if count)
-    steps = f"{shadow['steps']} steps"
-    found = f"differs in {shadow['differing']} of {steps} ({counts})"
-    text = found if shadow["differing"] else f"decides the same in {steps}"
+    text += f"differs in {differing} of {steps} steps ({counts})"
     if shadow["apart_s"] is not None:
-        text += f", apart since {duration(shadow['apart_s'])}, {printable(shadow['mode'])}"
-    last = shadow["last"]
+        text += f", apart for {duration(shadow['apart_s'])}, {printable(shadow['mode'])}"
     if last:
         text += (
-            f"; last {duration(last['ago_s'])} ago: {printable(last['shadow'])}"
-            f" instead of {printable(last['driving'])}"
+            f"; last {duration(last['ago_s'])} ago: {last['shadow']} instead of {last['driving']}"
         )
     return text
 
