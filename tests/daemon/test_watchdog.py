@@ -91,6 +91,19 @@ def test_a_stall_without_a_later_tick_continues() -> None:
             assert stall_of(watchdog).stalled_s == now_ns / 1e9
 
 
+def test_a_stall_within_a_tick_lasts_from_the_tick_before() -> None:
+    """The tick ends when the stall is over, and the next event takes the stall."""
+    now_ns = 0
+    gate = Gate()
+    with Watchdog(50.0, gate, lambda: now_ns) as watchdog:
+        watchdog.ping()
+        now_ns = 800_000_000
+        until(lambda: gate.zeros > 0)
+        watchdog.ping()
+        now_ns = 801_000_000
+        assert stall_of(watchdog).stalled_s == 0.801
+
+
 class TickingEvent(threading.Event):
     """An event that is never set: each wait of the watchdog makes the loop tick."""
 

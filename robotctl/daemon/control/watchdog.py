@@ -70,6 +70,8 @@ class Watchdog:
         self._now_ns = now_ns
         self._last_ns = 0
         """The time of the last tick."""
+        self._stalled_ns = 0
+        """The time of the last tick before the stall: a tick that stalls itself ends later."""
         self._account_ns = 0
         self._waited_ns = 0
         """How long the loop's thread had waited for a processor at `_account_ns`."""
@@ -94,7 +96,7 @@ class Watchdog:
     def ping(self) -> None:
         """Note that the loop has just handled a tick."""
         now_ns = self._last_ns = self._now_ns()
-        if now_ns - self._account_ns >= ACCOUNT_PERIOD_NS:
+        if not self._holding and now_ns - self._account_ns >= ACCOUNT_PERIOD_NS:
             self._account_ns, self._waited_ns = now_ns, self._processor.waited_ns()
         if self._thread.ident is None:
             self._thread.start()
@@ -117,7 +119,7 @@ class Watchdog:
         now_ns = self._now_ns()
         zeros, withheld = self._gate.open_gate()
         self._holding = False  # without a tick the stall continues: only `ping` ends it
-        stalled_s = (now_ns - self._last_ns) / NS_PER_S
+        stalled_s = (now_ns - self._stalled_ns) / NS_PER_S
         waited_s = (self._processor.waited_ns() - self._waited_ns) / NS_PER_S
         if waited_s > BUSY_SHARE * (now_ns - self._account_ns) / NS_PER_S:
             without_s = min(waited_s, stalled_s)
@@ -156,6 +158,7 @@ class Watchdog:
     def _hold(self) -> None:
         """Send zeros until the loop calls `take`."""
         self._where = ""
+        self._stalled_ns = self._last_ns
         self._gate.close_gate()
         self._holding = True
         self._send_zero()
