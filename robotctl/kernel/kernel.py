@@ -250,7 +250,9 @@ class Kernel(Knowledge):
         drive, odometry = state.drive, health.odometry
         phase, stop_reason, target = state.phase, state.stop_reason, ZERO
         if phase is Phase.DRIVING and drive is not None and odometry is not None:
-            drive = drive.advance(dt_s, odometry.pose, params.limits, self._rise_ticks())
+            # A velocity is held by the clock: the base keeps it while ticks are missed.
+            passed_s = dt_s if drive.course.held is None else self._tick_gap_s(t_ns)
+            drive = drive.advance(passed_s, odometry.pose, params.limits, self._rise_ticks())
             if drive.finished:
                 phase, stop_reason = Phase.STOPPING, drive.ending()
             else:

@@ -18,8 +18,8 @@ SETTLE_S = 0.6
 """The longest time that the reference waits at a stop for the robot to arrive."""
 
 ARRIVED = 1e-9
-"""A lead less ahead than this [m, rad] is where the reference is, and a reference that is slower
-than this per second stands: the rest is rounding, and might never become 0."""
+"""Less than this [m, rad] is rounding, and might never become 0: a lead so near to a stop is there,
+one so little ahead is where the reference is, and a reference that is slower per second stands."""
 
 
 @quick_init
@@ -83,7 +83,7 @@ def advanced(
     if speed * (speed + 2.0 * half) > brakes_from:
         speed = sqrt(half * half + brakes_from) - half
     move = speed * dt_s
-    stands = end_speed == 0.0 and move >= left
+    stands = end_speed == 0.0 and move >= left - ARRIVED
     if stands:
         move, speed = left, 0.0
     rates = (*at.rates, move / dt_s)[-ticks:]

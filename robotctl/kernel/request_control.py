@@ -12,6 +12,7 @@ from robotctl.kernel.lease_control import LeaseControl
 from robotctl.kernel.modes import REQUESTS, TRANSITIONS, Guard, Mode, Trigger
 from robotctl.kernel.patterns import SHAPES, Pattern
 from robotctl.kernel.remedies import Remedy
+from robotctl.kernel.routes import path_for
 from robotctl.kernel.safety import failed_start_condition, raised, remedies_to_move, uncleared
 from robotctl.kernel.types import (
     ZERO,
@@ -137,6 +138,12 @@ class RequestControl(LeaseControl):
         if odometry is None:
             self._start_alone(request_id, reason)
             return
+        if course.waypoints:
+            points = local_points(course.waypoints, course.frame, odometry.pose)
+            course = replace(course, waypoints=points, frame=Frame.START)
+            if not path_for(pattern, course, laps).segments:
+                self._refuse(request_id, "the robot is at each point of the path already")
+                return
         replaced = self.state.drive
         if replaced is not None and replaced.is_quiet:  # the base may stand already
             self.state = replace(self.state, command=ZERO)
@@ -144,9 +151,6 @@ class RequestControl(LeaseControl):
         if course.held is not None:
             laps, course = 1, replace(course, held=course.held.begun(t_ns))
         previous, command = self.state.mode, self.state.command
-        if course.waypoints:
-            points = local_points(course.waypoints, course.frame, odometry.pose)
-            course = replace(course, waypoints=points, frame=Frame.START)
         origin = origin_of(odometry.pose, course)
         drive = Drive(request_id, pattern, laps, origin, course=course, begin_t_ns=t_ns)
         # A drive that replaces another one begins at the present speed.

@@ -31,6 +31,7 @@ def waypoint_path(points: tuple[Point, ...], corner_m: float, *, again: bool) ->
     """Return the path from the origin through the points; with `again` it returns to its start.
 
     Points in the same place are one point. Where the first is not at the origin, a leg leads there.
+    A path whose points are all at the origin has no segments.
     """
     places = _places(points, again=again)
     legs = [_leg(a, b) for a, b in pairwise(places)]
@@ -56,9 +57,10 @@ def waypoint_path(points: tuple[Point, ...], corner_m: float, *, again: bool) ->
         begin_m = room_m
     if again and abs(wrap_angle(heading)) > STRAIGHT_RAD:
         segments.append(_turn(Pose(0.0, 0.0, heading), wrap_angle(-heading)))
-    last = segments[-1]
     reach_m = max(hypot(x, y) for x, y in places)
-    return Path(tuple(segments), reach_m, again, ORIGIN if again else last.pose_at(last.length))
+    last = segments[-1] if segments else None
+    end = ORIGIN if again or last is None else last.pose_at(last.length)
+    return Path(tuple(segments), reach_m, again, end)
 
 
 def _places(points: tuple[Point, ...], *, again: bool) -> list[Point]:
