@@ -16,6 +16,7 @@ from robotctl.recording.read.journal_reader import EntryDecoder, journal_topic
 from robotctl.report.journal_traces import JournalTraces
 from robotctl.report.topic_traces import topic_traces
 from robotctl.report.traces import Traces
+from robotctl.store.store_path import StorePath
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +42,8 @@ def read_recorded(
 ) -> Recorded:
     """Read a recording, a file or a folder, of robotctl or of another recorder.
 
+    Of a recording in a store only the topics that are drawn are read.
+
     Raises:
         UnreadableFile: Nothing can be read.
     """
@@ -58,7 +61,9 @@ def read_recorded(
                 t_s = (event.log_ns - info.start_ns) / NS_PER_S
                 traces.happened(t_s, event.kind.value, event.text)
         from_journal, decoder = JournalTraces(traces), EntryDecoder(recording)
-        for message in recording.in_order_written(None, miss, on_progress):
+        drawn = set(others.topics) if journal is None else {journal}
+        topics = drawn if isinstance(path, StorePath) else None
+        for message in recording.in_order_written(topics, miss, on_progress):
             t_s = (message.log_ns - info.start_ns) / NS_PER_S
             traces.rates.add(message.topic, t_s)
             if journal is None:

@@ -12,6 +12,7 @@ from urllib.request import Request, urlopen
 import pytest
 
 from robotctl.recording import Recorder, RecorderOptions, Recording, Topic
+from robotctl.report.recorded import read_recorded
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
 from robotctl.store.store_path import path_of
@@ -157,6 +158,17 @@ def test_a_check_of_a_store_reads_a_small_part_and_many_ranges_at_once(
     assert (report.verdict, report.missing) == (Verdict.SAME, [])
     assert bucket.sent_bytes < 0.01 * recorded.stat().st_size
     assert bucket.most_at_once >= 8
+
+
+def test_a_report_of_a_recording_in_a_store_reads_only_what_it_draws(
+    recorded: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    here = read_recorded(recorded)
+    with serving(monkeypatch) as bucket:
+        bucket.objects["run.mcap"] = StoredFile(recorded)
+        there = read_recorded(path_of("s3://robots/run.mcap"))
+    assert (there.traces.modes, there.missing) == (here.traces.modes, here.missing)
+    assert bucket.sent_bytes < 0.01 * recorded.stat().st_size
 
 
 def test_without_a_server_the_recording_cannot_be_read(recorded: Path, server: RangeServer) -> None:

@@ -25,7 +25,7 @@ MAX_EXPLAINED: Final = 5
 
 MAX_SENTENCES: Final = 20
 
-_NOT_VERIFIED: Final = "it reads every byte of the store's files: robotctl verify URL"
+_NOT_VERIFIED: Final = "of a store only what is drawn is read: robotctl verify URL reads every byte"
 
 _CHECK_TONES: Final = {Verdict.SAME: Tone.GOOD, Verdict.INCOMPLETE: Tone.UNSURE}
 _VERIFY_TONES: Final = {"sealed": Tone.GOOD, "whole": Tone.UNSURE}
