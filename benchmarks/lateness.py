@@ -3,6 +3,8 @@
     python benchmarks/lateness.py                             100 Hz, 5,000 messages a second, 60 s
     python benchmarks/lateness.py --rounds 3 --size 52
     python benchmarks/lateness.py --messages 0                without traffic, for comparison
+    python benchmarks/lateness.py --indexing recordings/robot_20261124_101500
+                                        while that recording is indexed again and again
 
 The traffic comes from another process, in C++ where there is a compiler. Each tick is an event of
 the journal with the time at which the loop got it, and the number of ticks that were skipped before
@@ -24,6 +26,7 @@ import os
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -35,6 +38,7 @@ from recording.figures import Figure, Round, table
 
 from robotctl.domains import reserved_domain
 from robotctl.kernel.types import Tick
+from robotctl.processes import program, start
 from robotctl.recording import Recording, read_journal
 from robotctl.ros import Ticker
 
@@ -86,6 +90,30 @@ def traffic(
             process.kill()
 
 
+@contextmanager
+def indexing(recording: Path | None) -> Iterator[None]:
+    """Index a recording again and again during the block, as the daemon does when it closes one."""
+    if recording is None:
+        yield
+        return
+    ended = threading.Event()
+
+    def index() -> None:
+        while not ended.is_set():
+            child = start([*program("robotctl.fleet.index_process"), str(recording)])
+            while child.wait(0.1) is None and not ended.is_set():
+                pass
+            child.close()
+
+    thread = threading.Thread(target=index)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
 def thread_account(pid: int) -> tuple[int, int]:
     """Return the CPU time of all threads, and how long the first waited for a processor [ns]."""
     accounts = {
@@ -101,7 +129,10 @@ def measure(options: argparse.Namespace, library: str, domain: int) -> Round:
         folder = Path(temporary)
         around = environment(folder, domain)
         with daemon(options.rate, folder, domain) as (pid,):
-            with traffic(library, options.size, options.messages, around) as told:
+            with (
+                traffic(library, options.size, options.messages, around) as told,
+                indexing(options.indexing),
+            ):
                 time.sleep(WARM_UP_S)
                 begun_ns, before = time.monotonic_ns(), thread_account(pid)
                 bare_ms, bare_missed = asyncio.run(bare_ticks(options.rate, options.seconds))
@@ -180,6 +211,7 @@ def main() -> int:
     parser.add_argument("--size", type=int, default=724, help="of a message [bytes]")
     parser.add_argument("--seconds", type=float, default=60.0, help="of one round")
     parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--indexing", type=Path, metavar="RECORDING")
     options = parser.parse_args()
     rounds = []
     with tempfile.TemporaryDirectory() as scratch, reserved_domain() as domain:

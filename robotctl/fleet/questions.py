@@ -49,17 +49,19 @@ def columns_of(table: str) -> tuple[str, ...]:
 
 
 def find(
-    catalogue: Catalogue, table: str, condition: str, sort: str = "start_ns", limit: int = 0
+    catalogue: Catalogue, table: str, condition: str, sort: str = "", limit: int = 0
 ) -> Answer:
     """Return the rows of a table for which a condition holds, "" for all.
 
-    They are sorted by a column, in falling order if its name begins with "-".
+    They are sorted by a column, in falling order if its name begins with "-"; by the time if it is
+    "", and rows without a time by their recording.
 
     Raises:
         UsageError: The condition or the column is wrong.
     """
     known = columns_of(table)
-    order = name(known_column(sort.removeprefix("-"), known))
+    by_default = "start_ns" if "start_ns" in known else "recording"
+    order = name(known_column(sort.removeprefix("-") or by_default, known))
     falling = " DESC" if sort.startswith("-") else ""
     where = parse_condition(condition, known) if condition else None
     sql = f"SELECT {', '.join(map(name, known))} FROM {table}"

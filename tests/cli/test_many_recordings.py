@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from robotctl.cli.support import view_process
+from robotctl.cli.terminal import text
 from robotctl.fleet.indexing import index_recording
 from robotctl.testing.drives import drive, drive_requested, record
 from tests.support.faulty_bucket import serving
@@ -83,6 +84,21 @@ def test_a_row_that_cannot_be_opened_is_named(
     ran = cli("find", *arguments)
     assert ran.exit_code == exit_code
     assert says in " ".join(ran.err.split())
+
+
+@pytest.mark.usefixtures("indexed")
+@pytest.mark.parametrize("table", [(), ("--recordings",), ("--events",), ("--topics",)])
+def test_an_answer_fits_a_terminal_of_80_columns_and_is_whole_in_a_pipe(
+    cli: Cli, monkeypatch: pytest.MonkeyPatch, table: tuple[str, ...]
+) -> None:
+    long = LAP.rename(LAP.with_name("robot_20260101_120000_with_a_long_name"))
+    piped = cli("find", *table).out
+    monkeypatch.setattr(text, "_terminal_columns", lambda: 80)
+    shown = cli("find", *table).out
+    assert max(map(len, shown.splitlines())) <= 80
+    assert long.name in piped
+    assert f"{long.name[:12]}..{long.name[-12:]}" in shown
+    assert len(shown.splitlines()) >= len(piped.splitlines())
 
 
 def test_a_row_of_a_bucket_is_found_and_opened(

@@ -102,6 +102,12 @@ def test_a_recording_has_its_stops_refusals_and_verdicts(catalogue: Catalogue) -
     assert values(stopped, "cause") == ["operator stop"]
 
 
+def test_topics_are_sorted_by_their_recording(catalogue: Catalogue) -> None:
+    found = values(find(catalogue, "topics", ""), "recording")
+    assert found == sorted(map(str, found))
+    assert set(found) == {LAP, STOPPED}
+
+
 def test_samples_follow_the_robot(catalogue: Catalogue) -> None:
     found = ask(catalogue, "SELECT max(x_m), min(error_m), count(*) FROM samples WHERE drive = 1")
     ((farthest_m, least_m, count),) = found.rows

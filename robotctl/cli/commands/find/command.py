@@ -12,7 +12,7 @@ from robotctl.cli.commands.find.opening import OpenAs, open_as, shown_row
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.catalogue import open_catalogue
-from robotctl.cli.terminal.text import moment, printable
+from robotctl.cli.terminal.text import columns, elided, moment, printable, row
 from robotctl.errors import UsageError
 
 if TYPE_CHECKING:
@@ -21,20 +21,14 @@ if TYPE_CHECKING:
 app = new_app()
 
 SHOWN = {
-    "drives": (
-        *("recording", "drive", "start_ns", "pattern", "laps", "duration_s", "max_error_m"),
-        "ended",
-    ),
-    "recordings": (
-        *("recording", "start_ns", "duration_s", "drives", "laps", "stops", "max_error_m"),
-        *("check", "verify"),
-    ),
-    "events": ("recording", "start_ns", "event", "mode", "text"),
+    "drives": ("recording", "drive", "pattern", "laps", "max_error_m", "ended"),
+    "recordings": ("recording", "duration_s", "laps", "stops", "max_error_m", "check", "verify"),
+    "events": ("recording", "start_ns", "event", "text"),
     "topics": ("recording", "topic", "messages", "lost", "rate_hz"),
 }
 """The columns that a terminal shows of each table; `--json` has all."""
 
-MAX_WIDTH = 48
+LEAST_WIDTH = 10
 
 
 @app.command()
@@ -62,8 +56,11 @@ def find(
         False
     ),
     sort: Annotated[
-        str, typer.Option(metavar="COLUMN", help="Sort by it; -COLUMN: the largest first.")
-    ] = "start_ns",
+        str,
+        typer.Option(
+            metavar="COLUMN", help="Sort by it; -COLUMN: the largest first [default: by time]."
+        ),
+    ] = "",
     limit: Annotated[int, typer.Option(min=0, help="At most so many rows; 0: all.")] = 0,
     sql: Annotated[
         str | None,
@@ -134,14 +131,23 @@ def find(
 def _lines(found: Answer, shown: tuple[str, ...]) -> Iterator[str]:
     places = [found.columns.index(each) for each in shown]
     table = [
-        list(shown),
-        *([_text(found.columns[place], row[place]) for place in places] for row in found.rows),
+        (list(shown[:-1]), shown[-1]),
+        *(
+            _cells([_text(found.columns[each], values[each]) for each in places])
+            for values in found.rows
+        ),
     ]
-    widths = [max(len(row[number]) for row in table) for number in range(len(shown))]
-    for row in table:
-        cells = (f"{cell:{width}}" for cell, width in zip(row, widths, strict=True))
-        yield "  ".join(cells).rstrip()
+    widths = [max(len(cells[number]) for cells, _ in table) for number in range(len(shown) - 1)]
+    for cells, last in table:
+        label = "".join(f"{cell:{width}}  " for cell, width in zip(cells, widths, strict=True))
+        wraps = columns() - len(label) >= LEAST_WIDTH
+        yield from row(label, last) if wraps else [f"{label}{last}"]
     yield f"{len(found.rows)} row{'' if len(found.rows) == 1 else 's'}"
+
+
+def _cells(texts: list[str]) -> tuple[list[str], str]:
+    """Return the cells of a row: those that are cut on a terminal, and the last one."""
+    return [elided(each, columns() // 3) for each in texts[:-1]], texts[-1]
 
 
 def _text(column: str, value: Any) -> str:
@@ -151,5 +157,4 @@ def _text(column: str, value: Any) -> str:
         return moment(value)
     if isinstance(value, float):
         return f"{value:.4g}"
-    shown = printable(str(value))
-    return shown if len(shown) <= MAX_WIDTH else f"{shown[: MAX_WIDTH - 3]}..."
+    return printable(str(value))
