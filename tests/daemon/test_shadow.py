@@ -16,6 +16,13 @@ from tests.support.waiting import until
 from tests.support.world import PATIENT, World, entries_of, read_back
 
 
+def told_by(world: World, *arguments: str) -> str:
+    """The output of a command that succeeds, in one line."""
+    ran = world.here(*arguments)
+    assert ran.exit_code == 0, ran
+    return " ".join(ran.out.split())
+
+
 def decided_again(recording: Path, head: JournalEntry) -> list[JournalEntry]:
     """What a shadow that begins as `head` says decides differently on the recorded events."""
     first = read_snapshot(head)
@@ -42,17 +49,17 @@ def decided_again(recording: Path, head: JournalEntry) -> list[JournalEntry]:
 def test_a_slower_shadow_is_told_and_recorded_and_the_check_stays_the_same(world: World) -> None:
     (world.folder / "slow.yaml").write_text("limits: {linear_mps: 0.1}\n")
     settings = world.folder / "robot.yaml"
-    settings.write_text(f"{PATIENT}shadow: slow.yaml\n")
+    settings.write_text(f"{PATIENT}shadow: slow.yaml\ntracking.max_error_m: 100\n")
     started = world.ok("start", "--sim", "--config", str(settings))
     assert "a shadow decides with" in started
     assert world.status()["shadow"]["differing"] == 0
-    world.ok("drive", "line")
+    world.ok("drive", "line", "--length", "20")
     until(lambda: world.status()["shadow"]["differing"] > 5)
     facts = world.status()["shadow"]
     assert (facts["failure"], facts["mode"]) == ("", "MOVING")
     assert facts["first"]["aspects"] == ["command"]
     assert facts["apart_s"] > 0.0
-    told = " ".join(world.ok("status").split())
+    told = told_by(world, "status")
     assert "shadow differs in" in told
     assert "m/s, 0.000 rad/s instead of" in told
     world.ok("estop")
@@ -65,13 +72,13 @@ def test_a_slower_shadow_is_told_and_recorded_and_the_check_stays_the_same(world
     assert head.kind is EntryKind.SNAPSHOT
     assert {entry.name for entry in entries} == {"PublishTwist"}
     assert entries == decided_again(recording, head)
-    checked = " ".join(world.ok("replay", "--check", "last").split())
+    checked = told_by(world, "replay", "--check", "last")
     assert checked.startswith("same")
     sentence = "a shadow decided with limits.linear_mps 0.1; where it differs is in"
     assert f"note: {sentence} /robotctl/shadow: not checked" in checked
-    assert sentence in " ".join(world.ok("info", "last").split())
-    assert "shadow no other decision of the shadow is" in " ".join(world.ok("why").split())
-    world.ok("verify", "last")
+    assert sentence in told_by(world, "info", "last")
+    assert "shadow no other decision of the shadow is" in told_by(world, "why")
+    told_by(world, "verify", "last")
 
 
 def test_a_bad_file_of_a_shadow_ends_the_start_with_its_line(world: World) -> None:
