@@ -198,3 +198,13 @@ def test_a_record_that_cannot_be_written_ends_the_shadow_alone() -> None:
     alone.feed(events)
     assert driven.commands == alone.commands
     assert "MemoryError" in driven.warning
+
+
+def test_a_first_entry_that_cannot_be_written_ends_the_shadow_alone() -> None:
+    def write(serialized: bytes) -> None:
+        raise OSError("no space")
+
+    driven = Driven(write=write)
+    driven.feed(drive_events(2))
+    assert driven.commands
+    assert driven.warning.endswith("OSError: no space")

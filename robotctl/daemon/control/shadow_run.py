@@ -83,12 +83,17 @@ class ShadowRun:
                 self._take(step)
 
     def snapshot(self, t_ns: int) -> None:
-        """Write the shadow's parameters and state, from which a re-run of a file can start."""
+        """Write the shadow's parameters and state, from which a re-run of a file can start.
+
+        This never raises.
+        """
         if self._failure:
             return
-        shadow = self._shadow
-        snapshot = Snapshot(MADE_BY, shadow.params, shadow.state)
-        self._add(self._next_seq, t_ns, EntryKind.SNAPSHOT, "Snapshot", to_json(snapshot))
+        snapshot = Snapshot(MADE_BY, self._shadow.params, self._shadow.state)
+        try:
+            self._add(self._next_seq, t_ns, EntryKind.SNAPSHOT, "Snapshot", to_json(snapshot))
+        except Exception as error:  # noqa: BLE001 - the robot is driven without the shadow
+            self._end(self._next_seq, t_ns, _failure(error))
 
     def warning(self) -> str:
         """Return why the shadow is off, "" while it decides."""
@@ -119,7 +124,7 @@ class ShadowRun:
             if effects is not None:
                 self._record(step, effects)
         except Exception as error:  # noqa: BLE001 - the robot is driven without the shadow
-            self._end(step, f"{type(error).__name__}: {error}")
+            self._end(step.seq, step.event.t_ns, _failure(error))
             return
         self._next_seq = step.seq + 1
         if self._now_ns() - began_ns <= SLOW_NS:
@@ -128,7 +133,8 @@ class ShadowRun:
         self._slow_steps += 1
         self._slow_in_a_row += 1
         if self._slow_in_a_row == MAX_SLOW_STEPS:
-            self._end(step, f"{MAX_SLOW_STEPS} steps in a row took more than {SLOW_NS / 1e6:g} ms")
+            failure = f"{MAX_SLOW_STEPS} steps in a row took more than {SLOW_NS / 1e6:g} ms"
+            self._end(step.seq, step.event.t_ns, failure)
 
     def _record(self, step: HandledStep, effects: Sequence[Effect]) -> None:
         t_ns = step.event.t_ns
@@ -138,15 +144,19 @@ class ShadowRun:
         if not effects:
             self._add(step.seq, t_ns, EntryKind.EFFECT, NO_EFFECT, "{}")
 
-    def _end(self, step: HandledStep, failure: str) -> None:
-        self._failure = failure[:MAX_FAILURE]
+    def _end(self, seq: int, t_ns: int, failure: str) -> None:
+        self._failure = failure
         with suppress(Exception):  # it may be the record that fails
             data = f'{{"failure":{to_json(self._failure)}}}'
-            self._add(step.seq, step.event.t_ns, EntryKind.EFFECT, SHADOW_FAILED, data)
+            self._add(seq, t_ns, EntryKind.EFFECT, SHADOW_FAILED, data)
         _log.warning("%s", self.warning())
 
     def _add(self, seq: int, t_ns: int, kind: EntryKind, name: str, data: str) -> None:
         self._write(encode(JournalEntry(seq, t_ns, kind, name, data)))
+
+
+def _failure(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}"[:MAX_FAILURE]
 
 
 def _answer(found: Disagreement | None, now_ns: int) -> DisagreementAnswer | None:
