@@ -10,15 +10,18 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, Future
 from contextlib import closing, contextmanager
+from functools import lru_cache, partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Final
+from uuid import uuid4
 
 from robotctl import __version__
-from robotctl.errors import IN_PARENTHESES, Refused, UsageError
+from robotctl.errors import IN_PARENTHESES, Refused, RobotctlError, UsageError
 from robotctl.fleet.jobs import Done
 from robotctl.fleet.judgement import software_hash
 from robotctl.fleet.judging import Answers, Judged, Judging
+from robotctl.store.store_path import path_of
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -74,6 +77,7 @@ class Cluster:
                 robotctl, or does not see the recordings, or cannot store a result.
         """
         left = dict.fromkeys(recordings)
+        judged = partial(_judged, uuid4().hex, judging)
         connect_s = self._connect_s
         while left:
             with self._connected(connect_s) as client:
@@ -82,7 +86,7 @@ class Cluster:
                     self._check(client, judging.software)
                 except OSError:  # it is gone again
                     continue
-                for path, answer in _answers(client, judging.judged, list(left)):
+                for path, answer in _answers(client, judged, list(left)):
                     del left[path]
                     on_progress(len(recordings) - len(left), len(recordings))
                     yield path, answer
@@ -126,6 +130,8 @@ class Cluster:
         for worker, state in found.items():
             if isinstance(state, OSError):  # it has ended; others get its jobs
                 continue
+            if isinstance(state, RobotctlError):
+                raise Refused(f"the worker {worker} does not see it: {state.cause}", state.cure)
             if isinstance(state, Exception):
                 raise Refused(
                     f"the worker {worker} cannot run robotctl ({state})",
@@ -140,7 +146,7 @@ class Cluster:
             if not sees_place:
                 raise Refused(
                     f"the worker {worker} does not see {self._place}",
-                    "give --in a folder that all workers see under this name",
+                    "give --in a URL, or a folder that all workers see under this name",
                 )
 
     def _no_scheduler(self, error: OSError | ValueError) -> Refused:
@@ -201,8 +207,21 @@ def _scheduler(client: Client) -> str:
 
 
 def _state(place: str) -> tuple[str, str, bool]:
-    """Return, in a worker, version and hash of its robotctl, and whether it sees a path."""
-    return __version__, software_hash(), Path(place).exists()
+    """Return, in a worker, version and hash of its robotctl, and whether it sees a place."""
+    return __version__, software_hash(), path_of(place).exists()
+
+
+def _judged(run: str, judging: Judging, path: Path) -> Judged:
+    _forget_stores(run)
+    return judging.judged(path)
+
+
+@lru_cache(maxsize=1)
+def _forget_stores(run: str) -> None:
+    """Ask stores again what they hold: a worker may know it from an earlier run of the gate."""
+    from robotctl.store.opened_bucket import opened_bucket  # it loads asyncio
+
+    opened_bucket.cache_clear()
 
 
 @contextmanager

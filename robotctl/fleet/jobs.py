@@ -15,7 +15,7 @@ from concurrent.futures import (
 from contextlib import AbstractContextManager, contextmanager
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TypeVar
+from typing import Final, TypeVar
 
 Result = TypeVar("Result")
 
@@ -24,6 +24,9 @@ Processes = Callable[[int], AbstractContextManager[Executor]]
 
 Done = Callable[[int, int], None]
 """Receives how many jobs are done, and the total."""
+
+
+THREADS: Final = 16
 
 
 def results_of(
@@ -67,8 +70,8 @@ def _run(
 
 @contextmanager
 def local_threads(jobs: int) -> Iterator[Executor]:
-    """Yield an executor with a thread per processor, for jobs that read files and hash them."""
-    executor = ThreadPoolExecutor(min(jobs, _processors()))
+    """Yield an executor for jobs that wait for disks and stores, or hash files."""
+    executor = ThreadPoolExecutor(min(jobs, THREADS))
     try:
         yield executor
     finally:
@@ -82,7 +85,7 @@ def local_processes(jobs: int) -> Iterator[Executor]:
     They ignore Ctrl-C, which ends the process that started them, and are killed at the end.
     """
     executor = ProcessPoolExecutor(
-        min(jobs, _processors()),
+        min(jobs, len(os.sched_getaffinity(0))),
         mp_context=get_context("spawn"),
         initializer=signal.signal,
         initargs=(signal.SIGINT, signal.SIG_IGN),
@@ -94,7 +97,3 @@ def local_processes(jobs: int) -> Iterator[Executor]:
         executor.shutdown(wait=False, cancel_futures=True)
         for worker in workers:
             worker.kill()
-
-
-def _processors() -> int:
-    return len(os.sched_getaffinity(0))

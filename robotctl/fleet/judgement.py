@@ -16,6 +16,7 @@ from robotctl.recording.read.files import recording_files
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Report, Verdict
 from robotctl.rerun.whatif import what_if
+from robotctl.store.store_path import StorePath
 
 UNREADABLE: Final = "unreadable"
 """The verdict where nothing can be read."""
@@ -61,17 +62,19 @@ def judge(path: Path, settings: Mapping[str, str]) -> Judgement:
 
     Raises:
         OSError: A file cannot be read.
-        UnreadableFile: There are no files.
+        UnreadableFile: There are no files, or their store has failed.
     """
     content = content_hash(path)
     try:
         report = check_recording(path)
         other = what_if(path, settings) if settings else None
     except RobotctlError as error:
+        _check_store(path)
         said = str(error)
         return Judgement(
             content, software_hash(), dict(settings), UNREADABLE, _cause(said), said, None
         )
+    _check_store(path)
     said = _first(report)
     return Judgement(
         recording=content,
@@ -93,17 +96,26 @@ def key_of(recording: str, settings: Mapping[str, str]) -> str:
 def content_hash(path: Path) -> str:
     """Return the SHA-256 over the names and contents of a recording's files.
 
+    A file in a store is not read: its ETag stands for its content. So the hash is not that of the
+    same file on a disk, of which a check also reads every byte.
+
     Raises:
         OSError: A file cannot be read.
         UnreadableFile: There are no files.
     """
     digest = hashlib.sha256()
     for file in recording_files(path):
-        with file.open("rb") as opened:
-            digest.update(
-                f"{file.name}\n{hashlib.file_digest(opened, 'sha256').hexdigest()}\n".encode()
-            )
+        digest.update(f"{file.name}\n{_content(file)}\n".encode())
     return digest.hexdigest()
+
+
+def _content(file: Path) -> str:
+    """Return the hash of a file; of one in a store, size and ETag."""
+    if isinstance(file, StorePath):
+        found = file.described()
+        return f"{found.size_bytes} {found.etag}"
+    with file.open("rb") as opened:
+        return hashlib.file_digest(opened, "sha256").hexdigest()
 
 
 @cache
@@ -114,6 +126,12 @@ def software_hash() -> str:
     for path in sorted(package.rglob("*.py")):
         digest.update(f"{path.relative_to(package)}\n".encode() + path.read_bytes())
     return digest.hexdigest()
+
+
+def _check_store(path: Path) -> None:
+    """Raise what a store could not tell just now: it is no property of the recording."""
+    if isinstance(path, StorePath):
+        path.check()
 
 
 def _first(report: Report) -> str:

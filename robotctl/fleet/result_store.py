@@ -13,7 +13,7 @@ from robotctl.store import NoSuchObject, ObjectStore, StoreError, is_url, open_s
 
 MAX_BYTES: Final = 4 << 20
 
-_opened = cache(open_store)
+opened_results = cache(open_store)
 """A store stays open for the jobs of a process."""
 
 
@@ -61,7 +61,7 @@ class ResultStore:
 
     @property
     def _store(self) -> ObjectStore:
-        return _opened(self._place)
+        return opened_results(self._place)
 
 
 def _name(key: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from bisect import bisect_left
 from functools import cache
 from typing import Final
 
@@ -50,7 +51,7 @@ class OpenedBucket:
         """Return the object at a path; None if there is none."""
         if path not in self._known:
             folder, _, name = path.rpartition("/")
-            listed = any(path.startswith(f"{prefix}/") for prefix in self._listed if prefix)
+            listed = self._listing_above(path) is not None
             self._known[path] = None if listed else self._asked(path)
             if self._known[path] is None and "." in name:  # perhaps below the folder of a hash
                 self.below(folder)
@@ -59,6 +60,8 @@ class OpenedBucket:
     def below(self, folder: str) -> list[str]:
         """Return the paths of the objects below a folder, sorted and without that folder."""
         if folder not in self._listed:
+            if (above := self._listing_above(folder)) is not None:
+                return self._part_of(above, folder)
             found = list(self._store.list(folder)) if self._store.can_list else []
             skipped = len(folder) + 1 if folder else 0
             paths: dict[str, StoredObject] = {}
@@ -67,6 +70,23 @@ class OpenedBucket:
             self._listed[folder] = sorted(paths)
             self._known |= {f"{folder}/{path}".lstrip("/"): each for path, each in paths.items()}
         return self._listed[folder]
+
+    def _listing_above(self, path: str) -> str | None:
+        """Return a listed folder that the path is below, None if there is none."""
+        folder = path if self._store.can_list else ""
+        while folder:
+            folder = folder.rpartition("/")[0]
+            if folder in self._listed:
+                return folder
+        return None
+
+    def _part_of(self, above: str, folder: str) -> list[str]:
+        """Return what the listing of a folder says of one below it."""
+        listed = self._listed[above]
+        prefix = f"{folder.removeprefix(above).lstrip('/')}/"
+        begin = bisect_left(listed, prefix)
+        end = bisect_left(listed, f"{prefix[:-1]}0")  # "0" follows "/"
+        return [path[len(prefix) :] for path in listed[begin:end]]
 
     def reader(self, path: str) -> RangeReader:
         """Return the reader of an object, which keeps some of what it has read.
@@ -84,6 +104,16 @@ class OpenedBucket:
                 self._cache,
             )
         return self._readers[path]
+
+    def check(self, path: str) -> None:
+        """Raise what has kept a file, or one below a folder, from being read, if anything has.
+
+        Raises:
+            StoreError: A read has failed.
+        """
+        for each in (path, *(f"{path}/{name}" for name in self.below(path))):
+            if (reader := self._readers.get(each)) is not None:
+                reader.check()
 
     def _asked(self, path: str) -> StoredObject | None:
         try:

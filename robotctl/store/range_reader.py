@@ -58,8 +58,7 @@ class RangeReader:
         Raises:
             StoreError: They cannot be read; so does each later call, without another request.
         """
-        if self._failure is not None:
-            raise self._failure
+        self.check()
         if length > MAX_READ_BYTES:
             raise StoreError(f"a part of it claims to have {length} bytes")
         end = min(offset + length, self._size)
@@ -74,6 +73,15 @@ class RangeReader:
             self._failure = error
             raise
         return pieces[0] if len(pieces) == 1 else b"".join(pieces)
+
+    def check(self) -> None:
+        """Raise what has ended the reading, if anything has.
+
+        Raises:
+            StoreError: A read has failed.
+        """
+        if self._failure is not None:
+            raise self._failure
 
     def _held(self, offset: int) -> Extent | None:
         extent = self._extents.holding(offset)

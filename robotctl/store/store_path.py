@@ -81,6 +81,14 @@ class StorePath(PosixPath):
             raise NoSuchObject(f"{self} does not exist", self._bucket.cure)
         return found
 
+    def check(self) -> None:
+        """Raise what has kept this file, or one in this folder, from being read, if anything has.
+
+        Raises:
+            StoreError: The store has failed, or a file was changed or removed meanwhile.
+        """
+        self._bucket.check(self._key)
+
     def stat(self, *, follow_symlinks: bool = True) -> os.stat_result:
         """Return kind and size; the rest is zero.
 

@@ -5,8 +5,11 @@ from __future__ import annotations
 import re
 import socket
 import sys
+import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from statistics import median
 
 import pytest
 
@@ -24,6 +27,8 @@ pytest.importorskip("distributed", reason="a cluster is an extra: robotctl[clust
 
 from tests.support.dask_processes import DaskProcesses, dask_processes
 
+PART = 200
+
 
 @pytest.fixture(scope="module")
 def dask() -> Iterator[DaskProcesses]:
@@ -32,13 +37,21 @@ def dask() -> Iterator[DaskProcesses]:
 
 
 def make_recordings(folder: Path, count: int, seconds: float = 1.0) -> list[Path]:
-    """Make recordings that differ in their hash; every tenth is decided differently."""
+    """Make recordings that differ in their hash; every tenth is decided differently.
+
+    They are two files under many names, which are part of the hash.
+    """
     written = drive(seconds)
     wrong, _ = altered(written, "PublishTwist", '"linear":0.', '"linear":0.0')
-    return [
-        record(folder / f"robot_{number:04}", wrong if number % 10 == 9 else written)
-        for number in range(count)
+    files = [
+        next(record(folder / "made" / name, each).glob("*.mcap"))
+        for name, each in (("good", written), ("wrong", wrong))
     ]
+    recordings = [folder / f"robot_{number:04}" for number in range(count)]
+    for number, recording in enumerate(recordings):
+        recording.mkdir()
+        (recording / f"{recording.name}_0.mcap").hardlink_to(files[number % 10 == 9])
+    return recordings
 
 
 def stored(folder: Path) -> int:
@@ -46,10 +59,10 @@ def stored(folder: Path) -> int:
     return len(list(folder.glob("*.json")))
 
 
+@pytest.mark.parametrize("count", [40, pytest.param(1000, marks=pytest.mark.slow)])
 def test_a_killed_worker_and_a_restarted_scheduler_lose_no_result_and_count_none_twice(
-    dask: DaskProcesses, tmp_path: Path
+    dask: DaskProcesses, tmp_path: Path, count: int
 ) -> None:
-    count = 40
     recordings = make_recordings(tmp_path / "recordings", count)
     results = tmp_path / "results"
     at_restart: list[int] = []
@@ -66,10 +79,46 @@ def test_a_killed_worker_and_a_restarted_scheduler_lose_no_result_and_count_none
     engine = Cluster(dask.address, tmp_path).judge
     report = judge_all(recordings, ResultStore(results), {}, Baseline(), engine, disturb)
     assert list(report.results) == recordings
-    assert (report.counts()["same"], report.counts()["diverged"]) == (36, 4)
+    assert report.counts() == {
+        "same": 9 * count // 10,
+        "diverged": count // 10,
+        "broken": 0,
+        "incomplete": 0,
+        "unreadable": 0,
+    }
     assert at_restart[0] < stored(results) == count, "nothing was left for the new scheduler"
     again = judge_all(recordings, ResultStore(results), {}, Baseline(), engine)
     assert (again.stored, again.results) == (count, report.results)
+
+
+@pytest.mark.slow
+def test_a_core_of_a_cluster_judges_nearly_as_much_as_one_process(
+    dask: DaskProcesses, tmp_path: Path
+) -> None:
+    recordings = make_recordings(tmp_path / "recordings", 1000, seconds=20.0)
+    judging = Judging({}, ResultStore(tmp_path / "alone"), software_hash())
+    engine = Cluster(dask.address, tmp_path).judge
+    store = ResultStore(tmp_path / "results")
+
+    def alone_s(part: list[Path]) -> float:
+        before_s = time.thread_time()
+        for path in part:
+            judging.judged(path)
+        return (time.thread_time() - before_s) / len(part)
+
+    shares: list[float] = []
+    with ThreadPoolExecutor(1) as thread:
+        for begin in range(0, len(recordings), PART):
+            part = recordings[begin : begin + PART]
+            before_s = time.process_time() + dask.cpu_s()
+            one = thread.submit(alone_s, part[: PART // 3])  # at the same time, by the same cores
+            judge_all(part, store, {}, Baseline(), engine)
+            one_s = one.result()
+            all_s = time.process_time() + dask.cpu_s() - before_s
+            shares.append(one_s * PART / (all_s - one_s * (PART // 3)))
+    assert stored(tmp_path / "results") == len(recordings)
+    print("efficiency:", ", ".join(f"{each:.2f}" for each in shares))
+    assert median(shares) >= 0.85, shares
 
 
 def test_a_worker_with_another_robotctl_is_refused_by_its_name(
@@ -88,7 +137,7 @@ def test_a_worker_that_does_not_see_the_recordings_says_so(
 ) -> None:
     judging = Judging({}, ResultStore(tmp_path / "results"), software_hash())
     hidden = Cluster(dask.address, tmp_path / "nowhere").judge
-    with pytest.raises(Refused, match=r"the worker .* does not see .*nowhere: give --in a folder"):
+    with pytest.raises(Refused, match=r"the worker .* does not see .*nowhere: give --in a URL"):
         list(hidden(judging, [tmp_path], lambda done, total: None))
     engine = Cluster(dask.address, tmp_path).judge
     ((_, answer),) = engine(judging, [tmp_path / "gone"], lambda done, total: None)

@@ -12,7 +12,7 @@ import typer
 
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.support.answer import print_answer
-from robotctl.cli.support.recording_paths import recordings_folder
+from robotctl.cli.support.recording_paths import recording_path, recordings_folder
 from robotctl.cli.terminal.progress import progress_bar
 from robotctl.cli.terminal.text import row, short_path
 from robotctl.errors import Divergence, Refused, RobotctlError, UnreadableFile, UsageError
@@ -37,9 +37,10 @@ def gate(
         Path | None,
         typer.Option(
             "--in",
-            metavar="DIR",
-            help="A folder of recordings [default: ./recordings, or the daemon's, or the last "
-            "daemon's].",
+            metavar="DIR|URL",
+            parser=recording_path,
+            help="A folder of recordings, also in a store [default: ./recordings, or the daemon's, "
+            "or the last daemon's].",
         ),
     ] = None,
     what_if: Annotated[
@@ -83,7 +84,7 @@ def gate(
       robotctl gate --in recordings --junit gate.xml
       robotctl gate --what-if odometry.timeout_s=0.3
       robotctl gate --baseline accepted.json --accept "a shorter ramp"
-      robotctl gate --in /mnt/recordings --cluster tcp://10.0.0.5:8786
+      robotctl gate --in s3://bucket/robots/one --cluster tcp://10.0.0.5:8786
     """
     from robotctl.fleet.baseline import Baseline, read_baseline
     from robotctl.fleet.gate import judge_all
