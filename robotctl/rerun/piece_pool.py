@@ -31,17 +31,15 @@ JOB_BYTES: Final = 1 << 20
 LEAST_BYTES: Final = 8 * JOB_BYTES
 """A shorter recording is checked before another process has started."""
 
-PATIENCE_S: Final = 0.2
-"""How long the check waits for a job; then it does the work itself, which takes no longer."""
-
 BYTES_PATIENCE_S: Final = 2.0
-"""The same for the process that reads every byte; it began with that."""
+"""How long the check waits at its end for the process that reads every byte; it began with that."""
 
-_AHEAD = 2
+_AHEAD = 3
 """How many jobs a process is given at once, so that it never waits for the next one."""
 
-_LEAD = 2
-"""How many confirmed jobs the check passes, at most, while a process does one."""
+_LEAD = 4
+"""How many jobs lie between those of a process. The check passes two or three confirmed ones while
+a process does one, and a job that is not done when the check is there was in vain."""
 
 
 class PiecePool:
@@ -99,29 +97,23 @@ class PiecePool:
     def confirmed(self, position: Position) -> ConfirmedPiece | None:
         """Return the piece that begins at this position, None if it is not confirmed.
 
-        Waits a moment for the process that was given it; otherwise the caller must re-run it.
+        Then the caller must re-run it, which takes no longer than to wait for a process.
         """
         self._reached = job = bisect_right(self._begins, Spot(position.file, position.offset)) - 1
         del self._waiting[: bisect_right(self._waiting, job)]
         for child in list(self._given):
             self._receive(child, 0.0)
-        self._wait_for(job, PATIENCE_S)
-        return self._confirmed.setdefault(job, {}).get(position)
+        return self._confirmed.get(job, {}).get(position)
 
     def bytes_found(self) -> BytesFound | None:
         """Return what reading every byte has found, None if no process did."""
-        self._wait_for(BYTES, BYTES_PATIENCE_S)
+        end_s = time.monotonic() + BYTES_PATIENCE_S
+        while (left_s := end_s - time.monotonic()) > 0.0:
+            reader = next((each for each, jobs in self._given.items() if BYTES in jobs), None)
+            if reader is None:
+                break
+            self._receive(reader, left_s)
         return self._bytes
-
-    def _wait_for(self, job: int, patience_s: float) -> None:
-        """Wait until a job is done, unless no process has it, or it takes too long."""
-        end_s = time.monotonic() + patience_s
-        while job not in self._confirmed:
-            worker = next((each for each, jobs in self._given.items() if job in jobs), None)
-            left_s = end_s - time.monotonic()
-            if worker is None or left_s <= 0.0:
-                return
-            self._receive(worker, left_s)
 
     def _receive(self, child: Child, seconds: float) -> None:
         """Take what a process reports within so many seconds; drop it if it ended."""
@@ -141,7 +133,7 @@ class PiecePool:
                 Position(*position): ConfirmedPiece(frozenset(unused))
                 for position, unused in report["confirmed"]
             }
-            self._confirmed.setdefault(report["job"], found)
+            self._confirmed[report["job"]] = found
         self._give(child)
 
     def _give(self, child: Child) -> None:
