@@ -27,6 +27,8 @@ class ShadowFacts(TypedDict):
     failure: str
     """Why it is off, "" while it decides."""
     mode: str
+    reason: str
+    """Why it is in that mode."""
     steps: int
     slow_steps: int
     """The steps that took more than 25 ms; three in a row switch it off."""

@@ -178,7 +178,7 @@ def outcome(effects: Sequence[Effect]) -> str:
 def _words(effect: Effect) -> str:
     match effect:
         case PublishTwist():
-            return f"{effect.twist.linear:.3f} m/s, {effect.twist.angular:.3f} rad/s"
+            return f"{effect.twist.linear:.6g} m/s, {effect.twist.angular:.6g} rad/s"
         case ModeChanged():
             return f"{effect.mode.name}: {effect.reason}"
         case Reply():

@@ -12,6 +12,7 @@ ASPECTS = {"mode": 0, "stop cause": 0, "command": 0, "answer": 0, "wording": 0}
 SAME: dict[str, Any] = {
     "failure": "",
     "mode": "IDLE",
+    "reason": "started",
     "steps": 12,
     "differing": 0,
     "aspects": ASPECTS,
@@ -30,7 +31,10 @@ END = "; last 0.5 s ago: 0.100 m/s, 0.000 rad/s instead of 0.600 m/s, 0.000 rad/
         ({}, "decides the same in 12 steps"),
         ({"failure": "slow"}, "off; until then: decides the same in 12 steps"),
         (DIFFERS, f"{TOLD}{END}"),
-        ({**DIFFERS, "apart_s": 2.0, "mode": "MOVING"}, f"{TOLD}, apart for 2.0 s, MOVING{END}"),
+        (
+            {**DIFFERS, "apart_s": 2.0, "mode": "ERROR", "reason": "too far"},
+            f"{TOLD}; apart for 2.0 s: ERROR, too far{END}",
+        ),
     ],
 )
 def test_it_tells_how_often_and_how_it_decided_otherwise(facts: dict[str, Any], says: str) -> None:

@@ -137,7 +137,7 @@ def test_only_what_differs_is_recorded_and_it_is_what_the_shadow_decides() -> No
     assert facts["differing"] == facts["aspects"]["command"] == len(record)
     assert facts["steps"] == len(events)
     assert facts["first"] is not None
-    assert facts["first"]["shadow"] == "0.100 m/s, 0.000 rad/s"
+    assert facts["first"]["shadow"] == "0.1 m/s, 0 rad/s"
 
 
 def test_a_shadow_that_decides_nothing_where_the_robot_is_commanded_is_recorded() -> None:

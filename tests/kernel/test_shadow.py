@@ -216,11 +216,11 @@ def test_a_decision_is_told_in_words() -> None:
         replace(REPLY, ok=False, message="no"),
     )
     assert outcome(effects) == (
-        "0.250 m/s, -1.000 rad/s; latched; released; IDLE: done; drive ended; granted: yes; "
+        "0.25 m/s, -1 rad/s; latched; released; IDLE: done; drive ended; granted: yes; "
         "refused: no"
     )
     assert outcome(()) == "nothing"
-    assert contrast(effects, effects[1:]) == ("0.250 m/s, -1.000 rad/s", "nothing")
+    assert contrast(effects, effects[1:]) == ("0.25 m/s, -1 rad/s", "nothing")
     assert contrast(effects[:-1], effects) == ("nothing", "refused: no")
 
 

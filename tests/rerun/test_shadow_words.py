@@ -25,9 +25,9 @@ def entry(name: str, data: str = "{}") -> JournalEntry:
         ([], "no other decision of the shadow is recorded"),
         (
             [entry("PublishTwist", to_json(SLOWER))],
-            "0.100 m/s, 0.000 rad/s instead of 0.000 m/s, 0.000 rad/s; ERROR: lost",
+            "0.1 m/s, 0 rad/s instead of 0 m/s, 0 rad/s; ERROR: lost",
         ),
-        ([entry("Nothing")], "nothing instead of 0.000 m/s, 0.000 rad/s; ERROR: lost"),
+        ([entry("Nothing")], "nothing instead of 0 m/s, 0 rad/s; ERROR: lost"),
         ([entry("Failed", '{"failure":"slow"}')], "the shadow was switched off here"),
         ([entry("Dance")], "not read: journal entry 7 cannot be read: no effect is called 'Dance'"),
     ],

@@ -113,7 +113,7 @@ def shadow_text(shadow: Mapping[str, Any]) -> str:
     counts = ", ".join(f"{count} {name}" for name, count in shadow["aspects"].items() if count)
     text += f"differs in {differing} of {steps} steps ({counts})"
     if shadow["apart_s"] is not None:
-        text += f", apart for {duration(shadow['apart_s'])}, {printable(shadow['mode'])}"
+        text += f"; apart for {duration(shadow['apart_s'])}: {shadow['mode']}, {shadow['reason']}"
     if last:
         text += (
             f"; last {duration(last['ago_s'])} ago: {last['shadow']} instead of {last['driving']}"

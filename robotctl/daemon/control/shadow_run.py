@@ -108,6 +108,7 @@ class ShadowRun:
             "digest": self._digest,
             "failure": self._failure,
             "mode": shadow.state.mode.name,
+            "reason": shadow.state.reason,
             "steps": shadow.steps,
             "slow_steps": self._slow_steps,
             "differing": shadow.differing,
