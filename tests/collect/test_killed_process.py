@@ -1,0 +1,108 @@
+"""A process that copies recordings is killed or interrupted: objects are whole, and it goes on."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from robotctl.collect.object_names import ObjectName, collected_recordings
+from robotctl.collect.read_back import read_manifest
+from robotctl.store import open_store
+from tests.collect.conftest import copy_as
+from tests.support.s3_server import environment
+from tests.support.waiting import until
+
+ROBOTCTL = (sys.executable, "-c", "from robotctl.cli.app import main; main()")
+KILLS = 12
+
+WHOLE = 40 * 3
+"""Objects of all recordings: data, `metadata.yaml` and manifest of each."""
+
+
+def started(place: str, recordings: Path, *options: str) -> subprocess.Popen[bytes]:
+    """Start `robotctl sync`."""
+    command = [*ROBOTCTL, "sync", place, "--recordings"]
+    return subprocess.Popen(
+        [*command, str(recordings), *options], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+
+
+def run_to_its_end(place: str, recordings: Path, *options: str) -> None:
+    with started(place, recordings, *options) as process:
+        assert process.wait(120) == 0
+
+
+def check_whole(place: str) -> int:
+    """Check that objects and manifests hold what their names say; return their number."""
+    store = open_store(place)
+    listing = list(store.list())
+    for each in listing:
+        name = ObjectName.parse(each.key)
+        assert name is not None
+        assert hashlib.sha256(store.get(each.key, 1 << 30)).hexdigest() == name.sha256
+    for recording in collected_recordings(listing).values():
+        if recording.manifest is not None:
+            manifest = read_manifest(store, recording)
+            for file in manifest.files:
+                assert recording.objects[manifest.object_of(file)] == file.size_bytes
+    return len(listing)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["folder", "bucket"])
+def test_a_process_that_is_killed_at_any_moment_goes_on(
+    one_recording: Path,
+    s3_endpoint: str,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    kind: str,
+) -> None:
+    for name, value in environment(s3_endpoint).items():
+        monkeypatch.setenv(name, value)
+    root = str(tmp_path) if kind == "folder" else f"s3://robots/{tmp_path.name}"
+    recordings = tmp_path / "recordings"
+    for number in range(40):
+        folder = copy_as(one_recording, recordings / f"robot_20260101_1200{number:02}")
+        if number % 8 == 0:
+            with (folder / f"{folder.name}_0.mcap").open("ab") as file:
+                file.write(os.urandom(9 << 20))  # goes in two parts
+    begun_s = time.monotonic()
+    run_to_its_end(f"{root}/whole", recordings)
+    whole_s = time.monotonic() - begun_s
+    chance, seen = random.Random(5), []
+    for number in range(KILLS):
+        with started(f"{root}/{number}", recordings) as process:
+            time.sleep(chance.uniform(0.3, 1.0) * whole_s)
+            process.kill()
+        seen.append(check_whole(f"{root}/{number}"))
+    assert any(0 < count < WHOLE for count in seen), f"no kill fell into the copying: {seen}"
+    for number in range(KILLS):
+        run_to_its_end(f"{root}/{number}", recordings)
+        assert check_whole(f"{root}/{number}") == WHOLE
+    for _ in range(3):
+        with started(f"{root}/whole", recordings, "--max-total-gb", "0") as process:
+            time.sleep(chance.uniform(0.3, 1.0) * whole_s)
+            process.kill()
+    run_to_its_end(f"{root}/whole", recordings, "--max-total-gb", "0")
+    assert not list(recordings.glob("robot_*"))
+    assert check_whole(f"{root}/whole") == WHOLE
+
+
+def test_an_interrupt_ends_a_wait_at_once(one_recording: Path, tmp_path: Path) -> None:
+    recordings = tmp_path / "recordings"
+    copy_as(one_recording, recordings / one_recording.name)
+    with started(str(tmp_path / "store"), recordings, "--limit-mbps", "0.01") as process:
+        until((recordings / ".sync" / "hashes.jsonl").exists)
+        begun_s = time.monotonic()
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30) == 130
+        assert time.monotonic() - begun_s < 10, "it slept until the limit let it go on"
+    assert not (tmp_path / "store").exists()
