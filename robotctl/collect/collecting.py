@@ -90,9 +90,12 @@ def collect(
                 break
         else:
             failed = 0
-            (run.live if each.live else run.complete).append(name)
             if lacking:
                 run.copied[name] = lacking
+            if each.live:
+                run.live.append(name)
+            elif not (lacking and dry_run):
+                run.complete.append(name)
         done += _size(each)
     else:
         ledger.forget_the_rest()
@@ -126,7 +129,7 @@ def _copy(
     """Copy what the store lacks of a recording, its manifest last; return the files.
 
     Raises:
-        UnreadableFile: A file here cannot be read, or was written meanwhile.
+        UnreadableFile: A file here cannot be read, was written meanwhile, or is lost.
         WrongContent: An object is not what its name says.
         RobotctlError: The store fails, or a name is none that it can hold.
     """
@@ -155,6 +158,8 @@ def _copy(
     if missing.manifest is not None:
         key = missing.manifest.name(missing.number).key
         store.put_if_absent(key, missing.manifest.to_bytes())
+    for file in missing.lost:
+        raise UnreadableFile(f"{file.name} is neither here nor in the store any more")
     return list(missing.files)
 
 

@@ -102,9 +102,9 @@ def hash_ledger(recordings: Path, now_ns: Callable[[], int]) -> Iterator[HashLed
     """
     folder = recordings / FOLDER
     descriptor = -1
+    with suppress(OSError):  # it is there, or the disk is full
+        make_folder(folder, shared=False)
     with suppress(OSError):
-        if not folder.exists():
-            make_folder(folder, shared=False)
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
     try:
         if descriptor >= 0:

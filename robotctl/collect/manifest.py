@@ -17,7 +17,7 @@ MAX_MANIFEST_BYTES: Final = 16 << 20
 _DATA_SUFFIX: Final = ".mcap"
 
 
-class CollectedFile(Struct, frozen=True, forbid_unknown_fields=False):
+class CollectedFile(Struct, frozen=True):
     """A file of a recording; `modified_ns` since the epoch."""
 
     name: str

@@ -14,17 +14,14 @@ class Missing:
     """What to copy: the files, then the manifest with its number; None if there is one already.
 
     `wrong` are objects whose size is not that of their name's file: they are never replaced.
+    `lost` are files that are neither here nor there, though a manifest names them.
     """
 
     files: tuple[CollectedFile, ...]
     manifest: Manifest | None
     number: int
     wrong: tuple[CollectedFile, ...]
-
-    @property
-    def nothing(self) -> bool:
-        """Whether the store has all of the recording."""
-        return not self.files and self.manifest is None
+    lost: tuple[CollectedFile, ...]
 
 
 def missing_of(
@@ -42,15 +39,13 @@ def missing_of(
         wanted = before.united(here.data() if before.lost_data(here) else here)
     here_too = {(file.name, file.sha256) for file in here.files}
     sizes = {file: there.objects.get(wanted.object_of(file)) for file in wanted.files}
+    absent = [file for file, size in sizes.items() if size is None]
     return Missing(
-        files=tuple(
-            file
-            for file, size in sizes.items()
-            if size is None and (file.name, file.sha256) in here_too
-        ),
+        files=tuple(file for file in absent if (file.name, file.sha256) in here_too),
         manifest=None if there.manifest == wanted.name(number) else wanted,
         number=number + 1,
         wrong=tuple(
             file for file, size in sizes.items() if size is not None and size != file.size_bytes
         ),
+        lost=tuple(file for file in absent if (file.name, file.sha256) not in here_too),
     )

@@ -6,8 +6,10 @@ import errno
 import os
 import stat
 from collections.abc import Iterable, Iterator
+from concurrent.futures import Future
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Final
 
 from robotctl.printable import printable
 from robotctl.store.failed_request import changed, short_answer
@@ -21,6 +23,8 @@ class FolderStore:
 
     The folder is created when something is stored.
     """
+
+    can_list: Final = True
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -61,6 +65,15 @@ class FolderStore:
                 raise short_answer(self._where(key), len(data), end - begin)
             return data
 
+    def start_range(self, found: StoredObject, begin: int, end: int) -> Future[bytes]:
+        """Do what `get_range` does, and return its result as one to come."""
+        result: Future[bytes] = Future()
+        try:
+            result.set_result(self.get_range(found, begin, end))
+        except StoreError as error:
+            result.set_exception(error)
+        return result
+
     def get(self, key: str, max_bytes: int) -> bytes:
         """Return a whole file."""
         found = self.head(key)
@@ -95,7 +108,10 @@ class FolderStore:
         flags = os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK | os.O_NOFOLLOW
         descriptor = os.open(self._path(key), flags)
         try:
-            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+            mode = os.fstat(descriptor).st_mode
+            if stat.S_ISDIR(mode):  # as in a bucket: a folder is no object
+                raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT))
+            if not stat.S_ISREG(mode):
                 raise OSError(errno.EINVAL, "it is not a regular file")
             yield descriptor
         finally:

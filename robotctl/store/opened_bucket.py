@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import re
 from bisect import bisect_left
 from functools import cache
-from typing import Final
+from pathlib import Path
 
+from robotctl.store.folder_store import FolderStore
+from robotctl.store.hash_folders import without_hashes
 from robotctl.store.range_cache import RangeCache
 from robotctl.store.range_reader import RangeReader
 from robotctl.store.remote_store import RemoteStore
 from robotctl.store.store_errors import NoSuchObject
 from robotctl.store.stored_object import StoredObject
 from robotctl.store.url import parse_url
-
-_HASH_FOLDER: Final = re.compile(r"(?<![^/])[0-9a-f]{64}/")
-"""Of a collected file: RECORDING/SHA256/FILE."""
 
 
 @cache
@@ -37,7 +35,9 @@ class OpenedBucket:
         Raises:
             UsageError: The library is missing.
         """
-        self._store = RemoteStore(parse_url(root_url))
+        url = parse_url(root_url)
+        here = url.scheme == "file"
+        self._store = FolderStore(Path("/", url.host)) if here else RemoteStore(url)
         self._known: dict[str, StoredObject | None] = {}
         self._listed: dict[str, list[str]] = {}
         self._readers: dict[str, RangeReader] = {}
@@ -66,7 +66,7 @@ class OpenedBucket:
             skipped = len(folder) + 1 if folder else 0
             paths: dict[str, StoredObject] = {}
             for each in sorted(found, key=lambda each: each.modified_s):
-                paths[_HASH_FOLDER.sub("", each.key[skipped:])] = each
+                paths[without_hashes(each.key[skipped:])] = each
             self._listed[folder] = sorted(paths)
             self._known |= {f"{folder}/{path}".lstrip("/"): each for path, each in paths.items()}
         return self._listed[folder]

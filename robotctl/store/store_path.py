@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Final, Self
 
 from robotctl.errors import UsageError
 from robotctl.regular_file import open_regular
+from robotctl.store.hash_folders import has_hash_folders
 from robotctl.store.range_reader import RangeReader
 from robotctl.store.store_errors import AccessDenied, NoSuchObject
 from robotctl.store.stored_object import StoredObject
@@ -24,19 +25,28 @@ _MAX_OPENED_BYTES: Final = 64 << 20
 """Of a file that is read as a whole, as `metadata.yaml`."""
 
 _HOST_PARTS: Final = 2
-"""Scheme and host, the first two parts of a path."""
+"""Scheme and host, the first two parts of a path; of this computer the highest folder."""
+
+_HERE: Final = "file:"
+"""The scheme of this computer."""
 
 
 def path_of(text: str) -> Path:
     """Return the path that a user means: of this computer, or of a store if it is a URL.
 
+    A folder that `robotctl sync` has made is a store, too.
+
     Raises:
         UsageError: It is a URL, but of no store.
     """
     if not is_url(text):
-        return Path(text)
-    url = parse_url(text)
-    return Path("/", url.path) if url.scheme == "file" else StorePath(str(url))
+        path = Path(text)
+    else:
+        url = parse_url(text)
+        if url.scheme != "file":
+            return StorePath(str(url))
+        path = Path("/", url.path)
+    return StorePath(f"{_HERE}{path.resolve()}") if has_hash_folders(path) else path
 
 
 def open_file(path: Path) -> BinaryIO:
@@ -59,11 +69,16 @@ class StorePath(PosixPath):
     """
 
     def __str__(self) -> str:
-        """Return the URL."""
+        """Return the URL, or the path of this computer."""
+        if self.parts[0] == _HERE:
+            return str(Path("/", *self.parts[1:]))
         return super().__str__().replace(":/", "://", 1)
 
     def __fspath__(self) -> str:
-        """Refuse to be a name of the operating system."""
+        """Refuse to be a name of the operating system, unless the store is a folder."""
+        if self.parts[0] == _HERE:
+            found = self._found()
+            return str(self) if found is None else str(Path("/", self.parts[1], found.key))
         raise UsageError(f"{self} is not on this computer, as this needs", "download it first")
 
     def reader(self) -> RangeReader:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import sys
 import time
 from collections.abc import Callable
@@ -63,6 +64,28 @@ def test_a_bucket_takes_recordings_and_they_go_here(
     assert (answer["complete"], len(answer["copied"])) == ([NAME], 3)
     assert [Path(each).name for each in answer["removed"]] == [f"{NAME}_0.mcap", large.name]
     assert not recording.exists()
+
+
+@pytest.mark.parametrize("kind", ["folder", "bucket"])
+def test_what_was_copied_is_read_as_the_recording_is(
+    cli: Cli,
+    recording: Path,
+    s3_endpoint: str,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    kind: str,
+) -> None:
+    for name, value in environment(s3_endpoint).items():
+        monkeypatch.setenv(name, value)
+    place = str(tmp_path / "usb") if kind == "folder" else f"s3://robots/{tmp_path.name}"
+    assert cli("sync", place).exit_code == 0
+    here = json.loads(cli("info", str(recording), "--json").out)
+    shutil.rmtree(recording)
+    there = json.loads(cli("info", f"{place}/{NAME}", "--json").out)
+    assert there["path"] == f"{place}/{NAME}"
+    assert there["topics"] == here["topics"]
+    checked = cli("replay", "--check", place)
+    assert (checked.exit_code, checked.out.split()[0]) == (0, "same")
 
 
 def test_an_object_that_was_changed_is_told_with_exit_code_7(

@@ -241,6 +241,18 @@ def test_an_object_that_has_vanished_is_copied_again(
     assert store.objects == whole
 
 
+def test_a_file_that_is_neither_here_nor_there_any_more_is_named(
+    run: Collect, store: MemoryStore, recordings: Path
+) -> None:
+    shutil.copy(recordings / FIRST / f"{FIRST}_0.mcap", recordings / FIRST / f"{FIRST}_1.mcap")
+    run()
+    (recordings / FIRST / f"{FIRST}_0.mcap").unlink()
+    (gone,) = (key for key in store.objects if key.endswith(f"{FIRST}_0.mcap"))
+    del store.objects[gone]
+    done = run()
+    assert done.problems == [f"{FIRST}: {FIRST}_0.mcap is neither here nor in the store any more"]
+
+
 def test_an_object_of_another_size_than_its_name_says_is_named_and_left(
     run: Collect, store: MemoryStore
 ) -> None:

@@ -92,7 +92,7 @@ def test_a_process_that_is_killed_at_any_moment_goes_on(
             time.sleep(chance.uniform(0.3, 1.0) * whole_s)
             process.kill()
     run_to_its_end(f"{root}/whole", recordings, "--max-total-gb", "0")
-    assert not list(recordings.glob("robot_*"))
+    assert not list(recordings.rglob("*.mcap"))
     assert check_whole(f"{root}/whole") == WHOLE
 
 

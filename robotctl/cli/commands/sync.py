@@ -144,7 +144,8 @@ def _lines(
     if dry_run:
         yield f"{short_path(here)}: {copied} would be copied to {place}"
     else:
-        yield f"{place}: {len(run.complete)} recordings are there; {copied} copied now"
+        now = f"{copied} copied now" if run.copied else "nothing was missing"
+        yield f"{place}: {len(run.complete)} recordings are there; {now}"
     for name in run.live:
         yield f"  {name} is being recorded: the file that is written follows later"
     if pruned.removed:
@@ -158,5 +159,5 @@ def _error(run: Collected, pruned: Pruned) -> RobotctlError | None:
     if wrong := len(run.wrong) + len(pruned.wrong):
         return Divergence(f"{wrong} objects in the store are not what was stored", "see above")
     if problems := len(run.problems) + len(pruned.problems):
-        return UnreadableFile(f"{problems} problems", "nothing is lost; run it again")
+        return UnreadableFile(f"{problems} problems", "what is here stays: run it again")
     return None

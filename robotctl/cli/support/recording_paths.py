@@ -79,8 +79,6 @@ def recording_path(text: str) -> Path:
     Raises:
         UsageError: It is a URL that no recording can have.
     """
-    if "://" not in text:
-        return Path(text)
     from robotctl.store.store_path import path_of
 
     return path_of(text)

@@ -57,7 +57,6 @@ def enforce_retention(
     total = sum(file.size for file, _ in files)
     removed: list[Removed] = []
     gone: set[Path] = set()
-    touched: dict[Path, CatalogFolder] = {}
     for file, folder in files:
         too_much = policy.max_bytes is not None and total > policy.max_bytes
         too_old = policy.max_age_s is not None and now_s - file.modified_s > policy.max_age_s
@@ -75,9 +74,7 @@ def enforce_retention(
             removed.append(Removed(file.path, file.size))
         gone.add(file.path)
         total -= file.size
-        touched[folder.path] = folder
-    for folder in touched.values():
-        with suppress(OSError):
+        with suppress(OSError):  # at once: this process may be killed before the next removal
             _tidy(folder, gone)
     return removed
 

@@ -1,0 +1,45 @@
+"""The folders in which `robotctl sync` keeps files: RECORDING/SHA256/FILE."""
+
+from __future__ import annotations
+
+import os
+import re
+from itertools import islice
+from pathlib import Path
+from typing import Final
+
+_HASH: Final = re.compile(r"[0-9a-f]{64}")
+_HASH_FOLDER: Final = re.compile(r"(?<![^/])[0-9a-f]{64}/")
+
+_LOOKED_AT: Final = 3
+"""Folders of recordings that are looked into; in a folder of copies the first one tells."""
+
+
+def without_hashes(key: str) -> str:
+    """Return the name of an object without its folder that is named by a hash."""
+    return _HASH_FOLDER.sub("", key)
+
+
+def has_hash_folders(path: Path) -> bool:
+    """Return whether a folder holds such folders, or recordings that do."""
+    within = _folders(path)
+    return any(map(_is_hash, within)) or any(
+        _is_hash(each) for folder in islice(within, _LOOKED_AT) for each in _folders(folder)
+    )
+
+
+def _is_hash(path: Path) -> bool:
+    return _HASH.fullmatch(path.name) is not None
+
+
+def _folders(path: Path) -> list[Path]:
+    """Return the folders in a folder, without hidden ones; none if it cannot be listed."""
+    try:
+        with os.scandir(path) as found:
+            return [
+                Path(each.path)
+                for each in found
+                if not each.name.startswith(".") and each.is_dir(follow_symlinks=False)
+            ]
+    except OSError:
+        return []
