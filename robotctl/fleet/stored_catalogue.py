@@ -190,8 +190,7 @@ def _put_beside(recording: StorePath, index: bytes) -> None:
     folder, _, _ = file.described().key.rpartition("/")
     if folder.rpartition("/")[2] != recording.name:
         folder = f"{folder.rpartition('/')[0]}/{hashlib.sha256(index).hexdigest()}"
-    root = "/".join(str(recording).split("/")[:3])
-    open_store(root).put(f"{folder}/{INDEX_FILE}", [index])
+    open_store(recording.store_root).put(f"{folder}/{INDEX_FILE}", [index])
 
 
 def _remove_all_but(cache: Path, indexes: Sequence[Path]) -> None:

@@ -85,6 +85,12 @@ class StorePath(PosixPath):
         """Return what reads this file."""
         return self._bucket.reader(self._key)
 
+    @property
+    def store_root(self) -> str:
+        """The URL or folder of the whole store, below which `described` names the file."""
+        here = self.parts[0] == _HERE
+        return f"/{self.parts[1]}" if here else f"{self.parts[0]}//{self.parts[1]}"
+
     def described(self) -> StoredObject:
         """Return what is known about this file.
 

@@ -1,0 +1,54 @@
+"""A folder of copies is read as if their hashes were not in their names."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from robotctl.store import open_store
+from robotctl.store.store_path import StorePath, path_of
+
+SHA = "0123456789abcdef" * 4
+KEY = f"run/{SHA}/run_0.mcap"
+
+
+@pytest.fixture
+def copies(tmp_path: Path) -> Path:
+    store = open_store(str(tmp_path / "usb"))
+    store.put_if_absent(KEY, b"data")
+    store.put_if_absent(f"run/{SHA[::-1]}/clips/a.mcap", b"clip")
+    return tmp_path / "usb"
+
+
+@pytest.mark.parametrize("url", ["", "file://"])
+def test_it_is_a_store_whose_paths_have_no_hashes(copies: Path, url: str) -> None:
+    path = path_of(f"{url}{copies}")
+    assert isinstance(path, StorePath)
+    assert str(path) == str(copies)
+    (run,) = path.iterdir()
+    assert str(run) == f"{copies}/run"
+    assert [str(each) for each in run.glob("*.mcap")] == [f"{copies}/run/run_0.mcap"]
+    assert [str(each) for each in run.glob("clips/*")] == [f"{copies}/run/clips/a.mcap"]
+    assert (run / "run_0.mcap").reader().read(1, 2) == b"at"
+    assert isinstance(path_of(f"{copies}/run"), StorePath)
+
+
+def test_what_needs_a_file_gets_the_copy_itself(copies: Path) -> None:
+    assert os.fspath(path_of(str(copies)) / "run" / "run_0.mcap") == f"{copies}/{KEY}"
+
+
+def test_a_file_beside_another_is_stored_where_that_is(copies: Path) -> None:
+    path = path_of(str(copies)) / "run" / "run_0.mcap"
+    assert isinstance(path, StorePath)
+    beside = path.described().key.replace("run_0.mcap", "index.parquet")
+    open_store(path.store_root).put(beside, [b"index"])
+    assert (copies / "run" / SHA / "index.parquet").read_bytes() == b"index"
+
+
+def test_a_folder_of_recordings_stays_a_folder(tmp_path: Path) -> None:
+    (tmp_path / "run" / "clips").mkdir(parents=True)
+    (tmp_path / "run" / "run_0.mcap").touch()
+    for path in (tmp_path, tmp_path / "run", tmp_path / "run" / "run_0.mcap", tmp_path / "gone"):
+        assert type(path_of(str(path))) is type(Path())
