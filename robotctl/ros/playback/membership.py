@@ -10,7 +10,6 @@ from rclpy.parameter import Parameter
 
 from robotctl.domains import is_certainly_empty
 from robotctl.ros.context import close_context, open_context
-from robotctl.ros.graph.discovery import Discovery
 
 NODE_NAME: Final = "robotctl_replay"
 
@@ -35,6 +34,9 @@ class Membership:
             enable_rosout=False,
             parameter_overrides=[Parameter("start_type_description_service", value=False)],
         )
+        # Here, because the middleware discovers others during this import.
+        from robotctl.ros.graph.discovery import Discovery
+
         self.discovery = Discovery(self.node, domain_id)
 
     def __enter__(self) -> Self:
