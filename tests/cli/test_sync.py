@@ -135,6 +135,7 @@ def test_a_folder_that_cannot_be_the_target_is_refused(
     (tmp_path / "file").touch()
     for wrong in (tmp_path / "not" / "mounted", tmp_path / "file", recording.parent / "copy"):
         assert cli("sync", str(wrong)).exit_code == 2
+    assert cli("sync", "").exit_code == 2
 
 
 def test_without_the_extra_a_url_is_one_sentence_with_its_cure(

@@ -15,7 +15,14 @@ from robotctl.cli.support.recording_paths import RecordingsFolder, recordings_fo
 from robotctl.cli.support.sync_pace import SyncPace
 from robotctl.cli.terminal.progress import progress_bar
 from robotctl.cli.terminal.text import row, short_path, size
-from robotctl.errors import Divergence, Refused, RobotctlError, UnreadableFile, UsageError
+from robotctl.errors import (
+    IN_PARENTHESES,
+    Divergence,
+    Refused,
+    RobotctlError,
+    UnreadableFile,
+    UsageError,
+)
 from robotctl.paths import DEFAULT_ROBOT
 
 if TYPE_CHECKING:
@@ -76,6 +83,8 @@ def sync(
     from robotctl.store import is_url, open_store
 
     here = recordings_folder(robot, folder)
+    if not place:
+        raise UsageError("the URL is empty", "name a store or a folder")
     if not is_url(place):
         _check_folder(Path(place), here)
     store = open_store(place)
@@ -94,7 +103,8 @@ def sync(
                     here, store, ledger, pace=pace, on_progress=on_progress, dry_run=dry_run
                 )
             if policy != RetentionPolicy(None, None) and not dry_run:
-                pruned = prune(here, store, policy, time.time_ns() / NS_PER_S, pace=pace)
+                with progress_bar("reading back", quiet=as_json):  # how much, retention decides
+                    pruned = prune(here, store, policy, time.time_ns() / NS_PER_S, pace=pace)
     except OSError as error:
         raise Refused(f"{here} cannot be listed: {error.strerror or error}") from error
     answer = _as_object(store.name, here, run, pruned, dry_run=dry_run)
@@ -157,7 +167,8 @@ def _lines(
 
 def _error(run: Collected, pruned: Pruned) -> RobotctlError | None:
     if wrong := len(run.wrong) + len(pruned.wrong):
-        return Divergence(f"{wrong} objects in the store are not what was stored", "see above")
+        return Divergence(f"{wrong} objects in the store are not what was stored")
     if problems := len(run.problems) + len(pruned.problems):
-        return UnreadableFile(f"{problems} problems", "what is here stays: run it again")
+        cure = "what is here stays; run it again"
+        return UnreadableFile(f"{problems} problems", cure, sentence=IN_PARENTHESES)
     return None
