@@ -27,17 +27,17 @@ ALLOW_HTTP: Final = "use https, or set AWS_ALLOW_HTTP=true for a network that yo
 _BROKEN: Final = re.compile(r"kind: (Body|Decode|Interrupted)\b|IncompleteMessage|UnexpectedRange")
 
 _REASONS: Final = {
-    "ConnectionRefused": "it refuses the connection",
+    "ConnectionRefused": "the server refuses the connection",
     "dns error": "there is no such host",
-    "InvalidContentType": "it does not speak https",
-    "UnknownIssuer": "its certificate is not trusted",
-    "certificate": "its certificate is not valid",
-    "TimedOut": "it does not answer in time",
-    "kind: Timeout": "it does not answer in time",
-    "NotPartial": "it cannot send parts of a file",
-    "RangeNotSupported": "it cannot send parts of a file",
-    "CONTENT_RANGE": "it claims a size that no file can have",
-    "Connect": "it cannot be reached",
+    "InvalidContentType": "the server does not speak https",
+    "UnknownIssuer": "the certificate of the server is not trusted",
+    "certificate": "the certificate of the server is not valid",
+    "TimedOut": "the server does not answer in time",
+    "kind: Timeout": "the server does not answer in time",
+    "NotPartial": "the server cannot send parts of a file",
+    "RangeNotSupported": "the server cannot send parts of a file",
+    "CONTENT_RANGE": "the server claims a size that no file can have",
+    "Connect": "the server cannot be reached",
 }
 """Words of the error, and what they mean; the first that is found counts."""
 
@@ -60,7 +60,7 @@ def error_of(error: Exception, scheme: str, where: str) -> StoreError:
     if _INSTANCE_METADATA.search(text):
         return AccessDenied(f"{where}: there are no credentials", cure)
     if kind in ("PermissionDeniedError", "UnauthenticatedError") or _status(text) in (401, 403):
-        return AccessDenied(f"{where}: access is denied", cure)
+        return AccessDenied(f"{where}: access is denied{_code(text)}", cure)
     return _failure(text, where)
 
 
@@ -80,7 +80,7 @@ def _failure(text: str, where: str) -> StoreFailed:
         cause = f"{where}: the store sends requests elsewhere"
         return StoreFailed(cause, "set AWS_REGION to the region of the bucket")
     if status is not None:
-        return StoreFailed(f"{where}: the store answers with HTTP status {status}")
+        return StoreFailed(f"{where}: the store answers with HTTP status {status}{_code(text)}")
     if "BadScheme" in text:
         return StoreFailed(f"{where}: the connection would not be encrypted", ALLOW_HTTP)
     if _BROKEN.search(text):
@@ -93,3 +93,9 @@ def _failure(text: str, where: str) -> StoreFailed:
 def _status(text: str) -> int | None:
     found = re.search(r"status(?: code)?: (\d{3})\b", text)
     return int(found[1]) if found else None
+
+
+def _code(text: str) -> str:
+    """Return the store's own word for the error, such as ` (SlowDown)`, or ""."""
+    found = re.search(r"<Code>(\w{1,60})</Code>", text)
+    return f" ({found[1]})" if found else ""

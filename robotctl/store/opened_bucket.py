@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from functools import cache
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from robotctl.store.folder_store import FolderStore
 from robotctl.store.hash_folders import without_hashes
@@ -42,10 +42,6 @@ class OpenedBucket:
         self._listed: dict[str, list[str]] = {}
         self._readers: dict[str, RangeReader] = {}
         self._cache = RangeCache()
-        self.cure = (
-            "check the URL" if self._store.can_list else "name the file: a server lists no folders"
-        )
-        """What to do if something does not exist."""
 
     def found(self, path: str) -> StoredObject | None:
         """Return the object at a path; None if there is none."""
@@ -67,6 +63,8 @@ class OpenedBucket:
             paths: dict[str, StoredObject] = {}
             for each in sorted(found, key=lambda each: each.modified_s):
                 paths[without_hashes(each.key[skipped:])] = each
+            for parent in {str(above) for path in paths for above in PurePosixPath(path).parents}:
+                paths.pop(parent, None)  # an empty object that a console shows as a folder
             self._listed[folder] = sorted(paths)
             self._known |= {f"{folder}/{path}".lstrip("/"): each for path, each in paths.items()}
         return self._listed[folder]
@@ -97,7 +95,7 @@ class OpenedBucket:
         if path not in self._readers:
             found = self.found(path)
             if found is None:
-                raise NoSuchObject(f"{self._store.name}/{path} does not exist", self.cure)
+                raise self.no_such(path)
             self._readers[path] = RangeReader(
                 found.size_bytes,
                 lambda begin, end: self._store.start_range(found, begin, end),
@@ -114,6 +112,13 @@ class OpenedBucket:
         for each in (path, *(f"{path}/{name}" for name in self.below(path))):
             if (reader := self._readers.get(each)) is not None:
                 reader.check()
+
+    def no_such(self, path: str) -> NoSuchObject:
+        """Return the error for a path with nothing there."""
+        is_folder = "." not in path.rpartition("/")[2]
+        on_server = is_folder and not self._store.can_list
+        cure = "name the file: a server lists no folders" if on_server else "check the URL"
+        return NoSuchObject(f"{self._store.name}/{path} does not exist", cure)
 
     def _asked(self, path: str) -> StoredObject | None:
         try:

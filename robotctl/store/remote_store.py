@@ -197,7 +197,7 @@ def _client(*, allow_http: bool) -> ClientConfig:
     return {
         "allow_http": allow_http,
         "connect_timeout": timedelta(seconds=5),
-        # Of no byte: a large part may take long on a thin line.
+        # Without a byte: a large part may take long on a thin line.
         "read_timeout": timedelta(seconds=20),
         "timeout": timedelta(minutes=10),
     }

@@ -14,7 +14,7 @@ from robotctl.errors import UsageError
 from robotctl.regular_file import open_regular
 from robotctl.store.hash_folders import has_hash_folders
 from robotctl.store.range_reader import RangeReader
-from robotctl.store.store_errors import AccessDenied, NoSuchObject
+from robotctl.store.store_errors import AccessDenied
 from robotctl.store.stored_object import StoredObject
 from robotctl.store.url import is_url, parse_url
 
@@ -99,7 +99,7 @@ class StorePath(PosixPath):
         """
         found = self._found()
         if found is None:
-            raise NoSuchObject(f"{self} does not exist", self._bucket.cure)
+            raise self._bucket.no_such(self._key)
         return found
 
     def check(self) -> None:
@@ -118,7 +118,7 @@ class StorePath(PosixPath):
         """
         found = self._found()
         if found is None and not self._below():
-            raise NoSuchObject(f"{self} does not exist", self._bucket.cure)
+            raise self._bucket.no_such(self._key)
         mode = stat.S_IFDIR if found is None else stat.S_IFREG
         size = 0 if found is None else found.size_bytes
         return os.stat_result((mode, 0, 0, 1, 0, 0, size, 0, 0, 0))

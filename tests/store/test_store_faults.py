@@ -88,7 +88,9 @@ def test_refused_access_is_told_with_its_cure_and_without_secrets(bucket: Faulty
     bucket.before = lambda served, method, key: 403
     with pytest.raises(AccessDenied) as denied:
         open_store(ROBOTS).put_if_absent("run.mcap", b"")
-    assert str(denied.value).startswith("s3://robots/run.mcap: access is denied: set AWS_ACCESS")
+    assert str(denied.value).startswith(
+        "s3://robots/run.mcap: access is denied (SlowDown): set AWS_ACCESS"
+    )
     assert "very-secret" not in repr(denied.value)
 
 

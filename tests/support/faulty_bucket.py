@@ -187,7 +187,7 @@ class _Handler(BaseHTTPRequestHandler):
         if status is None and failing:
             status = 503
         if status is not None:
-            self._answer(status)
+            self._answer(status, b"<Error><Code>SlowDown</Code></Error>")
         return status is not None
 
     def _list(self, prefix: str) -> None:
