@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import struct
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
 
 import pytest
 from rclpy.context import Context
@@ -15,6 +19,7 @@ from std_msgs.msg import String
 from robotctl.ros.graph.discovery import Found, count_complete
 from robotctl.ros.graph.introductions import Introduction, read_introduction
 from robotctl.ros.playback.membership import Membership
+from tests.support.lines import Told, peer_command
 from tests.support.waiting import DEADLINE_S
 
 TOPICS = [f"/topic_{number}" for number in range(20)]
@@ -114,3 +119,30 @@ def test_others_know_our_publishers_when_they_have_said_so(domain_id: int, other
         assert membership.discovery.make_known(time.monotonic() + DEADLINE_S, threading.Event())
         assert [others.count_publishers(topic) for topic in TOPICS] == [1] * len(TOPICS)
         assert [each.get_publisher_count() for each in others.subscriptions] == [1] * len(TOPICS)
+
+
+def test_a_process_that_hangs_has_not_said_that_it_knows_our_publishers(domain_id: int) -> None:
+    hanging = Hanging(domain_id)
+    with closing(hanging), Membership(domain_id) as membership:
+        discovery, never = membership.discovery, threading.Event()
+        discovery.wait(0.0, time.monotonic() + DEADLINE_S, never)
+        with hanging:
+            membership.node.create_publisher(String, TOPICS[0], 10)
+            assert not discovery.make_known(time.monotonic() + 0.3, never)
+        assert discovery.make_known(time.monotonic() + DEADLINE_S, never)
+
+
+class Hanging(Told):
+    """A process with a node, which hangs during a `with` block."""
+
+    def __init__(self, domain_id: int) -> None:
+        environment = {**os.environ, "ROS_DOMAIN_ID": str(domain_id)}
+        super().__init__(peer_command("tests.support.mux_peer"), environment)
+
+    def __enter__(self) -> None:
+        self._process.send_signal(signal.SIGSTOP)
+        while "T" not in Path(f"/proc/{self._process.pid}/stat").read_text().rpartition(")")[2]:
+            time.sleep(0.001)
+
+    def __exit__(self, *_: object) -> None:
+        self._process.send_signal(signal.SIGCONT)
