@@ -61,7 +61,7 @@ def error_of(error: Exception, scheme: str, where: str) -> StoreError:
         return AccessDenied(f"{where}: there are no credentials", cure)
     if kind in ("PermissionDeniedError", "UnauthenticatedError") or _status(text) in (401, 403):
         return AccessDenied(f"{where}: access is denied{_code(text)}", cure)
-    return _failure(text, where)
+    return _failure(text, scheme, where)
 
 
 def changed(where: str) -> ObjectChanged:
@@ -74,11 +74,11 @@ def short_answer(where: str, got: int, wanted: int) -> BrokenAnswer:
     return BrokenAnswer(f"{where}: the store sent {got} of {wanted} bytes")
 
 
-def _failure(text: str, where: str) -> StoreFailed:
+def _failure(text: str, scheme: str, where: str) -> StoreFailed:
     status = _status(text)
     if "without LOCATION" in text or status in (301, 307, 308):
-        cause = f"{where}: the store sends requests elsewhere"
-        return StoreFailed(cause, "set AWS_REGION to the region of the bucket")
+        cure = "set AWS_REGION to the region of the bucket" if scheme == "s3" else "check the URL"
+        return StoreFailed(f"{where}: the store sends requests elsewhere", cure)
     if status is not None:
         return StoreFailed(f"{where}: the store answers with HTTP status {status}{_code(text)}")
     if "BadScheme" in text:

@@ -189,3 +189,13 @@ def test_no_message_shows_a_key(cli: Cli, bucket: FaultyBucket) -> None:
     assert "access is denied: set AWS_ACCESS_KEY_ID" in ran.err  # the answer to HEAD has no text
     assert "very-secret" not in ran.err
     assert "AKIDEXAMPLE" not in ran.err
+
+
+def test_the_cure_of_a_damaged_recording_in_a_store_begins_with_a_download(
+    cli: Cli, bucket: FaultyBucket
+) -> None:
+    (path,) = STOPPED.glob("*.mcap")
+    bucket["damaged.mcap"] = path.read_bytes()[:-2000]
+    ran = cli("info", "s3://robots/damaged.mcap")
+    assert ran.exit_code == 6
+    assert "download it, and save what can be read with robotctl recover" in ran.err

@@ -21,7 +21,7 @@ from robotctl.store import (
     is_url,
     open_store,
 )
-from tests.support.faulty_bucket import FaultyBucket
+from tests.support.faulty_bucket import FaultyBucket, Moved
 
 ROBOTS = "s3://robots"
 
@@ -92,6 +92,19 @@ def test_refused_access_is_told_with_its_cure_and_without_secrets(bucket: Faulty
         "s3://robots/run.mcap: access is denied (SlowDown): set AWS_ACCESS"
     )
     assert "very-secret" not in repr(denied.value)
+
+
+def test_a_bucket_of_another_region_is_told(bucket: FaultyBucket) -> None:
+    bucket.before = lambda served, method, key: 301
+    with pytest.raises(StoreFailed, match="sends requests elsewhere: set AWS_REGION"):
+        open_store(ROBOTS).head("run.mcap")
+
+
+def test_a_redirect_is_followed(bucket: FaultyBucket) -> None:
+    bucket["run.mcap"] = b"0123456789"
+    bucket["old.mcap"] = Moved("/robots/run.mcap")
+    store = open_store(f"{bucket.endpoint}/robots")
+    assert store.get_range(store.head("old.mcap"), 2, 5) == b"234"
 
 
 def test_a_bucket_that_does_not_exist_is_named(

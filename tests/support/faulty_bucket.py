@@ -41,6 +41,17 @@ class Stored(bytes):
         return md5(self, usedforsecurity=False).hexdigest()
 
 
+class Moved(bytes):
+    """What is answered for an object that is elsewhere: its new path."""
+
+    def __new__(cls, path: str) -> Moved:
+        return super().__new__(cls, path.encode())
+
+    @property
+    def etag(self) -> str:
+        return "moved"
+
+
 @dataclass(frozen=True, slots=True)
 class StoredFile:
     """The bytes of a file, which need not fit into memory."""
@@ -92,7 +103,7 @@ class FaultyBucket:
         self.lock = threading.Lock()
 
     def __setitem__(self, key: str, content: bytes) -> None:
-        self.objects[key] = Stored(content)
+        self.objects[key] = content if isinstance(content, Moved) else Stored(content)
 
 
 @contextmanager
@@ -149,6 +160,8 @@ class _Handler(BaseHTTPRequestHandler):
         content = self.bucket.objects.get(key)
         if content is None:
             self._answer(404, b"<Error><Code>NoSuchKey</Code></Error>")
+        elif isinstance(content, Moved):
+            self._answer(302, headers={"Location": content.decode()})
         elif self.headers.get("If-Match", f'"{content.etag}"') != f'"{content.etag}"':
             self._answer(412)
         else:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shlex
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,7 +10,12 @@ import typer
 
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.support.answer import print_answer
-from robotctl.cli.support.recording_paths import RecordedBy, RecordingsFolder, find_recording
+from robotctl.cli.support.recording_paths import (
+    RecordedBy,
+    RecordingsFolder,
+    cure_of_damage,
+    find_recording,
+)
 from robotctl.cli.terminal.text import duration, moment, printable, row, short_path, size
 from robotctl.cli.terminal.topic_table import TopicTable
 from robotctl.errors import UnreadableFile
@@ -67,7 +71,7 @@ def info(
     if found.missing:
         error = UnreadableFile(
             f"{path} is incomplete: {'; '.join(found.missing)}",
-            f"save what can be read: robotctl recover {shlex.quote(short_path(path))}",
+            cure_of_damage(path),
         )
     print_answer(as_object(found), info_lines(found), as_json=as_json, error=error)
 

@@ -6,10 +6,12 @@ import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from shlex import quote
 from typing import Annotated
 
 import typer
 
+from robotctl.cli.terminal.text import short_path
 from robotctl.errors import IN_PARENTHESES, Refused, UsageError
 from robotctl.ipc.client import command_for
 from robotctl.paths import (
@@ -121,6 +123,13 @@ def find_local_recording(name: str, robot: str | None, given: Path | None = None
     path = find_recording(name, robot, given)
     os.fspath(path)  # which a path of a store refuses
     return path
+
+
+def cure_of_damage(path: Path) -> str:
+    """Return what to do about a recording that cannot be read completely."""
+    if "://" in str(path):
+        return "download it, and save what can be read with robotctl recover"
+    return f"save what can be read: robotctl recover {quote(short_path(path))}"
 
 
 def recordings_of(robot: str | None, folder: Path) -> list[Path]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -10,7 +9,12 @@ import typer
 
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.support.answer import print_answer
-from robotctl.cli.support.recording_paths import RecordedBy, RecordingsFolder, find_recording
+from robotctl.cli.support.recording_paths import (
+    RecordedBy,
+    RecordingsFolder,
+    cure_of_damage,
+    find_recording,
+)
 from robotctl.cli.terminal.progress import progress_bar
 from robotctl.cli.terminal.text import row, short_path, size
 from robotctl.errors import Refused, UnreadableFile, UsageError
@@ -156,6 +160,6 @@ def _incomplete(paths: list[Path], recorded: list[Recorded]) -> UnreadableFile |
         if each.missing:
             return UnreadableFile(
                 f"{path} could not be read completely",
-                f"save what can be read: robotctl recover {shlex.quote(short_path(path))}",
+                cure_of_damage(path),
             )
     return None
