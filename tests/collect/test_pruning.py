@@ -110,6 +110,16 @@ def test_an_object_that_has_vanished_is_named_and_its_file_stays(
     assert (collected / FIRST / f"{FIRST}_0.mcap").exists()
 
 
+def test_a_store_that_sends_too_little_removes_nothing(
+    collected: Path, store: MemoryStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = store.get_range
+    monkeypatch.setattr(store, "get_range", lambda found, *ends: whole(found, *ends)[:-1])
+    pruned = prune(collected, store, ALL, NOW_S)
+    assert names(pruned) == []
+    assert len(pruned.wrong) == 2
+
+
 def test_a_file_that_has_changed_since_it_was_copied_stays(
     collected: Path, store: MemoryStore
 ) -> None:
