@@ -28,3 +28,10 @@ def test_a_sender_that_always_has_more_reaches_the_limit() -> None:
     for _ in range(100):
         now_s += limit.delay_s(100, now_s)
     assert abs(now_s - 10.0) <= BURST_S
+
+
+def test_a_pause_is_not_made_up_for() -> None:
+    limit = Bandwidth(1000.0, 0.0)
+    an_hour_later_s = 3600.0
+    waited_s = sum(limit.delay_s(1000, an_hour_later_s) for _ in range(2))
+    assert waited_s >= 2 - 2 * BURST_S
