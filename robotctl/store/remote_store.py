@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from robotctl.errors import UsageError
 from robotctl.printable import printable
+from robotctl.store.aws_profile import profile_keys
 from robotctl.store.failed_request import ALLOW_HTTP, changed, error_of, short_answer
 from robotctl.store.object_store import PART_BYTES
 from robotctl.store.request_loop import run_request, start_request
@@ -57,7 +58,10 @@ class RemoteStore:
         self._library = obstore
         try:
             self._store = from_url(
-                url.root, client_options=_client(allow_http=allow_http), retry_config=_retries()
+                url.root,
+                config=profile_keys(os.environ) if url.scheme == "s3" else None,
+                client_options=_client(allow_http=allow_http),
+                retry_config=_retries(),
             )
         except (ValueError, obstore.exceptions.BaseError) as error:
             raise UsageError(f"{url} is not a valid URL") from error

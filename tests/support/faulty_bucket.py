@@ -96,6 +96,9 @@ class FaultyBucket:
     """Requests that waited for their answer at the same time."""
 
     sent_bytes: int = 0
+    authorizations: set[str] = field(default_factory=set)
+    """The headers with which requests were signed."""
+
     seed: int = 1
 
     def __post_init__(self) -> None:
@@ -190,6 +193,7 @@ class _Handler(BaseHTTPRequestHandler):
         bucket = self.bucket
         with bucket.lock:
             bucket.requests += 1
+            bucket.authorizations.add(self.headers.get("Authorization", ""))
             failing = bucket.chance.random() < bucket.failing_share
             bucket.at_once += 1
             bucket.most_at_once = max(bucket.most_at_once, bucket.at_once)
