@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from robotctl.cdr.motion import encode_twist
@@ -82,7 +82,7 @@ def follow(bench: Bench, ticks: int) -> None:
         bench.tick()
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10, deadline=None, phases=[Phase.generate])
 @given(st.data())
 def test_commands_and_journal_are_the_same_bytes_with_and_without_a_shadow(
     data: st.DataObject,

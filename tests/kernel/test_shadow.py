@@ -7,7 +7,7 @@ from dataclasses import replace
 from math import nan
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from robotctl.kernel.kernel import Kernel
@@ -78,7 +78,7 @@ def turn(bench: Both, ticks: int) -> None:
         bench.tick()
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12, deadline=None, phases=[Phase.generate])
 @given(st.data())
 def test_a_shadow_with_the_same_parameters_never_differs(data: st.DataObject) -> None:
     bench = moving_both(PARAMS)
@@ -109,6 +109,7 @@ def test_a_slower_shadow_is_compared_until_the_robot_is_idle_again() -> None:
     assert bench.state.mode.name == "IDLE"
     assert bench.shadow.state == bench.state
     assert bench.shadow.apart_since_ns is None
+    assert bench.shadow.steps == len(bench.events)
     before = bench.shadow.differing
     turn(bench, 10)
     assert bench.shadow.differing == before
@@ -182,6 +183,11 @@ ASPECTS: dict[str, tuple[list[Effect], list[Effect], tuple[Aspect, ...]]] = {
         [ModeChanged(Mode.MOVING, Mode.ERROR, "a", Cause.TRACKING_LOST)],
         (Aspect.STOP_CAUSE,),
     ),
+    "mode alone": (
+        [PublishTwist(ZERO), ModeChanged(Mode.MOVING, Mode.IDLE, "a", None)],
+        [PublishTwist(ZERO), ModeChanged(Mode.MOVING, Mode.ERROR, "a", None)],
+        (Aspect.MODE,),
+    ),
     "no answer yet": ([REPLY], [], (Aspect.ANSWER,)),
     "refusal": ([REPLY], [replace(REPLY, ok=False)], (Aspect.ANSWER,)),
     "answer to another": ([REPLY], [replace(REPLY, request_id=2)], (Aspect.ANSWER,)),
@@ -216,8 +222,7 @@ def test_a_decision_is_told_in_words() -> None:
         replace(REPLY, ok=False, message="no"),
     )
     assert outcome(effects) == (
-        "0.25 m/s, -1 rad/s; latched; released; IDLE: done; drive ended; granted: yes; "
-        "refused: no"
+        "0.25 m/s, -1 rad/s; latched; released; IDLE: done; drive ended; granted: yes; refused: no"
     )
     assert outcome(()) == "nothing"
     assert contrast(effects, effects[1:]) == ("0.25 m/s, -1 rad/s", "nothing")
