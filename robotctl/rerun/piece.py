@@ -36,8 +36,7 @@ BYTES = -1
 """The number of the job that reads every byte of a recording, instead of pieces."""
 
 _SNAPSHOT = f"{Snapshot.__name__}\0".encode()
-"""The name in the entry of a snapshot. Before a piece, places without it are passed over, which
-saves a sixth of the time."""
+"""The name in the entry of a snapshot. Before a piece, places without it are passed over."""
 
 MAX_STEPS = 512
 """How many steps are re-run at once."""
