@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import socket
 import sys
@@ -27,12 +28,13 @@ pytest.importorskip("distributed", reason="a cluster is an extra: robotctl[clust
 
 from tests.support.dask_processes import DaskProcesses, dask_processes
 
+WORKERS = 3
 PART = 200
 
 
 @pytest.fixture(scope="module")
 def dask() -> Iterator[DaskProcesses]:
-    with dask_processes(workers=3) as started:
+    with dask_processes(WORKERS) as started:
         yield started
 
 
@@ -118,6 +120,8 @@ def test_a_core_of_a_cluster_judges_nearly_as_much_as_one_process(
             shares.append(one_s * PART / (all_s - one_s * (PART // 3)))
     assert stored(tmp_path / "results") == len(recordings)
     print("efficiency:", ", ".join(f"{each:.2f}" for each in shares))
+    if (load := os.getloadavg()[0]) > 2 * WORKERS:
+        pytest.skip(f"workers wait for others, and their heartbeats count: load {load:.0f}")
     assert median(shares) >= 0.85, shares
 
 

@@ -22,6 +22,9 @@ from tests.support.lines import Told, obey, peer_command
 
 _PR_SET_PDEATHSIG = 1
 
+QUIET = {"DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "false"}
+"""Without the profile that each worker takes of itself, as docs/fleet.md advises."""
+
 Server = Scheduler | Worker
 
 
@@ -36,7 +39,9 @@ class _Forker:
         """Start a scheduler; return its pid and address."""
 
         async def begin() -> Server:
-            server: Scheduler = await Scheduler(host="127.0.0.1", port=port, dashboard=False)
+            server: Scheduler = await Scheduler(
+                host="127.0.0.1", port=port, dashboard=False, dashboard_address=":0"
+            )
             return server
 
         return self._fork(begin)
@@ -129,7 +134,7 @@ class DaskProcesses:
 @contextmanager
 def dask_processes(workers: int = 3) -> Iterator[DaskProcesses]:
     """Yield a scheduler with workers, connected over TCP; kill all at the end."""
-    told = Told(peer_command("tests.support.dask_processes"), os.environ)
+    told = Told(peer_command("tests.support.dask_processes"), os.environ | QUIET)
     try:
         yield DaskProcesses(told, workers)
     finally:
