@@ -112,11 +112,14 @@ class Cluster:
                 yield client
 
     def _wait_for_port(self, seconds: float) -> None:
-        """Wait until something listens there: a client of Dask that fails is noisy."""
+        """Wait until a scheduler answers there: a client of Dask that fails is noisy."""
         until = time.monotonic() + seconds
         while True:
             try:
-                socket.create_connection(self._endpoint, timeout=seconds).close()
+                with socket.create_connection(self._endpoint, timeout=seconds) as connection:
+                    # A scheduler speaks first; for one that does not, a client waits without end.
+                    if self._address.startswith("tcp:") and not connection.recv(1):
+                        raise ConnectionError("it closes the connection")
             except OSError as error:
                 if time.monotonic() > until:
                     raise self._no_scheduler(error) from error

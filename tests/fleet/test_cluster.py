@@ -167,6 +167,15 @@ def test_a_cluster_that_is_not_there_is_refused(tmp_path: Path) -> None:
         list(engine(judging, [tmp_path], lambda done, total: None))
 
 
+def test_what_listens_but_is_no_scheduler_is_refused(tmp_path: Path) -> None:
+    judging = Judging({}, ResultStore(tmp_path / "results"), software_hash())
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
+        engine = Cluster(address, tmp_path, connect_s=0.1).judge
+        with pytest.raises(Refused, match=f"no Dask scheduler answers at {address}: timed out"):
+            list(engine(judging, [tmp_path], lambda done, total: None))
+
+
 def test_a_cluster_without_workers_is_refused(tmp_path: Path) -> None:
     judging = Judging({}, ResultStore(tmp_path / "results"), software_hash())
     with dask_processes(workers=0) as empty:
