@@ -77,7 +77,13 @@ def in_process(
         from robotctl.daemon.app import serve
 
         ready: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
-        chosen: dict[str, Any] = {"config": world.patient, "drive": None, "sim": True, **options}
+        chosen: dict[str, Any] = {
+            "config": world.patient,
+            "drive": None,
+            "sim": True,
+            "settings": (("recording.index", False),),  # its process may outlive the test
+            **options,
+        }
         given = DaemonOptions(
             "robot", recordings=world.recordings, domain_id=world.domain_id, **chosen
         )
