@@ -81,6 +81,7 @@ class FakeDaemon:
             "lease": None,
             "namespace": "",
             "stalls": 0,
+            "shadow": None,
             "odometry_dropped": 0,
             "drive": DRIVE if self.mode == 1 else None,
             "topics": [

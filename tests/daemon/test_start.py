@@ -136,7 +136,7 @@ def test_a_wrong_configuration_starts_nothing(world: World) -> None:
     config.write_text("limits.linear_mps: -1")
     ran = world.robotctl("start", "--config", str(config))
     assert (ran.exit_code, ran.out) == (2, "")
-    assert f"{config}: limits.linear_mps: -1 is not allowed: use 0.01 to 10 m/s" in ran.err
+    assert f"{config}: line 1: limits.linear_mps: -1 is not allowed: use 0.01 to 10 m/s" in ran.err
     assert ran.err.count("\n") == 1
     assert not world.recordings.exists()
 

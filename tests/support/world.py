@@ -57,6 +57,8 @@ recording.index: false
 NO_INDEX = ("--ros-args", "-p", "recording.index:=false")
 """For a start with a configuration of its own."""
 
+INDEXING = "robotctl.fleet.index_process"
+
 
 @dataclass(frozen=True, slots=True)
 class Ran:
@@ -262,7 +264,12 @@ class World:
         return found
 
     def end(self) -> list[str]:
-        """Kill and remove all that is left; return a list of the leftovers."""
+        """Kill and remove all that is left; return a list of the leftovers.
+
+        The process that indexes a closed recording outlives its daemon, and ends by itself.
+        """
+        with suppress(AssertionError):
+            until(lambda: not any(INDEXING in command for command in self.processes().values()))
         left = [f"process {pid}: {command}" for pid, command in self.processes().items()]
         for pid in self.processes():
             with suppress(OSError):
