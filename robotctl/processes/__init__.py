@@ -1,0 +1,60 @@
+"""The one way to start another process of robotctl; standard library only.
+
+    python -P -m robotctl.MODULE ARGUMENTS --report-fd 3
+
+or, where many imports would be made again, as a copy of this process (`fork`).
+
+The child sends reports, one JSON object per line, through a pipe of its own. It may also receive
+lines on its stdin. Reports do not use stdout, because libraries print there (Fast DDS warns about
+lock files); stdout and stderr go where a user reads them.
+
+Each name is loaded on first use, so that a child that only reports and `robotctl stop` load little.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from robotctl.processes.child import Child
+    from robotctl.processes.descriptors import pidfd_of, readable_within
+    from robotctl.processes.forking import fork, has_one_thread
+    from robotctl.processes.report_lines import REPORT_OPTION, LineSplitter, report_fd, send_report
+    from robotctl.processes.spawning import program, start
+
+__all__ = [
+    "REPORT_OPTION",
+    "Child",
+    "LineSplitter",
+    "fork",
+    "has_one_thread",
+    "pidfd_of",
+    "program",
+    "readable_within",
+    "report_fd",
+    "send_report",
+    "start",
+]
+
+_MODULES = {
+    "REPORT_OPTION": "report_lines",
+    "Child": "child",
+    "LineSplitter": "report_lines",
+    "fork": "forking",
+    "has_one_thread": "forking",
+    "pidfd_of": "descriptors",
+    "program": "spawning",
+    "readable_within": "descriptors",
+    "report_fd": "report_lines",
+    "send_report": "report_lines",
+    "start": "spawning",
+}
+"""Where each name stands."""
+
+
+def __getattr__(name: str) -> object:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module  # here, as in `robotctl.kernel`
+
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
