@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-PATTERN_WORDS = (
-    *("square", "circle", "figure-eight", "rounded-square", "line", "arc", "turn"),
-    *("path", "velocity"),
-)
+from robotctl.kernel.patterns import PatternKind
+
+PATTERN_WORDS = (*(kind.value for kind in PatternKind), "path", "velocity")
 """What `robotctl drive` takes."""
 
 OTHER_WORDS = {

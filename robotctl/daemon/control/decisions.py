@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import assert_never
 
 from robotctl.decision_log.entries import Kind
 from robotctl.decision_log.log import DecisionLog
@@ -17,6 +18,7 @@ from robotctl.kernel.types import (
     LatchEmergencyStop,
     ModeChanged,
     ModeRequested,
+    PublishTwist,
     ReleaseEmergencyStop,
     Reply,
     ResetRequested,
@@ -70,8 +72,10 @@ class Decisions:
                 )
             case Reply():
                 self._answered(effect)
+            case PublishTwist():
+                pass  # recorded, and too many to keep
             case _:
-                pass
+                assert_never(effect)
 
     def _answered(self, reply: Reply) -> None:
         request, before = self._open.pop(reply.request_id, (None, 0))
