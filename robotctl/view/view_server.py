@@ -10,9 +10,9 @@ from functools import partial
 from typing import Final
 
 from robotctl.view.admission import Admission
+from robotctl.view.channel_table import ChannelTable
 from robotctl.view.foxglove_messages import (
     StatusLevel,
-    ViewChannel,
     ViewService,
     advertise,
     advertise_services,
@@ -45,16 +45,15 @@ MAX_VIEWERS: Final = 128
 MAX_CONNECTIONS: Final = 2 * MAX_VIEWERS
 """Limit on connections; further ones are closed at once, before any byte of theirs is read."""
 
-MAX_SUBSCRIPTIONS: Final = 10_000
-"""Limit on the subscriptions of one viewer."""
-
 HANDSHAKE_S: Final = 5.0
 """How long a handshake may take."""
 
 STALL_S: Final = 30.0
 """After this time in which its socket took nothing, a viewer is disconnected; it may come back."""
 
-_PERIOD_S: Final = 1.0
+PERIOD_S: Final = 1.0
+"""How often the server looks for late viewers and for dropped messages."""
+
 _MESSAGE_HEAD_BYTES: Final = len(message_head(0, 0))
 
 
@@ -77,14 +76,10 @@ class ViewServer:
         self._admission = admission
         self._services = services
         self._greeting = server_info(name, secrets.token_hex(8), capabilities, span_ns)
-        self._channels: dict[int, ViewChannel] = {}
-        self._last_channel = 0
+        self._table = ChannelTable()
         self._notes: dict[str, tuple[StatusLevel, str]] = {}
         self._connections: set[Viewer] = set()
         self._viewers: set[Viewer] = set()
-        self._subscribers: dict[int, dict[Viewer, int]] = {}
-        """Channel id -> viewer -> the viewer's subscription id."""
-
         self._unflushed: set[Viewer] = set()
         self._listener: asyncio.Server | None = None
         self.on_viewers: Callable[[int], None] = lambda count: None
@@ -121,7 +116,7 @@ class ViewServer:
     async def run(self) -> None:
         """Until cancelled, end what is late, and tell slow viewers what they missed."""
         while True:
-            await asyncio.sleep(_PERIOD_S)
+            await asyncio.sleep(PERIOD_S)
             now_s = time.monotonic()
             for viewer in list(self._connections):
                 is_viewer = viewer in self._viewers
@@ -146,22 +141,18 @@ class ViewServer:
         self, topic: str, type_name: str, definition: str, schema_encoding: str = "ros2msg"
     ) -> int:
         """Offer a topic to all viewers, and return the id of its channel."""
-        self._last_channel += 1
-        channel = ViewChannel(self._last_channel, topic, type_name, definition, schema_encoding)
-        self._channels[channel.id] = channel
+        channel = self._table.offer(topic, type_name, definition, schema_encoding)
         self._tell_all(advertise([channel]))
         return channel.id
 
     def withdraw(self, channel_id: int) -> None:
         """Offer a channel no longer; its subscriptions end."""
-        del self._channels[channel_id]
-        for viewer, subscription in self._subscribers.pop(channel_id, {}).items():
-            del viewer.subscriptions[subscription]
+        self._table.withdraw(channel_id)
         self._tell_all(unadvertise([channel_id]))
 
     def publish(self, channel_id: int, log_ns: int, data: bytes | memoryview) -> None:
         """Send a message to the viewers of a channel, at the end of this turn of the loop."""
-        subscribers = self._subscribers.get(channel_id)
+        subscribers = self._table.subscribers(channel_id)
         if not subscribers:
             return
         kept = bytes(data)
@@ -211,8 +202,8 @@ class ViewServer:
             return
         self._viewers.add(viewer)
         viewer.tell(self._greeting)
-        if self._channels:
-            viewer.tell(advertise(self._channels.values()))
+        if self._table.channels:
+            viewer.tell(advertise(self._table.channels))
         if self._services:
             viewer.tell(advertise_services(self._services))
         for id_, (level, message) in self._notes.items():
@@ -240,7 +231,8 @@ class ViewServer:
         match request:
             case Subscribe():
                 for subscription, channel_id in request.channels.items():
-                    self._subscribe(viewer, subscription, channel_id)
+                    if self._table.subscribe(viewer, subscription, channel_id):
+                        self.on_subscribed(channel_id)
             case Unsubscribe():
                 for subscription in request.subscriptions:
                     self._unsubscribe(viewer, subscription)
@@ -263,26 +255,10 @@ class ViewServer:
         """Tell a viewer what is wrong with its message."""
         viewer.tell(status(StatusLevel.WARNING, problem))
 
-    def _subscribe(self, viewer: Viewer, subscription: int, channel_id: int) -> None:
-        if channel_id not in self._channels:
-            return  # withdrawn meanwhile
-        watching = self._subscribers.setdefault(channel_id, {})
-        taken = subscription in viewer.subscriptions or viewer in watching
-        if taken or len(viewer.subscriptions) >= MAX_SUBSCRIPTIONS:
-            raise WrongRequest(f"subscription {subscription}: one a channel, each with its own id")
-        viewer.subscriptions[subscription] = channel_id
-        watching[viewer] = subscription
-        self.on_subscribed(channel_id)
-
     def _unsubscribe(self, viewer: Viewer, subscription: int) -> None:
-        channel_id = viewer.subscriptions.pop(subscription, None)
-        if channel_id is None:
-            return
-        watching = self._subscribers[channel_id]
-        del watching[viewer]
-        if not watching:
-            del self._subscribers[channel_id]
-            self.on_unwatched(channel_id)
+        unwatched = self._table.unsubscribe(viewer, subscription)
+        if unwatched is not None:
+            self.on_unwatched(unwatched)
 
     def _flush(self) -> None:
         unflushed, self._unflushed = self._unflushed, set()

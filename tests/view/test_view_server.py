@@ -177,7 +177,7 @@ def _is_of(viewer: object, client: ViewClient) -> bool:
 
 async def test_a_viewer_that_takes_nothing_is_disconnected(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(view_server, "STALL_S", 0.1)
-    monkeypatch.setattr(view_server, "_PERIOD_S", 0.05)
+    monkeypatch.setattr(view_server, "PERIOD_S", 0.05)
     async with served() as view, view_client(view.url) as client:
         gone: list[int] = []
         channel = view.server.offer("/a", *STRING)
@@ -194,7 +194,7 @@ async def test_a_viewer_that_takes_nothing_is_disconnected(monkeypatch: pytest.M
 
 async def test_a_handshake_that_does_not_end_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(view_server, "HANDSHAKE_S", 0.1)
-    monkeypatch.setattr(view_server, "_PERIOD_S", 0.05)
+    monkeypatch.setattr(view_server, "PERIOD_S", 0.05)
     async with served() as view:
         reader, writer = await asyncio.open_connection("127.0.0.1", view.port)
         writer.write(b"GET / HTTP/1.1\r\nHost: ")
@@ -245,6 +245,8 @@ async def test_a_viewer_that_was_told_to_leave_gets_nothing(
 ) -> None:
     monkeypatch.setattr(view_server, "MAX_VIEWERS", 0)
     async with served() as view:
+        subscribed: list[int] = []
+        view.server.on_subscribed = subscribed.append
         channel = view.server.offer("/a", *STRING)
         text = json.dumps({"op": "subscribe", "subscriptions": [{"id": 1, "channelId": channel}]})
         subscribe = bytes((0x81, 0x80 | len(text), 0, 0, 0, 0)) + text.encode()
@@ -253,7 +255,7 @@ async def test_a_viewer_that_was_told_to_leave_gets_nothing(
         writer.write(request + subscribe)
         answer = await reader.readuntil(b"are connected already")
         assert answer.startswith(b"HTTP/1.1 101 ")
-        assert channel not in view.server._subscribers
+        assert subscribed == []
         writer.close()
 
 
@@ -308,6 +310,8 @@ async def test_a_port_that_is_taken_is_named_and_the_usual_one_replaced(
 async def test_a_hundred_stalled_viewers_hold_little(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each waits for the same messages, and these are held once."""
     async with served() as view:
+        subscribed: list[int] = []
+        view.server.on_subscribed = subscribed.append
         channel = view.server.offer("/a", *STRING)
         clients = []
         try:
@@ -317,7 +321,7 @@ async def test_a_hundred_stalled_viewers_hold_little(monkeypatch: pytest.MonkeyP
                 clients.append((manager, client))
                 await client.subscribe("/a")
                 client.socket.transport.pause_reading()
-            await loop_until(lambda: len(view.server._subscribers.get(channel, ())) == 100)
+            await loop_until(lambda: subscribed == [channel] * 100)
             before, began = _resident_bytes(), time.process_time()
             for number in range(4 * MAX_MESSAGES):
                 view.server.publish(channel, number, bytes(2000))
