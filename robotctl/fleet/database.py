@@ -57,6 +57,7 @@ _CLOSED: Final[Mapping[str, str]] = {
     "autoinstall_known_extensions": "false",
     "autoload_known_extensions": "false",
     "enable_external_access": "false",
+    "python_enable_replacements": "false",
     "lock_configuration": "true",
 }
 """The last one must be last: it lets nothing be set after it."""

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
-from robotctl.errors import UsageError
+from robotctl.errors import Refused, UsageError
 from robotctl.fleet.catalogue import Catalogue
 from robotctl.fleet.condition import known_column, parse_condition
 from robotctl.fleet.database import database, name, parquet
@@ -19,6 +20,9 @@ from robotctl.fleet.rows import (
     columns,
 )
 
+if TYPE_CHECKING:
+    from duckdb import DuckDBPyConnection
+
 TABLES: Final[dict[str, type[Any]]] = {
     "recordings": RecordingRow,
     "drives": DriveRow,
@@ -29,6 +33,9 @@ TABLES: Final[dict[str, type[Any]]] = {
 
 SAMPLES: Final = "samples"
 """The table that is read from the indexes themselves."""
+
+_QUESTION: Final = "robotctl_question"
+"""A view that no user's query names."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +65,7 @@ def find(
 
     Raises:
         UsageError: The condition or the column is wrong.
+        Refused: An index was removed meanwhile.
     """
     known = columns_of(table)
     by_default = "start_ns" if "start_ns" in known else "recording"
@@ -74,34 +82,67 @@ def find(
 
 
 def ask(catalogue: Catalogue, sql: str) -> Answer:
-    """Return what a query in SQL over `TABLES` and `SAMPLES` gives.
+    """Return what a query in SQL over `TABLES` and `SAMPLES` gives; it can write nothing.
 
     Raises:
-        UsageError: The query is wrong.
+        UsageError: The query is wrong, or does more than to read.
+        Refused: An index was removed meanwhile.
     """
-    return _run(catalogue, sql, ())
+    return _run(catalogue, sql, None)
 
 
-def _run(catalogue: Catalogue, sql: str, values: Sequence[Any]) -> Answer:
+def _run(catalogue: Catalogue, sql: str, values: Sequence[Any] | None) -> Answer:
+    """Run a query; one without `values` comes from a user, and must be harmless."""
     with database([catalogue.path, *catalogue.indexes]) as connection:
         import duckdb
 
-        source = parquet([catalogue.path])
-        for table, kind in TABLES.items():
-            names = ", ".join(map(name, columns_of(table)))
-            connection.execute(
-                f"CREATE VIEW {table} AS SELECT {names} FROM {source} WHERE kind = '{kind.kind}'"
-            )
-        if SAMPLES in sql and (indexes := [each for each in catalogue.indexes if each.exists()]):
-            names = ", ".join(map(name, ("recording", *columns(SampleRow))))
-            connection.execute(
-                f"CREATE VIEW {SAMPLES} AS SELECT {names} FROM {parquet(indexes)} "
-                f"WHERE kind = '{SampleRow.kind}'"
-            )
         try:
-            found = connection.execute(sql, list(values))
+            _make_tables(connection, catalogue, with_samples=SAMPLES in sql.lower())
+            if values is None:
+                _check_reads_only(connection, sql)
+            found = connection.execute(sql, list(values or ()))
             rows = tuple(found.fetchall())
         except duckdb.Error as error:
-            said = " ".join(str(error).split())
-            raise UsageError(f"the question cannot be answered: {said[:300]}") from None
+            said = " ".join(str(error).split())[:300]
+            if isinstance(error, duckdb.IOException) or not _all_exist(catalogue):
+                raise Refused(f"an index cannot be read any more: {said}", "ask again") from None
+            raise UsageError(f"the question cannot be answered: {said}") from None
         return Answer(tuple(each[0] for each in found.description or ()), rows)
+
+
+def _make_tables(
+    connection: DuckDBPyConnection, catalogue: Catalogue, *, with_samples: bool
+) -> None:
+    source = parquet([catalogue.path])
+    for table, kind in TABLES.items():
+        names = ", ".join(map(name, columns_of(table)))
+        connection.execute(
+            f"CREATE VIEW {table} AS SELECT {names} FROM {source} WHERE kind = '{kind.kind}'"
+        )
+    if with_samples and (indexes := [each for each in catalogue.indexes if each.exists()]):
+        names = ", ".join(map(name, ("recording", *columns(SampleRow))))
+        connection.execute(
+            f"CREATE VIEW {SAMPLES} AS SELECT {names} FROM {parquet(indexes)} "
+            f"WHERE kind = '{SampleRow.kind}'"
+        )
+
+
+def _check_reads_only(connection: DuckDBPyConnection, sql: str) -> None:
+    """Refuse what could write into the files that the database may read.
+
+    One statement that selects may still write, in its WITH clause. A view may not.
+
+    Raises:
+        UsageError: It is not one statement that selects.
+        duckdb.Error: It is wrong, or writes.
+    """
+    import duckdb
+
+    statements = connection.extract_statements(sql)
+    if [each.type for each in statements] != [duckdb.StatementType.SELECT]:
+        raise UsageError("the question cannot be answered: it is not one SELECT statement")
+    connection.execute(f"CREATE TEMP VIEW {_QUESTION} AS {sql}")
+
+
+def _all_exist(catalogue: Catalogue) -> bool:
+    return all(map(os.path.exists, (catalogue.path, *catalogue.indexes)))

@@ -14,7 +14,7 @@ from typing import IO
 
 import pytest
 
-from robotctl.errors import UnreadableFile, UsageError
+from robotctl.errors import Refused, UnreadableFile, UsageError
 from robotctl.fleet import catalogue as catalogues
 from robotctl.fleet import database as databases
 from robotctl.fleet.catalogue import CATALOGUE_NAME, Catalogue, catalogue_of
@@ -174,11 +174,65 @@ def test_texts_of_a_condition_are_never_sql(catalogue: Catalogue) -> None:
         "SET enable_external_access = true",
         "ATTACH '/tmp/other.db'",
         "SELECT nothing FROM drives",
+        "SELECT * FROM query",  # a variable of the Python code
+        "",
+        "SELECT 1; SELECT 2",
     ],
 )
 def test_a_query_reads_the_indexes_and_nothing_else(catalogue: Catalogue, query: str) -> None:
     with pytest.raises(UsageError, match="cannot be answered"):
         ask(catalogue, query)
+
+
+@pytest.mark.parametrize(
+    "query",
+    [
+        "COPY (SELECT 1 AS samples) TO 'INDEX' (USE_TMP_FILE false)",
+        "WITH a AS (COPY (SELECT 1 AS samples) TO 'INDEX' (USE_TMP_FILE false)) SELECT * FROM a",
+        "SELECT 1; COPY (SELECT 1 AS samples) TO 'INDEX' (USE_TMP_FILE false)",
+        "SELECT 1 AS samples) TO 'INDEX' (USE_TMP_FILE false)",
+        "PREPARE p AS COPY (SELECT 1 AS samples) TO 'INDEX' (USE_TMP_FILE false); EXECUTE p",
+        "EXPLAIN ANALYZE COPY (SELECT 1 AS samples) TO 'INDEX' (USE_TMP_FILE false)",
+    ],
+)
+@pytest.mark.parametrize("file", ["index", "catalogue"])
+def test_a_query_writes_into_no_index(folder: Path, query: str, file: str) -> None:
+    with catalogue_of(folder) as opened:
+        target = opened.indexes[0] if file == "index" else opened.path
+        before = target.read_bytes()
+        with pytest.raises(UsageError, match="cannot be answered"):
+            ask(opened, query.replace("INDEX", str(target)))
+        assert target.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    "query",
+    [
+        "SELECT count(*) FROM drives; -- of all",
+        "WITH d AS (SELECT * FROM drives) SELECT count(*) FROM d",
+        "FROM drives SELECT count(*) /* of all */",
+        "SELECT count(DISTINCT recording) FROM SAMPLES",
+    ],
+)
+def test_a_query_may_be_written_in_any_form_that_selects(catalogue: Catalogue, query: str) -> None:
+    assert ask(catalogue, query).rows == ((2,),)
+
+
+def test_the_rows_of_a_query_have_its_order(catalogue: Catalogue) -> None:
+    found = ask(catalogue, "SELECT start_ns FROM samples ORDER BY start_ns DESC")
+    assert found.rows == tuple(sorted(found.rows, reverse=True))
+    assert len(found.rows) > 100
+
+
+@pytest.mark.parametrize("gone", ["an index", "the catalogue"])
+def test_an_index_that_is_removed_meanwhile_is_one_sentence(
+    folder: Path, gone: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with catalogue_of(folder) as opened:
+        (opened.indexes[0] if gone == "an index" else opened.path).unlink()
+        monkeypatch.setattr(Path, "exists", lambda self: True)  # it went after it was looked for
+        with pytest.raises(Refused, match="an index cannot be read any more"):
+            ask(opened, "SELECT count(*) FROM samples")
 
 
 def test_only_what_has_changed_is_indexed_again(folder: Path, indexed: list[str]) -> None:
