@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from robotctl.collect.hash_ledger import FileChanged, HashLedger
-from robotctl.collect.local_files import collected_paths, open_collected, pieces_of
-from robotctl.collect.manifest import CollectedFile, Manifest
-from robotctl.collect.missing_objects import missing_of
-from robotctl.collect.object_names import CollectedRecording, collected_recordings, is_plain
-from robotctl.collect.read_back import WrongContent, read_manifest, wrong_content
-from robotctl.errors import RobotctlError, UnreadableFile
+from robotctl.collect.hash_ledger import HashLedger
+from robotctl.collect.local_files import Pace
+from robotctl.collect.local_recordings import LocalRecording, local_recordings
+from robotctl.collect.manifest import CollectedFile
+from robotctl.collect.object_names import CollectedRecording, collected_recordings
+from robotctl.collect.recording_copy import RecordingCopy
 from robotctl.printable import printable
-from robotctl.recording.keep.catalog import CatalogFolder, own_recordings
-from robotctl.store import PART_BYTES, ObjectStore, StoreError
-
-Pace = Callable[[int], None]
-"""Called before this number of bytes is sent or read back; waits as long as a limit demands."""
+from robotctl.store import ObjectStore, StoreError
 
 GIVE_UP_AFTER: Final = 3
 """Recordings in a row whose copy the store fails: it is away, and so the rest is left for later."""
@@ -46,6 +40,18 @@ class Collected:
         """Bytes of the files that were copied."""
         return sum(file.size_bytes for files in self.copied.values() for file in files)
 
+    def add(self, recording: LocalRecording, copy: RecordingCopy, *, dry_run: bool) -> None:
+        """Add what became of a recording."""
+        name = printable(recording.name)
+        self.problems += (f"{name}: {said}" for said in copy.problems)
+        self.wrong += copy.wrong
+        if copy.sent:
+            self.copied[recording.name] = copy.sent
+        if recording.live:
+            self.live.append(recording.name)
+        elif not (copy.problems or copy.wrong or (dry_run and copy.sent)):
+            self.complete.append(recording.name)
+
 
 def collect(
     recordings: Path,
@@ -58,16 +64,16 @@ def collect(
 ) -> Collected:
     """Copy what the store lacks; `on_progress` gets bytes done and in total.
 
-    A recording that cannot be copied is told in `problems`, and the next one is tried.
+    What cannot be copied is told in `problems`, and the next file or recording is tried.
 
     Raises:
         OSError: The folder cannot be listed.
         StoreError: The store cannot be listed.
     """
     there = collected_recordings(store.list())
-    found = [each for each in own_recordings(recordings) if collected_paths(each)]
+    found = local_recordings(recordings, ledger.now_ns())
     run = Collected()
-    total, done, sent, failed = sum(map(_size, found)), 0, 0, 0
+    total, done, sent, failed = sum(each.size_bytes for each in found), 0, 0, 0
 
     def send(count: int) -> None:
         pace(count)
@@ -77,108 +83,20 @@ def collect(
 
     for each in found:
         on_progress(done, total)
-        name, sent = each.path.name, 0
+        sent = 0
+        copy = RecordingCopy(each, there.get(each.name, CollectedRecording()), store, ledger, send)
         try:
-            lacking = _copy(each, there.get(name), store, ledger, send, dry_run=dry_run)
-        except WrongContent as error:
-            run.wrong.append(str(error))
-        except RobotctlError as error:
-            run.problems.append(f"{printable(name)}: {error}")
-            failed = failed + 1 if isinstance(error, StoreError) else 0
-            if failed == GIVE_UP_AFTER:
-                run.problems.append(f"{store.name} fails too often: the rest is left for later")
-                break
-        else:
+            copy.make(dry_run=dry_run)
             failed = 0
-            if lacking:
-                run.copied[name] = lacking
-            if each.live:
-                run.live.append(name)
-            elif not (lacking and dry_run):
-                run.complete.append(name)
-        done += _size(each)
+        except StoreError as error:
+            copy.problems.append(str(error))
+            failed += 1
+        run.add(each, copy, dry_run=dry_run)
+        if failed == GIVE_UP_AFTER:
+            run.problems.append(f"{store.name} fails too often: the rest is left for later")
+            break
+        done += each.size_bytes
     else:
         ledger.forget_the_rest()
     on_progress(total, total)
     return run
-
-
-def manifest_of(recording: CatalogFolder, ledger: HashLedger) -> Manifest:
-    """Return the manifest of the files that are here.
-
-    Raises:
-        UnreadableFile: One cannot be read, or was written meanwhile.
-    """
-    files = []
-    for path in collected_paths(recording):
-        stamp, sha256 = ledger.hash_of(path)
-        name = path.relative_to(recording.path).as_posix()
-        files.append(CollectedFile(name, stamp.size, sha256, stamp.modified_ns))
-    return Manifest(recording.path.name, tuple(sorted(files, key=lambda each: each.name)))
-
-
-def _copy(
-    recording: CatalogFolder,
-    there: CollectedRecording | None,
-    store: ObjectStore,
-    ledger: HashLedger,
-    pace: Pace,
-    *,
-    dry_run: bool,
-) -> list[CollectedFile]:
-    """Copy what the store lacks of a recording, its manifest last; return the files.
-
-    Raises:
-        UnreadableFile: A file here cannot be read, was written meanwhile, or is lost.
-        WrongContent: An object is not what its name says.
-        RobotctlError: The store fails, or a name is none that it can hold.
-    """
-    here = manifest_of(recording, ledger)
-    for name in (here.recording, *(file.name for file in here.files)):
-        if not is_plain(name):
-            cure = "rename it: letters, digits and _ . + = @ - only"
-            raise UnreadableFile(f"{printable(name)} is left out", cure)
-    stored = there or CollectedRecording()
-    missing = missing_of(here, stored, lambda: read_manifest(store, stored))
-    for file in missing.wrong:
-        raise wrong_content(store, here.object_of(file))
-    if dry_run:
-        return list(missing.files)
-    for file in missing.files:
-        key, path = here.object_of(file).key, recording.path / file.name
-        try:
-            content = _verified(path, file.sha256, pace)
-            if file.size_bytes <= PART_BYTES:
-                store.put_if_absent(key, b"".join(content))
-            else:  # what may be there has the same hash: to replace it changes nothing
-                store.put(key, content)
-        except FileChanged:
-            ledger.forget(path)
-            raise
-    if missing.manifest is not None:
-        key = missing.manifest.name(missing.number).key
-        store.put_if_absent(key, missing.manifest.to_bytes())
-    for file in missing.lost:
-        raise UnreadableFile(f"{file.name} is neither here nor in the store any more")
-    return list(missing.files)
-
-
-def _verified(path: Path, sha256: str, pace: Pace) -> Iterator[bytes]:
-    """Yield the content of a file whose hash is known.
-
-    Raises:
-        FileChanged: It has another content, as is known at its end.
-        UnreadableFile: It cannot be read.
-    """
-    digest = hashlib.sha256()
-    with open_collected(path) as file:
-        for piece in pieces_of(file):
-            pace(len(piece))
-            digest.update(piece)
-            yield piece
-    if digest.hexdigest() != sha256:
-        raise FileChanged(f"{path.name} was written while it was copied", "run it again")
-
-
-def _size(recording: CatalogFolder) -> int:
-    return sum(file.size for file in (*recording.files, *recording.clips) if not file.live)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 from collections.abc import Callable, Iterator
@@ -12,7 +11,7 @@ from fcntl import LOCK_EX, LOCK_NB, flock
 from pathlib import Path
 from typing import Final
 
-from robotctl.collect.local_files import FileStamp, open_collected, stamp_of
+from robotctl.collect.local_files import FileStamp, Pace, hash_of_file, open_collected, stamp_of
 from robotctl.errors import AlreadyRunning, UnreadableFile
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.disk.access import make_folder, open_private
@@ -42,14 +41,14 @@ class HashLedger:
     def __init__(self, path: Path, recordings: Path, now_ns: Callable[[], int]) -> None:
         self._path = path
         self._recordings = recordings
-        self._now_ns = now_ns
+        self.now_ns = now_ns
         self._known = dict(_entries(path))
         self._asked: set[str] = set()
         self.hashed_bytes = 0
         """Bytes that were read because no hash of them was known."""
 
-    def hash_of(self, path: Path) -> tuple[FileStamp, str]:
-        """Return stamp and SHA-256 of a file.
+    def hash_of(self, path: Path, pace: Pace) -> tuple[FileStamp, str]:
+        """Return stamp and SHA-256 of a file; `pace(0)` may delay each piece that is read.
 
         Raises:
             UnreadableFile: It cannot be read.
@@ -60,11 +59,11 @@ class HashLedger:
             stamp = stamp_of(file)
             known, sha256 = self._known.get(name, (None, ""))
             if known != stamp:
-                sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+                sha256 = hash_of_file(file, pace)
                 if stamp_of(file) != stamp:
                     raise FileChanged(f"{path.name} was written while it was read", "run it again")
                 self.hashed_bytes += stamp.size
-                if self._now_ns() - stamp.modified_ns > _RESTLESS_NS:
+                if self.now_ns() - stamp.modified_ns > _RESTLESS_NS:
                     self._append(name, stamp, sha256)
         self._asked.add(name)
         return stamp, sha256

@@ -1,4 +1,4 @@
-"""The files of a recording that are collected, read so that no link leads elsewhere."""
+"""Reads files that are collected: piece by piece, and so that no link leads elsewhere."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import errno
 import hashlib
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from io import FileIO
@@ -15,11 +15,14 @@ from typing import Final
 
 from robotctl.errors import UnreadableFile
 from robotctl.recording.disk.disk_errors import reason_of
-from robotctl.recording.format.derived_files import INDEX_FILE
-from robotctl.recording.format.rosbag2 import METADATA_FILE
-from robotctl.recording.keep.catalog import CatalogFolder
 
 PIECE_BYTES: Final = 1 << 18
+
+Pace = Callable[[int], None]
+"""Called before this number of bytes is sent or read back, and with 0 while a file here is read.
+
+It waits as long as a limit demands, or while the robot must not be disturbed.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,19 +32,6 @@ class FileStamp:
     size: int
     modified_ns: int
     inode: int
-
-
-def collected_paths(recording: CatalogFolder) -> list[Path]:
-    """Return the files of a recording to collect: data, clips, list of files, index.
-
-    While it is being made, these are the files of data that are finished.
-    """
-    folder = recording.path
-    data = [file.path for file in (*recording.files, *recording.clips) if not file.live]
-    if recording.live:
-        return data
-    beside = [folder / METADATA_FILE, folder / INDEX_FILE]
-    return data + [path for path in beside if path.is_file() and not path.is_symlink()]
 
 
 @contextmanager
@@ -73,11 +63,21 @@ def pieces_of(file: FileIO) -> Iterator[bytes]:
         yield piece
 
 
-def sha256_of(path: Path) -> str:
+def hash_of_file(file: FileIO, pace: Pace) -> str:
+    """Return the SHA-256 of an open file, which is read at its beginning."""
+    digest = hashlib.sha256()
+    pace(0)
+    for piece in pieces_of(file):
+        digest.update(piece)
+        pace(0)
+    return digest.hexdigest()
+
+
+def sha256_of(path: Path, pace: Pace) -> str:
     """Return the SHA-256 of a file.
 
     Raises:
         UnreadableFile: It cannot be read.
     """
     with open_collected(path) as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+        return hash_of_file(file, pace)

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from robotctl.collect.collecting import GIVE_UP_AFTER, Pace
-from robotctl.collect.local_files import sha256_of
+from robotctl.collect.collecting import GIVE_UP_AFTER
+from robotctl.collect.local_files import Pace, sha256_of
 from robotctl.collect.object_names import CollectedRecording, ObjectName, collected_recordings
 from robotctl.collect.read_back import WrongContent, check_content, read_manifest
 from robotctl.errors import RobotctlError, UnreadableFile
 from robotctl.recording.disk.disk_errors import reason_of
 from robotctl.recording.keep.catalog import CatalogFile, CatalogFolder
-from robotctl.recording.keep.removal_notes import note_removal
+from robotctl.recording.keep.removal_notes import note_removal, withdraw_note
 from robotctl.recording.keep.retention import Removed, RetentionPolicy, enforce_retention
 from robotctl.store import ObjectStore, StoreError
 
@@ -59,6 +60,7 @@ def prune(
             note_removal(recordings, file.path, f"removed after its copy to {store.name} was read")
         except WrongContent as error:
             pruned.wrong.append(str(error))
+            failed = 0
         except OSError as error:
             cause = f"its removal cannot be noted: {reason_of(error)}"
             pruned.problems.append(f"{file.path.name} is kept: {cause}")
@@ -70,7 +72,16 @@ def prune(
             return True
         return False
 
-    pruned.removed = enforce_retention(recordings, policy, now_s, may_remove=is_stored)
+    def not_removed(file: CatalogFile, error: OSError) -> None:
+        with suppress(OSError):
+            withdraw_note(recordings, file.path)
+        if not isinstance(error, FileNotFoundError):
+            cause = f"it cannot be removed: {reason_of(error)}"
+            pruned.problems.append(f"{file.path.name} is kept: {cause}")
+
+    pruned.removed = enforce_retention(
+        recordings, policy, now_s, may_remove=is_stored, on_failure=not_removed
+    )
     return pruned
 
 
@@ -90,5 +101,5 @@ def _check_stored(
         raise UnreadableFile("the manifest of its recording does not name it")
     name = ObjectName(folder.path.name, named.sha256, relative)
     check_content(store, name, named.size_bytes, pace)
-    if sha256_of(file.path) != named.sha256:  # last: nothing is between it and the removal
+    if sha256_of(file.path, pace) != named.sha256:  # last: nothing is between it and the removal
         raise UnreadableFile("the store holds another content")

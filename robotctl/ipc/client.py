@@ -46,6 +46,10 @@ _HELLO_ID = 0
 A = TypeVar("A")
 
 
+class NoAnswer(NoDaemon):
+    """A daemon that is there, but gives no answer; what it does is not known."""
+
+
 @overload
 def call(
     robot: str,
@@ -160,7 +164,7 @@ class Client:
         Without a deadline, wait as long as the daemon answers on a second connection.
 
         Raises:
-            NoDaemon: The daemon did not answer in time, or closed the connection.
+            NoAnswer: The daemon did not answer in time, or closed the connection.
             RobotctlError: The daemon's error, of the class that belongs to its exit code.
         """
         self._last_id += 1
@@ -253,15 +257,15 @@ class Client:
         value = _TIMEVAL.pack(*divmod(microseconds, 1_000_000))
         self._sock.setsockopt(socket.SOL_SOCKET, option, value)
 
-    def _silent(self, seconds: float) -> NoDaemon:
-        return NoDaemon(
+    def _silent(self, seconds: float) -> NoAnswer:
+        return NoAnswer(
             f"the daemon of robot {self._robot!r} did not answer within {seconds:g} s",
             f"see: {command_for(self._robot, 'logs')}",
             sentence=IN_PARENTHESES,
         )
 
-    def _closed(self) -> NoDaemon:
-        return NoDaemon(
+    def _closed(self) -> NoAnswer:
+        return NoAnswer(
             f"the daemon of robot {self._robot!r} closed the connection before it answered",
             f"see: {command_for(self._robot, 'logs')}",
             sentence=IN_PARENTHESES,

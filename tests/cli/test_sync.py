@@ -66,6 +66,18 @@ def test_a_bucket_takes_recordings_and_they_go_here(
     assert not recording.exists()
 
 
+def test_what_is_not_copied_is_told_with_exit_code_6(
+    cli: Cli, recording: Path, tmp_path: Path
+) -> None:
+    (recording / f"{NAME}_1.mcap").symlink_to("/dev/null")
+    ran = cli("sync", str(tmp_path / "usb"))
+    assert ran.exit_code == 6
+    assert f"{NAME}: {NAME}_1.mcap is left out: it is a link" in " ".join(ran.out.split())
+    assert "0 recordings are there; 2 files" in ran.out
+    again = cli("sync", str(tmp_path / "usb"))
+    assert "nothing was copied now" in again.out
+
+
 @pytest.mark.parametrize("kind", ["folder", "bucket"])
 def test_what_was_copied_is_read_as_the_recording_is(
     cli: Cli,

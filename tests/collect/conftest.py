@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from robotctl.collect.collecting import Collected, collect
 from robotctl.collect.hash_ledger import hash_ledger
+from robotctl.collect.object_names import CollectedRecording, collected_recordings
+from robotctl.collect.read_back import read_manifest
+from robotctl.recording.disk.storage import DiskFile
+from robotctl.store import StoredObject
 from robotctl.testing.drives import drive, record
 from tests.support.memory_store import MemoryStore
 
@@ -57,3 +62,32 @@ def run(recordings: Path, store: MemoryStore) -> Collect:
             return collect(recordings, store, ledger)
 
     return collect_once
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Hold a file as its recorder does."""
+    file = DiskFile(path, new=False)
+    try:
+        yield
+    finally:
+        file.close()
+
+
+def contents(store: MemoryStore) -> dict[str, CollectedRecording]:
+    """Return what is in the store, without a request."""
+    return collected_recordings(StoredObject(key, len(x), "") for key, x in store.objects.items())
+
+
+def stored_files(store: MemoryStore, recording: str) -> dict[str, bytes]:
+    """Return what the newest manifest of a recording leads to."""
+    manifest = read_manifest(store, contents(store)[recording])
+    return {each.name: store.objects[manifest.object_of(each).key] for each in manifest.files}
+
+
+def files_here(folder: Path) -> dict[str, bytes]:
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }

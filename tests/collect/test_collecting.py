@@ -7,54 +7,30 @@ import os
 import random
 import shutil
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from robotctl.collect.collecting import GIVE_UP_AFTER, collect
 from robotctl.collect.hash_ledger import hash_ledger
-from robotctl.collect.object_names import CollectedRecording, ObjectName, collected_recordings
-from robotctl.collect.read_back import read_manifest
+from robotctl.collect.object_names import ObjectName
 from robotctl.errors import AlreadyRunning
-from robotctl.recording.disk.storage import DiskFile
-from robotctl.store import StoredObject, StoreFailed
-from tests.collect.conftest import FIRST, SECOND, Collect, copy_as
+from robotctl.store import StoreFailed
+from tests.collect.conftest import (
+    FIRST,
+    SECOND,
+    Collect,
+    contents,
+    copy_as,
+    files_here,
+    stored_files,
+    writing,
+)
 from tests.support.memory_store import MemoryStore, works
 
 
 class Killed(BaseException):
     """What ends a run at once, as a signal does."""
-
-
-@contextmanager
-def writing(path: Path) -> Iterator[None]:
-    """Hold a file as its recorder does."""
-    file = DiskFile(path, new=False)
-    try:
-        yield
-    finally:
-        file.close()
-
-
-def contents(store: MemoryStore) -> dict[str, CollectedRecording]:
-    """Return what is in the store, without a request."""
-    return collected_recordings(StoredObject(key, len(x), "") for key, x in store.objects.items())
-
-
-def stored_files(store: MemoryStore, recording: str) -> dict[str, bytes]:
-    """Return what the newest manifest of a recording leads to."""
-    manifest = read_manifest(store, contents(store)[recording])
-    return {each.name: store.objects[manifest.object_of(each).key] for each in manifest.files}
-
-
-def files_here(folder: Path) -> dict[str, bytes]:
-    return {
-        path.relative_to(folder).as_posix(): path.read_bytes()
-        for path in folder.rglob("*")
-        if path.is_file()
-    }
 
 
 def test_every_file_is_stored_under_its_hash_and_named_by_a_manifest(

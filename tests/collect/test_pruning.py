@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from pathlib import Path
 
 import pytest
 
 from robotctl.collect.collecting import GIVE_UP_AFTER
+from robotctl.collect.hash_ledger import HashLedger
+from robotctl.collect.local_files import PIECE_BYTES
 from robotctl.collect.pruning import Pruned, prune
 from robotctl.recording.disk.storage import DiskFile
 from robotctl.recording.keep.catalog import set_kept
@@ -60,6 +64,57 @@ def test_a_removal_that_cannot_be_noted_is_not_made(collected: Path, store: Memo
     pruned = prune(collected, store, ALL, NOW_S)
     assert names(pruned) == []
     assert "its removal cannot be noted" in pruned.problems[0]
+
+
+def test_a_removal_that_fails_is_named_and_its_note_is_taken_back(
+    collected: Path, store: MemoryStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    unlink = Path.unlink
+
+    def fails(self: Path, missing_ok: bool = False) -> None:
+        if self.name == f"{FIRST}_0.mcap":
+            raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
+        unlink(self, missing_ok)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "unlink", fails)
+        pruned = prune(collected, store, ALL, NOW_S)
+    assert names(pruned) == [f"{SECOND}_0.mcap"]
+    assert pruned.problems == [
+        f"{FIRST}_0.mcap is kept: it cannot be removed: Operation not permitted"
+    ]
+    (collected / FIRST / f"{FIRST}_0.mcap").unlink()  # later, by a user
+    notes = list(tidy(TidyJob(collected, RetentionPolicy(), repairs=False)))
+    assert [Path(each.removed).name for each in notes] == [f"{SECOND}_0.mcap"]
+
+
+def test_a_file_that_another_process_removes_first_is_not_noted(
+    collected: Path, store: MemoryStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    unlink = Path.unlink
+
+    def removed_twice(self: Path, missing_ok: bool = False) -> None:
+        unlink(self, missing_ok)
+        if self.suffix == ".mcap":
+            unlink(self)
+
+    monkeypatch.setattr(Path, "unlink", removed_twice)
+    assert prune(collected, store, ALL, NOW_S) == Pruned()
+    assert list(tidy(TidyJob(collected, RetentionPolicy(), repairs=False))) == []
+
+
+def test_each_piece_that_is_read_here_waits_for_its_turn(
+    collected: Path, store: MemoryStore
+) -> None:
+    asked: list[int] = []
+    data = collected / FIRST / f"{FIRST}_0.mcap"
+    pieces = data.stat().st_size / PIECE_BYTES
+    HashLedger(collected / "no hashes", collected, lambda: 0).hash_of(data, asked.append)
+    assert len(asked) > pieces
+    assert set(asked) == {0}
+    asked.clear()
+    prune(collected, store, ALL, NOW_S, pace=asked.append)
+    assert asked.count(0) > 2 * pieces
 
 
 def test_what_retention_does_not_end_stays(collected: Path, store: MemoryStore) -> None:

@@ -18,7 +18,7 @@ import pytest
 
 from robotctl.errors import NoDaemon, Refused, RobotctlError, UsageError
 from robotctl.ipc import client as client_module
-from robotctl.ipc.client import Client, call
+from robotctl.ipc.client import Client, NoAnswer, call
 from robotctl.ipc.client_limits import ClientLimits
 
 NO_DAEMON = "no daemon for robot 'robot' (start one with: robotctl start)"
@@ -126,7 +126,7 @@ def test_hello_and_the_request_leave_in_one_write(path: Path) -> None:
 def test_a_silent_daemon_is_given_up_at_the_deadline(path: Path) -> None:
     with (
         daemon(path, answers()),
-        pytest.raises(NoDaemon, match=r"did not answer within 0.05 s \(see: robotctl logs\)"),
+        pytest.raises(NoAnswer, match=r"did not answer within 0.05 s \(see: robotctl logs\)"),
     ):
         call("robot", "status", deadline_s=0.05)
 

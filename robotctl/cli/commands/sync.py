@@ -59,14 +59,15 @@ def sync(
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Copy the recordings to a store; what is there already is not sent again.
+    """Copy all recordings of a folder to a store; what is there already is not sent again.
 
-    Each finished file becomes RECORDING/SHA256/FILE below the URL and is never overwritten. A run
-    that was killed goes on. Nothing is removed here
-    without --max-age-days or --max-total-gb; then only files that were read back from the store
-    and hold the same bytes, and no recording with `recordings keep`. URLs need the extra
-    robotctl[store], a folder needs nothing. The exit code is 6 if something could not be copied
-    or read back, 7 if the store holds other bytes than were stored.
+    Each finished file, also of a damaged recording or of another tool, becomes
+    RECORDING/SHA256/FILE below the URL and is never overwritten. A run that was killed goes on.
+    Nothing is removed here without --max-age-days or --max-total-gb; then only files of robotctl
+    that were read back from the store and hold the same bytes, and no recording with `recordings
+    keep`. URLs need the extra robotctl[store], a folder needs nothing. The exit code is 6 if
+    something was left out, or could not be copied or read back, 7 if the store holds other bytes
+    than were stored.
 
     \b
     Examples:
@@ -78,8 +79,8 @@ def sync(
     from robotctl.collect.collecting import collect
     from robotctl.collect.hash_ledger import hash_ledger
     from robotctl.collect.pruning import Pruned, prune
-    from robotctl.kernel.units import NS_PER_S
-    from robotctl.recording.keep.retention import DAY_S, RetentionPolicy
+    from robotctl.kernel.units import DAY_S, NS_PER_S
+    from robotctl.recording.keep.retention import RetentionPolicy
     from robotctl.store import is_url, open_store
 
     here = recordings_folder(robot, folder)
@@ -154,7 +155,9 @@ def _lines(
     if dry_run:
         yield f"{short_path(here)}: {copied} would be copied to {place}"
     else:
-        now = f"{copied} copied now" if run.copied else "nothing was missing"
+        lacks = run.problems or run.wrong
+        nothing = "nothing was copied now" if lacks else "nothing was missing"
+        now = f"{copied} copied now" if run.copied else nothing
         yield f"{place}: {len(run.complete)} recordings are there; {now}"
     for name in run.live:
         yield f"  {name} is being recorded: the file that is written follows later"

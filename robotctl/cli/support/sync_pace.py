@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import threading
 import time
+from contextlib import suppress
 from typing import Final, Self
 
 from robotctl.collect.bandwidth import Bandwidth
-from robotctl.errors import Interrupted, RobotctlError
-from robotctl.ipc.client import call
+from robotctl.errors import Interrupted, NoDaemon, RobotctlError
+from robotctl.ipc.client import NoAnswer, call
 from robotctl.ipc.method_names import STATUS
 
 _BITS: Final = 8e-6
@@ -31,19 +32,27 @@ class SyncPace:
         """When to look next whether the robot moves."""
 
     def __enter__(self) -> Self:
+        """Ask the daemon once.
+
+        Raises:
+            RobotctlError: It cannot be asked, so its robot could move at any time.
+        """
+        if self._robot is not None:
+            with suppress(NoDaemon):
+                _is_moving(self._robot)
         return self
 
     def __exit__(self, *_: object) -> None:
         self._ended.set()
 
     def __call__(self, count: int) -> None:
-        """Wait until this number of bytes may be sent.
+        """Wait until this number of bytes may be sent; with 0, until the robot does not move.
 
         Raises:
             Interrupted: The block has ended.
         """
         if self._robot is not None and time.monotonic() >= self._look_s:
-            while _is_moving(self._robot):
+            while _may_be_moving(self._robot):
                 self._wait(_LOOK_EACH_S)
             self._look_s = time.monotonic() + _LOOK_EACH_S
         if self._bandwidth is not None:
@@ -54,9 +63,15 @@ class SyncPace:
             raise Interrupted
 
 
-def _is_moving(robot: str) -> bool:
-    """Ask the daemon; a robot without one that answers does not move."""
+def _may_be_moving(robot: str) -> bool:
+    """Return whether the robot moves; one with a daemon that does not tell may move."""
     try:
-        return call(robot, STATUS, deadline_s=_ANSWER_S)["mode"] == "MOVING"
+        return _is_moving(robot)
+    except NoDaemon as error:
+        return isinstance(error, NoAnswer)
     except RobotctlError:
-        return False
+        return True
+
+
+def _is_moving(robot: str) -> bool:
+    return call(robot, STATUS, deadline_s=_ANSWER_S)["mode"] == "MOVING"

@@ -105,12 +105,17 @@ def _clips(folder: Path) -> Iterator[CatalogFile]:
 
 def _own(paths: Iterable[Path]) -> Iterator[CatalogFile]:
     for path in paths:
-        if not path.is_symlink() and path.is_file() and _is_own(path):
+        if not path.is_symlink() and path.is_file() and is_own(path):
             stat = path.stat()
             yield CatalogFile(path, stat.st_size, stat.st_mtime, is_being_written(path))
 
 
-def _is_own(path: Path) -> bool:
+def is_own(path: Path) -> bool:
+    """Return whether the header of a file says that robotctl wrote it.
+
+    Raises:
+        OSError: It cannot be opened.
+    """
     try:
         with InputFile(path) as file:
             header, _ = read_header(file)

@@ -37,8 +37,20 @@ def note_removal(recordings: Path, path: Path, text: str) -> None:
             os.close(descriptor)
 
 
+def withdraw_note(recordings: Path, path: Path) -> None:
+    """Drop the note of a file that was not removed after all.
+
+    Raises:
+        OSError: The notes cannot be written.
+    """
+    with only_one_in(recordings):
+        notes = dict(_notes(recordings / NOTES_FILE))
+        if notes.pop(str(path), None) is not None:
+            _write(recordings / NOTES_FILE, notes)
+
+
 def noted_removals(recordings: Path) -> Iterator[TidyNote]:
-    """Yield each removal, and drop its note after that; for the one who is alone in the folder.
+    """Yield each removal, and drop its note after that; the caller holds the lock of the folder.
 
     A note of a file that still exists stays: its removal is under way, or was interrupted.
     """
@@ -51,11 +63,7 @@ def noted_removals(recordings: Path) -> Iterator[TidyNote]:
             yield TidyNote(f"{text}: {removed}", removed=removed)
     still = {removed: text for removed, text in notes.items() if os.path.lexists(removed)}
     with suppress(OSError):
-        if not still:
-            path.unlink()
-            return
-        with replaced_file(path) as file:
-            file.writelines(json.dumps(note).encode() + b"\n" for note in still.items())
+        _write(path, still)
 
 
 @contextmanager
@@ -72,6 +80,14 @@ def only_one_in(recordings: Path) -> Iterator[None]:
         yield
     finally:
         os.close(folder)
+
+
+def _write(path: Path, notes: dict[str, str]) -> None:
+    if not notes:
+        path.unlink()
+        return
+    with replaced_file(path) as file:
+        file.writelines(json.dumps(note).encode() + b"\n" for note in notes.items())
 
 
 def _notes(path: Path) -> Iterator[tuple[str, str]]:

@@ -7,6 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from robotctl.kernel.units import DAY_S
 from robotctl.recording.format.derived_files import derived_files
 from robotctl.recording.format.rosbag2 import METADATA_FILE
 from robotctl.recording.keep.bag_metadata import rewrite_metadata
@@ -16,8 +17,6 @@ from robotctl.recording.keep.catalog import (
     CatalogFolder,
     own_recordings,
 )
-
-DAY_S = 86_400.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,12 +40,13 @@ def enforce_retention(
     policy: RetentionPolicy,
     now_s: float,
     may_remove: Callable[[CatalogFile, CatalogFolder], bool] = lambda file, folder: True,
+    on_failure: Callable[[CatalogFile, OSError], None] = lambda file, error: None,
 ) -> list[Removed]:
     """Remove files below `recordings`, the oldest first, until `policy` is met.
 
     Never removed: a file that is being written, a recording with a `keep` file and its clips, and
-    files that robotctl did not record. `may_remove` is asked just before each removal. `now_s` is
-    in seconds since the epoch. Blocks.
+    files that robotctl did not record. `may_remove` is asked just before each removal, and
+    `on_failure` told after one that failed. `now_s` is in seconds since the epoch. Blocks.
 
     Raises:
         OSError: `recordings` cannot be listed.
@@ -66,9 +66,10 @@ def enforce_retention(
             continue
         try:
             file.path.unlink()
-        except FileNotFoundError:  # another daemon has removed it
-            pass
-        except OSError:  # it belongs to another user
+        except FileNotFoundError as error:  # another daemon has removed it
+            on_failure(file, error)
+        except OSError as error:  # it belongs to another user
+            on_failure(file, error)
             continue
         else:
             removed.append(Removed(file.path, file.size))
