@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from robotctl.cli.commands.drive.waypoint_file import read_waypoints
-from robotctl.errors import RobotctlError, UnreadableFile, UsageError
+from robotctl.errors import UnreadableFile, UsageError
 from robotctl.kernel.course import MAX_POINTS, Course, Frame
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.modes import Mode
@@ -41,6 +41,14 @@ def test_csv_and_yaml_are_read(tmp_path: Path, text: str) -> None:
     assert read_waypoints(written(tmp_path, text), Frame.START) == CORNER
 
 
+def test_a_file_that_repeats_its_points_leads_the_same_way(tmp_path: Path) -> None:
+    rows = "".join(f"{x},{y}\n" * 3 for x, y in CORNER)
+    points = read_waypoints(written(tmp_path, "x,y\n" + rows), Frame.START)
+    assert len(points) == 3 * len(CORNER)
+    again, once = (Course(waypoints=tuple((x, y) for x, y in each)) for each in (points, CORNER))
+    assert path_of(Pattern(), again) == path_of(Pattern(), once)
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -55,10 +63,11 @@ def test_csv_and_yaml_are_read(tmp_path: Path, text: str) -> None:
         ("x,y\n0,0\n\x1b[31m,1\n", r"point 2 is"),
         ("- [0, 0]\n- {x: 1}\n", "point 2 is"),
         ("1,2\n3,4\n", "holds no path"),
-        ("[" * 100_000, "holds no path"),
+        ("[" * 2_000, "holds no path"),
         ("", "holds no path"),
         (b"\x89PNG\r\n\x1a\n\x00\xff", "holds no path"),
-        (b"\x89MCAP0\r\n", "points"),
+        (b"\x89MCAP0\r\n", "cannot be read: it ends at byte 8, in the middle of a record"),
+        (b"\x89MCAP0\r\n" + bytes(100), "cannot be read: it does not begin with a header"),
     ],
 )
 def test_what_is_no_path_is_named(tmp_path: Path, text: str | bytes, said: str) -> None:
@@ -73,7 +82,7 @@ def test_a_missing_file_a_fifo_and_a_folder_without_a_recording_are_named(tmp_pa
     os.mkfifo(tmp_path / "fifo")
     with pytest.raises(UnreadableFile, match="regular file"):
         read_waypoints(str(tmp_path / "fifo"), Frame.START)
-    with pytest.raises(RobotctlError):
+    with pytest.raises(UnreadableFile, match=r"holds no \.mcap file"):
         read_waypoints(str(tmp_path), Frame.START)
 
 

@@ -16,7 +16,7 @@ from robotctl.kernel.geometry import ORIGIN, Pose, wrap_angle
 from robotctl.kernel.limits import limit
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams, VelocityLimits
-from robotctl.kernel.patterns import Pattern, PatternKind, named, path_of
+from robotctl.kernel.patterns import SHAPES, Pattern, PatternKind, named, path_of
 from robotctl.kernel.speed_plan import speed_plan
 from robotctl.kernel.tracking import Reference
 from robotctl.kernel.types import Cause, Twist
@@ -32,6 +32,7 @@ BASE = SimParams(
     odometry_angular_factor=1.0,
 )
 ZIGZAG: tuple[Point, ...] = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (2.0, 1.5), (0.0, 2.0))
+SIZED = [kind for kind, shape in SHAPES.items() if shape.size_name]
 LIMITS = VelocityLimits()
 SLOW = VelocityLimits(0.25, 0.8, 0.4, 1.5)
 
@@ -224,7 +225,9 @@ def test_a_rounded_corner_fits_half_a_side(corner_m: float) -> None:
         (Pattern(), Course(angle_rad=0.0), "an angle of 0 rad"),
         (Pattern(PatternKind.ROUNDED_SQUARE), Course(corner_m=0.6), "0.02 to 0.5 m"),
         (Pattern(PatternKind.ROUNDED_SQUARE, 2.0), Course(corner_m=1.1), "0.02 to 1 m"),
-        (Pattern(PatternKind.LINE, 0.05), Course(), "a size of 0.05 m"),
+        (Pattern(), Course(waypoints=((0.0, 0.0), (0.0009, 0.0))), "the same"),
+        *((Pattern(kind, 0.09), Course(), "a size of 0.09 m: use 0.1 to") for kind in SIZED),
+        *((Pattern(kind, 101.0), Course(), "a size of 101 m: use 0.1 to 100 m") for kind in SIZED),
     ],
 )
 def test_what_cannot_be_driven_is_refused_by_name(
