@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Coroutine, Mapping
+from functools import partial
 from typing import Any
 
 from robotctl.daemon.api.common import common_methods
@@ -18,7 +19,6 @@ from robotctl.daemon.api.status import StatusSource
 from robotctl.daemon.control.decisions import Decisions
 from robotctl.daemon.control.dispatcher import Control
 from robotctl.daemon.control.effects import Effects
-from robotctl.daemon.control.foreign_commands import ForeignCommands
 from robotctl.daemon.control.graph_watch import has_odometry_publisher, watch_graph
 from robotctl.daemon.control.ground_truth import GroundTruth
 from robotctl.daemon.control.inputs import Inputs
@@ -27,6 +27,7 @@ from robotctl.daemon.control.latch import Latch
 from robotctl.daemon.control.pending_requests import PendingRequests
 from robotctl.daemon.control.robot_report import RobotReport
 from robotctl.daemon.control.watchdog import Watchdog
+from robotctl.daemon.control_loop import ControlLoop, urgent_event
 from robotctl.daemon.diagnostics import Diagnostics
 from robotctl.daemon.drive_goals import DriveGoals
 from robotctl.daemon.host import Host, Ready, running
@@ -48,18 +49,9 @@ from robotctl.ipc.advice import advice
 from robotctl.ipc.method import Method
 from robotctl.ipc.server import ControlServer
 from robotctl.kernel.kernel import Kernel
-from robotctl.kernel.modes import Mode
 from robotctl.kernel.state import State, latched
-from robotctl.kernel.types import (
-    FaultReported,
-    LoopStalled,
-    Odometry,
-    Reply,
-    Tick,
-)
+from robotctl.kernel.types import Odometry, Reply
 from robotctl.paths import latch_path
-from robotctl.ros.executor import Tick as LoopTick
-from robotctl.ros.executor import Ticker
 from robotctl.ros.messages.command_type import CommandType
 from robotctl.ros.messages.qos import ODOMETRY
 from robotctl.ros.nodes.command_lock import CommandLock
@@ -75,12 +67,6 @@ _log = logging.getLogger(__name__)
 READY_S = 10.0
 """How long a start waits for what the configuration expects: odometry, battery level, and a
 subscriber of the command. Discovery by Fast DDS takes up to 2.6 s; a robot may still boot."""
-
-LOOKS_ENOUGH_HZ = 50.0
-"""A control rate from which the ticks look at the heard commands often enough..."""
-
-COMMAND_LATENCY_S = 0.01
-"""...and how long these are collected at a lower rate."""
 
 
 class Driver:
@@ -135,18 +121,12 @@ class Driver:
             ).carry_out,
             requests,
             host.supervisor.callback_failed,
-            self._urgent,
+            partial(urgent_event, self._watchdog),
             decisions.asked,
             shadow,
         )
         self._parameters = Parameters(host.config, self._control, self.recorder.reconfigure)
-        self._foreign_commands = ForeignCommands(
-            self._velocity.gid, self._velocity.name_of, self._moves, self._control.dispatch
-        )
-        self._look_at_commands = self._velocity.monitor(
-            self._foreign_commands.heard,
-            None if params.rate_hz >= LOOKS_ENOUGH_HZ else COMMAND_LATENCY_S,
-        )
+        self._loop = ControlLoop(params.rate_hz, self._control, self._watchdog, self._velocity)
         host.supervisor.report_to(self._control.dispatch)
         self._robot_report = RobotReport(self._control, truth, shadow)
         self._status = StatusSource(
@@ -247,7 +227,7 @@ class Driver:
 
     def _work(self, sim: bool) -> dict[str, Work]:
         work: dict[str, Work] = {
-            "control": self._tick,
+            "control": lambda: self._loop.run(self._odometry.look),
             **self.recorder.work(),
             "diagnostics": self._diagnostics.run,
             "graph watch": self._graph_watch,
@@ -261,27 +241,9 @@ class Driver:
             work["simulated robot"] = self._simulated.run
         return work
 
-    async def _tick(self) -> None:
-        await Ticker(self._host.config.kernel.rate_hz).run(self._decide)
-
-    def _decide(self, tick: LoopTick) -> None:
-        self._look_at_commands()
-        self._odometry.look()
-        self._control.dispatch(Tick(tick.t_ns, tick.missed))
-        self._watchdog.ping()
-
     def _take_odometry(self, odometry: Odometry, source: int, sequence: int) -> None:
-        self._look_at_commands()  # twice as often as the ticks alone
+        self._loop.look_at_commands()  # twice as often as the ticks alone
         self._inputs.odometry(odometry, source, sequence)
-
-    def _moves(self) -> bool:
-        return self._control.state.mode is Mode.MOVING
-
-    def _urgent(self) -> LoopStalled | FaultReported | None:
-        event = self._watchdog.take()
-        if isinstance(event, LoopStalled):
-            _log.warning("the loop stalled for %.2f s: %s", event.stalled_s, event.detail)
-        return event
 
     # Start
 
