@@ -6,11 +6,13 @@ from collections.abc import Callable, Iterator, Sequence
 from itertools import chain, islice
 from typing import Final
 
+from robotctl.cdr.type_names import ODOMETRY
 from robotctl.doctor.finding import Finding, fault, ok, warning
-from robotctl.ipc.answers import GraphEndpoint, GraphTopic, NameAndTypes
+from robotctl.ipc.graph_answers import GraphEndpoint, GraphTopic, NameAndTypes
+from robotctl.kernel.command_types import TWIST, TWIST_STAMPED
 
-ODOMETRY_TYPES: Final = ("nav_msgs/msg/Odometry",)
-COMMAND_TYPES: Final = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
+ODOMETRY_TYPES: Final = (ODOMETRY,)
+COMMAND_TYPES: Final = (TWIST, TWIST_STAMPED)
 
 _UNMATCHED: Final = (
     ("reliability", "best_effort", "reliable"),

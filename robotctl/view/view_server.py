@@ -10,7 +10,6 @@ from functools import partial
 from typing import Final
 
 from robotctl.view.admission import Admission
-from robotctl.view.channel_table import ChannelTable
 from robotctl.view.foxglove_messages import (
     StatusLevel,
     ViewService,
@@ -36,6 +35,7 @@ from robotctl.view.foxglove_requests import (
     WrongRequest,
 )
 from robotctl.view.listening import listening_socket
+from robotctl.view.offered_channels import OfferedChannels
 from robotctl.view.outbox import BINARY, frame_head
 from robotctl.view.viewer import TRY_LATER, Viewer
 
@@ -76,7 +76,7 @@ class ViewServer:
         self._admission = admission
         self._services = services
         self._greeting = server_info(name, secrets.token_hex(8), capabilities, span_ns)
-        self._table = ChannelTable()
+        self._offered = OfferedChannels()
         self._notes: dict[str, tuple[StatusLevel, str]] = {}
         self._connections: set[Viewer] = set()
         self._viewers: set[Viewer] = set()
@@ -141,18 +141,18 @@ class ViewServer:
         self, topic: str, type_name: str, definition: str, schema_encoding: str = "ros2msg"
     ) -> int:
         """Offer a topic to all viewers, and return the id of its channel."""
-        channel = self._table.offer(topic, type_name, definition, schema_encoding)
+        channel = self._offered.offer(topic, type_name, definition, schema_encoding)
         self._tell_all(advertise([channel]))
         return channel.id
 
     def withdraw(self, channel_id: int) -> None:
         """Offer a channel no longer; its subscriptions end."""
-        self._table.withdraw(channel_id)
+        self._offered.withdraw(channel_id)
         self._tell_all(unadvertise([channel_id]))
 
     def publish(self, channel_id: int, log_ns: int, data: bytes | memoryview) -> None:
         """Send a message to the viewers of a channel, at the end of this turn of the loop."""
-        subscribers = self._table.subscribers(channel_id)
+        subscribers = self._offered.subscribers(channel_id)
         if not subscribers:
             return
         kept = bytes(data)
@@ -202,8 +202,8 @@ class ViewServer:
             return
         self._viewers.add(viewer)
         viewer.tell(self._greeting)
-        if self._table.channels:
-            viewer.tell(advertise(self._table.channels))
+        if self._offered.channels:
+            viewer.tell(advertise(self._offered.channels))
         if self._services:
             viewer.tell(advertise_services(self._services))
         for id_, (level, message) in self._notes.items():
@@ -231,7 +231,7 @@ class ViewServer:
         match request:
             case Subscribe():
                 for subscription, channel_id in request.channels.items():
-                    if self._table.subscribe(viewer, subscription, channel_id):
+                    if self._offered.subscribe(viewer, subscription, channel_id):
                         self.on_subscribed(channel_id)
             case Unsubscribe():
                 for subscription in request.subscriptions:
@@ -256,7 +256,7 @@ class ViewServer:
         viewer.tell(status(StatusLevel.WARNING, problem))
 
     def _unsubscribe(self, viewer: Viewer, subscription: int) -> None:
-        unwatched = self._table.unsubscribe(viewer, subscription)
+        unwatched = self._offered.unsubscribe(viewer, subscription)
         if unwatched is not None:
             self.on_unwatched(unwatched)
 

@@ -19,7 +19,7 @@ from robotctl.doctor.finding import Finding, fault, ok, warning
 from robotctl.domains import requested_domain, wider_discovery
 from robotctl.environment import RANGE
 from robotctl.errors import RobotctlError, UsageError
-from robotctl.ipc.answers import GraphTopic
+from robotctl.ipc.graph_answers import GraphTopic
 from robotctl.paths import runtime_folder, state_folder
 
 DEFINITIONS = {"msg": ("msg", "idl"), "srv": ("srv", "idl"), "action": ("action", "idl")}

@@ -16,8 +16,8 @@ from robotctl.cli.support.look_process import leave, look_process
 from robotctl.domains import requested_domain
 from robotctl.environment import RANGE
 from robotctl.errors import NoDaemon, RobotctlError, UsageError, error_for_exit_code
-from robotctl.ipc.answers import Graph, GraphNode, GraphTopic
 from robotctl.ipc.client import call
+from robotctl.ipc.graph_answers import Graph, GraphNode, GraphTopic
 from robotctl.ipc.method_names import GRAPH, GRAPH_NODE, GRAPH_TOPIC, STATUS
 from robotctl.ipc.protocol import MAX_GRAPH_NAME
 from robotctl.paths import namespace_of
@@ -210,14 +210,22 @@ def _names(typed: Any) -> list[str]:
 
 
 def _checked(name: str) -> str:
-    """Return a name that can be asked for; raise UsageError for another."""
+    """Return `name` if the daemon can be asked for it.
+
+    Raises:
+        UsageError: It is too long or not printable.
+    """
     if len(name) > MAX_GRAPH_NAME or not name.isprintable():
         raise UsageError(f"{name[:40]!r} is no name in ROS")
     return name
 
 
 def _checked_report(report: dict[str, Any]) -> dict[str, Any]:
-    """Return a report of the process; raise the error that it tells."""
+    """Return a report of the process.
+
+    Raises:
+        RobotctlError: The process reported this error.
+    """
     if "error" in report:
         raise error_for_exit_code(report["exit_code"], report["error"], report)
     return report

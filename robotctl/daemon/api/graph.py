@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, cast
 
 from robotctl.errors import UsageError
-from robotctl.ipc.answers import Graph, GraphNode, GraphTopic
+from robotctl.ipc.graph_answers import Graph, GraphNode, GraphTopic
 from robotctl.ipc.method import Method
 from robotctl.ipc.method_names import GRAPH, GRAPH_NODE, GRAPH_TOPIC
 from robotctl.ipc.params import GraphNameParams, NoParams

@@ -13,7 +13,7 @@ MAX_SUBSCRIPTIONS: Final = 10_000
 """Limit on the subscriptions of one viewer."""
 
 
-class ChannelTable:
+class OfferedChannels:
     """Channels by id, with their subscriptions; an id is never used again."""
 
     def __init__(self) -> None:
