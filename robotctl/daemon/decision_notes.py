@@ -17,8 +17,9 @@ from robotctl.daemon.recording.software import DIGEST, software
 from robotctl.decision_log.entries import Kind
 from robotctl.decision_log.folder import log_folder
 from robotctl.decision_log.log import DecisionLog
+from robotctl.kernel.units import DAY_S
 
-YEAR_S: Final = 365.25 * 86_400.0
+YEAR_S: Final = 365.25 * DAY_S
 
 OF_ONE_START: Final = ("directory", "git.directory", "user")
 """What the start itself tells; it is no part of the software's identity."""

@@ -7,8 +7,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from robotctl.decision_log.entries import Entry, Kind
-
-DAY_S: Final = 86_400.0
+from robotctl.kernel.units import DAY_S
 
 DAY_BYTES: Final = 130_000
 """With RESERVE_BYTES it is 50 MB a year: about 500 entries a day."""
@@ -68,7 +67,7 @@ class Budget:
         return bool(self._folded)
 
     def counts(self) -> Entry:
-        """Return the entry that tells the counts, and begin anew."""
+        """Return the entry that tells the counts, and count from 0 again."""
         counts: dict[str, Any] = {str(kind): count for kind, count in self._folded.items()}
         values = {"counts": counts, "first_ns": self._first_ns, "last_ns": self._last_ns}
         self._folded.clear()

@@ -13,7 +13,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any, Final
 
-from robotctl.decision_log.budget import DAY_S, Budget
+from robotctl.decision_log.budget import Budget
 from robotctl.decision_log.entries import Entry, Kind, hash_of, parse
 from robotctl.decision_log.folder import (
     FILE_BYTES,
@@ -22,7 +22,7 @@ from robotctl.decision_log.folder import (
     open_last,
     remove_oldest,
 )
-from robotctl.kernel.units import NS_PER_S
+from robotctl.kernel.units import DAY_S, NS_PER_S
 
 _log = logging.getLogger(__name__)
 

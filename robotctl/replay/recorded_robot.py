@@ -11,15 +11,13 @@ from typing import Any, Final
 
 from robotctl.cdr.motion import decode_odometry
 from robotctl.cdr.reader import CdrReader
+from robotctl.cdr.type_names import ODOMETRY, ROBOT_STATUS
 from robotctl.errors import UsageError
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import Twist
 from robotctl.recording import Recording, TopicInfo
 from robotctl.replay.timeline import Entry, Span, recorded
-
-ODOMETRY: Final = "nav_msgs/msg/Odometry"
-STATUS: Final = "robot_controller/msg/RobotStatus"
 
 STEP_M: Final = 0.005
 """Minimum distance between points of the path."""
@@ -47,13 +45,15 @@ class RecordedRobot:
         self.path: list[tuple[float, float]] = []
         self._takes: dict[str, Callable[[bytes], None]] = {}
         types: dict[str, str] = {}
-        for type_name, take in ((ODOMETRY, self._odometry), (STATUS, self._status)):
+        for type_name, take in ((ODOMETRY, self._odometry), (ROBOT_STATUS, self._status)):
             topic = _busiest(topics, type_name)
             if topic is not None:
                 self._takes[topic.name] = take
                 types[topic.name] = type_name
         if not self._takes:
-            raise UsageError(f"nothing to draw: the recording has neither {ODOMETRY} nor {STATUS}")
+            raise UsageError(
+                f"nothing to draw: the recording has neither {ODOMETRY} nor {ROBOT_STATUS}"
+            )
         latched = dict.fromkeys(self._takes, 1)
         self._entries = recorded(recording, span, types, latched, lambda lost: None, loop=loop)
         self._next: Entry | None = next(self._entries, None)

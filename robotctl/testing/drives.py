@@ -8,9 +8,11 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 from robotctl import __version__
+from robotctl.cdr import type_names
 from robotctl.cdr.motion import encode_twist
 from robotctl.config import Config, flat
 from robotctl.daemon.control.journal_writer import Journal
+from robotctl.kernel import command_types
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.patterns import Pattern
 from robotctl.kernel.types import (
@@ -24,7 +26,7 @@ from robotctl.kernel.types import (
 )
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recorder, RecorderOptions, Topic
-from robotctl.recording.format.journal import TYPE_NAME, JournalEntry, decode, encode
+from robotctl.recording.format.journal import JournalEntry, decode, encode
 from robotctl.rerun.closed_loop import closed_loop
 
 START_NS = 1_700_000_000_000_000_000
@@ -52,8 +54,8 @@ QOS = """\
 """
 """The quality of service that every recorded publisher offers."""
 
-TWIST = Topic("/cmd_vel", "geometry_msgs/msg/Twist", "Vector3 linear\n", "RIHS01_ab", QOS)
-ODOMETRY = Topic("/odom", "nav_msgs/msg/Odometry", "Header header\n", "RIHS01_cd", QOS)
+TWIST = Topic("/cmd_vel", command_types.TWIST, "Vector3 linear\n", "RIHS01_ab", QOS)
+ODOMETRY = Topic("/odom", type_names.ODOMETRY, "Header header\n", "RIHS01_cd", QOS)
 
 BEGIN_NS = 5_000_000_000
 """The steady time at which drives begin [ns]."""
@@ -61,7 +63,7 @@ BEGIN_NS = 5_000_000_000
 Step = tuple[Event, tuple[Effect, ...]]
 """An event and the effects that the kernel decided on."""
 
-JOURNAL = Topic("/robotctl/journal", TYPE_NAME)
+JOURNAL = Topic("/robotctl/journal", type_names.JOURNAL_ENTRY)
 
 MAX_QUEUED = 20_000
 """The number of messages that may be queued; the recorder would drop more."""

@@ -5,19 +5,16 @@ from __future__ import annotations
 import errno
 import os
 import random
-import struct
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from mcap.opcode import Opcode
 
 from robotctl.recording.disk.storage import Buffer, DiskFile
+from robotctl.recording.format.records import MAGIC, RECORD_HEAD
 
 PAGE = 4096
 """The largest unit that a disk writes atomically [bytes]."""
-
-_RECORD_HEAD = struct.Struct("<BQ")
-_MAGIC_BYTES = 8
 
 
 class FailingFile(DiskFile):
@@ -124,13 +121,13 @@ class VolatileFile(DiskFile):
 
 def record_boundaries(data: bytes) -> Iterator[int]:
     """Yield the offset of each record of a valid MCAP file, and of its closing magic bytes."""
-    offset = _MAGIC_BYTES
-    while offset <= len(data) - _MAGIC_BYTES:
+    offset = len(MAGIC)
+    while offset <= len(data) - len(MAGIC):
         yield offset
-        if offset == len(data) - _MAGIC_BYTES:
+        if offset == len(data) - len(MAGIC):
             return
-        _, length = _RECORD_HEAD.unpack_from(data, offset)
-        offset += _RECORD_HEAD.size + length
+        _, length = RECORD_HEAD.unpack_from(data, offset)
+        offset += RECORD_HEAD.size + length
 
 
 def mutated(data: bytes, dice: random.Random) -> bytes:
@@ -161,9 +158,9 @@ def chunks_of(data: bytes) -> list[tuple[int, int]]:
     """Return the start and end offset of each chunk record in a valid MCAP file."""
     found = []
     for offset in record_boundaries(data):
-        opcode, length = _RECORD_HEAD.unpack_from(data, offset)
+        opcode, length = RECORD_HEAD.unpack_from(data, offset)
         if opcode == Opcode.CHUNK:
-            found.append((offset, offset + _RECORD_HEAD.size + length))
+            found.append((offset, offset + RECORD_HEAD.size + length))
         elif opcode == Opcode.FOOTER:
             break
     return found

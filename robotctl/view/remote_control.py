@@ -15,6 +15,7 @@ from robotctl.errors import Refused, RobotctlError
 from robotctl.ipc.client import Client, call
 from robotctl.ipc.method_names import HOLD, SET_MODE
 from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
+from robotctl.kernel.command_types import TWIST
 from robotctl.kernel.course import MAX_SILENCE_S
 from robotctl.view.foxglove_messages import (
     StatusLevel,
@@ -34,13 +35,11 @@ SERVICES: Final = (ESTOP, STOP)
 IDLE_MODE: Final = 0
 _MODES: Final = {ESTOP.id: EMERGENCY_STOP_MODE, STOP.id: IDLE_MODE}
 
-TWIST: Final = "geometry_msgs/msg/Twist"
-
 _STAND: Final = (0.0, 0.0)
 
 LET_GO_S: Final = 1.0
-"""How long an operator must be silent after a motion was refused or ended: a slow network is no
-letting go."""
+"""How long an operator must be silent before the next motion, after one was refused or ended. It is
+longer than the delays of a slow network, which are no release."""
 
 MAX_CALLS: Final = {ESTOP.id: 3, STOP.id: 1}
 """Limit on calls of each service that are not answered yet. With the held velocity they take all

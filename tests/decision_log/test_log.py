@@ -15,10 +15,11 @@ import pytest
 
 from robotctl.decision_log import folder as files
 from robotctl.decision_log import log as writer
-from robotctl.decision_log.budget import DAY_BYTES, DAY_S, RESERVE_BYTES
+from robotctl.decision_log.budget import DAY_BYTES, RESERVE_BYTES
 from robotctl.decision_log.entries import MAX_TEXT, Kind, hash_of
 from robotctl.decision_log.log import DecisionLog
 from robotctl.decision_log.read import LogContent, read_log
+from robotctl.kernel.units import DAY_S
 
 PATIENCE_S = 30.0
 BEGIN_NS = 1_800_000_000_000_000_000

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from robotctl.cdr.type_names import JOURNAL_ENTRY
 from robotctl.errors import UnreadableFile
 from robotctl.recording import Recorder, RecorderOptions, Recording, Topic
 from robotctl.recording.format.journal import (
-    TYPE_NAME,
     EntryKind,
     JournalEntry,
     encode,
@@ -26,7 +26,7 @@ def record(folder: Path, robot: str, topics: dict[str, Iterable[int]]) -> Path:
     recorder = Recorder(folder, options, metadata=lambda: {"robot": robot}, on_failure=pytest.fail)
     recorder.add_topic(TWIST)
     for name, times in topics.items():
-        channel = recorder.add_topic(Topic(name, TYPE_NAME))
+        channel = recorder.add_topic(Topic(name, JOURNAL_ENTRY))
         for seq, time_ns in enumerate(times):
             entry = encode(JournalEntry(seq, seq, EntryKind.EVENT, "Tick", name))
             recorder.write(channel, entry, START_NS + time_ns, START_NS, seq + 1, GID)

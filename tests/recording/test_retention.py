@@ -10,12 +10,13 @@ import pytest
 from mcap.writer import Writer
 from rosbags.rosbag2 import Reader as RosbagsReader
 
+from robotctl.kernel.units import DAY_S
 from robotctl.recording import Recorder, RecorderOptions, read_info
 from robotctl.recording.format.derived_files import comparison_file
 from robotctl.recording.keep.clip import Moment
 from robotctl.recording.keep.clip_job import ClipJob, make_clip
 from robotctl.recording.keep.removal_notes import NOTES_FILE, note_removal
-from robotctl.recording.keep.retention import DAY_S, RetentionPolicy, enforce_retention
+from robotctl.recording.keep.retention import RetentionPolicy, enforce_retention
 from robotctl.recording.keep.tidy_job import TidyJob, tidy
 from robotctl.testing.drives import TWIST
 from tests.support.recordings import read_strictly, write_numbered

@@ -26,7 +26,8 @@ from mcap.records import (
     Statistics,
 )
 
-from robotctl.recording.format.journal import TOPIC, TYPE_NAME, EntryKind, JournalEntry, encode
+from robotctl.cdr.type_names import JOURNAL_ENTRY
+from robotctl.recording.format.journal import TOPIC, EntryKind, JournalEntry, encode
 from robotctl.recording.format.metadata_names import LIBRARY
 from robotctl.recording.format.records import MAGIC, MESSAGE_HEAD, record_bytes
 from robotctl.testing.drives import BEGIN_NS, drive
@@ -182,7 +183,7 @@ def spaces_in_metadata() -> str:
 
 def _journal(entries: Iterable[JournalEntry]) -> bytes:
     """Return a recording with as many journal entries as fit into SIZE."""
-    schema = record_bytes(Schema(id=1, name=TYPE_NAME, encoding="ros2msg", data=b""))
+    schema = record_bytes(Schema(id=1, name=JOURNAL_ENTRY, encoding="ros2msg", data=b""))
     channel = record_bytes(Channel(1, f"/{TOPIC}", "cdr", {}, 1))
     data = bytearray(schema + channel)
     waiting = bytearray()

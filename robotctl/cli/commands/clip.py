@@ -23,7 +23,7 @@ from robotctl.cli.support.time_argument import parse_moment
 from robotctl.cli.terminal.progress import progress_bar
 from robotctl.cli.terminal.text import duration, moment, printable, short_path
 from robotctl.errors import IN_PARENTHESES, RecoveredWithLoss, Refused, UnreadableFile, UsageError
-from robotctl.kernel.units import NS_PER_S
+from robotctl.kernel.units import DAY_S, NS_PER_S
 from robotctl.recording.format.event_kind import CLIP_KINDS, EventKind
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 app = new_app()
 
-MAX_SECONDS = 86_400.0
+MAX_SECONDS = DAY_S
 
 
 *_KINDS, _LAST_KIND = CLIP_KINDS
@@ -126,7 +126,11 @@ def _find(
     robot: str | None,
     folder: Path | None,
 ) -> tuple[ListedRecording, Moment]:
-    """Return the recording and the moment to clip; raise Refused if there is none."""
+    """Return the recording and the moment to clip.
+
+    Raises:
+        Refused: There is none.
+    """
     from robotctl.recording.keep.listing import list_recording
     from robotctl.recording.read.files import recording_files
 

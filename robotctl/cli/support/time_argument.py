@@ -6,9 +6,9 @@ import math
 from datetime import UTC, datetime, timedelta
 
 from robotctl.errors import UsageError
-from robotctl.kernel.units import NS_PER_S
+from robotctl.kernel.units import DAY_S, NS_PER_S
 
-MAX_SECONDS = 366 * 86_400.0
+MAX_SECONDS = 366 * DAY_S
 
 
 def is_offset(text: str) -> bool:
@@ -61,7 +61,7 @@ def parse_since(text: str, now_ns: int) -> int:
     Raises:
         UsageError: The text is neither a time span such as 30d, 12h or 15m, nor a date.
     """
-    units_s = {"d": 86_400.0, "h": 3_600.0, "m": 60.0, "s": 1.0}
+    units_s = {"d": DAY_S, "h": 3_600.0, "m": 60.0, "s": 1.0}
     if text[-1:] in units_s and is_offset(text[:-1]):
         span_s = float(text[:-1]) * units_s[text[-1]]
         if math.isfinite(span_s) and span_s >= 0:

@@ -13,6 +13,7 @@ from robotctl.daemon.recording.software import software
 from robotctl.decision_log.folder import log_folder
 from robotctl.decision_log.read import head_of
 from robotctl.errors import RobotctlError
+from robotctl.kernel.units import DAY_S
 from robotctl.paths import make_private, recordings_note_path
 from robotctl.recording import Recorder, RecorderOptions
 from robotctl.recording.format.metadata_names import (
@@ -20,7 +21,7 @@ from robotctl.recording.format.metadata_names import (
     SHADOW_RECORD,
     SOFTWARE_RECORD,
 )
-from robotctl.recording.keep.retention import DAY_S, RetentionPolicy
+from robotctl.recording.keep.retention import RetentionPolicy
 from robotctl.recording.write.file_seal import Sealer
 
 

@@ -10,6 +10,7 @@ from typing import Final, Protocol, assert_never
 
 from robotctl.daemon.recording.learned_period import LearnedPeriod
 from robotctl.daemon.recording.topic_watch import LOOK_S, TopicWatch, Trouble
+from robotctl.kernel.command_types import TWIST, TWIST_STAMPED
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.write.rate_by_topic import RateByTopic
 
@@ -19,10 +20,10 @@ LATE_S: Final = 2.0 * LOOK_S
 """After a longer gap between two looks, messages may wait that are not counted yet."""
 
 RECENT_S: Final = 60.0
-"""How long a trouble that is over is told."""
+"""How long `status` names a trouble that is over."""
 
 FORGET_S: Final = 600.0
-"""After this silence a learned topic is expected no more: its node was ended for good."""
+"""After this silence a learned topic is no longer watched: its node was ended."""
 
 MAX_NAMED: Final = 20
 MAX_TROUBLES: Final = 5
@@ -34,8 +35,8 @@ _STAMP_SLACK_S: Final = 0.1
 
 EVENTS: Final = frozenset(
     (
-        "geometry_msgs/msg/Twist",
-        "geometry_msgs/msg/TwistStamped",
+        TWIST,
+        TWIST_STAMPED,
         "sensor_msgs/msg/Joy",
         "rcl_interfaces/msg/ParameterEvent",
     )

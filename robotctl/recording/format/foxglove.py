@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from robotctl.cdr.reader import ENCAPSULATION
+from robotctl.kernel.units import NS_PER_S
 
 TOPIC: Final = "robotctl/events"
 TYPE_NAME: Final = "foxglove_msgs/msg/Event"
@@ -34,14 +35,13 @@ string value
 
 _TIME: Final = struct.Struct("<iI")
 _LENGTH: Final = struct.Struct("<I")
-_NS: Final = 1_000_000_000
 
 
 def encode_event(start_ns: int, end_ns: int, metadata: Mapping[str, str]) -> bytes:
     """Return an event as ROS serializes it (CDR); times in nanoseconds since the epoch."""
     content = bytearray()
     for time_ns in (start_ns, end_ns):
-        content += _TIME.pack(*divmod(time_ns, _NS))
+        content += _TIME.pack(*divmod(time_ns, NS_PER_S))
     content += _LENGTH.pack(len(metadata))
     for pair in metadata.items():
         for text in pair:

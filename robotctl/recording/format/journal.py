@@ -21,9 +21,6 @@ SHADOW_FAILED = "Failed"
 """The names of a shadow's entries that are no effects: the shadow decided nothing where the driving
 kernel did, and the shadow was switched off."""
 
-TYPE_NAME = "robot_controller/msg/JournalEntry"
-
-
 MAX_TEXT_BYTES = 256 << 10
 """Maximum size of the JSON of an entry. A request to the kernel has at most 64 kB."""
 

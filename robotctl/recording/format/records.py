@@ -32,15 +32,20 @@ MESSAGE_HEAD: Final = struct.Struct("<BQHIQQ")
 MESSAGE_FIELDS_BYTES: Final = 22
 """The part of a message's record length that is not its data."""
 
-RECORD_HEAD_BYTES: Final = 9
+RECORD_HEAD: Final = struct.Struct("<BQ")
 """Opcode and content length, before the content of each record."""
 
+RECORD_HEAD_BYTES: Final = RECORD_HEAD.size
+DATA_END_BYTES: Final = RECORD_HEAD_BYTES + 4
+FOOTER_CONTENT_BYTES: Final = 20
+
+FIRST_PRIVATE_OPCODE: Final = 0x80
+"""The specification reserves this and above for applications; readers skip unknown opcodes."""
+
 ROOM_OPCODE: Final = 0x86
-"""Private opcode of the room that a growing file has for more data. The specification reserves
-0x80 and above for applications, and readers skip unknown opcodes."""
+"""Private opcode of the room that a growing file has for more data."""
 
 _CHUNK_HEAD = struct.Struct("<BQQQQI")
-_RECORD_HEAD = struct.Struct("<BQ")
 _MESSAGE_INDEX_HEAD = struct.Struct("<BQHI")
 
 
@@ -54,7 +59,7 @@ def record_bytes(record: McapRecord) -> bytes:
 
 def room_head(start: int, end: int) -> bytes:
     """Return the head of the record that fills a file between two offsets."""
-    return _RECORD_HEAD.pack(ROOM_OPCODE, end - start - RECORD_HEAD_BYTES)
+    return RECORD_HEAD.pack(ROOM_OPCODE, end - start - RECORD_HEAD_BYTES)
 
 
 @dataclass(frozen=True, slots=True)

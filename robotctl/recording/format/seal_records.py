@@ -18,7 +18,7 @@ from enum import IntEnum
 from hashlib import sha256
 from typing import Final, Self
 
-from robotctl.recording.format.records import RECORD_HEAD_BYTES
+from robotctl.recording.format.records import RECORD_HEAD
 
 OPENING_OPCODE: Final = 0x87
 LINK_OPCODE: Final = 0x88
@@ -27,11 +27,8 @@ NO_DIGEST: Final = bytes(32)
 """What the first file of a chain continues."""
 
 MAX_OPENING_BYTES: Final = 1 << 16
-_HEAD = struct.Struct("<BQ")
 _FIELDS = struct.Struct("<BIQQ32s")
 _SIGNATURE_BYTES: Final = 64
-LINK_BYTES: Final = RECORD_HEAD_BYTES + _FIELDS.size + _SIGNATURE_BYTES
-"""Size of the record of a link."""
 
 _LINK_DOMAIN = b"robotctl seal: link\0"
 _OPENING_DOMAIN = b"robotctl seal: opening\0"
@@ -77,7 +74,7 @@ class Link:
     def record(self) -> bytes:
         """Return the link as a record of a file."""
         content = self._fields() + self.signature
-        return _HEAD.pack(LINK_OPCODE, len(content)) + content
+        return RECORD_HEAD.pack(LINK_OPCODE, len(content)) + content
 
     @classmethod
     def read(cls, content: bytes) -> Self:
@@ -125,7 +122,7 @@ class Opening:
     def record(self) -> bytes:
         """Return the opening as a record of a file."""
         content = _json(asdict(self))
-        return _HEAD.pack(OPENING_OPCODE, len(content)) + content
+        return RECORD_HEAD.pack(OPENING_OPCODE, len(content)) + content
 
     @classmethod
     def read(cls, content: bytes) -> Self:

@@ -15,7 +15,14 @@ from mcap.opcode import Opcode
 from mcap.records import DataEnd, Footer, Statistics, SummaryOffset
 
 from robotctl.recording.disk.storage import Buffer
-from robotctl.recording.format.records import MAGIC, RECORD_HEAD_BYTES, Chunk, record_bytes
+from robotctl.recording.format.records import (
+    DATA_END_BYTES,
+    FOOTER_CONTENT_BYTES,
+    MAGIC,
+    RECORD_HEAD_BYTES,
+    Chunk,
+    record_bytes,
+)
 
 _GROUPS = (
     Opcode.SCHEMA,
@@ -29,8 +36,7 @@ _GROUPS = (
 chunk rewrites only the end of the summary."""
 
 _CRC = struct.Struct("<I")
-_DATA_END_BYTES = 13
-FOOTER_BYTES = 29 + len(MAGIC)
+FOOTER_BYTES = RECORD_HEAD_BYTES + FOOTER_CONTENT_BYTES + len(MAGIC)
 """Size of footer and magic."""
 
 
@@ -68,11 +74,11 @@ class TrailerState:
     @property
     def kept_bytes(self) -> int:
         """Bytes at the beginning of the trailer that do not change when only a chunk is added."""
-        return _DATA_END_BYTES + sum(self.group_sizes.values())
+        return DATA_END_BYTES + sum(self.group_sizes.values())
 
     def distant_footer(self) -> bytes:
         """Return footer and magic for a later end of the file that point back to this trailer."""
-        return record_bytes(Footer(self.data_end + _DATA_END_BYTES, 0, 0)) + MAGIC
+        return record_bytes(Footer(self.data_end + DATA_END_BYTES, 0, 0)) + MAGIC
 
     def moved_to(self, data_end: int) -> TrailerState:
         """Return the same content at another place; the checksum of the data is left out (0)."""

@@ -12,7 +12,7 @@ from isal.isal_zlib import crc32
 from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, DataEnd, McapRecord, Metadata, MetadataIndex
 
-from robotctl.recording.format.records import MAGIC, ROOM_OPCODE, record_bytes
+from robotctl.recording.format.records import FIRST_PRIVATE_OPCODE, MAGIC, ROOM_OPCODE, record_bytes
 from robotctl.recording.format.seal_records import LINK_OPCODE, OPENING_OPCODE
 from robotctl.recording.read.damage import BeyondLimit, Damaged
 from robotctl.recording.read.file_index import (
@@ -33,7 +33,6 @@ from robotctl.recording.read.whole_chunk import WholeChunks
 from robotctl.recording.read.whole_data import WholeData
 
 _PIECE_BYTES = 1 << 20
-_FIRST_PRIVATE_OPCODE = 0x80
 
 
 def read_data_section(
@@ -141,7 +140,7 @@ class _Reading:
             data.unfinished = offset
             return end
         if opcode in (OPENING_OPCODE, LINK_OPCODE) or (
-            opcode >= _FIRST_PRIVATE_OPCODE and not data.own
+            opcode >= FIRST_PRIVATE_OPCODE and not data.own
         ):
             data.private.append((opcode, offset, length))
             return end

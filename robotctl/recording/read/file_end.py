@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 from mcap.opcode import Opcode
 from mcap.records import ChunkIndex, Footer, MetadataIndex
 
-from robotctl.recording.format.records import MAGIC
+from robotctl.recording.format.records import DATA_END_BYTES, FOOTER_CONTENT_BYTES, MAGIC
 from robotctl.recording.format.seal_records import LINK_OPCODE, OPENING_OPCODE
 from robotctl.recording.format.trailer import WrittenFile
 from robotctl.recording.read.chunk_index import read_chunk_index
@@ -16,8 +16,6 @@ from robotctl.recording.read.file_index import read_header, read_record_head
 from robotctl.recording.read.mcap_input import RECORD_HEAD, InputFile, parse, walk_records
 from robotctl.recording.read.whole_data import WholeData
 
-DATA_END_BYTES: Final = RECORD_HEAD.size + 4
-FOOTER_CONTENT_BYTES: Final = 20
 _DEFINITIONS = (Opcode.SCHEMA, Opcode.CHANNEL)
 _ID_BYTES = 2
 

@@ -6,13 +6,13 @@ from collections.abc import Callable, Iterator, Sequence
 from itertools import dropwhile
 from typing import NamedTuple
 
+from robotctl.cdr.type_names import JOURNAL_ENTRY
 from robotctl.errors import IN_PARENTHESES, UnreadableFile
 from robotctl.kernel.units import NS_PER_S
 from robotctl.paths import DEFAULT_ROBOT, namespace_of
 from robotctl.recording.format.journal import (
     SHADOW_TOPIC,
     TOPIC,
-    TYPE_NAME,
     EntryKind,
     JournalEntry,
     decode,
@@ -106,7 +106,7 @@ def journal_topics(info: RecordingInfo) -> set[str]:
     return {
         topic.name
         for topic in info.topics
-        if topic.type_name == TYPE_NAME and not topic.name.endswith(f"/{SHADOW_TOPIC}")
+        if topic.type_name == JOURNAL_ENTRY and not topic.name.endswith(f"/{SHADOW_TOPIC}")
     }
 
 

@@ -18,12 +18,10 @@ from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
 from mcap.records import McapRecord
 
+from robotctl.recording.format.records import RECORD_HEAD as RECORD_HEAD
 from robotctl.recording.read.damage import BeyondLimit, Damaged, Unreadable
 from robotctl.recording.read.read_limits import BYTES_PER_RECORD, RECORDS, ReadLimits
 from robotctl.recording.read.source import Source, open_source
-
-RECORD_HEAD: Final = struct.Struct("<BQ")
-"""Opcode, length of what follows [bytes]."""
 
 MESSAGE_FIELDS: Final = struct.Struct("<HIQQ")
 """The fields before a message's data: channel id, sequence, log time [ns], publish time [ns]."""

@@ -10,7 +10,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema, Statistics
 
 from robotctl.recording.format.metadata_names import OWN_LIBRARY
-from robotctl.recording.format.records import MAGIC
+from robotctl.recording.format.records import FIRST_PRIVATE_OPCODE, MAGIC
 from robotctl.recording.read.damage import BeyondLimit, Damaged
 from robotctl.recording.read.file_index import (
     LOST_HEADER,
@@ -36,8 +36,7 @@ from robotctl.recording.read.stored_chunk import UnpackBudget, read_chunk_ref
 _LOOSE_RUN_BYTES = 1 << 20
 """Messages outside chunks are grouped into places of about this size."""
 
-_FIRST_PRIVATE_OPCODE = 0x80
-_OPCODES = frozenset(Opcode) | frozenset(range(_FIRST_PRIVATE_OPCODE, 256))
+_OPCODES = frozenset(Opcode) | frozenset(range(FIRST_PRIVATE_OPCODE, 256))
 
 
 def index_by_scanning(

@@ -106,7 +106,7 @@ class LocalSource:
 
 
 class StoreSource:
-    """A file of a store, which nobody can change in place."""
+    """A file of a store, which cannot be changed in place."""
 
     def __init__(self, path: StorePath) -> None:
         """Find the file.

@@ -15,7 +15,7 @@ from mcap.records import (
     Statistics,
 )
 
-from robotctl.recording.format.records import MAGIC
+from robotctl.recording.format.records import DATA_END_BYTES, FOOTER_CONTENT_BYTES, MAGIC
 from robotctl.recording.format.seal_records import LINK_OPCODE
 from robotctl.recording.format.trailer import WrittenFile
 from robotctl.recording.read.chunk_index import ChunkEntry, read_chunk_index
@@ -36,9 +36,8 @@ MAX_SUMMARY_BYTES = 256 << 20
 """About 600,000 chunks. A larger summary is regarded as damage, and the file is scanned."""
 
 _OPCODES = frozenset(Opcode)
-_FOOTER_BYTES = RECORD_HEAD.size + 20
+_FOOTER_BYTES = RECORD_HEAD.size + FOOTER_CONTENT_BYTES
 _CRC_BYTES = 4
-_DATA_END_BYTES = RECORD_HEAD.size + 4
 
 
 def index_from_summary(file: InputFile, *, places: bool = True) -> FileIndex:
@@ -118,11 +117,11 @@ def read_written_file(file: InputFile) -> WrittenFile:
         groups[opcode] = groups.get(opcode, b"") + record
         if opcode is Opcode.STATISTICS:
             statistics = parse(Statistics, data[begin:end])
-    data_end = start - _DATA_END_BYTES
+    data_end = start - DATA_END_BYTES
     opcode_before, _ = read_record_head(file, data_end)
     if statistics is None or statistics.attachment_count or opcode_before != Opcode.DATA_END:
         raise Damaged("its end is not as robotctl writes it")
-    crc = parse(DataEnd, read_content(file, data_end, _DATA_END_BYTES - RECORD_HEAD.size))
+    crc = parse(DataEnd, read_content(file, data_end, DATA_END_BYTES - RECORD_HEAD.size))
     return WrittenFile(data_end, crc.data_section_crc, groups, statistics, seal)
 
 

@@ -23,12 +23,10 @@ from robotctl.recording.format.metadata_names import (
     LEDGER_RECORD,
     RECOVERY_RECORD,
 )
-from robotctl.recording.format.records import MAGIC
+from robotctl.recording.format.records import DATA_END_BYTES, FOOTER_CONTENT_BYTES, MAGIC
 from robotctl.recording.read.damage import Damaged
 from robotctl.recording.read.data_section import read_data_section
 from robotctl.recording.read.file_end import (
-    DATA_END_BYTES,
-    FOOTER_CONTENT_BYTES,
     BadEnd,
     FileEnd,
     end_of_listed,

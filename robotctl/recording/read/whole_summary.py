@@ -14,13 +14,12 @@ from mcap.records import (
     SummaryOffset,
 )
 
+from robotctl.recording.format.records import FIRST_PRIVATE_OPCODE
 from robotctl.recording.format.seal_records import LINK_OPCODE
 from robotctl.recording.read.damage import Damaged
 from robotctl.recording.read.flaws import Flaws
 from robotctl.recording.read.mcap_input import RECORD_HEAD, parse, walk_records
 from robotctl.recording.read.whole_data import WholeData
-
-_FIRST_PRIVATE_OPCODE = 0x80
 
 
 def compare_summary(summary: bytes, start: int, data: WholeData, flaws: Flaws) -> None:
@@ -65,7 +64,7 @@ class _Comparison:
         self._groups[opcode] = first, end
         read = self._readers.get(opcode)
         if read is None:
-            if opcode < _FIRST_PRIVATE_OPCODE or (self._data.own and opcode != LINK_OPCODE):
+            if opcode < FIRST_PRIVATE_OPCODE or (self._data.own and opcode != LINK_OPCODE):
                 self._flaws.add(offset, end, f"no record of kind {opcode} belongs into a summary")
             self._data.private_in_summary.append((opcode, content))
             return

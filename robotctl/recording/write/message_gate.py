@@ -1,13 +1,12 @@
-"""Records a part of the messages of a topic: so many a second, or none for a while."""
+"""Limits how many messages of a topic are recorded per second, or stops recording it."""
 
 from __future__ import annotations
 
 from math import inf
 
+from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.disk.storage import Buffer
 from robotctl.recording.write.recorder import Recorder
-
-_NS_PER_S = 1_000_000_000
 
 
 class MessageGate:
@@ -21,7 +20,7 @@ class MessageGate:
         """Keep `most_hz` messages a second at most; inf keeps all, 0 none."""
         self._recorder = recorder
         self._channel = channel
-        self._interval_ns = round(_NS_PER_S / most_hz) if most_hz else None
+        self._interval_ns = round(NS_PER_S / most_hz) if most_hz else None
         self._due_ns = 0
         self.is_shut = False
         """Whether no message is kept."""

@@ -14,6 +14,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
+from robotctl.cdr.type_names import JOURNAL_ENTRY
 from robotctl.printable import short_name
 from robotctl.ros.graph import endpoints
 from robotctl.ros.messages.classes import UnusableType, message_class
@@ -22,9 +23,6 @@ from robotctl.ros.messages.type_definition import holds_bytes, type_hash_of
 from robotctl.ros.playback.membership import NODE_NAME, Membership
 from robotctl.ros.playback.recorded_qos import MAX_DEPTH, replay_qos
 from robotctl.ros.playback.senders import PatientSender, RequestSender, clock_sender, sender
-
-DAEMON_TYPE: Final = "robot_controller/msg/JournalEntry"
-"""The type of the journal, which only daemons and replays publish."""
 
 SETTLE_S: Final = 3.5
 """How long discovery may take: an announcement that was lost is repeated after 3 s."""
@@ -104,7 +102,7 @@ class ReplaySession:
         return sorted(
             info.node_namespace.strip("/") or "robot"
             for topic, types in endpoints.topics(self._node).items()
-            if DAEMON_TYPE in types
+            if JOURNAL_ENTRY in types
             for info in endpoints.publishers(self._node, topic)
             if info.node_name != NODE_NAME
         )

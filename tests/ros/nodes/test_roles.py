@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from robotctl.cdr.type_names import JOURNAL_ENTRY
 from robotctl.recording.format import journal
 from robotctl.ros.nodes import journal_publisher
 from robotctl.ros.nodes.battery_subscriber import BatterySubscriber
@@ -16,7 +17,6 @@ from robotctl.ros.nodes.mode_service import ModeService
 from robotctl.ros.nodes.odom_subscriber import OdomSubscriber
 from robotctl.ros.nodes.simulated_robot import SimulatedRobot
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
-from robotctl.ros.playback.playback import DAEMON_TYPE
 from robotctl.ros.session import Session
 from robotctl.sim.robot import SimParams
 
@@ -93,5 +93,4 @@ async def test_diagnostics_are_told_whatever_bytes_a_path_has(
 
 def test_the_journal_is_declared_as_readers_and_replays_look_for_it() -> None:
     declared = journal_publisher.TOPIC
-    assert (declared.name, declared.type_name) == (journal.TOPIC, journal.TYPE_NAME)
-    assert declared.type_name == DAEMON_TYPE
+    assert (declared.name, declared.type_name) == (journal.TOPIC, JOURNAL_ENTRY)
