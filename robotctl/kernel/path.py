@@ -10,6 +10,9 @@ from robotctl.kernel.segments import Segment
 NEAR_M = 0.05
 """How far behind the reference the path is searched for its nearest point."""
 
+OUTLINE_PIECES = 180
+"""The poses along all curves of an outline together."""
+
 
 @dataclass(frozen=True, slots=True)
 class Path:
@@ -48,10 +51,10 @@ class Path:
             distances_m.append(after.distance_to(point, 0.0))
         return min(distances_m, default=self.segments[index].distance_to(point, 0.0))
 
-    def outline(self, pieces_per_curve: int = 180) -> tuple[Pose, ...]:
+    def outline(self) -> tuple[Pose, ...]:
         """Return the corners of the lap and poses along its curves, to draw it."""
         curves = sum(1 for segment in self.segments if _bends(segment))
-        pieces_of_curve = max(1, pieces_per_curve // max(1, curves))
+        pieces_of_curve = max(1, OUTLINE_PIECES // max(1, curves))
         poses = [segment.pose_at(0.0) for segment in self.segments[:1]] or [ORIGIN]
         for segment in self.segments:
             pieces = pieces_of_curve if _bends(segment) else 1

@@ -184,8 +184,3 @@ def path_of(pattern: Pattern, course: Course, *, again: bool = True) -> Path:
     if course.waypoints:
         return waypoint_path(course.waypoints, course.corner_m, again=again)
     return SHAPES[pattern.kind].lap(pattern.size_m, course)
-
-
-def lap_of(kind: PatternKind, size_m: float) -> Path:
-    """Return one lap of a plain pattern."""
-    return path_of(Pattern(kind, size_m), PLAIN)

@@ -35,6 +35,9 @@ from robotctl.sim.robot import Robot, SimParams
 
 TICK_NS = 20_000_000
 
+MOST_TURNS = 1000
+"""After this number of turns, `while_moving` fails."""
+
 
 class Bench:
     """A kernel with a clock that the test moves; it keeps all events and effects."""
@@ -165,13 +168,13 @@ def stopped_by(bench: Bench, cause: Cause, mode: Mode) -> bool:
     return state.mode is mode and state.cause is cause and state.command == ZERO
 
 
-def while_moving(bench: Bench, turns: int = 1000) -> Iterator[None]:
+def while_moving(bench: Bench) -> Iterator[None]:
     """Yield while the robot is MOVING.
 
     Raises:
-        AssertionError: It is still MOVING after `turns` iterations.
+        AssertionError: It is still MOVING after MOST_TURNS iterations.
     """
-    for _ in range(turns):
+    for _ in range(MOST_TURNS):
         if bench.state.mode is not Mode.MOVING:
             return
         yield

@@ -14,11 +14,12 @@ from robotctl.kernel.figure_eight import FigureEight, figure_eight
 from robotctl.kernel.geometry import ORIGIN, Pose
 from robotctl.kernel.params import KernelParams, VelocityLimits
 from robotctl.kernel.path import Path
-from robotctl.kernel.patterns import Pattern, PatternKind, lap_of
+from robotctl.kernel.patterns import Pattern, PatternKind
 from robotctl.kernel.reference import Progress, advanced
 from robotctl.kernel.routes import legs_for, path_for
 from robotctl.kernel.segments import Arc, Circle, Line, Turn
 from robotctl.kernel.tracking import Reference, track
+from tests.support.laps import lap_of
 
 LIMITS = VelocityLimits(1.0, 2.0, 0.5, 4.0)
 FAR = Pose(50.0, 50.0, 0.0)
