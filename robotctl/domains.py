@@ -110,7 +110,11 @@ def reserved_domain() -> Iterator[int]:
 
 
 def _free_domain() -> int:
-    """Return a random free domain, so that simultaneous callers rarely collide; raise Refused."""
+    """Return a random free domain, so that simultaneous callers rarely collide.
+
+    Raises:
+        Refused: Every domain is in use.
+    """
     taken = {domain_id for domain_id, _ in _places(_bound_udp_ports() or set())}
     taken.add(int(os.environ.get("ROS_DOMAIN_ID") or 0))
     free = [domain_id for domain_id in DOMAINS if domain_id not in taken]

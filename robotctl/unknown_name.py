@@ -10,7 +10,7 @@ from robotctl.printable import printable, short_name
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> tuple[str, str]:
-    """Return cause and cure for a `kind` (topic, node, service) that nobody has announced."""
+    """Return cause and cure for a `kind` (topic, node, service) that no node has announced."""
     names = sorted(each for each in known if "/_" not in each)
     near = get_close_matches(name, names, n=1) or [
         each for each in names if each.endswith(name) or name.endswith(each)

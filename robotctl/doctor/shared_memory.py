@@ -83,7 +83,7 @@ def clean(folder: Path = SHARED_MEMORY) -> list[Path]:
 
 
 def _is_free(path: Path) -> bool:
-    """Return whether the lock file is ours, old, and locked by nobody."""
+    """Return whether the lock file is ours, old, and not locked."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK)
     except OSError:

@@ -105,7 +105,7 @@ def cure_of(remedy: Remedy, robot: str) -> str:
         case Remedy.ACTIVATE:
             change = "service call mode_service/change_state '{transition: {label: %s}}'"
             activate = command_for(robot, change % "activate")
-            return f"activate it: {activate} (configure comes first; finalized is for good)"
+            return f"activate it: {activate} (configure comes first; finalized cannot be undone)"
         case Remedy.START_BASE:
             return (
                 "start the robot's base; if it runs, start robotctl again (it chooses Twist or "

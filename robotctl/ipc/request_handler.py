@@ -96,7 +96,11 @@ class RequestHandler:
         return Refused(f"the daemon is busy with {self._limits.clients} clients", "try again")
 
     async def _call(self, request: Request) -> object:
-        """Return the handler's result; raise _Rejected where the handler is not called or late."""
+        """Return the handler's result.
+
+        Raises:
+            _Rejected: The handler was not called, or was late.
+        """
         if request.method == "hello":
             return self._hello(_decode(request, HelloParams))
         if not is_emergency_stop(request):

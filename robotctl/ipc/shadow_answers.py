@@ -35,8 +35,8 @@ class ShadowFacts(TypedDict):
     differing: int
     """The steps that it decided differently."""
     aspects: dict[str, int]
-    """How many of these differ in each aspect."""
+    """The number of differing steps by aspect."""
     apart_s: float | None
-    """Since when it has a future of its own, None while its state is that of the robot."""
+    """For how long its state has differed from the robot's, None while both are the same."""
     first: DisagreementAnswer | None
     last: DisagreementAnswer | None

@@ -36,7 +36,7 @@ class LeaseControl(ModeControl):
             self._end_lease(f"{lease.source} lost the lease: {event.how}")
 
     def _end_lease(self, reason: str) -> None:
-        """Ramp down: after this, nobody is there who steers."""
+        """Ramp down: after this, no client may steer."""
         state = replace(self.state, lease=None)
         if state.mode is Mode.MOVING:
             stop_reason = state.stop_reason or reason

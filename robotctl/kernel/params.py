@@ -167,7 +167,7 @@ class KernelParams:
     With `guard`, a request for MOVING lets another node steer through `guard_topic`.
 
     `standalone` switches off the start conditions that need a robot while there is none at all:
-    no odometry, and nobody takes the command. The robot that joins later switches them on.
+    no odometry, and no subscriber of the command. The robot that joins later switches them on.
     """
 
     rate_hz: float = bounded(50.0, 5.0, 1000.0, "Hz", "rate of the commands", Change.START)

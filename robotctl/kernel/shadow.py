@@ -1,8 +1,8 @@
 """A shadow: a second kernel with other parameters that decides beside the driving one.
 
 It takes the same events and commands nothing. The robot does not react to it: odometry is that of
-the driving kernel's commands. So the shadow has a future of its own only while the robot is not in
-IDLE; in IDLE it decides each event from the state of the driving kernel.
+the driving kernel's commands. So the state of the shadow can differ from the robot's only while the
+robot is not in IDLE; in IDLE the shadow decides each event from the state of the driving kernel.
 """
 
 from __future__ import annotations

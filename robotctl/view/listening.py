@@ -33,7 +33,11 @@ def listening_socket(host: str, port: int | None) -> socket.socket:
 
 
 def _bound(host: str, port: int) -> socket.socket:
-    """Return a socket that is bound to an address; raise OSError."""
+    """Return a socket that is bound to an address.
+
+    Raises:
+        OSError: The address cannot be bound.
+    """
     family, kind, protocol, _, address = socket.getaddrinfo(
         host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
     )[0]

@@ -7,7 +7,8 @@ from collections import deque
 from typing import Final
 
 LARGE_BYTES: Final = 1 << 16
-"""Messages above this size, images and point clouds, wait apart: one of them drops no others."""
+"""Larger messages, as images and point clouds, have a queue of their own: they displace no small
+ones."""
 
 MAX_MESSAGES: Final = 1024
 """Limit on the waiting messages, and on the waiting large messages."""

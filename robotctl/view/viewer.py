@@ -49,7 +49,11 @@ class ViewerHost(Protocol):
         """Take a viewer whose handshake is done."""
 
     def request(self, viewer: Viewer, request: ViewRequest) -> None:
-        """Do what a viewer asks for; raise WrongRequest for what is not possible."""
+        """Do what a viewer asks for.
+
+        Raises:
+            WrongRequest: It is not possible.
+        """
 
     def wrong(self, viewer: Viewer, problem: str) -> None:
         """Tell a viewer what is wrong with a message of its own."""

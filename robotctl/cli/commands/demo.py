@@ -154,7 +154,11 @@ def _drive_one_lap(robot: str, *, quiet: bool) -> DemoResult:
 
 
 def _wait_for_sensors(robot: str) -> None:
-    """Wait until the daemon knows the robot's pose and battery level; raise RobotctlError."""
+    """Wait until the daemon knows the robot's pose and battery level.
+
+    Raises:
+        RobotctlError: It does not know them by the deadline.
+    """
     until = time.monotonic() + SENSORS_DEADLINE_S
     while time.monotonic() < until:
         status = call(robot, STATUS)

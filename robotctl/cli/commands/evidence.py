@@ -28,7 +28,7 @@ app = new_app()
 
 LIVE = "live"
 GONE = "removed"
-"""The state of a recording that is not where it was made: retention removed it, or somebody did."""
+"""The state of a recording that is not where it was made: retention or a person removed it."""
 
 
 @app.command()
@@ -163,7 +163,7 @@ def _cut_tail(recording: Path, log: LogContent) -> Iterator[str]:
             if head and head not in log.heads and info.start_ns >= begin_ns:
                 yield (
                     f"{file.name} knows an entry that is not there: the end of the journal was cut "
-                    "off, or it was written anew"
+                    "off, or it was rewritten"
                 )
 
 

@@ -66,7 +66,7 @@ def head(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
 def rotate(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
     """Begin a new chain with a new key, from the next file on; the old key signs for it.
 
-    Keys change with each file by themselves; rotate when somebody may have read the present one.
+    Keys change with each file by themselves; rotate when others may have read the present one.
 
     \b
     Examples:

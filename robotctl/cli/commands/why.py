@@ -184,7 +184,11 @@ def _at(paths: Sequence[Path], at: str, missing: list[str]) -> tuple[Path, int]:
 def _find(
     paths: Sequence[Path], at_ns: int | None, missing: list[str], on_progress: Progress
 ) -> FoundIncident:
-    """Return the last incident, or the one nearest to `at_ns`; raise Refused if there is none."""
+    """Return the last incident, or the one nearest to `at_ns`.
+
+    Raises:
+        Refused: There is none.
+    """
     from robotctl.rerun.incident import find_incident
 
     later: list[Path] = []

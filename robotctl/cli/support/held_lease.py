@@ -52,7 +52,11 @@ class HeldLease:
         return self._holding.is_done
 
     def result(self) -> LeaseAnswer:
-        """Return how the lease ended, or raise why it was refused or lost."""
+        """Return how the lease ended.
+
+        Raises:
+            RobotctlError: It was refused or lost.
+        """
         return self._holding.result()
 
     def __enter__(self) -> Self:

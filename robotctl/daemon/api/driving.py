@@ -228,7 +228,11 @@ class DrivingMethods:
         return ModeRequested(time.monotonic_ns(), request_id, Mode.IDLE, source)
 
     def _check_speed(self, speed_mps: float | None) -> None:
-        """Raise UsageError for a speed above the configured limit."""
+        """Check a speed against the configured limit.
+
+        Raises:
+            UsageError: It is above the limit.
+        """
         limit_mps = self._control.params.limits.linear_mps
         if speed_mps is not None and speed_mps > limit_mps:
             raise UsageError(

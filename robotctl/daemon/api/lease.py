@@ -26,10 +26,10 @@ NOBODY = 0
 """The number of a client without an identity."""
 
 LISTEN_S = 0.25
-"""Period in which it is looked whether the holder of the lease has called `lease_keep`."""
+"""How often the daemon looks whether the holder of the lease has called `lease_keep`."""
 
 SILENT_PERIODS = 4
-"""So many periods in a row without a call end the lease: a holder may be frozen."""
+"""The number of periods in a row without a call that ends the lease: the holder may be frozen."""
 
 
 @dataclass(slots=True)

@@ -97,16 +97,17 @@ class Effects:
 
     def _as_event(self, ended: DriveEnded) -> RecordedEvent:
         report, true = ended.report, self._true_errors(ended.request_id)
-        errors = {
+        figures = {
             "cross_track_max_m": report.cross_track_max_m,
             "cross_track_rms_m": report.cross_track_rms_m,
             "heading_rms_rad": report.heading_rms_rad,
             "heading_max_rad": report.heading_max_rad,
             "closure_m": report.closure_m,
+            "drive_s": report.duration_s,
         }
         if true is not None:
-            errors |= {f"true_{name}": value for name, value in true._asdict().items()}
-        known = {name: value for name, value in errors.items() if isfinite(value)}
+            figures |= {f"true_{name}": value for name, value in true._asdict().items()}
+        known = {name: value for name, value in figures.items() if isfinite(value)}
         return RecordedEvent(
             EventKind.DRIVE_ENDED, time.time_ns(), ended.reason, report.laps, **known
         )

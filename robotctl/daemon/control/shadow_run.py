@@ -31,7 +31,8 @@ SLOW_NS = 25_000_000
 robot. To plan a path of 2,000 points takes 16 ms."""
 
 MAX_SLOW_STEPS = 3
-"""After so many slow steps in a row the shadow is switched off; one may have been interrupted."""
+"""This number of slow steps in a row switches the shadow off; a single one may only have been
+preempted."""
 
 MAX_FAILURE = 300
 """Characters of the sentence about a failure."""
@@ -52,7 +53,7 @@ class HandledStep(NamedTuple):
 class ShadowRun:
     """The shadow, and the record of what it decides differently; in the loop's thread.
 
-    Whatever fails in it switches it off, for good: the driving kernel never waits for it.
+    Any failure switches it off until the restart. The driving kernel never waits for it.
     """
 
     def __init__(

@@ -115,7 +115,7 @@ def _values(git: Path, name: str) -> Iterator[str]:
 
 
 def _text(path: Path) -> str:
-    """Return the text of a regular file: a FIFO that somebody planted in /tmp would never end.
+    """Return the text of a regular file: a FIFO that an attacker put into /tmp would never end.
 
     Raises:
         OSError: It cannot be read, or is no regular file.

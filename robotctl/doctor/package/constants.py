@@ -24,7 +24,7 @@ def text_of(node: ast.expr | None, names: Mapping[str, str]) -> str | None:
     """
     try:
         return _text_of(node, names)
-    except RecursionError:  # nobody writes that by hand
+    except RecursionError:  # not written by hand
         return None
 
 

@@ -17,7 +17,7 @@ from robotctl.errors import UnreadableFile, UsageError
 from robotctl.regular_file import open_regular
 
 MAX_BYTES: Final = 1_000_000
-"""Larger files are not sources that somebody wrote."""
+"""Larger files are not sources that a person wrote."""
 
 MAX_FILES: Final = 2_000
 

@@ -30,7 +30,7 @@ class ChannelTable:
         self._schema_ids: dict[tuple[object, ...], int] = {}
 
     def add(self, channel: Channel, schema: Schema | None) -> int:
-        """Return the id of a channel of a source file, here."""
+        """Return the id that the converted recording has for a channel of a source file."""
         metadata = dict(channel.metadata)
         if _QOS in metadata:
             metadata[_QOS] = named_policies(metadata[_QOS])

@@ -34,13 +34,15 @@ ERRORS = (
 )
 """The errors of a drive that ended, each left out where it is not known."""
 
+_DRIVE_FIGURES = (*ERRORS, "drive_s")
+
 
 @dataclass(frozen=True, slots=True)
 class RecordedEvent:
     """One event; `log_ns` since the epoch.
 
-    Of a drive that ended: its `laps`, and its errors (see kernel.types.DriveReport), None if not
-    known; of a robot that the daemon simulated also the true ones, which odometry cannot see.
+    Of a drive that ended: its `laps`, its errors (see kernel.types.DriveReport) and its duration
+    `drive_s`, each None if not known; of a robot that the daemon simulated also the true ones, which odometry cannot see.
     """
 
     kind: EventKind
@@ -57,14 +59,15 @@ class RecordedEvent:
     true_heading_rms_rad: float | None = None
     true_heading_max_rad: float | None = None
     true_closure_m: float | None = None
+    drive_s: float | None = None
 
     def values(self) -> Mapping[str, str]:
         """Return the event as the metadata of a file holds it."""
         values = {"kind": self.kind.value, "log_ns": str(self.log_ns), "text": self.text}
         if self.kind is EventKind.DRIVE_ENDED:
             values["laps"] = str(self.laps)
-            errors: dict[str, float | None] = {name: getattr(self, name) for name in ERRORS}
-            values |= {name: repr(each) for name, each in errors.items() if each is not None}
+            figures: dict[str, float | None] = {n: getattr(self, n) for n in _DRIVE_FIGURES}
+            values |= {name: repr(each) for name, each in figures.items() if each is not None}
         return values
 
     @classmethod
@@ -78,10 +81,10 @@ class RecordedEvent:
         log_ns, laps = int(values["log_ns"]), int(values.get("laps", 0))
         if not (0 <= log_ns <= MAX_TIME_NS and 0 <= laps <= MAX_LAPS):
             raise ValueError("a number is out of range")
-        errors = {name: float(values[name]) for name in ERRORS if name in values}
-        if not all(map(isfinite, errors.values())):
-            raise ValueError("an error is not finite")
-        return cls(EventKind(values["kind"]), log_ns, values["text"], laps, **errors)
+        figures = {name: float(values[name]) for name in _DRIVE_FIGURES if name in values}
+        if not all(map(isfinite, figures.values())):
+            raise ValueError("a figure is not finite")
+        return cls(EventKind(values["kind"]), log_ns, values["text"], laps, **figures)
 
 
 def events_in(metadata: Iterable[Metadata]) -> list[RecordedEvent]:

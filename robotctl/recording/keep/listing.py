@@ -58,6 +58,12 @@ class ListedRecording:
         """Completed laps of the drives that have ended."""
         return sum(event.laps for event in self.events)
 
+    @property
+    def driven_s(self) -> float | None:
+        """Seconds of all its drives that have ended; None if no duration is known."""
+        known = [event.drive_s for event in self.events if event.drive_s is not None]
+        return sum(known) if known else None
+
     def largest(self, error: str) -> float | None:
         """Return the largest of an error of its drives, None if that is not known.
 

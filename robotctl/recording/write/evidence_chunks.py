@@ -21,7 +21,7 @@ HEAVY_BYTES: Final = 64 << 10
 saves."""
 
 HEAVY_RATIO: Final = 4
-"""How many times larger than the evidence the rest must be."""
+"""The least ratio of the other bytes to those of the evidence."""
 
 assert MESSAGE_HEAD.size == RECORD_HEAD_BYTES + MESSAGE_FIELDS_BYTES
 

@@ -37,7 +37,7 @@ written about once more for each byte recorded, however long the file."""
 PAGE_BYTES: Final = 4096
 
 COMMITS: Final = 3
-"""Room is made for so many further commits of the same size."""
+"""The number of further commits of the same size that new room is made for."""
 
 
 class Room(NamedTuple):

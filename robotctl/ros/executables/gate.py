@@ -31,9 +31,9 @@ class Gate:
         return self._owner is not None or self._heard_ns is not None
 
     def look(self, owners: Collection[bytes], others: str, now_ns: int) -> None:
-        """Take what the graph shows: the gids of the owners, and who else publishes, "" if nobody.
+        """Take what the graph shows: the gids of the owners, and a sentence about other publishers.
 
-        `others` is a sentence.
+        The sentence is "" if there are none.
         """
         if self._owner is not None and self._owner not in owners:
             self._owner, self._open = None, False

@@ -65,7 +65,7 @@ def check_platform() -> None:
 def counts_each_message() -> bool:
     """Return whether the middleware announces as many messages as it has, or more, never fewer.
 
-    rmw_fastrtps does: it announces those that nobody has counted yet.
+    rmw_fastrtps does: it announces those that were not counted yet.
     """
     return str(get_rmw_implementation_identifier()) == "rmw_fastrtps_cpp"
 

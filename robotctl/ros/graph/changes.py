@@ -75,7 +75,7 @@ class GraphChanges:
                 wait_set.add_guard_condition(self._end.handle)
                 _add_graph_of(node.pointer, wait_set.pointer)
                 wait_set.wait(-1)
-                with suppress(RuntimeError):  # the loop is closed: nobody waits
+                with suppress(RuntimeError):  # the loop is closed: no task waits
                     self._loop.call_soon_threadsafe(self._changed.set)
                 self._awaited.wait()
                 self._awaited.clear()

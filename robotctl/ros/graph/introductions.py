@@ -1,4 +1,4 @@
-"""What ROS processes announce of themselves: a reader and a writer of `ros_discovery_info`.
+"""The announcements of ROS processes: a reader and a writer of `ros_discovery_info`.
 
 On this DDS topic each process tells which endpoints its nodes have. rcl allows no topic without a
 leading slash, so both are made by rmw.
@@ -121,7 +121,7 @@ def read_introduction(data: bytes) -> Introduction:
     """Read a rmw_dds_common/ParticipantEntitiesInfo.
 
     Raises:
-        struct.error: It is none.
+        struct.error: It is not one.
     """
     reader = CdrReader(data)
     process = reader.octets(GID_BYTES)[:PROCESS_BYTES]

@@ -63,7 +63,11 @@ async def call(visitor: Visitor, request: dict[str, Any], send: Send) -> None:
 
 
 def _type_of(name: str, wanted: str, types: list[str]) -> str:
-    """Return the type to call the service with; raise UsageError where it is not clear."""
+    """Return the type to call the service with.
+
+    Raises:
+        UsageError: It is not the wanted one, or there are several.
+    """
     if wanted and types and wanted not in types:
         raise UsageError(f"{name} has type {', '.join(types)}, not {wanted}", "leave the type out")
     if wanted or len(types) == 1:
@@ -72,7 +76,11 @@ def _type_of(name: str, wanted: str, types: list[str]) -> str:
 
 
 def _classes(type_name: str) -> tuple[Any, Any]:
-    """Return the classes of the service and of its request; raise Refused without them."""
+    """Return the classes of the service and of its request.
+
+    Raises:
+        Refused: The package of the type is not installed.
+    """
     try:
         return message_class(type_name), message_class(f"{type_name}_Request")
     except UnusableType as error:
@@ -80,7 +88,11 @@ def _classes(type_name: str) -> tuple[Any, Any]:
 
 
 def _message(type_name: str, kind: Any, values: Any) -> Any:
-    """Return a request with the given values; raise UsageError for one that does not fit."""
+    """Return a request with the given values.
+
+    Raises:
+        UsageError: A value does not fit.
+    """
     definition = _definition(type_name)
     defaults = decode(definition, serialize_message(kind()))
     try:

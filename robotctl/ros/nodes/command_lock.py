@@ -10,7 +10,7 @@ from robotctl.ros.messages import qos
 from robotctl.ros.messages.own_topic import OwnTopic
 
 LOCKING = frozenset({Mode.ERROR, Mode.EMERGENCY_STOP})
-"""The modes in which nobody may command the robot."""
+"""The modes in which no node may command the robot."""
 
 
 class CommandLock:

@@ -1,4 +1,4 @@
-"""Publishes the newest head of the seal, for whoever keeps it elsewhere."""
+"""Publishes the newest head of the seal, so that another machine can keep it."""
 
 from __future__ import annotations
 

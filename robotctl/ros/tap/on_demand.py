@@ -35,10 +35,10 @@ class TopicWatcher(Protocol):
         """Take a topic that has a publisher, with the ros2msg text of its type."""
 
     def vanished(self, topic: str) -> None:
-        """Take that a topic has no publisher of its type any more."""
+        """Hear that the last publisher of a topic of its type is gone."""
 
     def unusable(self, topic: str, problem: str) -> None:
-        """Take why a topic cannot be shown, "" once it is gone."""
+        """Hear why a topic cannot be shown, "" once the topic is gone."""
 
 
 class OnDemandTap:

@@ -34,7 +34,7 @@ LOOKS_PER_COUNT = 4
 
 LOOKS_PER_INSPECTION = 40
 """...and inspected once in this number of looks: with the same count, one may have replaced
-another. So many looks follow each change."""
+another. This number of looks follows each change."""
 
 TOPICS_PER_TURN = 50
 """Topics that are looked at in one turn of the loop, so that the loop is not held up."""

@@ -84,7 +84,11 @@ def _present(settings: Mapping[str, Any]) -> KernelParams:
 
 
 def _check_start_conditions(robot: str) -> None:
-    """Raise Refused, before the question, where the robot could not move."""
+    """Check, before the question, that the robot could move.
+
+    Raises:
+        Refused: A start condition does not hold.
+    """
     for each in call(robot, PREFLIGHT)["conditions"]:
         if each["problem"]:
             raise Refused(each["problem"], each["cure"])
@@ -92,7 +96,7 @@ def _check_start_conditions(robot: str) -> None:
 
 def _confirm(speed_mps: float, rate_rps: float) -> None:
     if sys.stdin is None or not sys.stdin.isatty():
-        raise UsageError("the robot would move, and nobody can be asked", "give --yes")
+        raise UsageError("the robot would move, and there is no terminal to ask on", "give --yes")
     question = (
         f"The robot drives up to {way_m(speed_mps):.1f} m straight ahead at {speed_mps:g} m/s,\n"
         f"then it turns up to {degrees(turn_rad(rate_rps)):.0f} degrees to the left on its place.\n"

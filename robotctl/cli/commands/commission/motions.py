@@ -44,7 +44,7 @@ STANDING_S = 1.5
 """Pause before and after each motion, in which the robot stands."""
 
 _LATEST_S = DRIVEN_S + 10.0
-"""The end of the first motion, should nobody end it by a stop."""
+"""The end of the first motion if no stop ends it."""
 
 _SPLIT_DEADLINE_S = 15.0
 

@@ -199,6 +199,10 @@ def drive(
 
 
 def _check(option: str, value: float | None, low: float, high: float, unit: str = "") -> None:
-    """Raise UsageError for a value out of range; the daemon's own limits may be lower."""
+    """Check a value; the daemon's own limits may be lower.
+
+    Raises:
+        UsageError: It is out of range.
+    """
     if value is not None and not low <= value <= high:  # NaN is refused, too
         raise UsageError(f"{option} {value:g}", f"use {low:g} to {high:g}{unit}")

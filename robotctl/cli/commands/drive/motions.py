@@ -67,7 +67,11 @@ def cure_of(pattern: PatternKind) -> str:
 def refuse_options(
     what: str, options: Mapping[str, object], *, allowed: Collection[str], cure: str = ""
 ) -> None:
-    """Raise UsageError for an option that is given and does not fit."""
+    """Check which options are given.
+
+    Raises:
+        UsageError: One of them does not fit.
+    """
     for name, value in options.items():
         if value is not None and name not in allowed:
             raise UsageError(f"{what} has no {_SHOWN.get(name, name)}", cure)

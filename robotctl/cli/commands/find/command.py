@@ -61,7 +61,7 @@ def find(
             metavar="COLUMN", help="Sort by it; -COLUMN: the largest first [default: by time]."
         ),
     ] = "",
-    limit: Annotated[int, typer.Option(min=0, help="At most so many rows; 0: all.")] = 0,
+    limit: Annotated[int, typer.Option(min=0, help="The most rows that are shown; 0: all.")] = 0,
     sql: Annotated[
         str | None,
         typer.Option(

@@ -85,7 +85,7 @@ def open_as(shown: Shown, kind: OpenAs, *, as_json: bool) -> None:
 
 
 def _show_page(shown: Shown) -> None:
-    """Show the page at the moment in a browser, where somebody sees it."""
+    """Show the page at the moment in a browser, where there is a screen."""
     if not sys.stdout.isatty() or not any(map(os.environ.get, DISPLAYS)):
         return
     import webbrowser

@@ -28,7 +28,7 @@ def status(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
 
 def _line(answer: LeaseStatus) -> str:
     if answer["holder"] is None:
-        return "nobody holds the lease: anybody may start a motion"
+        return "the lease is free: any client may start a motion"
     why = f" ({answer['reason']})" if answer["reason"] else ""
     you = "; you act for it" if answer["yours"] else ""
     return f"{printable(answer['holder'])} holds the lease{printable(why)}{you}"

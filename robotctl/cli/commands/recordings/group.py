@@ -27,6 +27,7 @@ from robotctl.cli.terminal.text import (
     elided,
     moment,
     printable,
+    row,
     short_path,
     size,
 )
@@ -146,7 +147,11 @@ def rm(
 
 
 def _refuse_options_before(context: typer.Context, command: str) -> None:
-    """Raise UsageError for an option of the list that was given before `command`."""
+    """Check that no option of the list was given before `command`.
+
+    Raises:
+        UsageError: One was.
+    """
     for option in given_options(context).values():
         raise UsageError(
             f"{option} is given before {command}",
@@ -183,6 +188,7 @@ def _as_object(each: ListedRecording) -> dict[str, Any]:
         "size_bytes": each.size_bytes,
         "files": each.files,
         "laps": each.laps,
+        "driven_s": each.driven_s,
         **{error: each.largest(error) for error in ERRORS},
         "worst": None if each.worst is None else each.worst.value,
         "readable": each.readable,
@@ -211,6 +217,8 @@ def _lines(place: Path, found: Sequence[ListedRecording], robot: str) -> Iterato
             f"{size(each.size_bytes):>8} {duration(each.duration_s):>11} {each.laps:>4}  "
             f"{worst:5} {', '.join(_remarks(each))}"
         ).rstrip()
+        if driven := ", ".join(_drive_figures(each)):
+            yield from row("    drives: ", driven)
     if any(each.damage for each in found):
         yield "for damaged ones, robotctl recover NAME saves what can be read"
 
@@ -223,13 +231,20 @@ def _error(each: ListedRecording, name: str, what: str) -> Iterator[str]:
         yield f"{measured:.3f} {what}{in_truth}"
 
 
+def _drive_figures(each: ListedRecording) -> Iterator[str]:
+    """Yield the largest errors of the drives, and how long they took together."""
+    yield from _error(each, "cross_track_max_m", "m off track")
+    yield from _error(each, "heading_max_rad", "rad off heading")
+    yield from _error(each, "closure_m", "m closure")
+    if each.driven_s is not None:
+        yield duration(each.driven_s)
+
+
 def _remarks(each: ListedRecording) -> Iterator[str]:
     if each.live:
         yield "live"
     if each.kept:
         yield "kept"
-    yield from _error(each, "cross_track_max_m", "m off track")
-    yield from _error(each, "closure_m", "m closure")
     if each.clips:
         yield f"{len(each.clips)} clip{'s' * (len(each.clips) > 1)}"
     if not each.readable:

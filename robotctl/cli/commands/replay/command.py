@@ -218,7 +218,11 @@ def replay(
 
 
 def _refuse_playing_options(context: typer.Context) -> None:
-    """Raise UsageError for an option that only affects playing."""
+    """Check that no option is given that only affects playing.
+
+    Raises:
+        UsageError: One is given.
+    """
     for name, spelling in given_options(context).items():
         if name not in _OPTIONS_OF_RERUNS:
             raise UsageError(
@@ -227,7 +231,11 @@ def _refuse_playing_options(context: typer.Context) -> None:
 
 
 def _only(files: list[Path]) -> Path:
-    """Return the one recording to play; raise UsageError for several."""
+    """Return the one recording to play.
+
+    Raises:
+        UsageError: There are several.
+    """
     if len(files) > 1:
         raise UsageError(
             f"{len(files)} recordings were given, but only one can be played "

@@ -27,7 +27,7 @@ class Controls(NamedTuple):
 
 
 class Gamepad:
-    """The gamepad of a topic. Its silence is that of the operator: nothing moves.
+    """The gamepad of a topic. While it sends nothing, the robot stands, as after a release.
 
     While one publisher is heard, those of others on the topic are ignored.
     """

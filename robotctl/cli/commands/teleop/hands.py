@@ -10,7 +10,7 @@ from robotctl.cli.terminal.key_events import Key, KeyEvent
 from robotctl.kernel.course import MAX_SILENCE_S
 
 REPEAT_S: Final = MAX_SILENCE_S
-"""Without releases, a key is held if it comes again within this time; nobody types that fast."""
+"""Without releases, a key that comes again within this time is held; no person types that fast."""
 
 
 class Wish(NamedTuple):
@@ -37,7 +37,7 @@ class Hands(Protocol):
     """Hands on the keys of a terminal."""
 
     def take(self, keys: Iterable[Key], now_s: float) -> Wish | None:
-        """Take the keys of this moment; return what is wanted now, None if nobody says anything."""
+        """Take the keys of this moment; return what they ask for, None without any key."""
 
     def forget(self) -> None:
         """Let go of every key: each must be pressed again."""

@@ -21,7 +21,7 @@ _INDENT = " " * _LABEL_WIDTH
 _KEY_DIGITS = 16
 
 NOT_PROVED = (
-    "who could use the key: whoever can read the robot's state folder could, at that time",
+    "who could use the key: at that time, each reader of the robot's state folder could",
     "what was recorded before the first file here",
     "that nothing was cut off behind the last head: give a later one with --head",
 )
