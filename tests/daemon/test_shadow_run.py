@@ -33,6 +33,7 @@ class Driven:
         shadow: KernelParams | None = SLOW,
         now_ns: Callable[[], int] = lambda: 0,
         write: Callable[[bytes], None] | None = None,
+        carry_out: Callable[[Effect], None] | None = None,
     ) -> None:
         self.journal: list[bytes] = []
         self.commands: list[bytes] = []
@@ -46,7 +47,7 @@ class Driven:
         self.control = Control(
             Kernel(self.bench.kernel.params, self.bench.state),
             Journal(lambda serialized, seq: self.journal.append(serialized)),
-            self.carry_out,
+            carry_out or self.carry_out,
             PendingRequests(),
             lambda error, where: None,
             shadow=self.run,
@@ -101,19 +102,19 @@ def test_commands_and_journal_are_the_same_bytes_with_and_without_a_shadow(
 
 
 def test_the_shadow_decides_after_all_events_that_wait() -> None:
-    driven, events = Driven(), drive_events(20)
-    driven.feed(events)
     order: list[str] = []
-    later = Tick(events[-1].t_ns + 2)
+    later: list[Event] = []
 
     def carry_out(effect: Effect) -> None:
         order.append("command")
-        if len(order) == 1:
-            driven.control.dispatch(later)
+        while later:
+            driven.control.dispatch(later.pop())
 
-    assert driven.run is not None
-    driven.control._carry_out = carry_out
-    driven.run._write = lambda serialized: order.append("shadow")
+    driven = Driven(write=lambda serialized: order.append("shadow"), carry_out=carry_out)
+    events = drive_events(20)
+    driven.feed(events)
+    order.clear()
+    later.append(Tick(events[-1].t_ns + 2))
     driven.control.dispatch(Tick(events[-1].t_ns + 1))
     assert order == ["command", "command", "shadow", "shadow"]
 
