@@ -22,8 +22,11 @@ class DriveFacts(TypedDict):
     true_cross_track_max_m: float | None
     true_heading_rms_rad: float | None
     true_heading_max_rad: float | None
+    true_closure_m: float | None
     heading_rms_rad: float
     heading_max_rad: float
+    closure_m: float | None
+    """At the end of the last lap; None before the first is complete."""
 
 
 class DrivenPath(TypedDict):

@@ -48,8 +48,10 @@ DRIVE = {
     "cross_track_m": 0.001,
     "cross_track_rms_m": 0.002,
     "cross_track_max_m": 0.003,
+    "true_cross_track_max_m": 0.013,
     "heading_rms_rad": 0.01,
     "heading_max_rad": 0.02,
+    "closure_m": 0.004,
 }
 
 

@@ -180,8 +180,14 @@ def test_status_tells_the_errors_of_a_drive_that_goes_on(
 ) -> None:
     assert "off track" not in cli("status").out
     cli("drive", "square")
-    told = " ".join(cli("status").out.split())
-    assert "a square, lap 1 of 2: off track 0.001 m, 0.002 m RMS, 0.003 m at most" in told
+    told = cli("status").out
+    lines = (
+        "  drive      a square, lap 1 of 2, for 1.5 s",
+        "             off track 0.001 m, 0.002 m RMS, 0.003 m at most (0.013 m in truth)",
+        "             heading 0.010 rad RMS, 0.020 rad at most, closure 0.004 m",
+    )
+    assert "\n".join(lines) in told
+    assert max(map(len, lines)) <= 80
 
 
 def test_a_size_outside_the_limits_is_named(daemon: None, cli: Callable[..., Any]) -> None:

@@ -9,6 +9,7 @@ import pytest
 from robotctl.daemon.control import robot_report
 from robotctl.daemon.control.robot_report import MIN_STEP_M, RobotReport
 from robotctl.kernel.geometry import Pose
+from robotctl.kernel.patterns import Pattern, PatternKind
 from robotctl.testing.kernels import Bench, moving
 
 
@@ -43,6 +44,27 @@ def test_another_drive_begins_another_path() -> None:
     bench.drive(replacing=True)
     seen.drove_to(Pose(0.1, 0.0, 0.0))
     assert seen.path()["driven"] == [[0.0, 0.0], [0.1, 0.0]]
+
+
+def test_the_closure_is_told_from_the_end_of_the_first_lap_on() -> None:
+    bench = moving(ticks=0)
+    bench.params = bench.kernel.params  # type: ignore[attr-defined]
+    bench.drive(Pattern(PatternKind.CIRCLE, 0.1), replacing=True)
+    seen = of(bench)
+    closures = []
+    for _ in range(400):
+        assert bench.state.drive is not None
+        bench.odometry(bench.state.drive.reference().pose)
+        bench.battery(1.0)
+        bench.tick()
+        facts = seen.facts()["drive"]
+        assert facts is not None
+        closures.append((facts["lap"], facts["closure_m"], facts["true_closure_m"]))
+    assert {closure for lap, closure, _ in closures if lap == 1} == {None}
+    later = [closure for lap, closure, _ in closures if lap > 1]
+    assert later
+    assert all(closure is not None and closure <= 0.02 for closure in later)
+    assert {true for _, _, true in closures} == {None}
 
 
 @pytest.mark.parametrize(("level", "is_told"), [(0.31, False), (0.29, True)])

@@ -61,7 +61,9 @@ def status_rows(status: Status) -> Iterator[tuple[str, str]]:
         yield "battery", battery_text(status)
         drive = status.get("drive")
         if drive:
-            yield "drive", drive_text(drive)
+            what, *errors = drive_lines(drive)
+            yield "drive", what
+            yield from (("", line) for line in errors)
         if status.get("lease"):
             yield "lease", printable(status["lease"])
         yield "simulator", "yes" if status.get("sim") else "no"
@@ -91,17 +93,22 @@ def pose_text(status: Mapping[str, Any]) -> str:
     return f"x {x} m   y {y} m   theta {theta} rad"
 
 
-def drive_text(drive: Mapping[str, Any]) -> str:
-    """Return what is driven, and how far off its path the robot is."""
-    now, rms, worst = (
+def drive_lines(drive: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what is driven, and how far off its path the robot is; a lap closes where it ends."""
+    now, rms, worst, true_m, heading, most, closure = (
         number(drive.get(key), ".3f")
-        for key in ("cross_track_m", "cross_track_rms_m", "cross_track_max_m")
+        for key in (
+            *("cross_track_m", "cross_track_rms_m", "cross_track_max_m", "true_cross_track_max_m"),
+            *("heading_rms_rad", "heading_max_rad", "closure_m"),
+        )
     )
     laps = f" of {drive['laps']}" if drive.get("laps") else ""
-    lap = f"{printable(drive.get('what'))}, lap {drive.get('lap')}{laps}"
-    true_m = drive.get("true_cross_track_max_m")
-    in_truth = "" if true_m is None else f" ({number(true_m, '.3f')} m in truth)"
-    return f"{lap}: off track {now} m, {rms} m RMS, {worst} m at most{in_truth}"
+    seconds = number(drive.get("duration_s"), ".1f")
+    yield f"{printable(drive.get('what'))}, lap {drive.get('lap')}{laps}, for {seconds} s"
+    in_truth = "" if drive.get("true_cross_track_max_m") is None else f" ({true_m} m in truth)"
+    yield f"off track {now} m, {rms} m RMS, {worst} m at most{in_truth}"
+    closed = "" if drive.get("closure_m") is None else f", closure {closure} m"
+    yield f"heading {heading} rad RMS, {most} rad at most{closed}"
 
 
 def shadow_text(shadow: Mapping[str, Any]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from math import isfinite
 
 from robotctl.daemon.control.dispatcher import Control
 from robotctl.daemon.control.ground_truth import GroundTruth
@@ -214,9 +215,15 @@ def _drive_facts(state: State, truth: GroundTruth) -> DriveFacts | None:
         "true_cross_track_max_m": None if true is None else true.cross_track_max_m,
         "true_heading_rms_rad": None if true is None else true.heading_rms_rad,
         "true_heading_max_rad": None if true is None else true.heading_max_rad,
+        "true_closure_m": None if true is None else _known(true.closure_m),
         "heading_rms_rad": report.heading_rms_rad,
         "heading_max_rad": report.heading_max_rad,
+        "closure_m": _known(report.closure_m),
     }
+
+
+def _known(value: float) -> float | None:
+    return value if isfinite(value) else None
 
 
 def _recent(health: Health, now_ns: int) -> Iterator[str]:
