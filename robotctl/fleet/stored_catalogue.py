@@ -8,34 +8,41 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shutil
+import time
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from fcntl import LOCK_EX, LOCK_NB, LOCK_SH, flock
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Final
 
-from robotctl.errors import RobotctlError
+from robotctl.errors import Refused, RobotctlError
 from robotctl.fleet.catalogue import Catalogue
 from robotctl.fleet.catalogue_file import write_catalogue
 from robotctl.fleet.database import database, parquet
 from robotctl.fleet.history import rows_of
-from robotctl.fleet.index_file import LAYOUT, write_index
+from robotctl.fleet.index_file import LAYOUT, index_path, write_index
 from robotctl.fleet.indexing import NOT_CHECKED, Failures
 from robotctl.fleet.jobs import Done, local_processes, results_of
 from robotctl.fleet.stamps import stamps_of_each
 from robotctl.paths import make_private
 from robotctl.printable import printable
 from robotctl.recording.disk.replaced_file import replaced_file
-from robotctl.recording.format.derived_files import INDEX_FILE
 from robotctl.rerun.check import check_recording
 from robotctl.store import NoSuchObject, StoreError, open_store
+from robotctl.store.hash_folders import is_hash
 from robotctl.store.store_path import StorePath
 
 MAX_INDEX_BYTES: Final = 64 << 20
 
 _AHEAD: Final = 16
 """Indexes that are asked for at once."""
+
+_INCOMING: Final = "incoming-"
+"""The folder for indexes that are not looked at yet."""
 
 CACHE_VARIABLE: Final = "XDG_CACHE_HOME"
 
@@ -52,25 +59,43 @@ class StoredRecording:
     @property
     def index(self) -> StorePath:
         """Where its index is in the store, if it has one."""
-        return self.path / INDEX_FILE
+        path = index_path(self.path)
+        assert isinstance(path, StorePath)
+        return path
 
 
 @contextmanager
 def stored_catalogue(
     place: StorePath, on_progress: Done = lambda done, total: None
 ) -> Iterator[Catalogue]:
-    """Yield the catalogue of the recordings in the folders below a URL.
+    """Yield the catalogue of the recordings directly below a URL: folders, and single files.
+
+    Several processes may do so at once.
 
     Raises:
         NoSuchObject: There are none.
         StoreError: The store cannot be listed.
+        Refused: The cache cannot be written.
         UsageError: duckdb or obstore is not installed.
     """
+    begun_s = time.time()
     cache = make_private(_cache_folder() / _digest(str(place)))
-    recordings = list(_recordings(place, cache))
-    if not recordings:
-        raise NoSuchObject(f"there is no recording in a folder below {place}", "check the URL")
-    _copy_indexes([each for each in recordings if not each.cached.exists()], on_progress)
+    with _in_use(cache):
+        recordings = list(_recordings(place, cache))
+        if not recordings:
+            raise NoSuchObject(f"there is no recording below {place}", "check the URL")
+        try:
+            catalogue = _filled(cache, recordings, on_progress)
+        except OSError as error:
+            cause = f"cannot write {cache}: {error.strerror or error}"
+            raise Refused(cause, f"free some space, or set {CACHE_VARIABLE}") from error
+        yield catalogue
+    _tidy(cache, {catalogue.path, *catalogue.indexes}, begun_s)
+
+
+def _filled(cache: Path, recordings: Sequence[StoredRecording], on_progress: Done) -> Catalogue:
+    """Return the catalogue after what the cache lacks was added to it."""
+    _copy_indexes([each for each in recordings if not each.cached.exists()], cache, on_progress)
     old: dict[Path, StoredRecording] = {
         each.path: each for each in recordings if not each.cached.exists()
     }
@@ -79,10 +104,9 @@ def stored_catalogue(
     indexes = tuple(each.cached for each in present)
     path = cache / f"catalogue-{_digest(*(each.name for each in indexes))}.parquet"
     if not path.exists():
-        _remove_all_but(cache, indexes)
         write_catalogue([path], None, (), indexes)
     left_out = (f"{printable(each.name)} is left out: {said}" for each, said in failures.items())
-    yield Catalogue(path, indexes, tuple(left_out), failures)
+    return Catalogue(path, indexes, tuple(left_out), failures)
 
 
 def _cache_folder() -> Path:
@@ -91,8 +115,8 @@ def _cache_folder() -> Path:
 
 
 def _recordings(place: StorePath, cache: Path) -> Iterator[StoredRecording]:
-    """Yield the recordings that are folders below a URL."""
-    files: dict[StorePath, list[StorePath]] = {}
+    """Yield the recordings directly below a URL."""
+    files: dict[StorePath, list[StorePath]] = {file: [file] for file in place.glob("*.mcap")}
     for file in place.glob("*/*.mcap"):
         files.setdefault(place / file.parent.name, []).append(file)
     for path in sorted(files):
@@ -104,50 +128,53 @@ def _recordings(place: StorePath, cache: Path) -> Iterator[StoredRecording]:
         )
 
 
-def _copy_indexes(recordings: Sequence[StoredRecording], on_progress: Done) -> None:
+def _copy_indexes(recordings: Sequence[StoredRecording], cache: Path, on_progress: Done) -> None:
     """Copy to the cache what the store has of their indexes, if it is of their present files."""
     waiting = deque(each for each in recordings if _has_index(each))
     total, asked = len(waiting), deque[StoredRecording]()
-    copied: list[StoredRecording] = []
-    while waiting or asked:
-        while waiting and len(asked) < _AHEAD:
-            each = waiting.popleft()
-            each.index.reader().expect([(0, each.index.described().size_bytes)])
-            asked.append(each)
-        each = asked.popleft()
-        with suppress(StoreError):  # then it is made again
-            data = each.index.reader().read(0, MAX_INDEX_BYTES)
-            with replaced_file(each.cached) as stream:
-                stream.write(data)
-            copied.append(each)
-        on_progress(total - len(waiting) - len(asked), total)
-    _remove_wrong(copied)
+    copied: dict[Path, StoredRecording] = {}
+    with TemporaryDirectory(prefix=_INCOMING, dir=cache) as incoming:
+        while waiting or asked:
+            while waiting and len(asked) < _AHEAD:
+                each = waiting.popleft()
+                each.index.reader().expect([(0, each.index.described().size_bytes)])
+                asked.append(each)
+            each = asked.popleft()
+            with suppress(StoreError):  # then it is made again
+                data = each.index.reader().read(0, MAX_INDEX_BYTES)
+                path = Path(incoming, each.cached.name)
+                with replaced_file(path) as stream:  # it is on the disk before it has its name
+                    stream.write(data)
+                copied[path] = each
+            on_progress(total - len(waiting) - len(asked), total)
+        for path in _right_ones(copied):
+            path.replace(copied[path].cached)
 
 
 def _has_index(recording: StoredRecording) -> bool:
     return recording.index.is_file() and (recording.index.described().size_bytes <= MAX_INDEX_BYTES)
 
 
-def _remove_wrong(copied: Sequence[StoredRecording]) -> None:
-    """Remove those indexes that are not well formed, or not of the recording's present files."""
-    stamps = stamps_of_each([each.cached for each in copied])
+def _right_ones(copied: Mapping[Path, StoredRecording]) -> Iterator[Path]:
+    """Yield those indexes that are well formed, and of the present files of their recording."""
+    stamps = stamps_of_each(list(copied))
     good = [
-        each for each, found in zip(copied, stamps, strict=True) if set(found) == {each.path.name}
+        path
+        for path, found in zip(copied, stamps, strict=True)
+        if set(found) == {copied[path].path.name}
     ]
-    right: set[str] = set()
-    if good:
-        paths = [each.cached for each in good]
-        of = {str(each.cached): (each.files, each.size_bytes) for each in good}
-        with database(paths) as connection:
-            rows = connection.execute(
-                f"SELECT filename, files, size_bytes FROM {parquet(paths, ', filename = true')} "
-                "WHERE kind = 'recording' AND \"check\" <> ?",
-                [NOT_CHECKED],
-            ).fetchall()
-        right = {name for name, files, size in rows if of[name] == (files, size)}
-    for each in copied:
-        if str(each.cached) not in right:
-            each.cached.unlink()
+    if not good:
+        return
+    with database(good) as connection:
+        rows = connection.execute(
+            f"SELECT filename, files, size_bytes FROM {parquet(good, ', filename = true')} "
+            "WHERE kind = 'recording' AND \"check\" <> ?",
+            [NOT_CHECKED],
+        ).fetchall()
+    for name, files, size_bytes in rows:
+        recording = copied[Path(name)]
+        if (files, size_bytes) == (recording.files, recording.size_bytes):
+            yield Path(name)
 
 
 def _indexed(old: dict[Path, StoredRecording], on_progress: Done) -> Failures:
@@ -186,20 +213,47 @@ class _IndexJob:
 
 def _put_beside(recording: StorePath, index: bytes) -> None:
     """Put an index beside the files; below its hash where theirs are, as `robotctl sync` does."""
-    file = next(recording.glob("*.mcap"))
+    target = index_path(recording)
+    file = recording if recording.is_file() else next(recording.glob("*.mcap"))
     folder, _, _ = file.described().key.rpartition("/")
-    if folder.rpartition("/")[2] != recording.name:
-        folder = f"{folder.rpartition('/')[0]}/{hashlib.sha256(index).hexdigest()}"
-    open_store(recording.store_root).put(f"{folder}/{INDEX_FILE}", [index])
+    above, _, last = folder.rpartition("/")
+    if is_hash(last):
+        folder = f"{above}/{hashlib.sha256(index).hexdigest()}"
+    key = f"{folder}/{target.name}".lstrip("/")
+    open_store(recording.store_root).put(key, [index])
 
 
-def _remove_all_but(cache: Path, indexes: Sequence[Path]) -> None:
-    """Remove what the cache holds of recordings that have changed or are gone."""
-    present = {each.name for each in indexes}
-    for each in cache.iterdir():
-        if each.name not in present:
-            with suppress(OSError):
-                each.unlink()
+@contextmanager
+def _in_use(cache: Path) -> Iterator[None]:
+    """Keep other processes from removing what is in the cache."""
+    with _opened(cache) as descriptor:
+        with suppress(OSError):  # a file system without locks
+            flock(descriptor, LOCK_SH)
+        yield
+
+
+def _tidy(cache: Path, present: Collection[Path], begun_s: float) -> None:
+    """Remove what was there before, and is of recordings that have changed or are gone.
+
+    What another process uses stays: it, or the next one, removes it.
+    """
+    with suppress(OSError), _opened(cache) as descriptor:
+        flock(descriptor, LOCK_EX | LOCK_NB)
+        for each in cache.iterdir():
+            if each not in present and each.lstat().st_mtime < begun_s:
+                if each.name.startswith(_INCOMING):
+                    shutil.rmtree(each)
+                else:
+                    each.unlink()
+
+
+@contextmanager
+def _opened(folder: Path) -> Iterator[int]:
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        yield descriptor
+    finally:
+        os.close(descriptor)
 
 
 def _digest(*parts: str) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from typing import Final
 
+from robotctl.printable import short_name
 from robotctl.store.store_errors import (
     AccessDenied,
     BrokenAnswer,
@@ -61,6 +62,11 @@ def error_of(error: Exception, scheme: str, where: str) -> StoreError:
         return AccessDenied(f"{where}: there are no credentials", cure)
     if kind in ("PermissionDeniedError", "UnauthenticatedError") or _status(text) in (401, 403):
         return AccessDenied(f"{where}: access is denied{_code(text)}", cure)
+    if kind == "InvalidPathError":
+        found = re.search(r'[Pp]ath "([^"]*)"', text)
+        name = short_name(found[1]) if found else ""
+        cure = "rename or remove it, or give a folder that it is not in"
+        return StoreFailed(f"{where}: an object '{name}' there has an impossible name", cure)
     return _failure(text, scheme, where)
 
 

@@ -23,13 +23,14 @@ def without_hashes(key: str) -> str:
 def has_hash_folders(path: Path) -> bool:
     """Return whether a folder holds such folders, or recordings that do."""
     within = _folders(path)
-    return any(map(_is_hash, within)) or any(
-        _is_hash(each) for folder in islice(within, _LOOKED_AT) for each in _folders(folder)
+    return any(is_hash(each.name) for each in within) or any(
+        is_hash(each.name) for folder in islice(within, _LOOKED_AT) for each in _folders(folder)
     )
 
 
-def _is_hash(path: Path) -> bool:
-    return _HASH.fullmatch(path.name) is not None
+def is_hash(name: str) -> bool:
+    """Return whether a folder of this name is one of them."""
+    return _HASH.fullmatch(name) is not None
 
 
 def _folders(path: Path) -> list[Path]:

@@ -116,7 +116,7 @@ def test_a_row_of_a_bucket_is_found_and_opened(
         assert Path(json.loads(opened.out)["report"]).exists()
         wrong = cli("find", "--in", "s3://robots/night")
         assert (wrong.exit_code, wrong.out) == (6, "")
-        assert "there is no recording in a folder below s3://robots/night" in wrong.err
+        assert "there is no recording below s3://robots/night" in wrong.err
 
 
 @pytest.mark.usefixtures("indexed")

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 
+from robotctl.errors import Refused
 from robotctl.fleet import stored_catalogue as module
 from robotctl.fleet.catalogue import Catalogue
 from robotctl.fleet.indexing import index_recording
@@ -25,7 +29,7 @@ pytest.importorskip("duckdb", reason="indexes are an extra: robotctl[parquet]")
 pytest.importorskip("obstore", reason="URLs are an extra: robotctl[store]")
 
 NAMES = ("robot_20260101_120000", "robot_20260102_120000")
-URL = StorePath("s3://robots/day")
+URL = "s3://robots/day"
 
 
 @pytest.fixture(scope="module")
@@ -64,10 +68,10 @@ def indexed(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 @contextmanager
-def catalogue() -> Iterator[Catalogue]:
+def catalogue(url: str = URL) -> Iterator[Catalogue]:
     """Open the catalogue as a new process does."""
     opened_bucket.cache_clear()
-    with stored_catalogue(URL) as opened:
+    with stored_catalogue(StorePath(url)) as opened:
         yield opened
 
 
@@ -97,7 +101,7 @@ def test_a_recording_without_an_index_is_indexed_and_its_index_put_beside_it(
     for name, value in environment(s3_endpoint).items():
         monkeypatch.setenv(name, value)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    store = open_store(str(URL))
+    store = open_store(URL)
     for number, name in enumerate(NAMES):  # one by hand, one as `sync` copies it
         data = (made / name / f"{name}_0.mcap").read_bytes()
         hashed = f"{hashlib.sha256(data).hexdigest()}/" if number else ""
@@ -139,6 +143,113 @@ def test_an_index_that_is_not_of_the_present_files_is_made_again(
     bucket[file] = bucket.objects[file][:-1000]
     with catalogue() as opened:
         assert recordings(opened) == {NAMES[0]: "incomplete", NAMES[1]: "same"}
+
+
+def test_single_files_below_a_url_are_recordings(
+    made: Path,
+    indexed: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    s3_endpoint: str,
+) -> None:
+    for name, value in environment(s3_endpoint).items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    data = (made / NAMES[0] / f"{NAMES[0]}_0.mcap").read_bytes()
+    folder = f"{tmp_path.name}-files"
+    bucket = open_store("s3://robots")
+    bucket.put(f"{folder}/dock.mcap", [data])
+    bucket.put(f"{folder}/yard/{'0' * 64}/yard.mcap", [data])
+    for user in ("one", "another"):
+        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / user))
+        with catalogue(f"s3://robots/{folder}") as opened:
+            assert recordings(opened) == {"dock.mcap": "same", "yard": "same"}
+    assert sorted(indexed) == ["dock.mcap", "yard"]
+    names = {each.key.rpartition("/")[2] for each in bucket.list(folder)}
+    assert names == {"dock.mcap", "dock.mcap.index.parquet", "yard.mcap", "index.parquet"}
+    bucket.put("dock.mcap", [data])
+    try:
+        with catalogue("s3://robots") as opened:
+            assert recordings(opened)["dock.mcap"] == "same"
+        bucket.delete("dock.mcap.index.parquet")
+    finally:
+        bucket.delete("dock.mcap")
+
+
+def test_two_questions_at_once_do_not_disturb_each_other(
+    bucket: FaultyBucket, indexed: list[str]
+) -> None:
+    with catalogue() as first:
+        before = set(first.path.parent.iterdir())
+        unfinished = first.path.with_name(f".{first.path.name}.1.tmp")
+        unfinished.touch()
+        for key in [key for key in bucket.objects if NAMES[1] in key]:
+            del bucket.objects[key]
+        with catalogue() as second:
+            assert recordings(second) == {NAMES[0]: "same"}
+        assert before | {unfinished} <= set(first.path.parent.iterdir())
+        assert recordings(first) == dict.fromkeys(NAMES, "same")
+        assert ask(first, "SELECT count(*) FROM samples").rows[0][0] > 30
+    with catalogue() as second:
+        pass
+    assert set(second.path.parent.iterdir()) == {second.path, *second.indexes}
+    assert indexed == []
+
+
+def test_an_index_that_nobody_has_looked_at_is_never_in_the_cache(
+    bucket: FaultyBucket, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, indexed: list[str]
+) -> None:
+    wrong = bucket.objects[f"day/{NAMES[0]}/index.parquet"][:-9]
+    bucket[f"day/{NAMES[0]}/index.parquet"] = wrong
+    with monkeypatch.context() as patched:
+        patched.setattr(module, "stamps_of_each", raise_interrupted)
+        with pytest.raises(KeyboardInterrupt), catalogue():
+            pass
+    assert not list((tmp_path / "cache").rglob("*.parquet"))
+    with catalogue() as opened:
+        assert recordings(opened) == dict.fromkeys(NAMES, "same")
+    assert indexed == [NAMES[0]]
+
+
+def raise_interrupted(*_: object) -> NoReturn:
+    raise KeyboardInterrupt
+
+
+def test_a_cache_that_cannot_be_written_is_one_sentence(
+    bucket: FaultyBucket, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(descriptor: int) -> NoReturn:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    said = r"No space left on device: .* or set XDG_CACHE_HOME"
+    with pytest.raises(Refused, match=said), catalogue():
+        pass
+
+
+ODD_NAMES = ('it\'s "one"', "büro 机器人", "x*?[1]", " ", "kind=event")
+
+
+def test_recordings_in_a_bucket_may_have_any_name(bucket: FaultyBucket, made: Path) -> None:
+    data = (made / NAMES[0] / f"{NAMES[0]}_0.mcap").read_bytes()
+    for name in ODD_NAMES:
+        bucket[f"day/{name}/{NAMES[0]}_0.mcap"] = data
+        bucket[f"day/{name}.mcap"] = b"no MCAP"
+    with catalogue() as opened:
+        assert recordings(opened) == dict.fromkeys((*NAMES, *ODD_NAMES), "same")
+        assert len(opened.left_out) == len(ODD_NAMES)
+
+
+@pytest.mark.parametrize("name", ["\x1b[31mred", "new\nline", "..", "a/../../b", "a//b", "."])
+def test_a_name_that_leads_elsewhere_is_one_sentence(
+    bucket: FaultyBucket, made: Path, tmp_path: Path, name: str
+) -> None:
+    bucket[f"day/{name}/x.mcap"] = (made / NAMES[0] / f"{NAMES[0]}_0.mcap").read_bytes()
+    outside = set(tmp_path.parent.iterdir())
+    with pytest.raises(StoreError, match="there has an impossible name") as raised, catalogue():
+        pass
+    assert str(raised.value).isprintable()
+    assert set(tmp_path.parent.iterdir()) == outside
 
 
 def test_what_is_gone_is_gone_and_what_cannot_be_read_is_named(bucket: FaultyBucket) -> None:
