@@ -21,7 +21,7 @@ from robotctl.daemon.recording.black_box import BlackBox
 from robotctl.processes import Child, LineSplitter, program, readable_within, start
 from robotctl.recording import read_info
 from robotctl.recording.format.event_kind import EventKind
-from robotctl.recording.format.events import RecordedEvent
+from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.rerun.check_many import check_recordings
 from robotctl.testing.drives import drive, record
 from tests.support.bags import talk, write_bag

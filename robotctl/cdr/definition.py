@@ -43,7 +43,7 @@ class UnreadableType(ValueError):
     """The text describes no type that can be read; the error says why."""
 
 
-class Shape(Enum):
+class FieldShape(Enum):
     """How many values a field has."""
 
     ONE = "one"
@@ -61,7 +61,7 @@ class Field:
 
     name: str
     type_name: str
-    shape: Shape = Shape.ONE
+    shape: FieldShape = FieldShape.ONE
     length: int | None = None
     text_bound: int | None = None
 
@@ -69,9 +69,9 @@ class Field:
     def type_text(self) -> str:
         """The type as a .msg file writes it."""
         bound = "" if self.text_bound is None else f"<={self.text_bound}"
-        if self.shape is Shape.ONE:
+        if self.shape is FieldShape.ONE:
             return self.type_name + bound
-        limit = "<=" if self.shape is Shape.SEQUENCE and self.length is not None else ""
+        limit = "<=" if self.shape is FieldShape.SEQUENCE and self.length is not None else ""
         return f"{self.type_name}{bound}[{limit}{'' if self.length is None else self.length}]"
 
 
@@ -140,10 +140,10 @@ def _fields(owner: str, text: str) -> tuple[Field, ...]:
         type_name = match["type"]
         if not is_built_in(type_name):
             type_name = short_type(type_name if "/" in type_name else f"{package}/{type_name}")
-        shape = Shape.ONE
+        shape = FieldShape.ONE
         if match["array"]:
             is_array = match["length"] and not match["upper"]
-            shape = Shape.ARRAY if is_array else Shape.SEQUENCE
+            shape = FieldShape.ARRAY if is_array else FieldShape.SEQUENCE
         length = int(match["length"]) if match["length"] else None
         bound = int(match["text_bound"]) if match["text_bound"] else None
         found.append(Field(match["name"], type_name, shape, length, bound))

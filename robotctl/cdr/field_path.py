@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from robotctl.cdr.definition import Definition, Shape
+from robotctl.cdr.definition import Definition, FieldShape
 from robotctl.cdr.given import WrongValue, unknown_field
 
 _STEP = re.compile(r"([A-Za-z]\w*)((?:\[\d{1,9}\])*)")
@@ -35,11 +35,11 @@ def parse_path(definition: Definition, path: str) -> Steps:
         if field is None:
             raise WrongValue(unknown_field(name, type_name, fields))
         steps += [name, *indexes]
-        if len(indexes) > (field.shape is not Shape.ONE):
+        if len(indexes) > (field.shape is not FieldShape.ONE):
             raise WrongValue(f"{path_text(steps[: -len(indexes)])} is a {field.type_text}: no list")
-        if field.shape is Shape.ARRAY and indexes and indexes[0] >= (field.length or 0):
+        if field.shape is FieldShape.ARRAY and indexes and indexes[0] >= (field.length or 0):
             raise WrongValue(f"{path_text(steps[:-1])} has {field.length} values, from [0]")
-        is_list = field.shape is not Shape.ONE and not indexes
+        is_list = field.shape is not FieldShape.ONE and not indexes
         type_name = field.type_text if is_list else field.type_name
     return tuple(steps)
 

@@ -18,7 +18,7 @@ from robotctl.cdr.definition import (
     WIDE_TEXT,
     Definition,
     Field,
-    Shape,
+    FieldShape,
     UnreadableType,
 )
 from robotctl.cdr.reader import CdrReader
@@ -118,7 +118,7 @@ class FlatDecoder:
 
     def _is_spread(self, field: Field) -> bool:
         """Return whether an array has a column for each of its values."""
-        if field.shape is not Shape.ARRAY or NUMBERS.get(field.type_name) == _BYTE:
+        if field.shape is not FieldShape.ARRAY or NUMBERS.get(field.type_name) == _BYTE:
             return False
         length = field.length or 0
         return 0 < length * self._count_item(field.type_name) <= MAX_COLUMNS_OF_ARRAY
@@ -129,7 +129,7 @@ class FlatDecoder:
             yield None, _PADDING
         for field in fields:
             name = f"{prefix}{field.name}"
-            if field.shape is Shape.ONE:
+            if field.shape is FieldShape.ONE:
                 yield from self._plan_item(name, field.type_name)
             elif self._is_spread(field):
                 for place in range(field.length or 0):

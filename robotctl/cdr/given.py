@@ -8,7 +8,7 @@ from difflib import get_close_matches
 from math import isfinite
 from typing import Any
 
-from robotctl.cdr.definition import NUMBERS, TEXT, WIDE_TEXT, Definition, Field, Shape
+from robotctl.cdr.definition import NUMBERS, TEXT, WIDE_TEXT, Definition, Field, FieldShape
 from robotctl.cdr.values import zero
 
 
@@ -55,12 +55,12 @@ def _message(
 
 
 def _value(definition: Definition, field: Field, before: Any, given: object, path: str) -> Any:
-    if field.shape is Shape.ONE:
+    if field.shape is FieldShape.ONE:
         return _item(definition, field, before, given, path)
     if not isinstance(given, list | bytes):
         raise WrongValue(f"{path}: {given!r} is no list ({field.type_text})")
     count, limit = len(given), field.length
-    if field.shape is Shape.ARRAY and count != limit:
+    if field.shape is FieldShape.ARRAY and count != limit:
         raise WrongValue(f"{path}: {count} values, not {limit} ({field.type_text})")
     if limit is not None and count > limit:
         raise WrongValue(f"{path}: {count} values, at most {limit} ({field.type_text})")

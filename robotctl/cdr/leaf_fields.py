@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Set
 from dataclasses import dataclass
 
-from robotctl.cdr.definition import NUMBERS, Definition, Field, Shape
+from robotctl.cdr.definition import NUMBERS, Definition, Field, FieldShape
 from robotctl.cdr.field_path import Steps, path_text
 
 
@@ -24,12 +24,12 @@ class LeafField:
     @property
     def is_number(self) -> bool:
         """Whether the value is one number or truth value."""
-        return self.field.shape is Shape.ONE and self.field.type_name in NUMBERS
+        return self.field.shape is FieldShape.ONE and self.field.type_name in NUMBERS
 
     @property
     def is_number_list(self) -> bool:
         """Whether the value is a list of numbers or truth values."""
-        return self.field.shape is not Shape.ONE and self.field.type_name in NUMBERS
+        return self.field.shape is not FieldShape.ONE and self.field.type_name in NUMBERS
 
 
 def leaf_fields(definition: Definition, below: str = "", steps: Steps = ()) -> Iterator[LeafField]:
@@ -46,11 +46,11 @@ def _leaves(
 ) -> Iterator[LeafField]:
     for field in definition.types[type_name]:
         here = (*steps, field.name)
-        if field.type_name not in definition.types or field.shape is Shape.SEQUENCE:
+        if field.type_name not in definition.types or field.shape is FieldShape.SEQUENCE:
             yield LeafField(path_text(here), here, field)
         elif field.type_name not in useful:
             continue
-        elif field.shape is Shape.ONE:
+        elif field.shape is FieldShape.ONE:
             yield from _leaves(definition, useful, field.type_name, here)
         else:
             for index in range(field.length or 0):
@@ -66,7 +66,7 @@ def _types_with_leaves(definition: Definition) -> Set[str]:
         for name, fields in definition.types.items():
             if any(
                 field.type_name not in definition.types
-                or field.shape is Shape.SEQUENCE
+                or field.shape is FieldShape.SEQUENCE
                 or (field.type_name in useful and field.length != 0)
                 for field in fields
             ):

@@ -9,7 +9,7 @@ import struct
 from collections.abc import Mapping
 from typing import Any, Final
 
-from robotctl.cdr.definition import NUMBERS, TEXT, WIDE_TEXT, Definition, Field, Shape
+from robotctl.cdr.definition import NUMBERS, TEXT, WIDE_TEXT, Definition, Field, FieldShape
 from robotctl.cdr.reader import BODY, ENCAPSULATION, CdrReader
 
 _BYTE: Final = "B"
@@ -40,9 +40,9 @@ def zero(definition: Definition, type_name: str) -> dict[str, Any]:
 
 def zero_of(definition: Definition, field: Field) -> Any:
     """Return the value of a field in such a message."""
-    if field.shape is Shape.SEQUENCE:
+    if field.shape is FieldShape.SEQUENCE:
         return []
-    if field.shape is Shape.ARRAY:
+    if field.shape is FieldShape.ARRAY:
         return [_zero_item(definition, field) for _ in range(field.length or 0)]
     return _zero_item(definition, field)
 
@@ -70,9 +70,9 @@ def read_field(definition: Definition, field: Field, reader: CdrReader) -> Any:
         struct.error: The message is cut short.
     """
     code = NUMBERS.get(field.type_name)
-    if field.shape is Shape.ONE:
+    if field.shape is FieldShape.ONE:
         return reader.take(code)[0] if code else _read_item(definition, field.type_name, reader)
-    if field.shape is Shape.ARRAY:
+    if field.shape is FieldShape.ARRAY:
         count = field.length or 0
     else:
         (count,) = reader.take("I")
@@ -129,8 +129,8 @@ def _write(
         writer.put(_EMPTY, 0)
     for field in fields:
         value = values[field.name]
-        items = [value] if field.shape is Shape.ONE else value
-        if field.shape is Shape.SEQUENCE:
+        items = [value] if field.shape is FieldShape.ONE else value
+        if field.shape is FieldShape.SEQUENCE:
             writer.put("I", len(items))
         code = NUMBERS.get(field.type_name)
         if code and len(items):

@@ -78,7 +78,7 @@ class LazyGroup(TyperGroup):
             UsageError: The word is one of ros2 or of another tool; the error names ours.
         """
         if cmd_name not in COMMANDS:
-            from robotctl.cli.support.other_words import OTHER_WORDS
+            from robotctl.cli.support.words_of_other_tools import OTHER_WORDS
 
             if cmd_name in OTHER_WORDS:
                 raise UsageError(f"No such command {cmd_name!r}", OTHER_WORDS[cmd_name])

@@ -20,7 +20,7 @@ from robotctl.rerun.journal_values import read_effect, read_event
 _EVENTS = (OdomReceived.__name__, DriveRequested.__name__)
 
 
-class Sample(NamedTuple):
+class TrialSample(NamedTuple):
     """A sample of odometry: its arrival (steady), and how long after its stamp it arrived."""
 
     t_s: float
@@ -28,7 +28,7 @@ class Sample(NamedTuple):
     delay_s: float
 
 
-class Command(NamedTuple):
+class TrialCommand(NamedTuple):
     """A command that was sent, at a steady time."""
 
     t_s: float
@@ -42,8 +42,8 @@ class Motion:
 
     held: Held
     begin_s: float
-    commands: list[Command] = field(default_factory=list)
-    samples: list[Sample] = field(default_factory=list)
+    commands: list[TrialCommand] = field(default_factory=list)
+    samples: list[TrialSample] = field(default_factory=list)
 
     @property
     def is_turn(self) -> bool:
@@ -76,20 +76,20 @@ class Motion:
 class Trial:
     """The odometry of a whole recording, and its motions of a held velocity."""
 
-    samples: list[Sample] = field(default_factory=list)
+    samples: list[TrialSample] = field(default_factory=list)
     motions: list[Motion] = field(default_factory=list)
 
     def begin(self, held: Held, t_s: float) -> None:
         """Take the request for the next motion; the robot stands, as the last sample told."""
         self.motions.append(Motion(held, t_s, samples=self.samples[-1:]))
 
-    def sample(self, sample: Sample) -> None:
+    def sample(self, sample: TrialSample) -> None:
         """Take a sample of odometry."""
         self.samples.append(sample)
         if self.motions:
             self.motions[-1].samples.append(sample)
 
-    def command(self, command: Command) -> None:
+    def command(self, command: TrialCommand) -> None:
         """Take a command that was sent."""
         if self.motions:
             self.motions[-1].commands.append(command)
@@ -114,12 +114,12 @@ def _take(trial: Trial, recorded: RecordedEntry) -> None:
         effect = read_effect(entry)
         if isinstance(effect, PublishTwist):
             twist = effect.twist
-            trial.command(Command(entry.t_ns / NS_PER_S, twist.linear, twist.angular))
+            trial.command(TrialCommand(entry.t_ns / NS_PER_S, twist.linear, twist.angular))
     elif entry.kind is EntryKind.EVENT and entry.name in _EVENTS:
         event = read_event(entry)
         if isinstance(event, OdomReceived) and is_finite(event.odometry):
             delay_s = (recorded.log_ns - event.odometry.stamp_ns) / NS_PER_S
-            trial.sample(Sample(event.t_ns / NS_PER_S, event.odometry.pose, delay_s))
+            trial.sample(TrialSample(event.t_ns / NS_PER_S, event.odometry.pose, delay_s))
         elif isinstance(event, DriveRequested) and event.course.held is not None:
             trial.begin(event.course.held, event.t_ns / NS_PER_S)
 

@@ -8,12 +8,12 @@
 - `shadow_file`: read the parameters of the shadow.
 """
 
+from robotctl.config.allowed_values import PATTERN_HELP, is_topic_pattern
 from robotctl.config.declarations import Declaration, Kind, declarations
 from robotctl.config.file import MAX_FILE_BYTES, load
 from robotctl.config.schema import Config, RecordingParams
 from robotctl.config.settings import check_all, check_together, flat, with_setting, with_text
 from robotctl.config.shadow_file import ShadowSettings, read_shadow
-from robotctl.config.values import PATTERN_HELP, is_topic_pattern
 
 __all__ = [
     "MAX_FILE_BYTES",

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from robotctl.config.file import read_value
-from robotctl.config.nodes import NODES, node_of
+from robotctl.config.parameter_nodes import NODES, node_of
 from robotctl.config.ros_file import is_for, read_parameter_file
 from robotctl.config.schema import Config
 from robotctl.config.settings import check_together, flat, keyed_leaves, with_setting

@@ -10,8 +10,8 @@ from functools import cache
 from reprlib import repr as short_repr
 from typing import Any, get_type_hints
 
+from robotctl.config.allowed_values import checked_value, not_allowed
 from robotctl.config.schema import Config
-from robotctl.config.values import checked_value, not_allowed
 from robotctl.errors import ConfigError
 from robotctl.kernel.parameters import Leaf, conflict, leaves, value_at, with_value
 from robotctl.kernel.params import KernelParams

@@ -10,7 +10,7 @@ from contextlib import AsyncExitStack, ExitStack
 
 from robotctl import __version__
 from robotctl.config import Config, load, read_shadow
-from robotctl.config.nodes import MODE_SERVICE
+from robotctl.config.parameter_nodes import MODE_SERVICE
 from robotctl.daemon.command_choice import choose_command_type
 from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.decision_notes import noted, open_decision_log
@@ -19,7 +19,7 @@ from robotctl.daemon.host import DaemonKind, Host, Ready
 from robotctl.daemon.log.levels import LoggerLevels
 from robotctl.daemon.observer import Observer
 from robotctl.daemon.owner import Owner
-from robotctl.daemon.recording.folder import save_recordings_path
+from robotctl.daemon.recording.recordings_folder import save_recordings_path
 from robotctl.daemon.ros_logs import apply_levels, published_log, serve_logger_levels
 from robotctl.daemon.same_names import refuse_same_names
 from robotctl.daemon.service_manager import ServiceManager, reporting

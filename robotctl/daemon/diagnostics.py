@@ -8,7 +8,11 @@ from typing import Final
 
 from robotctl.daemon.api.status import StatusSource
 from robotctl.daemon.recording.recorder_report import RecorderReport
-from robotctl.ros.nodes.diagnostics_publisher import Diagnosis, DiagnosticsPublisher, Level
+from robotctl.ros.nodes.diagnostics_publisher import (
+    Diagnosis,
+    DiagnosticLevel,
+    DiagnosticsPublisher,
+)
 from robotctl.ros.session import Session
 
 PERIOD_S: Final = 1.0
@@ -45,6 +49,6 @@ def diagnose(warnings: Sequence[str]) -> Diagnosis:
     """Return the diagnosis of the daemon: WARN where `status` warns of something, else OK."""
     values = {f"warning {n}": text for n, text in enumerate(warnings[:MAX_WARNINGS], start=1)}
     if not warnings:
-        return Diagnosis("daemon", Level.OK, "no warnings", values)
+        return Diagnosis("daemon", DiagnosticLevel.OK, "no warnings", values)
     others = f" (and {len(warnings) - 1} more)" if len(warnings) > 1 else ""
-    return Diagnosis("daemon", Level.WARN, f"{warnings[0]}{others}", values)
+    return Diagnosis("daemon", DiagnosticLevel.WARN, f"{warnings[0]}{others}", values)

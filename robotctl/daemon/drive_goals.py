@@ -11,7 +11,7 @@ from robotctl.errors import UsageError
 from robotctl.kernel.drive import MAX_LAPS
 from robotctl.kernel.patterns import PatternKind
 from robotctl.kernel.types import DriveRequested
-from robotctl.ros.nodes.drive_action import Goal, Progress
+from robotctl.ros.nodes.drive_action import DriveProgress, Goal
 
 MAX_SHOWN = 40
 """The part of an unknown pattern's name that a refusal shows, in characters."""
@@ -27,14 +27,14 @@ class RequestedDrive:
         self.ended = control.expect_end(event.request_id)
         self.reply = control.begin(event)
 
-    def progress(self) -> Progress | None:
+    def progress(self) -> DriveProgress | None:
         """Return how far the drive has come, None if it is not going on."""
         state = self._control.state
         drive, odometry = state.drive, state.health.odometry
         if drive is None or drive.request_id != self._event.request_id or odometry is None:
             return None
         laps = min(drive.progress.laps, drive.laps - 1) if drive.laps else drive.progress.laps
-        return Progress(drive.score.distance_m, laps, drive.cross_track_m(odometry.pose))
+        return DriveProgress(drive.score.distance_m, laps, drive.cross_track_m(odometry.pose))
 
     def ramp_down(self) -> bool:
         """End the drive with a ramp; return whether it was still going on."""

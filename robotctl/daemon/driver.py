@@ -16,6 +16,7 @@ from robotctl.daemon.api.parameters import parameter_methods
 from robotctl.daemon.api.recording import recording_methods
 from robotctl.daemon.api.simulation import simulation_methods
 from robotctl.daemon.api.status import StatusSource
+from robotctl.daemon.configured_shadow import shadow_run
 from robotctl.daemon.control.decisions import Decisions
 from robotctl.daemon.control.dispatcher import Control
 from robotctl.daemon.control.effects import Effects
@@ -33,12 +34,11 @@ from robotctl.daemon.drive_goals import DriveGoals
 from robotctl.daemon.host import Host, Ready, running
 from robotctl.daemon.input_roles import create_input_roles
 from robotctl.daemon.last_zero import LastZero
-from robotctl.daemon.lifecycle import follow_lifecycle, with_lifecycle
+from robotctl.daemon.node_lifecycle import follow_lifecycle, with_lifecycle
 from robotctl.daemon.parameters import Parameters
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.daemon.remote_requests import RemoteRequests
 from robotctl.daemon.ros_parameters import serve_parameters
-from robotctl.daemon.shadow import shadow_run
 from robotctl.daemon.shown_status import ShownStatus
 from robotctl.daemon.shutdown import send_zero, stand_still
 from robotctl.daemon.simulator import recorded_robot

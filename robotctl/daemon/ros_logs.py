@@ -11,7 +11,7 @@ from robotctl.daemon.log.levels import LoggerLevels
 from robotctl.daemon.log.loop_handler import LoopHandler
 from robotctl.log_levels import LEVELS, LogLevel, level_name
 from robotctl.ros.nodes.logger_services import LoggerServices, set_native_level
-from robotctl.ros.nodes.rosout_publisher import LogLine, RosoutPublisher
+from robotctl.ros.nodes.rosout_publisher import RosoutLine, RosoutPublisher
 from robotctl.ros.session import Session
 
 
@@ -22,7 +22,7 @@ def published_log(session: Session, levels: LoggerLevels) -> Iterator[None]:
 
     def publish(record: logging.LogRecord, text: str) -> None:
         publisher.publish(
-            LogLine(
+            RosoutLine(
                 t_ns=round(record.created * 1e9),
                 level=LEVELS.get(level_name(record.levelno), LEVELS["DEBUG"]),
                 logger=levels.name_of(record.name),

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from robotctl.recording.format.compression import Compression
     from robotctl.recording.format.event_kind import EventKind
-    from robotctl.recording.format.events import RecordedEvent
     from robotctl.recording.format.journal import EntryKind, JournalEntry
+    from robotctl.recording.format.recorded_events import RecordedEvent
     from robotctl.recording.format.topics import Topic, TopicStats
     from robotctl.recording.keep.clip import Clip, Moment, cut_clip
     from robotctl.recording.keep.listing import ListedRecording, list_recordings
@@ -63,7 +63,7 @@ __all__ = [
 _NAMES_OF_MODULE = {
     "format.compression": ("Compression",),
     "format.event_kind": ("EventKind",),
-    "format.events": ("RecordedEvent",),
+    "format.recorded_events": ("RecordedEvent",),
     "format.journal": ("EntryKind", "JournalEntry"),
     "format.topics": ("Topic", "TopicStats"),
     "keep.clip": ("Clip", "Moment", "cut_clip"),

@@ -24,7 +24,7 @@ from robotctl.replay.job import Job
 from robotctl.replay.other_daemons import domain_of
 
 if TYPE_CHECKING:
-    from robotctl.replay.report import Emit
+    from robotctl.replay.replay_report import Emit
     from robotctl.ros.playback.membership import Membership
 
 SWITCH_INTERVAL_S = 1e-4

@@ -15,15 +15,15 @@ from robotctl.recording import Recording
 from robotctl.replay import plan
 from robotctl.replay.clock import SteadyClock
 from robotctl.replay.commands import Command, carry_out
-from robotctl.replay.guard import ReplayGuard, check_still, is_command
 from robotctl.replay.job import Job
 from robotctl.replay.other_daemons import daemons_in
-from robotctl.replay.output import progress, summary
 from robotctl.replay.plan import Route
 from robotctl.replay.player import ClockPublisher, Player, Send
-from robotctl.replay.publishers import open_clock, open_routes, playable
+from robotctl.replay.progress_messages import progress, summary
 from robotctl.replay.read_ahead import AHEAD_ENTRIES, ReadAhead
-from robotctl.replay.report import Emit, ReplayReport
+from robotctl.replay.replay_guard import ReplayGuard, check_still, is_command
+from robotctl.replay.replay_publishers import open_clock, open_routes, playable
+from robotctl.replay.replay_report import Emit, ReplayReport
 from robotctl.replay.timeline import Span, recorded, span_of
 from robotctl.ros.executor.realtime import FifoScheduling
 from robotctl.ros.playback.playback import QUIET_S, ReplaySession

@@ -18,8 +18,8 @@ from robotctl.report.tables import parameter_values, table
 from robotctl.report.time_plot import (
     LEAST_ERROR_M,
     LEAST_SPEED,
-    Line,
     Plot,
+    PlotLine,
     time_axis,
     time_plot,
 )
@@ -94,9 +94,9 @@ def _sections(
 
 
 def _plots(traces: Sequence[Traces]) -> list[Plot]:
-    def lines(*series: Series) -> tuple[Line, ...]:
+    def lines(*series: Series) -> tuple[PlotLine, ...]:
         return tuple(
-            Line(each, name, colour, _motion_begin_s(of))
+            PlotLine(each, name, colour, _motion_begin_s(of))
             for each, name, colour, of in zip(series, NAMES, COLOURS, traces, strict=True)
         )
 

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from typing import Final
 
 from robotctl.report.axis import Axis
-from robotctl.report.driven import Place
+from robotctl.report.driven import DrivenPlace
 from robotctl.report.path_plot import Ground
-from robotctl.report.time_plot import Line, Plot, plot_id
+from robotctl.report.time_plot import Plot, PlotLine, plot_id
 from robotctl.report.traces import ModeSpan
 
 MAX_PLACES: Final = 1000
@@ -18,7 +18,7 @@ def cursor_data(
     axis: Axis,
     plots: Sequence[Plot],
     modes: Sequence[ModeSpan] = (),
-    places: Sequence[Place] = (),
+    places: Sequence[DrivenPlace] = (),
     ground: Ground | None = None,
 ) -> dict[str, object]:
     """Return the data for plots on this time axis; `places` are shown on `ground`."""
@@ -35,14 +35,14 @@ def cursor_data(
     }
 
 
-def _places(places: Sequence[Place], ground: Ground) -> list[list[float]]:
+def _places(places: Sequence[DrivenPlace], ground: Ground) -> list[list[float]]:
     return [
         [round(place.t_s, 2), round(ground.x.at(place.x), 1), round(ground.y.at(place.y), 1)]
         for place in places[:: max(len(places) // MAX_PLACES, 1)]
     ]
 
 
-def _points(line: Line) -> list[list[float]]:
+def _points(line: PlotLine) -> list[list[float]]:
     return [
         [round(column.end_s - line.begin_s, 3), float(f"{column.last:.4g}")]
         for column in line.series.columns

@@ -17,7 +17,7 @@ def is_on_earth(x: float, y: float) -> bool:
     return isfinite(x) and isfinite(y) and max(abs(x), abs(y)) <= MAX_COORDINATE_M
 
 
-class Place(NamedTuple):
+class DrivenPlace(NamedTuple):
     """A position [m] and when the robot was there [s]."""
 
     t_s: float
@@ -25,19 +25,19 @@ class Place(NamedTuple):
     y: float
 
 
-class DrivenPath:
+class ThinnedPath:
     """The places of a robot in the order of time, no two nearer to each other than the spacing."""
 
     def __init__(self) -> None:
-        self.places: list[Place] = []
+        self.places: list[DrivenPlace] = []
         self._spacing_m = SPACING_M
-        self._last: Place | None = None
+        self._last: DrivenPlace | None = None
 
     def add(self, t_s: float, x: float, y: float) -> None:
         """Take a position; one that cannot be true is left out."""
         if not is_on_earth(x, y):
             return
-        self._last = Place(t_s, x, y)
+        self._last = DrivenPlace(t_s, x, y)
         if self.places:
             before = self.places[-1]
             if hypot(x - before.x, y - before.y) < self._spacing_m:
@@ -47,7 +47,7 @@ class DrivenPath:
             del self.places[1::2]
             self._spacing_m *= 2.0
 
-    def whole(self) -> list[Place]:
+    def whole(self) -> list[DrivenPlace]:
         """Return the places, and where the robot was last."""
         ends = self._last is not None and self._last != self.places[-1]
         return [*self.places, self._last] if ends and self._last is not None else self.places

@@ -8,7 +8,13 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Final
 
-from robotctl.cdr.definition import NUMBERS, Definition, Shape, UnreadableType, parse_definition
+from robotctl.cdr.definition import (
+    NUMBERS,
+    Definition,
+    FieldShape,
+    UnreadableType,
+    parse_definition,
+)
 from robotctl.cdr.field_path import Steps, parse_path, value_at
 from robotctl.cdr.given import WrongValue
 from robotctl.cdr.leaf_fields import LeafField, leaf_fields
@@ -117,7 +123,7 @@ def _numbers_at(definition: Definition, path: str) -> dict[str, Steps]:
             return {path: steps}
     if leaf is not None and leaf.is_number:
         return {path: steps}
-    if leaf is not None and leaf.field.shape is not Shape.ONE:
+    if leaf is not None and leaf.field.shape is not FieldShape.ONE:
         first = f"{path}[0]" + ("" if leaf.field.type_name in NUMBERS else ".x")
         raise UsageError(f"{path} is a list: {leaf.field.type_text}", f"choose one value: {first}")
     below = {

@@ -7,7 +7,7 @@ from typing import Final
 
 from robotctl.report.field_series import FieldSeries
 from robotctl.report.markup import Markup, tag
-from robotctl.report.time_plot import HEIGHT, LEFT, WIDTH, Line, Plot, plot_svg, time_axis
+from robotctl.report.time_plot import HEIGHT, LEFT, WIDTH, Plot, PlotLine, plot_svg, time_axis
 
 TITLE_HEIGHT: Final = 22
 STYLE: Final = """
@@ -23,7 +23,7 @@ def fields_svg(fields: Sequence[FieldSeries], duration_s: float) -> str:
     axis, pieces = time_axis(duration_s), []
     for number, field in enumerate(fields):
         top = number * (HEIGHT + TITLE_HEIGHT)
-        plot = Plot(field.path, "", (Line(field.series, field.path, "command"),), 0.0)
+        plot = Plot(field.path, "", (PlotLine(field.series, field.path, "command"),), 0.0)
         pieces.append(tag("text", field.path, x=LEFT, y=top + 16, class_="title"))
         drawn = plot_svg(plot, axis, number, y=top + TITLE_HEIGHT, width=WIDTH, height=HEIGHT)
         if drawn is not None:

@@ -31,8 +31,8 @@ from robotctl.report.tables import (
 from robotctl.report.time_plot import (
     LEAST_ERROR_M,
     LEAST_SPEED,
-    Line,
     Plot,
+    PlotLine,
     mode_band,
     time_axis,
     time_plot,
@@ -209,15 +209,15 @@ def _time_plots(traces: Traces, axis: Axis) -> Iterator[Content]:
 
 def _plots(traces: Traces) -> list[Plot]:
     speeds = (
-        Line(traces.commanded_linear, "command", "command"),
-        Line(traces.linear, "measured", "driven"),
+        PlotLine(traces.commanded_linear, "command", "command"),
+        PlotLine(traces.linear, "measured", "driven"),
     )
     turns = (
-        Line(traces.commanded_angular, "command", "command"),
-        Line(traces.angular, "measured", "driven"),
+        PlotLine(traces.commanded_angular, "command", "command"),
+        PlotLine(traces.angular, "measured", "driven"),
     )
-    off, level = (Line(traces.error, "", "error"),), (Line(traces.battery, "", "battery"),)
-    late = (Line(traces.lateness, "", "late"),)
+    off, level = (PlotLine(traces.error, "", "error"),), (PlotLine(traces.battery, "", "battery"),)
+    late = (PlotLine(traces.lateness, "", "late"),)
     return [
         Plot("Speed", "m/s", speeds, LEAST_SPEED),
         Plot("Turn rate", "rad/s", turns, LEAST_SPEED),

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Final
 
 from robotctl.report.axis import Axis, label
-from robotctl.report.driven import Place
+from robotctl.report.driven import DrivenPlace
 from robotctl.report.markup import Markup, plain, tag
-from robotctl.report.traces import Moment, Point
+from robotctl.report.traces import Point, TracedMoment
 
 WIDTH: Final = 640
 MARGIN_LEFT, MARGIN_TOP, MARGIN = 58, 14, 34
@@ -75,7 +75,9 @@ def path_plot(tracks: Sequence[Track], ground: Ground, marks: Sequence[Markup]) 
     )
 
 
-def marks_on(places: Sequence[Place], moments: Sequence[Moment], ground: Ground) -> list[Markup]:
+def marks_on(
+    places: Sequence[DrivenPlace], moments: Sequence[TracedMoment], ground: Ground
+) -> list[Markup]:
     """Return marks for the begin, the end, each moment, and the place of the cursor."""
     if not places:
         return []
@@ -92,12 +94,12 @@ def marks_on(places: Sequence[Place], moments: Sequence[Moment], ground: Ground)
     ]
 
 
-def _place_at(places: Sequence[Place], t_s: float) -> Place:
+def _place_at(places: Sequence[DrivenPlace], t_s: float) -> DrivenPlace:
     index = bisect_right(places, t_s, key=lambda place: place.t_s) - 1
     return places[max(index, 0)]
 
 
-def _numbered(number: int, moment: Moment, place: Place, ground: Ground) -> Markup:
+def _numbered(number: int, moment: TracedMoment, place: DrivenPlace, ground: Ground) -> Markup:
     x, y = ground.x.at(place.x), ground.y.at(place.y)
     return tag(
         "g",
@@ -108,7 +110,7 @@ def _numbered(number: int, moment: Moment, place: Place, ground: Ground) -> Mark
     )
 
 
-def _circle(place: Place, ground: Ground, colour: str, name: str) -> Markup:
+def _circle(place: DrivenPlace, ground: Ground, colour: str, name: str) -> Markup:
     x, y = ground.x.at(place.x), ground.y.at(place.y)
     return tag("g", tag("title", name), tag("circle", cx=x, cy=y, r=5, class_=f"place {colour}"))
 

@@ -11,7 +11,7 @@ from robotctl.recording.format.ledger_record import read_ledger
 from robotctl.recording.format.metadata_names import INFO_RECORD
 from robotctl.report.markup import Content, Markup, joined, plain, tag
 from robotctl.report.recorded import Recorded
-from robotctl.report.traces import EndedDrive, ModeSpan, Moment
+from robotctl.report.traces import EndedDrive, ModeSpan, TracedMoment
 
 MAX_ROWS: Final = 300
 MAX_TABLE_CHARACTERS: Final = 75_000
@@ -58,7 +58,7 @@ def drives_table(drives: Sequence[EndedDrive]) -> Markup:
     return table(heads, rows)
 
 
-def moments_table(moments: Sequence[Moment]) -> Markup:
+def moments_table(moments: Sequence[TracedMoment]) -> Markup:
     """Return what happened; each row is a link to its place in the plots."""
     rows = [
         (

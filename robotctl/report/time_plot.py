@@ -9,7 +9,7 @@ from typing import Final
 from robotctl.report.axis import Axis, axis_for, label, least_span_of
 from robotctl.report.markup import Content, Markup, plain, tag
 from robotctl.report.series import Sample, Series
-from robotctl.report.traces import ModeSpan, Moment
+from robotctl.report.traces import ModeSpan, TracedMoment
 
 WIDTH: Final = 960
 LEFT: Final = 62
@@ -29,7 +29,7 @@ LEAST_SPEED, LEAST_ERROR_M = 0.05, 0.01
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class PlotLine:
     """A line of a plot: its name in the legend, the class of its colour, and its time 0 [s]."""
 
     series: Series
@@ -56,7 +56,7 @@ class Plot:
 
     title: str
     unit: str
-    lines: tuple[Line, ...]
+    lines: tuple[PlotLine, ...]
     least_span: float
     from_zero: bool = False
 
@@ -111,7 +111,7 @@ def value_axis(series: Sequence[Series], least_span: float, from_zero: bool = Fa
     return Axis(0.0, axis.high, BOTTOM, TOP) if from_zero else axis
 
 
-def mode_band(spans: Sequence[ModeSpan], moments: Sequence[Moment], time: Axis) -> Markup:
+def mode_band(spans: Sequence[ModeSpan], moments: Sequence[TracedMoment], time: Axis) -> Markup:
     """Return the modes over time, and a mark with the number of each moment above them."""
     pieces = [_mode(span, time) for span in spans]
     named_to = -NUMBER_PX
@@ -162,7 +162,7 @@ def path_data(lines: Iterable[Sequence[Sample]], time: Axis, values: Axis) -> Ma
     return Markup("".join(parts))
 
 
-def _mark(number: int, moment: Moment, time: Axis, *, has_room: bool) -> Markup:
+def _mark(number: int, moment: TracedMoment, time: Axis, *, has_room: bool) -> Markup:
     at = time.at(moment.t_s)
     return tag(
         "g",

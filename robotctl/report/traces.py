@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from robotctl.kernel.types import DriveReport
-from robotctl.report.driven import DrivenPath, is_on_earth
+from robotctl.report.driven import ThinnedPath, is_on_earth
 from robotctl.report.series import Series
 
 MAX_SPANS: Final = 150
@@ -33,7 +33,7 @@ class ModeSpan:
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
+class TracedMoment:
     """Something that happened: its kind in a word, and what is known of it."""
 
     t_s: float
@@ -75,10 +75,10 @@ class Traces:
     """The traces of one recording; times are in seconds from its first message."""
 
     duration_s: float
-    driven: DrivenPath = field(default_factory=DrivenPath)
+    driven: ThinnedPath = field(default_factory=ThinnedPath)
     wanted: list[list[Point]] = field(default_factory=list)
     modes: list[ModeSpan] = field(default_factory=list)
-    moments: list[Moment] = field(default_factory=list)
+    moments: list[TracedMoment] = field(default_factory=list)
     drives: list[EndedDrive] = field(default_factory=list)
     left_out: int = 0
     """The modes, moments, drives and wanted paths that are not kept."""
@@ -114,7 +114,7 @@ class Traces:
     def happened(self, t_s: float, kind: str, text: str) -> None:
         """Note a moment."""
         if self._has_room(self.moments, MAX_MOMENTS):
-            self.moments.append(Moment(t_s, kind, text))
+            self.moments.append(TracedMoment(t_s, kind, text))
 
     def drive_ended(self, drive: EndedDrive) -> None:
         """Note the end of a drive."""

@@ -17,7 +17,7 @@ import pytest
 import typer
 
 from robotctl.cli import registry
-from robotctl.cli.completion import values
+from robotctl.cli.completion import value_lists
 from robotctl.cli.completion.candidates import candidates
 from robotctl.cli.completion.installation import BEGIN, with_script
 from robotctl.cli.completion.scripts import Shell
@@ -101,7 +101,7 @@ def test_topics_and_parameters_are_those_of_the_daemon(cli: Cli, monkeypatch: An
                 "param_list": {"parameters": [{"key": "limits.linear_mps"}]},
             }[method]
 
-    monkeypatch.setattr(values, "Client", Fake)
+    monkeypatch.setattr(value_lists, "Client", Fake)
     assert words("topic echo --robot r3 /") == ["/odom"]
     assert words("param get lim") == ["limits.linear_mps"]
     assert asked == ["r3", "robot"]

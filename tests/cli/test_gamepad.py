@@ -13,8 +13,8 @@ from robotctl.cdr.definition import parse_definition
 from robotctl.cdr.values import encode
 from robotctl.cli.commands.teleop import gamepad as module
 from robotctl.cli.commands.teleop.gamepad import JOY, Controls, Gamepad
-from robotctl.cli.commands.teleop.hands import STAND, Wish
-from robotctl.cli.support.ros_view import Listener
+from robotctl.cli.commands.teleop.held_keys import STAND, Wish
+from robotctl.cli.support.ros_view import MessageListener
 
 TEXT = "float32[] axes\nint32[] buttons\n"
 DEFINITION = parse_definition(JOY, TEXT)
@@ -45,7 +45,7 @@ def now(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 class Hands:
     def __init__(self) -> None:
         self.listener = Fake()
-        self.gamepad = Gamepad(cast("Listener", self.listener), "/joy", Controls())
+        self.gamepad = Gamepad(cast("MessageListener", self.listener), "/joy", Controls())
 
     def say(
         self, held: bool, axes: tuple[float, ...] = STICK, by: str = "aa", buttons: int = 5

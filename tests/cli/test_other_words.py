@@ -12,7 +12,7 @@ import typer
 from robotctl.cli import quick
 from robotctl.cli.registry import COMMANDS, app
 from robotctl.cli.support.leading_options import behind_the_command
-from robotctl.cli.support.other_words import OTHER_WORDS
+from robotctl.cli.support.words_of_other_tools import OTHER_WORDS
 from robotctl.kernel.patterns import PatternKind
 
 

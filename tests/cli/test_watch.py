@@ -19,8 +19,8 @@ from rich.console import Console
 from robotctl.cli.commands.watch import polling
 from robotctl.cli.support.background import Background
 from robotctl.cli.terminal.drive_map import History, drive_map, sparkline
-from robotctl.cli.terminal.live_view import live_view
 from robotctl.cli.terminal.status_line import HEADER, status_line
+from robotctl.cli.terminal.status_panel import live_view
 from robotctl.errors import Refused
 from robotctl.ipc.client import call
 from robotctl.ipc.drive_answers import DrivenPath

@@ -10,8 +10,8 @@ import pytest
 
 from robotctl.commission.measure import NEAR_S, Measured, Turned, measured
 from robotctl.commission.propose import STOP_WITHIN_M, STOP_WITHIN_RAD, configuration, proposals
-from robotctl.commission.report import file_lines, measured_lines, warnings
-from robotctl.commission.trial import Command, Sample, Trial
+from robotctl.commission.result_lines import file_lines, measured_lines, warnings
+from robotctl.commission.trial import Trial, TrialCommand, TrialSample
 from robotctl.config import Config, flat
 from robotctl.config.settings import with_setting
 from robotctl.errors import Refused
@@ -72,7 +72,7 @@ class Base:
             robot.advance(0.001)
             if step % (1000 // self.rate_hz) == 0:
                 bench.odometry(robot.odometry)
-                trial.sample(Sample(t_ms / 1e3, robot.odometry, 0.002 + self.clock_s))
+                trial.sample(TrialSample(t_ms / 1e3, robot.odometry, 0.002 + self.clock_s))
             if step % 1000 == 0:
                 bench.battery(1.0)
             if step in MOTIONS:
@@ -91,7 +91,7 @@ class Base:
                 if isinstance(effect, PublishTwist):
                     late.append((t_ms + round(1e3 * self.dead_s), effect.twist))
                     twist = effect.twist
-                    trial.command(Command(t_ms / 1e3, twist.linear, twist.angular))
+                    trial.command(TrialCommand(t_ms / 1e3, twist.linear, twist.angular))
         return trial
 
     def _obeys(self, twist: Twist) -> bool:

@@ -18,7 +18,7 @@ from robotctl.kernel.units import NS_PER_S
 from robotctl.processes import start
 from robotctl.recording import Recorder
 from robotctl.recording.format.event_kind import EventKind
-from robotctl.recording.format.events import RecordedEvent
+from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.recording.keep.clip import Moment
 from robotctl.recording.keep.clip_job import ClipJob
 from robotctl.testing.drives import GID, TWIST

@@ -27,7 +27,7 @@ from robotctl.kernel.types import (
     Twist,
 )
 from robotctl.recording.format.event_kind import EventKind
-from robotctl.recording.format.events import RecordedEvent
+from robotctl.recording.format.recorded_events import RecordedEvent
 
 REPLY = Reply(1, True, "Mode changed to EMERGENCY_STOP", Mode.EMERGENCY_STOP)
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.daemon.recording import folder
+from robotctl.daemon.recording import recordings_folder
 from robotctl.kernel.patterns import PatternKind
 from robotctl.recording import RecorderOptions, read_info, read_messages
 from robotctl.recording.format.journal import EntryKind, decode
@@ -23,7 +23,7 @@ from tests.support.world import PATIENT, World
 def short_files(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make each chunk fill a file."""
     options = partial(RecorderOptions, split_bytes=1)
-    monkeypatch.setattr(folder, "RecorderOptions", options)
+    monkeypatch.setattr(recordings_folder, "RecorderOptions", options)
 
 
 def files_of(world: World) -> list[Path]:

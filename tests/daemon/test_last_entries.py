@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.daemon.recording import folder as recordings_folder
+from robotctl.daemon.recording import recordings_folder
 from robotctl.recording import Recorder, RecorderStats
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
 from tests.support.world import Peer, World, journal_of, read_back

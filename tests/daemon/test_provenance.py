@@ -12,8 +12,8 @@ import pytest
 
 import robotctl
 from robotctl.config import Config
-from robotctl.daemon.recording.folder import open_recorder
 from robotctl.daemon.recording.provenance import provenance, revision, revision_around
+from robotctl.daemon.recording.recordings_folder import open_recorder
 from robotctl.daemon.recording.software import CONTROL_PATH, DIGEST, software
 from robotctl.recording import read_info
 from robotctl.recording.format.metadata_names import FOXGLOVE_RECORD, SOFTWARE_RECORD

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.daemon.recording import folder, topic_rates
+from robotctl.daemon.recording import recordings_folder, topic_rates
 from robotctl.errors import UnreadableFile
 from robotctl.kernel.patterns import PatternKind
 from robotctl.recording import RecorderOptions, Recording, read_journal
@@ -35,7 +35,7 @@ def disk(world: World, monkeypatch: pytest.MonkeyPatch) -> list[FailingFile]:
         return opened[-1]
 
     options = partial(RecorderOptions, open_file=open_file)
-    monkeypatch.setattr(folder, "RecorderOptions", options)
+    monkeypatch.setattr(recordings_folder, "RecorderOptions", options)
     return opened
 
 

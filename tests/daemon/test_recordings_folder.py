@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from robotctl.config import Config
-from robotctl.daemon.recording.folder import open_recorder
+from robotctl.daemon.recording.recordings_folder import open_recorder
 from robotctl.errors import Refused
 from robotctl.recording import Recorder, read_info
 from tests.support.world import World

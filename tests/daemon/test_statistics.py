@@ -22,7 +22,7 @@ from robotctl.daemon.recording.topic_rates import (
 )
 from robotctl.recording import RecorderState, RecorderStats, TopicStats
 from robotctl.recording.format.message_counts import total
-from robotctl.ros.nodes.diagnostics_publisher import Level
+from robotctl.ros.nodes.diagnostics_publisher import DiagnosticLevel
 
 S = 1_000_000_000
 CAMERA, SCAN = ("/camera", "sensor_msgs/msg/Image"), ("/scan", "sensor_msgs/msg/LaserScan")
@@ -125,7 +125,7 @@ def test_what_is_found_was_above_the_limit_over_its_window(steps: list[int]) -> 
 
 def test_all_is_well_where_nothing_lacks() -> None:
     diagnosis = diagnose(recorder(topic(received=7, written=7)), [])
-    assert (diagnosis.level, diagnosis.message) == (Level.OK, "everything is recorded")
+    assert (diagnosis.level, diagnosis.message) == (DiagnosticLevel.OK, "everything is recorded")
     assert diagnosis.values["received"] == "7"
     assert "/scan" not in diagnosis.values
 
@@ -133,7 +133,7 @@ def test_all_is_well_where_nothing_lacks() -> None:
 def test_what_lacks_is_named_by_topic() -> None:
     lacking = topic(received=9, written=7, dropped=2, lost=3)
     diagnosis = diagnose(recorder(lacking, topic("/well")), [])
-    assert diagnosis.level is Level.WARN
+    assert diagnosis.level is DiagnosticLevel.WARN
     assert diagnosis.message == "2 messages dropped, 3 lost on their way here"
     assert diagnosis.values["/scan"] == diagnosis.message
     assert "/well" not in diagnosis.values
@@ -142,14 +142,14 @@ def test_what_lacks_is_named_by_topic() -> None:
 def test_a_warning_is_passed_on() -> None:
     diagnosis = diagnose(recorder(), ["/x is not recorded: it has type a/msg/B"])
     assert (diagnosis.level, diagnosis.message) == (
-        Level.WARN,
+        DiagnosticLevel.WARN,
         "/x is not recorded: it has type a/msg/B",
     )
 
 
 def test_a_recorder_that_failed_is_an_error_in_its_own_words() -> None:
     diagnosis = diagnose(recorder(topic(dropped=1), failure="the disk is full"), [])
-    assert (diagnosis.level, diagnosis.message) == (Level.ERROR, "the disk is full")
+    assert (diagnosis.level, diagnosis.message) == (DiagnosticLevel.ERROR, "the disk is full")
 
 
 def test_of_too_many_topics_those_that_lack_most_are_named() -> None:
@@ -162,8 +162,8 @@ def test_of_too_many_topics_those_that_lack_most_are_named() -> None:
 def test_every_warning_of_the_status_is_on_diagnostics() -> None:
     warnings = [f"topic {number} is not recorded" for number in range(MAX_WARNINGS + 5)]
     diagnosis = diagnose_daemon(warnings)
-    assert diagnosis.level is Level.WARN
+    assert diagnosis.level is DiagnosticLevel.WARN
     assert diagnosis.message == f"topic 0 is not recorded (and {MAX_WARNINGS + 4} more)"
     assert list(diagnosis.values.values()) == warnings[:MAX_WARNINGS]
     assert diagnose_daemon(warnings[:1]).message == "topic 0 is not recorded"
-    assert diagnose_daemon([]).level is Level.OK
+    assert diagnose_daemon([]).level is DiagnosticLevel.OK

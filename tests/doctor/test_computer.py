@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.doctor import installation, machine, shared_memory
+from robotctl.doctor import machine, python_installation, shared_memory
 from robotctl.doctor.finding import Finding, Level
 
 MEMORY = "fastrtps_0123456789abcdef"
@@ -87,11 +87,13 @@ def test_shared_memory_that_is_not_there_is_a_fault(tmp_path: Path) -> None:
 def test_the_wheels_have_exactly_the_versions_that_are_required() -> None:
     wanted = ["ros-a[x]==1.2; m == 'y'", "free>=2", "ros-t==9 ; extra == 'test'", "ros-b==3"]
     versions = {"ros-a": "1.2", "ros-b": "3"}
-    assert levels(installation.check_wheels(wanted, versions.__getitem__)) == [("wheels", Level.OK)]
-    (found,) = installation.check_wheels(wanted, {**versions, "ros-b": "4"}.__getitem__)
+    assert levels(python_installation.check_wheels(wanted, versions.__getitem__)) == [
+        ("wheels", Level.OK)
+    ]
+    (found,) = python_installation.check_wheels(wanted, {**versions, "ros-b": "4"}.__getitem__)
     assert found.level is Level.FAULT
     assert found.text == "ros-b is 4 and not 3"
-    assert levels(installation.check_wheels()) == [("wheels", Level.OK)], "as installed here"
+    assert levels(python_installation.check_wheels()) == [("wheels", Level.OK)], "as installed here"
 
 
 def test_another_ros_in_the_shell_and_a_second_rclpy_are_named(tmp_path: Path) -> None:
@@ -100,19 +102,19 @@ def test_another_ros_in_the_shell_and_a_second_rclpy_are_named(tmp_path: Path) -
         (folder / "rclpy").mkdir(parents=True)
         (folder / "rclpy" / "__init__.py").touch()
     environment = {"PYTHONPATH": str(other), "ROS_DISTRO": "humble"}
-    assert levels(installation.check_shell(environment, ours)) == [("shell", Level.WARNING)]
-    assert levels(installation.check_shell({}, ours)) == [("shell", Level.OK)]
+    assert levels(python_installation.check_shell(environment, ours)) == [("shell", Level.WARNING)]
+    assert levels(python_installation.check_shell({}, ours)) == [("shell", Level.OK)]
     twice = [str(ours), str(other), str(ours), ""]
-    assert levels(installation.check_two_rclpys(twice)) == [("rclpy", Level.WARNING)]
-    assert levels(installation.check_two_rclpys([str(ours), str(ours)])) == []
+    assert levels(python_installation.check_two_rclpys(twice)) == [("rclpy", Level.WARNING)]
+    assert levels(python_installation.check_two_rclpys([str(ours), str(ours)])) == []
 
 
 def test_a_python_of_the_distribution_is_named_outside_an_environment(tmp_path: Path) -> None:
     usr, venv = Path("/usr"), Path("/venv")
-    assert levels(installation.check_pip(usr, usr, tmp_path)) == []
+    assert levels(python_installation.check_pip(usr, usr, tmp_path)) == []
     (tmp_path / "EXTERNALLY-MANAGED").touch()
-    assert levels(installation.check_pip(usr, usr, tmp_path)) == [("pip", Level.WARNING)]
-    assert levels(installation.check_pip(venv, usr, tmp_path)) == []
+    assert levels(python_installation.check_pip(usr, usr, tmp_path)) == [("pip", Level.WARNING)]
+    assert levels(python_installation.check_pip(venv, usr, tmp_path)) == []
 
 
 def test_a_disk_that_is_full_is_a_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from robotctl.doctor.finding import Finding, Level
-from robotctl.doctor.package.checks import check_packages
+from robotctl.doctor.package.package_checks import check_packages
 from robotctl.errors import UnreadableFile, UsageError
 from tests.support.first_package import MISTAKES, healthy
 

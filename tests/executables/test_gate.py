@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from robotctl.kernel.types import ZERO, Twist
-from robotctl.ros.executables.gate import SILENCE_S, Gate
+from robotctl.ros.executables.command_gate import SILENCE_S, CommandGate
 
 OWNER, OTHER = b"o" * 16, b"x" * 16
 FORWARD = Twist(0.5, 0.0)
@@ -13,9 +13,9 @@ NOW = 10**9
 SILENCE_NS = round(SILENCE_S * 1e9)
 
 
-def opened() -> Gate:
+def opened() -> CommandGate:
     """A gate whose owner has commanded zero at NOW."""
-    gate = Gate()
+    gate = CommandGate()
     gate.look([OWNER], "", NOW)
     assert gate.passes(OWNER, ZERO, 0, NOW)
     return gate
@@ -29,7 +29,7 @@ def test_the_owners_commands_pass_and_no_others() -> None:
 
 
 def test_a_gate_that_is_started_again_revives_no_motion() -> None:
-    gate = Gate()
+    gate = CommandGate()
     gate.look([OWNER], "", NOW)
     assert gate.passes(OWNER, FORWARD, 0, NOW) is False
     assert gate.closed_because(NOW) == "the owner of the mode has not commanded zero yet"
@@ -82,14 +82,14 @@ def test_an_owner_that_comes_after_another_begins_with_zero() -> None:
 
 
 def test_two_owners_at_once_command_nothing() -> None:
-    gate = Gate()
+    gate = CommandGate()
     gate.look([OWNER, OTHER], "", NOW)
     assert not gate.passes(OWNER, ZERO, 0, NOW)
     assert not gate.had_owner
 
 
 def test_without_any_owner_no_zeros_are_due() -> None:
-    gate = Gate()
+    gate = CommandGate()
     gate.look([], "", NOW)
     assert not gate.needs_zero(NOW + 10 * SILENCE_NS)
     assert gate.closed_because(NOW) == ""

@@ -12,11 +12,11 @@ from mcap.reader import make_reader
 from robotctl import __version__
 from robotctl.cli import app
 from robotctl.config import Config
-from robotctl.daemon.recording.folder import open_recorder
+from robotctl.daemon.recording.recordings_folder import open_recorder
 from robotctl.recording import Recording, read_info, read_messages
 from robotctl.recording.format.event_kind import EventKind
-from robotctl.recording.format.events import events_in
 from robotctl.recording.format.ledger_record import read_ledger
+from robotctl.recording.format.recorded_events import events_in
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.invariants import unbalanced
 

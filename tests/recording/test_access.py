@@ -12,7 +12,7 @@ from PIL import Image
 
 from robotctl.cli.terminal.path_picture import write_png
 from robotctl.config import Config, with_setting
-from robotctl.daemon.recording.folder import open_recorder
+from robotctl.daemon.recording.recordings_folder import open_recorder
 from robotctl.recording import Recorder
 from robotctl.recording.keep.catalog import set_kept
 from robotctl.recording.keep.clip import Moment

@@ -11,9 +11,9 @@ import pytest
 from robotctl.errors import UsageError
 from robotctl.recording import TopicInfo
 from robotctl.replay import plan
-from robotctl.replay.guard import ReplayGuard, is_command
 from robotctl.replay.job import Job, check_clock, check_regex, parse_remap
 from robotctl.replay.plan import Route
+from robotctl.replay.replay_guard import ReplayGuard, is_command
 
 STRING, TWIST = "std_msgs/msg/String", "geometry_msgs/msg/Twist"
 EVENT = "std_srvs/srv/SetBool_Event"

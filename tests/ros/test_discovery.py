@@ -16,7 +16,7 @@ from rclpy.context import Context
 from rclpy.node import Node
 from std_msgs.msg import String
 
-from robotctl.ros.graph.discovery import Found, count_complete
+from robotctl.ros.graph.discovery import FoundEndpoint, count_complete
 from robotctl.ros.graph.introductions import Introduction, read_introduction
 from robotctl.ros.playback.membership import Membership
 from tests.support.lines import Told, peer_command
@@ -82,9 +82,9 @@ def test_a_wait_that_is_stopped_ends(domain_id: int, monkeypatch: pytest.MonkeyP
 def test_a_process_is_complete_when_its_announced_endpoints_are_the_known_ones() -> None:
     hello, odom, scan = THEIRS + HELLO, THEIRS + READER, THEIRS + WRITER
     nobody = {OURS: introduced(OURS + WRITER), THEIRS: introduced()}
-    met = [Found(OURS + WRITER, introduces=False), Found(hello, introduces=True)]
-    knows_odom = [*met, Found(odom, introduces=False)]
-    knows_both = [*knows_odom, Found(scan, introduces=False)]
+    met = [FoundEndpoint(OURS + WRITER, introduces=False), FoundEndpoint(hello, introduces=True)]
+    knows_odom = [*met, FoundEndpoint(odom, introduces=False)]
+    knows_both = [*knows_odom, FoundEndpoint(scan, introduces=False)]
     with_odom = nobody | {THEIRS: introduced(odom)}
     with_hello = nobody | {THEIRS: introduced(hello, odom)}
     assert count_complete(met, {OURS: nobody[OURS]}) == 1

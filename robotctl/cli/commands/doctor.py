@@ -62,7 +62,7 @@ def doctor(
 def _of_package(folder: Path) -> list[Finding]:
     import os
 
-    from robotctl.doctor.package.checks import check_packages
+    from robotctl.doctor.package.package_checks import check_packages
 
     return list(check_packages(folder, os.environ))
 

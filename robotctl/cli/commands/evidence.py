@@ -22,7 +22,7 @@ from robotctl.paths import DEFAULT_ROBOT, check_robot_name
 
 if TYPE_CHECKING:
     from robotctl.decision_log.read import LogContent
-    from robotctl.evidence.report import Evidence
+    from robotctl.evidence.collected import Evidence
 
 app = new_app()
 
@@ -66,7 +66,7 @@ def evidence(
     """
     from robotctl.decision_log.folder import log_folder
     from robotctl.decision_log.read import read_log
-    from robotctl.evidence.report import KILLED, RUNS, collect
+    from robotctl.evidence.collected import KILLED, RUNS, collect
 
     folder = log_folder(check_robot_name(robot))
     since_ns = 0 if since is None else parse_since(since, time.time_ns())

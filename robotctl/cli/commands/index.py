@@ -8,7 +8,7 @@ import typer
 
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.support.answer import print_answer
-from robotctl.cli.support.catalogue import open_catalogue
+from robotctl.cli.support.folder_catalogue import open_catalogue
 from robotctl.cli.terminal.text import short_path, size
 from robotctl.errors import UnreadableFile
 

@@ -22,7 +22,7 @@ from robotctl.errors import UnreadableFile
 
 if TYPE_CHECKING:
     from robotctl.recording import RecordingInfo
-    from robotctl.recording.format.events import RecordedEvent
+    from robotctl.recording.format.recorded_events import RecordedEvent
 
 app = new_app()
 

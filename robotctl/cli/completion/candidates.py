@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from robotctl.cli.completion.values import ROBOT, plain, values_for
+from robotctl.cli.completion.value_lists import ROBOT, plain, values_for
 from robotctl.paths import DEFAULT_ROBOT
 
 

@@ -14,7 +14,7 @@ from robotctl.cli.support import dead_daemons, robots
 from robotctl.cli.support.look_process import look_processes
 from robotctl.cli.support.ros_view import RosView, ros_view
 from robotctl.config import Config, load
-from robotctl.doctor import graph, installation, machine, shared_memory
+from robotctl.doctor import graph, machine, python_installation, shared_memory
 from robotctl.doctor.finding import Finding, fault, ok, warning
 from robotctl.domains import requested_domain, wider_discovery
 from robotctl.environment import RANGE
@@ -56,10 +56,10 @@ def _hangs(robot: str, problem: str) -> Finding:
 
 def _computer(config: Config) -> Iterator[Finding]:
     prefix, base = Path(sys.prefix), Path(sys.base_prefix)
-    yield from installation.check_wheels()
-    yield from installation.check_shell(os.environ, prefix)
-    yield from installation.check_two_rclpys(sys.path)
-    yield from installation.check_pip(prefix, base, Path(sysconfig.get_path("stdlib")))
+    yield from python_installation.check_wheels()
+    yield from python_installation.check_shell(os.environ, prefix)
+    yield from python_installation.check_two_rclpys(sys.path)
+    yield from python_installation.check_pip(prefix, base, Path(sysconfig.get_path("stdlib")))
     yield from shared_memory.check_memory()
     for robot in dead_daemons.killed():
         text = f"the daemon of robot {robot} was killed, and its socket is left"

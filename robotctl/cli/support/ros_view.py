@@ -81,7 +81,7 @@ class RosView:
         """Return the full name of a topic, node or service: relative ones are the robot's."""
         return name if name.startswith("/") else f"{self.namespace}/{name}"
 
-    def listen(self, topic: str, type_name: str, *, data: bool) -> Listener:
+    def listen(self, topic: str, type_name: str, *, data: bool) -> MessageListener:
         """Listen to a topic, with its data or only the times and sizes of its messages.
 
         Raises:
@@ -93,7 +93,7 @@ class RosView:
             expected = bool(found["publishers"])
             type_name = only_type(topic, found["types"])
         request = {"name": _checked(topic), "type": type_name, "data": data, "expected": expected}
-        return Listener(self._start("listen", **request))
+        return MessageListener(self._start("listen", **request))
 
     def call_service(
         self, name: str, type_name: str, values: Any, *, wait_s: float, answer_s: float
@@ -138,7 +138,7 @@ class RosView:
         return child
 
 
-class Listener:
+class MessageListener:
     """The messages of a topic; close it, or use it in a `with` block."""
 
     def __init__(self, child: Child) -> None:
@@ -160,7 +160,7 @@ class Listener:
         self.definition: str = first["definition"]
         self.publishers: int = first["publishers"]
 
-    def __enter__(self) -> Listener:
+    def __enter__(self) -> MessageListener:
         """Return the listener itself."""
         return self
 

@@ -7,8 +7,8 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from robotctl.cli.terminal.live_view import coloured_mode
 from robotctl.cli.terminal.path_picture import braille
+from robotctl.cli.terminal.status_panel import coloured_mode
 from robotctl.cli.terminal.status_screen import pose_text, velocity_text
 from robotctl.cli.terminal.text import can_show_braille, columns, number, printable
 from robotctl.replay.recorded_robot import RecordedRobot

@@ -9,8 +9,8 @@ from math import isfinite
 from typing import Any
 
 from robotctl.daemon.api.drive_shape import default_laps, path_course, shape_course, shape_size_m
-from robotctl.daemon.api.granted import granted
 from robotctl.daemon.api.holding import HoldMethods
+from robotctl.daemon.api.reply_or_error import granted
 from robotctl.daemon.control.dispatcher import Control
 from robotctl.daemon.control.ground_truth import GroundTruth
 from robotctl.daemon.control.robot_report import RobotReport

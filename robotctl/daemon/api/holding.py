@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from robotctl.daemon.api.granted import granted
+from robotctl.daemon.api.reply_or_error import granted
 from robotctl.daemon.control.dispatcher import Control
 from robotctl.ipc.answers import HoldAnswer
 from robotctl.ipc.method import Method

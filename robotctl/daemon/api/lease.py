@@ -7,7 +7,7 @@ import time
 from dataclasses import dataclass
 from typing import Any
 
-from robotctl.daemon.api.granted import granted
+from robotctl.daemon.api.reply_or_error import granted
 from robotctl.daemon.control.dispatcher import Control
 from robotctl.errors import Refused
 from robotctl.ipc.answers import LeaseAnswer, LeaseKept, LeaseStatus

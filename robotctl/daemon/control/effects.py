@@ -28,7 +28,7 @@ from robotctl.kernel.types import (
     Twist,
 )
 from robotctl.recording.format.event_kind import EventKind
-from robotctl.recording.format.events import RecordedEvent
+from robotctl.recording.format.recorded_events import RecordedEvent
 
 _log = logging.getLogger(__name__)
 

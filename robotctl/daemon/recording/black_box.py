@@ -15,7 +15,7 @@ from robotctl.config import RecordingParams
 from robotctl.kernel.units import NS_PER_S
 from robotctl.processes import program, start
 from robotctl.recording.format.event_kind import EventKind
-from robotctl.recording.format.events import RecordedEvent
+from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.recording.keep.clip import Moment
 from robotctl.recording.keep.clip_job import PATIENCE_S, ClipJob
 

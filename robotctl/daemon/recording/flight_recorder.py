@@ -16,11 +16,11 @@ from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.recording.black_box import BlackBox
 from robotctl.daemon.recording.call_in_loop import in_loop
 from robotctl.daemon.recording.disk_reserve import DiskReserve
-from robotctl.daemon.recording.folder import open_recorder, retention_policy
 from robotctl.daemon.recording.head_forwarder import HeadForwarder
 from robotctl.daemon.recording.health_looks import HealthLooks
 from robotctl.daemon.recording.indexer import Indexer
 from robotctl.daemon.recording.recorder_report import RecorderReport
+from robotctl.daemon.recording.recordings_folder import open_recorder, retention_policy
 from robotctl.daemon.recording.robot_seal import RobotSealer
 from robotctl.daemon.recording.tidier import Tidier
 from robotctl.daemon.recording.topic_sinks import TopicSinks
@@ -30,7 +30,7 @@ from robotctl.paths import log_path
 from robotctl.recording import RecorderStats, Topic
 from robotctl.recording.format import foxglove
 from robotctl.recording.format.event_kind import EventKind
-from robotctl.recording.format.events import RecordedEvent
+from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.recording.write.topic_filter import TopicFilter
 from robotctl.ros.executor import UNKNOWN_GID
 from robotctl.ros.nodes import (

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from robotctl.recording import RecorderState, RecorderStats
 from robotctl.recording.format.message_counts import COUNTERS, MessageCounts
 from robotctl.recording.format.topics import by_topic
-from robotctl.ros.nodes.diagnostics_publisher import Diagnosis, Level
+from robotctl.ros.nodes.diagnostics_publisher import Diagnosis, DiagnosticLevel
 
 MAX_TOPICS = 100
 """Limit of the topics that are listed, those with the most missing messages first."""
@@ -17,13 +17,13 @@ def diagnose(stats: RecorderStats, warnings: Sequence[str]) -> Diagnosis:
     """Return the recorder's part of /diagnostics: ERROR if recording has failed, WARN if the
     recording lacks messages, else OK."""
     if stats.state is not RecorderState.RECORDING:
-        level, message = Level.ERROR, stats.failure or stats.state.value
+        level, message = DiagnosticLevel.ERROR, stats.failure or stats.state.value
     elif stats.dropped or stats.lost:
-        level, message = Level.WARN, _lacking(stats)
+        level, message = DiagnosticLevel.WARN, _lacking(stats)
     elif warnings:
-        level, message = Level.WARN, warnings[0]
+        level, message = DiagnosticLevel.WARN, warnings[0]
     else:
-        level, message = Level.OK, "everything is recorded"
+        level, message = DiagnosticLevel.OK, "everything is recorded"
     return Diagnosis("recorder", level, message, dict(_values(stats)))
 
 

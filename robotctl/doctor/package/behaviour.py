@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 from robotctl.doctor.finding import Finding, fault
 from robotctl.doctor.package.constants import called, calls, keyword, text_of
-from robotctl.doctor.package.source import Package
+from robotctl.doctor.package.package_files import Package
 
 SPINS: Final = (
     "spin",
@@ -27,7 +27,7 @@ CALLBACK_GROUPS: Final = ("ReentrantCallbackGroup", "MutuallyExclusiveCallbackGr
 SENSOR_DATA: Final = ("qos_profile_sensor_data", "SensorDataQoS", "SENSOR_DATA")
 
 
-class Endpoint(NamedTuple):
+class CodeEndpoint(NamedTuple):
     """A publisher or subscription in the code; what cannot be told is ""."""
 
     place: str
@@ -81,7 +81,7 @@ def check_spin_in_callback(package: Package) -> Iterator[Finding]:
                     )
 
 
-def _endpoints(packages: list[Package], function: str) -> Iterator[Endpoint]:
+def _endpoints(packages: list[Package], function: str) -> Iterator[CodeEndpoint]:
     for package in packages:
         for path, tree in package.ros_modules.items():
             profiles = _assigned(tree)
@@ -93,7 +93,7 @@ def _endpoints(packages: list[Package], function: str) -> Iterator[Endpoint]:
                 profile = _argument(call, place, "qos_profile")
                 if topic is not None and profile is not None:
                     where = f"{package.name}/{path}:{call.lineno}"
-                    yield Endpoint(where, topic.lstrip("/"), *_policies(profile, profiles))
+                    yield CodeEndpoint(where, topic.lstrip("/"), *_policies(profile, profiles))
 
 
 def _policies(profile: ast.expr, assigned: dict[str, ast.expr]) -> tuple[str, str]:

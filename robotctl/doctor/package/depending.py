@@ -9,7 +9,7 @@ from pathlib import Path
 
 from robotctl.doctor.finding import Finding, fault
 from robotctl.doctor.package.constants import keyword, texts_within
-from robotctl.doctor.package.source import Package, read_text
+from robotctl.doctor.package.package_files import Package, read_text
 
 ROS_MODULES = frozenset(
     """

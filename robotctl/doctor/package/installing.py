@@ -10,7 +10,7 @@ from pathlib import Path
 
 from robotctl.doctor.finding import Finding, fault, warning
 from robotctl.doctor.package.constants import keyword, texts_within
-from robotctl.doctor.package.source import Package
+from robotctl.doctor.package.package_files import Package
 
 DATA_FOLDERS = ("launch", "config", "params", "urdf", "rviz", "worlds", "maps", "meshes")
 """Folders that a running node or launch file looks for in the share folder."""

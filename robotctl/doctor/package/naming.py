@@ -12,7 +12,7 @@ from pathlib import Path
 from robotctl.doctor.finding import Finding, fault
 from robotctl.doctor.package.constants import called, calls, keyword, text_of
 from robotctl.doctor.package.installing import entry_points
-from robotctl.doctor.package.source import Package
+from robotctl.doctor.package.package_files import Package
 
 _PACKAGE_NAME = re.compile(r"[a-z][a-z0-9_]*")
 _NODE_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from robotctl.doctor.finding import Finding, fault
-from robotctl.doctor.package.source import Package
+from robotctl.doctor.package.package_files import Package
 
 
 def check_sourced(package: Package, environment: Mapping[str, str]) -> Iterator[Finding]:

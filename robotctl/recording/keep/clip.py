@@ -17,7 +17,6 @@ from robotctl.recording.disk.access import share_like
 from robotctl.recording.disk.new_file import new_file
 from robotctl.recording.format.compression import Compression
 from robotctl.recording.format.event_kind import EventKind
-from robotctl.recording.format.events import RecordedEvent, events_in
 from robotctl.recording.format.metadata_names import (
     CLIP_RECORD,
     EVENT_RECORD,
@@ -28,6 +27,7 @@ from robotctl.recording.format.metadata_names import (
     RECOVERY_RECORD,
     SOFTWARE_RECORD,
 )
+from robotctl.recording.format.recorded_events import RecordedEvent, events_in
 from robotctl.recording.format.records import PlainMessage
 from robotctl.recording.format.rosbag2 import METADATA_RECORD, BagFile, serialized_metadata
 from robotctl.recording.format.topics import Topic

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.event_kind import EventKind
-from robotctl.recording.format.events import RecordedEvent, events_in
 from robotctl.recording.format.metadata_names import INFO_RECORD
+from robotctl.recording.format.recorded_events import RecordedEvent, events_in
 from robotctl.recording.format.rosbag2 import metadata_text
 from robotctl.recording.keep.catalog import CLIPS_FOLDER, KEEP_FILE
 from robotctl.recording.read.count_check import find_shortfalls
@@ -67,7 +67,7 @@ class ListedRecording:
     def largest(self, error: str) -> float | None:
         """Return the largest of an error of its drives, None if that is not known.
 
-        `error` is one of recording.format.events.ERRORS.
+        `error` is one of recording.format.recorded_events.ERRORS.
         """
         known: list[float | None] = [getattr(event, error) for event in self.events]
         return max((each for each in known if each is not None), default=None)

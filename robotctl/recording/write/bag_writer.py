@@ -12,7 +12,7 @@ from shutil import rmtree
 from robotctl.errors import Refused
 from robotctl.recording.disk.access import make_folder
 from robotctl.recording.disk.disk_errors import cure_of, reason_of
-from robotctl.recording.format.events import RecordedEvent
+from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.recording.format.rosbag2 import BagFile, write_metadata
 from robotctl.recording.write.buffer import PackedMessages, pack
 from robotctl.recording.write.channel_state import ChannelState

@@ -16,8 +16,8 @@ from mcap.opcode import Opcode
 
 from robotctl.errors import Refused
 from robotctl.recording.disk.storage import Buffer
-from robotctl.recording.format.events import RecordedEvent
 from robotctl.recording.format.message_counts import RunningTotal
+from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.recording.format.records import (
     MAX_SEQUENCE,
     MAX_TIME_NS,

@@ -9,7 +9,6 @@ from pathlib import Path
 from mcap.records import Channel, Schema
 
 from robotctl.recording.disk.access import share_with_group
-from robotctl.recording.format.events import RecordedEvent
 from robotctl.recording.format.ledger_record import ledger_values
 from robotctl.recording.format.metadata_names import (
     EVENT_RECORD,
@@ -18,6 +17,7 @@ from robotctl.recording.format.metadata_names import (
     LIBRARY,
     PROFILE,
 )
+from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.recording.format.rosbag2 import METADATA_RECORD, BagFile, serialized_metadata
 from robotctl.recording.write.buffer import PackedMessages
 from robotctl.recording.write.channel_state import ChannelState

@@ -13,7 +13,7 @@ from queue import Empty, SimpleQueue
 
 from robotctl.recording.disk.disk_errors import cure_of, reason_of
 from robotctl.recording.disk.thread_priority import rank_below
-from robotctl.recording.format.events import RecordedEvent
+from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.recording.write.bag_writer import BagWriter
 from robotctl.recording.write.buffer import LargeMessage, PackBuffer, PackedMessages
 from robotctl.recording.write.channel_state import ChannelState

@@ -22,7 +22,7 @@ from robotctl.kernel.params import OWNER_SUFFIX
 from robotctl.kernel.types import ZERO
 from robotctl.kernel.types import Twist as Velocity
 from robotctl.printable import short_name
-from robotctl.ros.executables.gate import SILENCE_S, Gate
+from robotctl.ros.executables.command_gate import SILENCE_S, CommandGate
 from robotctl.ros.executables.process import LOGGER_SERVICES, run_node
 from robotctl.ros.executables.sweep import sweep_mps
 from robotctl.ros.executor import RawTap
@@ -78,7 +78,7 @@ class VelocityPublisher(Node):
         """Create the node and its timer; `options` are those of rclpy's Node."""
         super().__init__(NODE_NAME, context=context, **{**LOGGER_SERVICES, **options})
         self._may_sweep = self._sweep_parameter()
-        self._gate = Gate(self._silence_parameter())
+        self._gate = CommandGate(self._silence_parameter())
         self._ticks = 0
         self._steps = 0
         self._asked: tuple[float, float] | None = None

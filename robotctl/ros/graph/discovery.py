@@ -25,7 +25,7 @@ REPEAT_S: Final = 0.02
 """The time between two messages that others shall acknowledge; that takes them about 8 ms."""
 
 
-class Found(NamedTuple):
+class FoundEndpoint(NamedTuple):
     """A discovered endpoint."""
 
     gid: bytes
@@ -49,7 +49,7 @@ class Discovery:
         self._domain_id = domain_id
         self._introductions = IntroductionReader(node)
         self._process = gid_of(next(node.publishers))[:PROCESS_BYTES]
-        self._others: frozenset[Found] = frozenset()
+        self._others: frozenset[FoundEndpoint] = frozenset()
         self._since_s = time.monotonic()
 
     def close(self) -> None:
@@ -119,14 +119,14 @@ class Discovery:
             writer.close()
 
 
-def _discovered(node: Node) -> Iterator[Found]:
+def _discovered(node: Node) -> Iterator[FoundEndpoint]:
     for topic in endpoints.topics(node, dds_names=True):
         for find in (endpoints.publishers, endpoints.subscriptions):
             for each in find(node, topic, dds_names=True):
-                yield Found(each.gid, topic == introductions.TOPIC)
+                yield FoundEndpoint(each.gid, topic == introductions.TOPIC)
 
 
-def count_complete(known: Iterable[Found], introduced: Mapping[bytes, Introduction]) -> int:
+def count_complete(known: Iterable[FoundEndpoint], introduced: Mapping[bytes, Introduction]) -> int:
     """Count the processes that have introduced themselves with exactly their known endpoints."""
     of_nodes: dict[bytes, set[bytes]] = {}
     all_gids: dict[bytes, set[bytes]] = {}

@@ -17,7 +17,7 @@ TOPIC = OwnTopic("/diagnostics", DiagnosticArray, qos.DIAGNOSTICS)
 """One topic for all robots, outside their namespaces, as aggregators expect."""
 
 
-class Level(Enum):
+class DiagnosticLevel(Enum):
     """The severity of a diagnosis."""
 
     OK = DiagnosticStatus.OK
@@ -30,7 +30,7 @@ class Diagnosis:
     """The state of one part: a sentence, and named values."""
 
     part: str
-    level: Level
+    level: DiagnosticLevel
     message: str
     values: Mapping[str, str]
 

@@ -44,7 +44,7 @@ class Goal:
 
 
 @dataclass(frozen=True, slots=True)
-class Progress:
+class DriveProgress:
     """How far a drive has come: distance [m], laps, distance from the path now [m]."""
 
     distance_m: float
@@ -63,7 +63,7 @@ class GoalDrive(Protocol):
     def ended(self) -> asyncio.Future[DriveEnded]:
         """The end of the drive; pending if the drive is refused."""
 
-    def progress(self) -> Progress | None:
+    def progress(self) -> DriveProgress | None:
         """Return how far the drive has come, None if it is not going on."""
 
     def ramp_down(self) -> bool:

@@ -21,7 +21,7 @@ MAX_TEXT: Final = 10_000
 
 
 @dataclass(frozen=True, slots=True)
-class LogLine:
+class RosoutLine:
     """A log line; `level` is a number of rcl_interfaces/msg/Log, `logger` the name on ROS."""
 
     t_ns: int
@@ -41,7 +41,7 @@ class RosoutPublisher:
     def __init__(self, session: Session) -> None:
         self._publisher = TOPIC.create_publisher(session.helper())
 
-    def publish(self, line: LogLine) -> None:
+    def publish(self, line: RosoutLine) -> None:
         """Publish a line.
 
         Raises:

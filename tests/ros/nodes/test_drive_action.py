@@ -17,7 +17,7 @@ from robot_controller.action import DrivePattern
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import Cause, DriveEnded, DriveReport, Reply
 from robotctl.ros.nodes import drive_action
-from robotctl.ros.nodes.drive_action import DriveAction, Goal, Progress
+from robotctl.ros.nodes.drive_action import DriveAction, DriveProgress, Goal
 from robotctl.ros.session import Session
 
 ACCEPTED = Reply(1, True, "", Mode.MOVING)
@@ -34,8 +34,8 @@ class FakeDrive:
         self.ended: asyncio.Future[DriveEnded] = loop.create_future()
         self.ramps = 0
 
-    def progress(self) -> Progress:
-        return Progress(1.5, 0, 0.25)
+    def progress(self) -> DriveProgress:
+        return DriveProgress(1.5, 0, 0.25)
 
     def ramp_down(self) -> bool:
         self.ramps += 1

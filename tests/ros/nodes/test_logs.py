@@ -12,12 +12,12 @@ from rclpy.node import Node
 
 from robotctl.ros.messages import qos
 from robotctl.ros.nodes.logger_services import MAX_LEVELS, LoggerServices
-from robotctl.ros.nodes.rosout_publisher import MAX_TEXT, TOPIC, LogLine, RosoutPublisher
+from robotctl.ros.nodes.rosout_publisher import MAX_TEXT, TOPIC, RosoutLine, RosoutPublisher
 from robotctl.ros.session import Session
 
 Until = Callable[[Callable[[], object]], Awaitable[None]]
 
-LINE = LogLine(1_700_000_000_123_456_789, 30, "r2.mode_service", "a line", "/a/file.py", "go", 7)
+LINE = RosoutLine(1_700_000_000_123_456_789, 30, "r2.mode_service", "a line", "/a/file.py", "go", 7)
 
 
 async def test_a_line_has_every_field_and_a_late_subscriber_gets_it(
@@ -32,7 +32,7 @@ async def test_a_line_has_every_field_and_a_late_subscriber_gets_it(
     assert (told.stamp.sec, told.stamp.nanosec) == (1_700_000_000, 123_456_789)
     assert (told.level, told.name, told.msg) == (30, "r2.mode_service", "a line")
     assert (told.file, told.function, told.line) == ("/a/file.py", "go", 7)
-    publisher.publish(LogLine(0, 10, "", "x" * (MAX_TEXT + 1), "", "", 0))
+    publisher.publish(RosoutLine(0, 10, "", "x" * (MAX_TEXT + 1), "", "", 0))
     await until(lambda: len(heard) == 2)
     assert heard[1].msg == "x" * MAX_TEXT + " ..."
 

@@ -12,7 +12,12 @@ from robotctl.cdr.type_names import JOURNAL_ENTRY
 from robotctl.recording.format import journal
 from robotctl.ros.nodes import journal_publisher
 from robotctl.ros.nodes.battery_subscriber import BatterySubscriber
-from robotctl.ros.nodes.diagnostics_publisher import TOPIC, Diagnosis, DiagnosticsPublisher, Level
+from robotctl.ros.nodes.diagnostics_publisher import (
+    TOPIC,
+    Diagnosis,
+    DiagnosticLevel,
+    DiagnosticsPublisher,
+)
 from robotctl.ros.nodes.mode_service import ModeService
 from robotctl.ros.nodes.odom_subscriber import OdomSubscriber
 from robotctl.ros.nodes.simulated_robot import SimulatedRobot
@@ -84,7 +89,7 @@ async def test_diagnostics_are_told_whatever_bytes_a_path_has(
     await until(subscription.get_publisher_count)
     await until(diagnostics._publisher.get_subscription_count)
     diagnostics.publish(
-        Diagnosis("recorder", Level.WARN, "no \x1b[31m", {"file": "/data/\udcff.mcap"})
+        Diagnosis("recorder", DiagnosticLevel.WARN, "no \x1b[31m", {"file": "/data/\udcff.mcap"})
     )
     await until(lambda: heard)
     (status,) = heard[0].status

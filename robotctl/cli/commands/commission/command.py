@@ -115,7 +115,7 @@ def _report(
     """
     from robotctl.commission.measure import measured
     from robotctl.commission.propose import proposals
-    from robotctl.commission.report import file_lines, measured_lines, warnings
+    from robotctl.commission.result_lines import file_lines, measured_lines, warnings
     from robotctl.commission.trial import read_trial
 
     base = measured(read_trial(file))

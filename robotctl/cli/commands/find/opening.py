@@ -29,7 +29,7 @@ class OpenAs(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
+class ShownPage:
     """A recording, and a moment or a drive in it, in seconds after its beginning."""
 
     path: Path
@@ -38,7 +38,7 @@ class Shown:
     """How long the drive lasts, None if the row is about something else."""
 
 
-def shown_row(rows: list[dict[str, Any]], number: int, folder: Path) -> Shown:
+def shown_row(rows: list[dict[str, Any]], number: int, folder: Path) -> ShownPage:
     """Return what row `number`, from 1 on, is about.
 
     Raises:
@@ -54,10 +54,10 @@ def shown_row(rows: list[dict[str, Any]], number: int, folder: Path) -> Shown:
     if not path.exists():
         raise Refused(f"{path} does not exist any more")
     drive_s = (row.get("duration_s") or 0.0) if "drive" in row else None
-    return Shown(path, _offset_s(path, row), drive_s)
+    return ShownPage(path, _offset_s(path, row), drive_s)
 
 
-def open_as(shown: Shown, kind: OpenAs, *, as_json: bool) -> None:
+def open_as(shown: ShownPage, kind: OpenAs, *, as_json: bool) -> None:
     """Do what the command of that name does with the recording, at the moment.
 
     Raises:
@@ -84,7 +84,7 @@ def open_as(shown: Shown, kind: OpenAs, *, as_json: bool) -> None:
         _show_page(shown)
 
 
-def _show_page(shown: Shown) -> None:
+def _show_page(shown: ShownPage) -> None:
     """Show the page at the moment in a browser, where there is a screen."""
     if not sys.stdout.isatty() or not any(map(os.environ.get, DISPLAYS)):
         return

@@ -177,7 +177,7 @@ def _set_kept(name: str, folder: Path | None, robot: str | None, *, kept: bool) 
 
 
 def _as_object(each: ListedRecording) -> dict[str, Any]:
-    from robotctl.recording.format.events import ERRORS
+    from robotctl.recording.format.recorded_events import ERRORS
 
     return {
         "name": each.path.name,

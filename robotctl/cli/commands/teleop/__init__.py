@@ -1,6 +1,6 @@
 """teleop: drive by hand, with keys or a gamepad that must be held.
 
-- `hands`, `gamepad`: what the operator wants now.
+- `held_keys`, `gamepad`: what the operator wants now.
 - `holding`: asks the daemon for it, again and again.
 - `session`: the loop around both; `screen`: what is shown.
 """

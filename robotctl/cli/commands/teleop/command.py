@@ -12,7 +12,7 @@ import typer
 from robotctl.cli.commands.teleop.gamepad import JOY, Controls, Gamepad
 from robotctl.cli.commands.teleop.holding import Speeds
 from robotctl.cli.commands.teleop.screen import TeleopScreen
-from robotctl.cli.commands.teleop.session import Quit, Session
+from robotctl.cli.commands.teleop.session import Quit, TeleopSession
 from robotctl.cli.options import Reason, Robot, new_app
 from robotctl.cli.support.held_lease import HeldLease
 from robotctl.cli.support.interrupted_drive import CLOSING_SIGNALS
@@ -81,7 +81,7 @@ def teleop(
         if "lease" not in params:
             lease = stack.enter_context(HeldLease(robot, "teleop", reason))
             params = {**params, "lease": lease.token}
-        session = Session(robot, client, params, speeds, gamepad)
+        session = TeleopSession(robot, client, params, speeds, gamepad)
         try:
             _run(session, robot, lease, has_terminal=has_terminal)
         except Quit:
@@ -99,7 +99,9 @@ def _gamepad(robot: str, topic: str, controls: Controls) -> Iterator[Gamepad]:
         yield Gamepad(listener, name, controls)
 
 
-def _run(session: Session, robot: str, lease: HeldLease | None, *, has_terminal: bool) -> None:
+def _run(
+    session: TeleopSession, robot: str, lease: HeldLease | None, *, has_terminal: bool
+) -> None:
     """Let the operator drive, until the session or the lease ends."""
 
     def suspend() -> None:

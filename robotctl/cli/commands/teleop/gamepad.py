@@ -11,8 +11,8 @@ from typing import Any, Final, NamedTuple
 
 from robotctl.cdr.definition import Definition, parse_definition
 from robotctl.cdr.values import decode
-from robotctl.cli.commands.teleop.hands import STAND, Wish
-from robotctl.cli.support.ros_view import Listener
+from robotctl.cli.commands.teleop.held_keys import STAND, Wish
+from robotctl.cli.support.ros_view import MessageListener
 from robotctl.kernel.course import MAX_SILENCE_S
 
 JOY: Final = "sensor_msgs/msg/Joy"
@@ -32,7 +32,7 @@ class Gamepad:
     While one publisher is heard, those of others on the topic are ignored.
     """
 
-    def __init__(self, listener: Listener, topic: str, controls: Controls) -> None:
+    def __init__(self, listener: MessageListener, topic: str, controls: Controls) -> None:
         self._listener = listener
         self._definition: Definition = parse_definition(listener.type_name, listener.definition)
         self._topic = topic

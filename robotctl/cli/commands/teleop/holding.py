@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from robotctl.cli.commands.teleop.hands import STAND, Wish
+from robotctl.cli.commands.teleop.held_keys import STAND, Wish
 from robotctl.errors import Refused
 from robotctl.ipc.client import Client
 from robotctl.ipc.method_names import HOLD, PARAM_LIST

@@ -56,7 +56,7 @@ class TeleopScreen:
         from rich.live import Live
         from rich.text import Text
 
-        from robotctl.cli.terminal.live_view import live_view
+        from robotctl.cli.terminal.status_panel import live_view
 
         # Nothing else prints meanwhile, and a redirected stdout would hide its encoding.
         with (

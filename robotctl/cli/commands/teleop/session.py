@@ -10,7 +10,12 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 from robotctl.cli.commands.teleop.gamepad import Gamepad
-from robotctl.cli.commands.teleop.hands import STAND, Hands, HandsWithoutReleases, HandsWithReleases
+from robotctl.cli.commands.teleop.held_keys import (
+    STAND,
+    Hands,
+    HandsWithoutReleases,
+    HandsWithReleases,
+)
 from robotctl.cli.commands.teleop.holding import STEP, Holding, Speeds
 from robotctl.cli.terminal.key_events import Key, KeyEvent, KeyParser
 from robotctl.cli.terminal.keyboard import Keyboard
@@ -34,7 +39,7 @@ class Quit(Exception):
     """The operator ended the session."""
 
 
-class Session:
+class TeleopSession:
     """The operator's hands, what they hold, and the text that is shown around them."""
 
     def __init__(

@@ -46,7 +46,7 @@ def show(statuses: Iterator[Status]) -> None:
         return
     from rich.live import Live
 
-    from robotctl.cli.terminal.live_view import live_view
+    from robotctl.cli.terminal.status_panel import live_view
 
     with Live(auto_refresh=False) as live:
         for status in statuses:

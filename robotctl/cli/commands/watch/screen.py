@@ -14,7 +14,7 @@ from robotctl.cli.commands.watch.polling import POLL_S
 from robotctl.cli.support.quick_actions import asked_by, lease_of_shell, mode_number
 from robotctl.cli.terminal.drive_map import History, drive_map
 from robotctl.cli.terminal.keyboard import Keyboard
-from robotctl.cli.terminal.live_view import live_view
+from robotctl.cli.terminal.status_panel import live_view
 from robotctl.errors import Refused, RobotctlError
 from robotctl.ipc.client import Client, call
 from robotctl.ipc.drive_answers import DrivenPath

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from robotctl.doctor.finding import Finding, fault, ok
 from robotctl.doctor.package import behaviour, depending, installing, naming, workspace
-from robotctl.doctor.package.source import Package, find_packages, read_package
+from robotctl.doctor.package.package_files import Package, find_packages, read_package
 
 
 def check_packages(path: Path, environment: Mapping[str, str]) -> Iterator[Finding]:

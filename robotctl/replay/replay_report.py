@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from robotctl.replay.guard import withheld_note
 from robotctl.replay.plan import Route
+from robotctl.replay.replay_guard import withheld_note
 
 Emit = Callable[[dict[str, Any]], None]
 """Sends a message: {"note"}, {"waiting"}, {"start"}, {"progress"} or {"summary"}."""

@@ -11,7 +11,7 @@ SILENCE_S = 0.3
 """An owner that was not heard for this long is silent, and a command this old does not pass."""
 
 
-class Gate:
+class CommandGate:
     """A gate for the commands of one owner, which is known by the gid of its publisher.
 
     It is closed at first, and whenever its owner is silent, late, or not alone. It opens with a

@@ -12,7 +12,7 @@ from robotctl.replay import plan
 from robotctl.replay.job import Job
 from robotctl.replay.plan import Route
 from robotctl.replay.player import ClockPublisher, Send
-from robotctl.replay.report import ReplayReport
+from robotctl.replay.replay_report import ReplayReport
 from robotctl.replay.timeline import Span
 from robotctl.ros.playback.playback import ReplaySession, Unpublishable
 

@@ -50,7 +50,7 @@ def _recordings(robot: str) -> Iterable[str]:
 
 
 def _patterns(robot: str) -> Iterable[str]:
-    from robotctl.cli.support.other_words import PATTERN_WORDS
+    from robotctl.cli.support.words_of_other_tools import PATTERN_WORDS
 
     return PATTERN_WORDS
 

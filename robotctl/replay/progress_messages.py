@@ -10,7 +10,7 @@ from robotctl.replay.lateness import Lateness
 from robotctl.replay.plan import Route
 from robotctl.replay.player import Player
 from robotctl.replay.read_ahead import ReadAhead
-from robotctl.replay.report import ReplayReport
+from robotctl.replay.replay_report import ReplayReport
 
 BEHIND_S = 0.05
 """A shorter delay is not visible, and the next message may still be on time."""

@@ -19,7 +19,7 @@ COMMAND_NAME: Final = "cmd_vel"
 """Topics that move robots have a Twist type, or are named `.../cmd_vel`."""
 
 
-class Graph(Protocol):
+class DomainGraph(Protocol):
     """The participants in the ROS domain."""
 
     def robots_with_daemon(self) -> list[str]:
@@ -32,7 +32,7 @@ class ReplayGuard:
     """
 
     def __init__(
-        self, graph: Graph, domain_id: int, named: Collection[str], *, original_names: bool
+        self, graph: DomainGraph, domain_id: int, named: Collection[str], *, original_names: bool
     ) -> None:
         self.prefix = ""
         self._graph = graph
