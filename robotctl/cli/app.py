@@ -74,9 +74,9 @@ def _parse_and_run(arguments: list[str]) -> None:
 def _process_for(arguments: list[str]) -> AbstractContextManager[None]:
     """Return a block during which the process that a command needs for ROS starts."""
     if arguments[:1] in LOOKS:
-        from robotctl.cli.support.look_process import look_processes
+        from robotctl.cli.support.query_process import query_processes
 
-        return look_processes(arguments)
+        return query_processes(arguments)
     if arguments[:1] == ["replay"]:
         from robotctl.cli.support.early_player import early_player
 

@@ -14,7 +14,7 @@ from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.recording.flight_recorder import FlightRecorder
 from robotctl.daemon.recording.provenance import provenance
 from robotctl.daemon.recording.software import DIGEST, software
-from robotctl.decision_log.entries import Kind
+from robotctl.decision_log.entries import DecisionKind
 from robotctl.decision_log.folder import log_folder
 from robotctl.decision_log.log import DecisionLog
 from robotctl.kernel.units import DAY_S
@@ -36,7 +36,7 @@ def _note_start(
     """Note who started the daemon, and software and configuration where they have changed."""
     known = provenance()
     log.add(
-        Kind.START,
+        DecisionKind.START,
         by=f"{known['user']}, pid {os.getpid()}",
         version=__version__,
         software=software().get(DIGEST, "")[:16],
@@ -45,8 +45,8 @@ def _note_start(
         config=None if options.config is None else str(options.config),
     )
     identity = {key: value for key, value in known.items() if key not in OF_ONE_START}
-    log.add_values(Kind.SOFTWARE, {**identity, DIGEST: software().get(DIGEST, "")})
-    log.add_values(Kind.CONFIGURATION, flat(config))
+    log.add_values(DecisionKind.SOFTWARE, {**identity, DIGEST: software().get(DIGEST, "")})
+    log.add_values(DecisionKind.CONFIGURATION, flat(config))
 
 
 @asynccontextmanager
@@ -55,7 +55,7 @@ async def noted(
 ) -> AsyncIterator[None]:
     """Note start and end around a block; the end waits for the disk, for a moment."""
     _note_start(log, options, config, recorder)
-    recorder.tidier.on_removed = lambda path: log.add(Kind.REMOVED, file=path)
+    recorder.tidier.on_removed = lambda path: log.add(DecisionKind.REMOVED, file=path)
     failure: dict[str, str] = {}
     try:
         yield
@@ -63,5 +63,5 @@ async def noted(
         failure = {"failure": str(error) or type(error).__name__}
         raise
     finally:
-        log.add(Kind.END, **failure)
+        log.add(DecisionKind.END, **failure)
         await asyncio.to_thread(log.close)

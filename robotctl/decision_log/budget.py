@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Any, Final
 
-from robotctl.decision_log.entries import Entry, Kind
+from robotctl.decision_log.entries import DecisionKind, Entry
 from robotctl.kernel.units import DAY_S
 
 DAY_BYTES: Final = 130_000
@@ -16,11 +16,11 @@ RESERVE_BYTES: Final = 6_900
 """For the counts of what was not written, on each day."""
 
 RESERVED: Final[dict[str, float]] = {
-    Kind.REQUEST: 0.5,
-    Kind.REFUSED: 0.5,
-    Kind.REMOVED: 0.5,
-    Kind.START: 0.25,
-    Kind.END: 0.25,
+    DecisionKind.REQUEST: 0.5,
+    DecisionKind.REFUSED: 0.5,
+    DecisionKind.REMOVED: 0.5,
+    DecisionKind.START: 0.25,
+    DecisionKind.END: 0.25,
 }
 """The part of a day's bytes that entries of a kind leave to others: a flood of requests, or a
 daemon that crashes and starts again each second, must not crowd out the stops."""
@@ -71,4 +71,4 @@ class Budget:
         counts: dict[str, Any] = {str(kind): count for kind, count in self._folded.items()}
         values = {"counts": counts, "first_ns": self._first_ns, "last_ns": self._last_ns}
         self._folded.clear()
-        return Entry(self._last_ns, Kind.MORE, values)
+        return Entry(self._last_ns, DecisionKind.MORE, values)

@@ -19,7 +19,7 @@ _HASH_CHARACTERS: Final = 16
 _RESERVED: Final = ("time_ns", "kind", "prev")
 
 
-class Kind(StrEnum):
+class DecisionKind(StrEnum):
     """What an entry tells."""
 
     START = "start"
@@ -57,7 +57,7 @@ class Kind(StrEnum):
 class Entry:
     """An entry; `time_ns` since the epoch, `values` as JSON.
 
-    `kind` is a `Kind`, or of a later version.
+    `kind` is a `DecisionKind`, or of a later version.
     """
 
     time_ns: int

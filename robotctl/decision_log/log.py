@@ -14,7 +14,7 @@ from queue import Empty, SimpleQueue
 from typing import Any, Final
 
 from robotctl.decision_log.budget import Budget
-from robotctl.decision_log.entries import Entry, Kind, hash_of, parse
+from robotctl.decision_log.entries import DecisionKind, Entry, hash_of, parse
 from robotctl.decision_log.folder import (
     FILE_BYTES,
     content_of,
@@ -79,11 +79,11 @@ class DecisionLog:
         self._budget = Budget(steady_s)
         self._counts_due_s = 0.0
 
-    def add(self, kind: Kind, **values: Any) -> None:
+    def add(self, kind: DecisionKind, **values: Any) -> None:
         """Queue an entry of now."""
         self.add_values(kind, values)
 
-    def add_values(self, kind: Kind, values: Mapping[str, Any]) -> None:
+    def add_values(self, kind: DecisionKind, values: Mapping[str, Any]) -> None:
         """Queue an entry of now, whose keys may be any text.
 
         Of SOFTWARE and CONFIGURATION only what differs from the last entry of the kind is written.
@@ -178,7 +178,9 @@ class DecisionLog:
 
     def _write(self, entry: Entry) -> None:
         """Write one entry, unless it says nothing new or its day is used up."""
-        if entry.kind in (Kind.SOFTWARE, Kind.CONFIGURATION) and self._is_known(entry):
+        if entry.kind in (DecisionKind.SOFTWARE, DecisionKind.CONFIGURATION) and self._is_known(
+            entry
+        ):
             return
         if self._budget.grants(entry, len(entry.line(self._prev)) + 1):
             self._append(entry)

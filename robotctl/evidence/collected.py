@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from robotctl.decision_log.entries import Entry, Kind
+from robotctl.decision_log.entries import DecisionKind, Entry
 
 STANDING: Final = ("ERROR", "EMERGENCY_STOP")
 """The modes that are stops."""
@@ -62,17 +62,17 @@ class _Collector:
 
     def take(self, entry: Entry) -> None:
         """Add an entry to the report."""
-        if self._daemon is not None and entry.kind != Kind.START:
+        if self._daemon is not None and entry.kind != DecisionKind.START:
             self._daemon["last_ns"] = entry.time_ns
-        if entry.kind == Kind.START:
+        if entry.kind == DecisionKind.START:
             self._begin(entry)
-        elif entry.kind == Kind.END and self._daemon is not None:
+        elif entry.kind == DecisionKind.END and self._daemon is not None:
             self._daemon["end_ns"] = entry.time_ns
             self._daemon["ended"] = entry.values.get("failure", ENDED)
-        elif entry.kind == Kind.SOFTWARE:
+        elif entry.kind == DecisionKind.SOFTWARE:
             self._identity(entry, self._found.software, self._found.software_changes)
             self._found.software = entry.values
-        elif entry.kind == Kind.CONFIGURATION:
+        elif entry.kind == DecisionKind.CONFIGURATION:
             self._identity(entry, self._found.configuration, self._found.configuration_changes)
             self._found.configuration = entry.values
         elif entry.time_ns >= self._since_ns:
@@ -113,26 +113,26 @@ class _Collector:
     def _places_of(self, entry: Entry) -> Iterator[list[dict[str, Any]]]:
         found, values = self._found, entry.values
         match entry.kind:
-            case Kind.MODE:
+            case DecisionKind.MODE:
                 if values.get("to") in STANDING:
                     yield found.stops
                 elif values.get("from") in STANDING:
                     yield found.releases
-            case Kind.REQUEST:
+            case DecisionKind.REQUEST:
                 yield found.interventions
-            case Kind.REFUSED:
+            case DecisionKind.REFUSED:
                 yield found.refusals
-            case Kind.PARAMETER:
+            case DecisionKind.PARAMETER:
                 yield found.configuration_changes
-            case Kind.REMOVED:
+            case DecisionKind.REMOVED:
                 yield found.removed
-            case Kind.MORE:
+            case DecisionKind.MORE:
                 yield found.unwritten
 
     def _item(self, entry: Entry, values: Mapping[str, Any]) -> dict[str, Any]:
         recording = "" if self._daemon is None else self._daemon["recording"]
         changed = {}
-        if entry.kind == Kind.PARAMETER:
+        if entry.kind == DecisionKind.PARAMETER:
             key = str(values.get("key"))
             changed = {"changed": {key: [values.get("from"), values.get("to")]}, "first": False}
         return {"time_ns": entry.time_ns, **values, **changed, "recording": recording}

@@ -9,9 +9,9 @@ from dataclasses import asdict
 from math import hypot, isfinite
 from typing import Any, Final
 
+from robotctl.cdr.known_types import ODOMETRY, ROBOT_STATUS
 from robotctl.cdr.motion import decode_odometry
 from robotctl.cdr.reader import CdrReader
-from robotctl.cdr.type_names import ODOMETRY, ROBOT_STATUS
 from robotctl.errors import UsageError
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.modes import Mode

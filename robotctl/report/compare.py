@@ -8,7 +8,7 @@ from typing import Final
 from robotctl.report.axis import Axis
 from robotctl.report.cursor_data import cursor_data
 from robotctl.report.figures import Figure, figures_of
-from robotctl.report.judged import Judged
+from robotctl.report.judged import ReportFindings
 from robotctl.report.markup import Content, Markup, joined, tag
 from robotctl.report.page import document, footer, section
 from robotctl.report.path_plot import Track, ground_of, path_plot
@@ -29,7 +29,7 @@ MOVING: Final = "MOVING"
 NAMES: Final = ("A", "B")
 COLOURS: Final = ("a", "b")
 
-Side = tuple[Recorded, Judged]
+Side = tuple[Recorded, ReportFindings]
 
 
 def comparison_page(first: Side, second: Side) -> str:
@@ -50,7 +50,7 @@ def comparison_page(first: Side, second: Side) -> str:
     return document(f"{names[0]} and {names[1]}: robotctl report", body, cursor_data(axis, plots))
 
 
-def _header(names: Sequence[str], judged: Sequence[Judged]) -> Markup:
+def _header(names: Sequence[str], judged: Sequence[ReportFindings]) -> Markup:
     lines = []
     for name, colour, of_name, found in zip(NAMES, COLOURS, names, judged, strict=True):
         badges = [

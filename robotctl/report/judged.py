@@ -17,7 +17,7 @@ class Tone(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Judgement:
+class CommandVerdict:
     """A verdict: by which command, the verdict in a word, what it means, and its sentences."""
 
     command: str
@@ -36,8 +36,8 @@ class Explanation:
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
+class ReportFindings:
     """All that was found."""
 
-    judgements: tuple[Judgement, ...] = ()
+    judgements: tuple[CommandVerdict, ...] = ()
     explanations: tuple[Explanation, ...] = ()

@@ -16,7 +16,7 @@ from robotctl.recording.read.shadow_record import shadow_sentence
 from robotctl.report.axis import Axis
 from robotctl.report.cursor_data import cursor_data
 from robotctl.report.figures import Figure, figures_of
-from robotctl.report.judged import Explanation, Judged, Judgement
+from robotctl.report.judged import CommandVerdict, Explanation, ReportFindings
 from robotctl.report.markup import Content, Markup, joined, tag
 from robotctl.report.path_plot import Ground, Track, ground_of, marks_on, path_plot
 from robotctl.report.recorded import Recorded
@@ -45,7 +45,7 @@ LEAST_BATTERY_PERCENT, LEAST_LATE_MS = 2.0, 2.0
 """The least height of these plots: smaller differences are shown small."""
 
 
-def report_page(recorded: Recorded, judged: Judged) -> str:
+def report_page(recorded: Recorded, judged: ReportFindings) -> str:
     """Return the page of a recording."""
     name, traces = recorded.info.path.resolve().name, recorded.traces
     axis, ground = time_axis(traces.duration_s), _ground(traces)
@@ -96,7 +96,7 @@ def _digest(text: str) -> str:
     return f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}"
 
 
-def _header(recorded: Recorded, judgements: Sequence[Judgement]) -> Markup:
+def _header(recorded: Recorded, judgements: Sequence[CommandVerdict]) -> Markup:
     info = recorded.info
     began = time.strftime("%Y-%m-%d %H:%M:%S %z", time.localtime(_seconds(info.start_ns)))
     badges = [
@@ -156,7 +156,7 @@ def _figures(figures: Sequence[Figure]) -> Markup:
 
 
 def _sections(
-    recorded: Recorded, judged: Judged, axis: Axis, ground: Ground | None
+    recorded: Recorded, judged: ReportFindings, axis: Axis, ground: Ground | None
 ) -> Iterator[Content]:
     traces = recorded.traces
     if ground is not None:
@@ -233,7 +233,7 @@ def _explanation(why: Explanation) -> Markup:
     return tag("article", tag("h3", moment, "  ", why.what), tag("dl", *rows, class_="why"))
 
 
-def _judgement(each: Judgement) -> Markup:
+def _judgement(each: CommandVerdict) -> Markup:
     badge = tag("span", each.verdict, class_=f"badge {each.tone.value}")
     sentences = tag("ul", *(tag("li", sentence) for sentence in each.sentences))
     head = tag("h3", tag("code", f"robotctl {each.command}"), " ", badge)

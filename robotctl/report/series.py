@@ -21,7 +21,7 @@ Sample = tuple[float, float]
 """A time and a value."""
 
 
-class Column(NamedTuple):
+class SeriesColumn(NamedTuple):
     """The values in one column: where they begin and end, and between what they lie."""
 
     begin_s: float
@@ -42,7 +42,7 @@ class Series:
         self.count = 0
         self.odd = 0
         self._per_s = COLUMNS / duration_s if duration_s > 0.0 else 0.0
-        self._columns: dict[int, Column] = {}
+        self._columns: dict[int, SeriesColumn] = {}
 
     def add(self, t_s: float, value: float) -> None:
         """Take a value; those of one column must come in the order of time."""
@@ -53,13 +53,13 @@ class Series:
         place = min(max(int(t_s * self._per_s), 0), COLUMNS)
         known = self._columns.get(place)
         if known is None:
-            self._columns[place] = Column(t_s, value, value, value, t_s, value)
+            self._columns[place] = SeriesColumn(t_s, value, value, value, t_s, value)
         else:
             least, most = min(known.least, value), max(known.most, value)
-            self._columns[place] = Column(known.begin_s, known.first, least, most, t_s, value)
+            self._columns[place] = SeriesColumn(known.begin_s, known.first, least, most, t_s, value)
 
     @property
-    def columns(self) -> list[Column]:
+    def columns(self) -> list[SeriesColumn]:
         """The columns with values, in their order."""
         return [self._columns[place] for place in sorted(self._columns)]
 
@@ -89,7 +89,7 @@ class Series:
         yield line
 
 
-def _points(column: Column) -> Sequence[Sample]:
+def _points(column: SeriesColumn) -> Sequence[Sample]:
     """Return at most four points that look like all values of a column."""
     if column.begin_s == column.end_s:
         return [(column.begin_s, column.first)]

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Final
 
 from robotctl.cdr.battery import read_battery_level
+from robotctl.cdr.known_types import ODOMETRY
 from robotctl.cdr.motion import decode_twist, decode_twist_stamped, read_sample
-from robotctl.cdr.type_names import ODOMETRY
 from robotctl.kernel.command_types import TWIST, TWIST_STAMPED
 from robotctl.recording import TopicInfo
 from robotctl.recording.read.messages import Message

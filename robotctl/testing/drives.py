@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 from robotctl import __version__
-from robotctl.cdr import type_names
+from robotctl.cdr import known_types
 from robotctl.cdr.motion import encode_twist
 from robotctl.config import Config, flat
 from robotctl.daemon.control.journal_writer import Journal
@@ -55,7 +55,7 @@ QOS = """\
 """The quality of service that every recorded publisher offers."""
 
 TWIST = Topic("/cmd_vel", command_types.TWIST, "Vector3 linear\n", "RIHS01_ab", QOS)
-ODOMETRY = Topic("/odom", type_names.ODOMETRY, "Header header\n", "RIHS01_cd", QOS)
+ODOMETRY = Topic("/odom", known_types.ODOMETRY, "Header header\n", "RIHS01_cd", QOS)
 
 BEGIN_NS = 5_000_000_000
 """The steady time at which drives begin [ns]."""
@@ -63,7 +63,7 @@ BEGIN_NS = 5_000_000_000
 Step = tuple[Event, tuple[Effect, ...]]
 """An event and the effects that the kernel decided on."""
 
-JOURNAL = Topic("/robotctl/journal", type_names.JOURNAL_ENTRY)
+JOURNAL = Topic("/robotctl/journal", known_types.JOURNAL_ENTRY)
 
 MAX_QUEUED = 20_000
 """The number of messages that may be queued; the recorder would drop more."""

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.decision_log.entries import Kind
+from robotctl.decision_log.entries import DecisionKind
 from robotctl.decision_log.folder import files_of, log_folder
 from robotctl.decision_log.log import DecisionLog
 from robotctl.decision_log.read import head_of
@@ -43,28 +43,32 @@ def journal(state: Path, recorded: Path) -> Path:
     log = DecisionLog(state, 0.0, now_ns=lambda: now.ns)
 
     def start(recording: str, version: str, speed_mps: float) -> None:
-        log.add(Kind.START, by="ada", version=version, recording=recording)
-        log.add_values(Kind.SOFTWARE, {"robotctl": version, "digest": "d" + version})
-        log.add_values(Kind.CONFIGURATION, {"limits.linear_mps": speed_mps, "rate_hz": 50.0})
+        log.add(DecisionKind.START, by="ada", version=version, recording=recording)
+        log.add_values(DecisionKind.SOFTWARE, {"robotctl": version, "digest": "d" + version})
+        log.add_values(
+            DecisionKind.CONFIGURATION, {"limits.linear_mps": speed_mps, "rate_hz": 50.0}
+        )
 
     start("/nowhere/robot_20251230_120000", "1", 0.6)
-    log.add(Kind.REFUSED, asked="MOVING", by="a node", answer="no odometry")
+    log.add(DecisionKind.REFUSED, asked="MOVING", by="a node", answer="no odometry")
     now.ns += DAY_NS  # the first daemon is killed
     start("/nowhere/robot_20251231_120000", "2", 0.6)
-    log.add(Kind.END)
+    log.add(DecisionKind.END)
     now.ns += DAY_NS
     start(str(recorded), "2", 0.3)
     log.add_values(
-        Kind.MODE,
+        DecisionKind.MODE,
         {"from": "MOVING", "to": "EMERGENCY_STOP", "reason": "asked by ada", "latched": True},
     )
-    log.add(Kind.REQUEST, asked="EMERGENCY_STOP", by="ada", answer="Mode changed")
+    log.add(DecisionKind.REQUEST, asked="EMERGENCY_STOP", by="ada", answer="Mode changed")
     log.add_values(
-        Kind.MODE,
+        DecisionKind.MODE,
         {"from": "EMERGENCY_STOP", "to": "IDLE", "reason": "reset by ada", "released": True},
     )
-    log.add_values(Kind.PARAMETER, {"key": "rate_hz", "from": "50.0", "to": "40.0", "by": "bob"})
-    log.add(Kind.END)
+    log.add_values(
+        DecisionKind.PARAMETER, {"key": "rate_hz", "from": "50.0", "to": "40.0", "by": "bob"}
+    )
+    log.add(DecisionKind.END)
     log.close()
     return state
 
@@ -186,8 +190,8 @@ def test_entries_that_are_cut_off_the_end_are_missed_by_the_next_recording(
     later = tmp_path / "recordings" / "robot_20270115_080000"
     later.parent.mkdir()
     log = DecisionLog(state, 0.0, now_ns=lambda: BEGIN_NS)
-    log.add(Kind.START, by="ada", version="1", recording=str(later))
-    log.add(Kind.REFUSED, asked="MOVING", by="a node", answer="no odometry")
+    log.add(DecisionKind.START, by="ada", version="1", recording=str(later))
+    log.add(DecisionKind.REFUSED, asked="MOVING", by="a node", answer="no odometry")
     log.close()
     noted = {"robot": "robot", "decisions": head_of(state)}
     recorder = Recorder(later, metadata=lambda: noted, on_failure=pytest.fail)

@@ -11,7 +11,7 @@ from robotctl import __version__
 from robotctl.config import Config, flat
 from robotctl.daemon.control.decisions import Decisions, Request
 from robotctl.daemon.recording.software import DIGEST, software
-from robotctl.decision_log.entries import Entry, Kind
+from robotctl.decision_log.entries import DecisionKind, Entry
 from robotctl.decision_log.folder import log_folder
 from robotctl.decision_log.read import read_log
 from robotctl.ipc.client import call
@@ -39,12 +39,12 @@ class KeptLog:
     """Keeps the entries that it is told."""
 
     def __init__(self) -> None:
-        self.entries: list[tuple[Kind, dict[str, Any]]] = []
+        self.entries: list[tuple[DecisionKind, dict[str, Any]]] = []
 
-    def add(self, kind: Kind, **values: Any) -> None:
+    def add(self, kind: DecisionKind, **values: Any) -> None:
         self.entries.append((kind, values))
 
-    def add_values(self, kind: Kind, values: dict[str, Any]) -> None:
+    def add_values(self, kind: DecisionKind, values: dict[str, Any]) -> None:
         self.entries.append((kind, values))
 
 
@@ -68,7 +68,7 @@ class Told:
             if not isinstance(effect, PublishTwist):
                 self.decisions.decided(effect)
 
-    def entries(self) -> list[tuple[Kind, dict[str, Any]]]:
+    def entries(self) -> list[tuple[DecisionKind, dict[str, Any]]]:
         entries, self.log.entries = self.log.entries, []
         return entries
 
@@ -82,7 +82,7 @@ def test_a_stop_its_refusals_and_its_release_are_noted_with_who_asked(told: Told
     told.ask(ModeRequested, Mode.EMERGENCY_STOP, "a person")
     assert told.entries() == [
         (
-            Kind.MODE,
+            DecisionKind.MODE,
             {
                 "from": "MOVING",
                 "to": "EMERGENCY_STOP",
@@ -92,7 +92,7 @@ def test_a_stop_its_refusals_and_its_release_are_noted_with_who_asked(told: Told
             },
         ),
         (
-            Kind.REQUEST,
+            DecisionKind.REQUEST,
             {
                 "asked": "EMERGENCY_STOP",
                 "by": "a person",
@@ -102,11 +102,11 @@ def test_a_stop_its_refusals_and_its_release_are_noted_with_who_asked(told: Told
     ]
     told.ask(ModeRequested, Mode.MOVING, "a script")
     ((kind, values),) = told.entries()
-    assert (kind, values["asked"], values["by"]) == (Kind.REFUSED, "MOVING", "a script")
+    assert (kind, values["asked"], values["by"]) == (DecisionKind.REFUSED, "MOVING", "a script")
     told.ask(ResetRequested, "the person")
     (_, change), (kind, values) = told.entries()
     assert (change["to"], change["released"]) == ("IDLE", True)
-    assert (kind, values["asked"], values["by"]) == (Kind.REQUEST, "reset", "the person")
+    assert (kind, values["asked"], values["by"]) == (DecisionKind.REQUEST, "reset", "the person")
 
 
 def test_a_fault_is_noted_with_its_cause(told: Told) -> None:
@@ -114,7 +114,7 @@ def test_a_fault_is_noted_with_its_cause(told: Told) -> None:
         told.bench.t_ns += 50_000_000
         told.tell(told.bench.tick())
     ((kind, values),) = told.entries()
-    assert (kind, values["to"]) == (Kind.MODE, "ERROR")
+    assert (kind, values["to"]) == (DecisionKind.MODE, "ERROR")
     assert values["cause"] in {cause.value for cause in Cause}
 
 
@@ -126,9 +126,11 @@ def test_what_changes_nothing_is_not_noted(told: Told) -> None:
 
 def test_a_drive_that_replaces_another_is_noted(told: Told) -> None:
     told.ask(DriveRequested, Pattern(), 1, False, "first")
-    assert [kind for kind, _ in told.entries()] == [Kind.REFUSED]
+    assert [kind for kind, _ in told.entries()] == [DecisionKind.REFUSED]
     told.ask(DriveRequested, Pattern(), 1, True, "second")
-    assert [(kind, values["by"]) for kind, values in told.entries()] == [(Kind.REQUEST, "second")]
+    assert [(kind, values["by"]) for kind, values in told.entries()] == [
+        (DecisionKind.REQUEST, "second")
+    ]
 
 
 def test_a_request_that_ramps_down_is_noted_when_it_is_answered(told: Told) -> None:
@@ -139,27 +141,27 @@ def test_a_request_that_ramps_down_is_noted_when_it_is_answered(told: Told) -> N
             break
         told.bench.odometry()
     kinds = [(kind, values.get("by")) for kind, values in told.entries()]
-    assert kinds == [(Kind.MODE, None), (Kind.REQUEST, "a person")]
+    assert kinds == [(DecisionKind.MODE, None), (DecisionKind.REQUEST, "a person")]
 
 
 def test_a_changed_setting_is_noted_with_who_changed_it_and_a_refusal_too(told: Told) -> None:
     change = ("limits.linear_mps", "0.6", "0.3", "a person")
     told.ask(ParameterRequested, *change)
     ((kind, values),) = told.entries()
-    assert kind is Kind.REFUSED  # while MOVING
+    assert kind is DecisionKind.REFUSED  # while MOVING
     assert (values["asked"], values["by"]) == ("limits.linear_mps = 0.3", "a person")
     told.ask(ModeRequested, Mode.EMERGENCY_STOP, "a person")
     told.entries()
     told.ask(ParameterRequested, *change)
     assert told.entries() == [
         (
-            Kind.PARAMETER,
+            DecisionKind.PARAMETER,
             {"key": "limits.linear_mps", "from": "0.6", "to": "0.3", "by": "a person"},
         )
     ]
 
 
-def of_kind(entries: list[Entry], kind: Kind) -> list[Entry]:
+def of_kind(entries: list[Entry], kind: DecisionKind) -> list[Entry]:
     return [entry for entry in entries if entry.kind == kind]
 
 
@@ -172,7 +174,7 @@ def test_the_journal_outlives_daemons_and_names_who_did_what(
     call("robot", "set_mode", {"mode": 3, "source": "a person"})
     assert world.robotctl("set-mode", "moving").exit_code == 4
     world.ok("reset")
-    until(lambda: len(of_kind(read_log(log_folder("robot")).entries, Kind.REQUEST)) == 2)
+    until(lambda: len(of_kind(read_log(log_folder("robot")).entries, DecisionKind.REQUEST)) == 2)
     call("robot", RECORD_COMMIT)  # a kill before the first commit leaves nothing to check
     world.kill(world.status()["pid"])
     world.patient.write_text(f"{world.patient.read_text()}limits.linear_mps: 0.3\n")
@@ -183,19 +185,26 @@ def test_the_journal_outlives_daemons_and_names_who_did_what(
     log = read_log(log_folder("robot"))
     assert (log.broken, log.notes) == ([], [])
     entries = log.entries
-    starts, (software_,) = of_kind(entries, Kind.START), of_kind(entries, Kind.SOFTWARE)
+    starts, (software_,) = (
+        of_kind(entries, DecisionKind.START),
+        of_kind(entries, DecisionKind.SOFTWARE),
+    )
     assert [entry.values["version"] for entry in starts] == [__version__] * 2
     assert software_.values[DIGEST] == software()[DIGEST]
-    first, second = of_kind(entries, Kind.CONFIGURATION)
+    first, second = of_kind(entries, DecisionKind.CONFIGURATION)
     assert set(first.values) == set(flat(Config()))
     changed = {key for key, value in first.values.items() if second.values[key] != value}
     assert changed == {"limits.linear_mps"}
-    assert next(entry.values["by"] for entry in of_kind(entries, Kind.REQUEST)) == "a person"
-    assert len(of_kind(entries, Kind.REFUSED)) == 1
-    assert next(entry.values.get("latched") for entry in of_kind(entries, Kind.MODE)) is True
+    assert (
+        next(entry.values["by"] for entry in of_kind(entries, DecisionKind.REQUEST)) == "a person"
+    )
+    assert len(of_kind(entries, DecisionKind.REFUSED)) == 1
+    assert (
+        next(entry.values.get("latched") for entry in of_kind(entries, DecisionKind.MODE)) is True
+    )
     # The first daemon was killed: only the second one notes its end.
-    assert entries[-1].kind == Kind.END
-    assert len(of_kind(entries, Kind.END)) == 1
+    assert entries[-1].kind == DecisionKind.END
+    assert len(of_kind(entries, DecisionKind.END)) == 1
     assert {str(Path(entry.values["recording"]).parent) for entry in starts} == {
         str(world.recordings)
     }

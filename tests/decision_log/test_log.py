@@ -16,7 +16,7 @@ import pytest
 from robotctl.decision_log import folder as files
 from robotctl.decision_log import log as writer
 from robotctl.decision_log.budget import DAY_BYTES, RESERVE_BYTES
-from robotctl.decision_log.entries import MAX_TEXT, Kind, hash_of
+from robotctl.decision_log.entries import MAX_TEXT, DecisionKind, hash_of
 from robotctl.decision_log.log import DecisionLog
 from robotctl.decision_log.read import LogContent, read_log
 from robotctl.kernel.units import DAY_S
@@ -89,8 +89,8 @@ def test_entries_outlive_their_writer_in_order(
 ) -> None:
     for round_ in range(3):
         log = begin()
-        log.add(Kind.MODE, to="ERROR", round=round_)
-        log.add(Kind.END)
+        log.add(DecisionKind.MODE, to="ERROR", round=round_)
+        log.add(DecisionKind.END)
         log.close()
     kinds = [kind for kind, _ in written(folder)]
     assert kinds == ["mode", "end"] * 3
@@ -101,7 +101,7 @@ def test_only_its_owner_may_read_it(begin: Callable[[], DecisionLog], folder: Pa
     before = os.umask(0)
     try:
         log = begin()
-        log.add(Kind.END)
+        log.add(DecisionKind.END)
         log.close()
     finally:
         os.umask(before)
@@ -115,12 +115,12 @@ def test_a_torn_end_costs_the_torn_entry_only(
 ) -> None:
     log = begin()
     for number in range(3):
-        log.add(Kind.MODE, number=number)
+        log.add(DecisionKind.MODE, number=number)
     log.close()
     (path,) = files.files_of(folder)
     path.write_bytes(path.read_bytes()[:-cut])
     log = begin()
-    log.add(Kind.MODE, number=3)
+    log.add(DecisionKind.MODE, number=3)
     log.close()
     found = read_log(folder)
     assert found.broken == []
@@ -150,7 +150,7 @@ def test_an_edit_in_the_middle_is_found(
 ) -> None:
     log = begin()
     for number in range(4):
-        log.add(Kind.MODE, to="ERROR", number=number)
+        log.add(DecisionKind.MODE, to="ERROR", number=number)
     log.close()
     (path,) = files.files_of(folder)
     assert read_log(folder).broken == []
@@ -162,9 +162,9 @@ def test_software_and_configuration_are_written_where_they_changed(
 ) -> None:
     for version in ("1", "1", "2", "2"):
         log = begin()
-        log.add(Kind.START, by="a user")
-        log.add_values(Kind.SOFTWARE, {"robotctl": version, "kind": "not an entry's"})
-        log.add_values(Kind.CONFIGURATION, {"rate_hz": 50.0, "recording.include": ["/a"]})
+        log.add(DecisionKind.START, by="a user")
+        log.add_values(DecisionKind.SOFTWARE, {"robotctl": version, "kind": "not an entry's"})
+        log.add_values(DecisionKind.CONFIGURATION, {"rate_hz": 50.0, "recording.include": ["/a"]})
         log.close()
     kinds = [kind for kind, _ in written(folder)]
     assert kinds == [
@@ -182,8 +182,10 @@ def test_a_flood_is_counted_and_leaves_room_for_stops(
     log = begin()
     flood = 5000
     for _ in range(flood):
-        log.add(Kind.REFUSED, asked="MOVING", by="a node that asks again and again", answer="no")
-    log.add(Kind.MODE, to="EMERGENCY_STOP", reason="the operator")
+        log.add(
+            DecisionKind.REFUSED, asked="MOVING", by="a node that asks again and again", answer="no"
+        )
+    log.add(DecisionKind.MODE, to="EMERGENCY_STOP", reason="the operator")
     log.close()
     found = written(folder)
     assert ("mode", {"to": "EMERGENCY_STOP", "reason": "the operator"}) in found
@@ -205,7 +207,7 @@ def test_a_restart_gives_no_new_budget(
         for _ in range(restarts):
             log = begin()
             for _ in range(300):
-                log.add(Kind.MODE, to="ERROR", reason="x" * MAX_TEXT)
+                log.add(DecisionKind.MODE, to="ERROR", reason="x" * MAX_TEXT)
             log.close()
             clock.s += 60.0
 
@@ -224,7 +226,7 @@ def test_files_are_bounded_and_chained(
     monkeypatch.setattr(writer, "FILE_BYTES", 2000)
     log = begin()
     for number in range(40):
-        log.add(Kind.MODE, number=number, reason="r" * 100)
+        log.add(DecisionKind.MODE, number=number, reason="r" * 100)
     log.close()
     made = files.files_of(folder)
     assert len(made) > 2
@@ -241,13 +243,13 @@ def test_only_files_that_are_years_old_are_removed(
     monkeypatch.setattr(writer, "FILE_BYTES", 100)
     log = begin()
     for number in range(10):
-        log.add(Kind.MODE, number=number, reason="r" * 100)
+        log.add(DecisionKind.MODE, number=number, reason="r" * 100)
     log.close()
     made = files.files_of(folder)
     age_s = 5 * 365 * DAY_S
     os.utime(made[0], (0, clock.now_ns() / 1e9 - age_s - 1))
     log = begin(age_s)
-    log.add(Kind.END)
+    log.add(DecisionKind.END)
     log.close()
     assert files.files_of(folder)[: len(made) - 1] == made[1:]
     found = read_log(folder)
@@ -271,10 +273,10 @@ def test_a_full_disk_is_said_and_the_entries_follow_later(
 
     monkeypatch.setattr(os, "write", limited)
     log = begin()
-    log.add(Kind.MODE, number=0)
+    log.add(DecisionKind.MODE, number=0)
     wait_for(log.warning)
     assert "No space left on device" in log.warning()
-    log.add(Kind.MODE, number=1)
+    log.add(DecisionKind.MODE, number=1)
     full.clear()
     wait_for(lambda: not log.warning() and len(read_log(folder).entries) == 2)
     log.close()
@@ -298,7 +300,7 @@ def test_a_disk_that_hangs_delays_nobody(
     log = begin()
     added = 100
     for number in range(added):
-        log.add(Kind.MODE, number=number)
+        log.add(DecisionKind.MODE, number=number)
     log.close()  # does not wait for the disk
     go_on.set()
     monkeypatch.setattr(writer, "END_S", PATIENCE_S)
@@ -321,7 +323,7 @@ def test_what_stands_in_the_place_of_a_file_is_said_and_not_written(
     else:
         place.mkdir()
     log = begin()
-    log.add(Kind.END)
+    log.add(DecisionKind.END)
     wait_for(log.warning)
     assert str(folder) in log.warning()
     assert not (tmp_path / "elsewhere").exists()
@@ -331,14 +333,14 @@ def test_lines_of_a_later_version_are_kept_in_the_chain(
     begin: Callable[[], DecisionLog], folder: Path
 ) -> None:
     log = begin()
-    log.add(Kind.MODE, number=0)
+    log.add(DecisionKind.MODE, number=0)
     log.close()
     (path,) = files.files_of(folder)
     later = {"time_ns": 1, "kind": "later", "prev": hash_of(path.read_bytes().splitlines()[-1])}
     with path.open("a") as file:
         file.write(json.dumps(later) + "\n")
     log = begin()
-    log.add(Kind.END)
+    log.add(DecisionKind.END)
     log.close()
     assert [kind for kind, _ in written(folder)] == ["mode", "later", "end"]
 
@@ -350,7 +352,7 @@ def test_a_line_of_any_bytes_is_a_note(
     begin: Callable[[], DecisionLog], folder: Path, line: bytes
 ) -> None:
     log = begin()
-    log.add(Kind.END)
+    log.add(DecisionKind.END)
     log.close()
     (path,) = files.files_of(folder)
     path.write_bytes(path.read_bytes() + line + b"\n")

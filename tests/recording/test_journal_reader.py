@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.cdr.type_names import JOURNAL_ENTRY
+from robotctl.cdr.known_types import JOURNAL_ENTRY
 from robotctl.errors import UnreadableFile
 from robotctl.recording import Recorder, RecorderOptions, Recording, Topic
 from robotctl.recording.format.journal import (

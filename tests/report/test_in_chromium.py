@@ -12,7 +12,7 @@ from PIL import Image
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import ModeRequested
 from robotctl.report.compare import comparison_page
-from robotctl.report.judged import Judged, Judgement, Tone
+from robotctl.report.judged import CommandVerdict, ReportFindings, Tone
 from robotctl.report.page import report_page
 from robotctl.report.recorded import read_recorded
 from robotctl.testing.drives import BEGIN_NS, drive, drive_requested, record
@@ -40,9 +40,9 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ended = ModeRequested(BEGIN_NS + 2_000_000_000, 3, Mode.IDLE.value, HOSTILE)
     written = drive(3.0, requests=[drive_requested(laps=1), ended])
     recorded = read_recorded(record(folder / "robot_20260101_120000", written))
-    verdict = Judgement("replay --check", "same", Tone.GOOD, (HOSTILE,))
+    verdict = CommandVerdict("replay --check", "same", Tone.GOOD, (HOSTILE,))
     path = folder / "report.html"
-    path.write_text(report_page(recorded, Judged((verdict,))))
+    path.write_text(report_page(recorded, ReportFindings((verdict,))))
     return path
 
 
@@ -146,7 +146,7 @@ def test_without_its_script_the_page_is_as_complete(browser: Chromium, page: Pat
 
 
 def test_a_comparison_opens_without_a_complaint(browser: Chromium, page: Path) -> None:
-    side = read_recorded(page.parent / "robot_20260101_120000"), Judged()
+    side = read_recorded(page.parent / "robot_20260101_120000"), ReportFindings()
     compared = page.with_name("compared.html")
     compared.write_text(comparison_page(side, side))
     browser.open(compared.as_uri())

@@ -15,7 +15,7 @@ from robotctl.recording import Recorder
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.report.compare import comparison_page
 from robotctl.report.figures import figures_of
-from robotctl.report.judged import Explanation, Judged, Judgement, Tone
+from robotctl.report.judged import CommandVerdict, Explanation, ReportFindings, Tone
 from robotctl.report.page import report_page
 from robotctl.report.recorded import Recorded, read_recorded
 from robotctl.report.traces import EndedDrive, Traces
@@ -41,8 +41,8 @@ SECTIONS = {
     *("path", "time", "moments", "why", "drives", "modes", "verdicts"),
     *("messages", "provenance", "parameters"),
 }
-JUDGED = Judged(
-    (Judgement("replay --check", "same", Tone.GOOD, ("compared bit for bit",)),),
+JUDGED = ReportFindings(
+    (CommandVerdict("replay --check", "same", Tone.GOOD, ("compared bit for bit",)),),
     (Explanation(1.0, "MOVING -> IDLE: stopped", (("known", "battery 80 %"),)),),
 )
 
@@ -63,7 +63,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, written: list[Written]) -> 
     return record(tmp_path_factory.mktemp("report") / "robot_20260101_120000", written)
 
 
-def page_of(path: Path, judged: Judged = JUDGED) -> tuple[str, HtmlPage]:
+def page_of(path: Path, judged: ReportFindings = JUDGED) -> tuple[str, HtmlPage]:
     text = report_page(read_recorded(path), judged)
     return text, HtmlPage(text)
 
@@ -154,8 +154,8 @@ def test_text_of_a_recording_never_becomes_markup_nor_too_long_a_page(
     tmp_path: Path, written: list[Written], texts: int
 ) -> None:
     made = write_contents(tmp_path / "h", hostile(recorded(tmp_path / "r", written), texts))
-    judged = Judged(
-        (Judgement(HOSTILE, HOSTILE, Tone.BAD, (HOSTILE,)),),
+    judged = ReportFindings(
+        (CommandVerdict(HOSTILE, HOSTILE, Tone.BAD, (HOSTILE,)),),
         (Explanation(1.0, HOSTILE, ((HOSTILE, HOSTILE),)),),
     )
     text, page = page_of(made, judged)
@@ -186,9 +186,9 @@ def test_the_fullest_page_keeps_its_limit(folder: Path) -> None:
         for n in range(60):
             traces.rates.add(topic.name, n * 1000 / 60)
     full = Recorded(info, traces, True, (), (worst,) * 20, True, True)
-    judgement = Judgement(worst, worst, Tone.BAD, (worst,) * 20)
+    judgement = CommandVerdict(worst, worst, Tone.BAD, (worst,) * 20)
     why = Explanation(1.0, worst, ((worst, worst),) * 6)
-    judged = Judged((judgement, judgement), (why,) * 5)
+    judged = ReportFindings((judgement, judgement), (why,) * 5)
     text = report_page(full, judged)
     assert_harmless(text, HtmlPage(text))
     assert "more modes, moments, drives or wanted paths are not shown" in text
@@ -220,7 +220,7 @@ def test_recordings_of_the_first_version_are_shown(name: str) -> None:
 def test_a_bag_of_another_recorder_is_shown_as_far_as_it_goes(tmp_path: Path) -> None:
     lines = in_order([odometry(20.0 * n, n / 100) for n in range(50)], talk("/chat", 40))
     bag = write_bag(tmp_path / "bag.mcap", lines)
-    text, page = page_of(bag, Judged())
+    text, page = page_of(bag, ReportFindings())
     assert_harmless(text, page)
     assert "There is no journal of robotctl in it. Drawn: /odom." in text
     assert page.ids.keys() >= {"path", "plot-1", "messages"}
@@ -229,17 +229,17 @@ def test_a_bag_of_another_recorder_is_shown_as_far_as_it_goes(tmp_path: Path) ->
 
 
 def test_a_bag_without_anything_to_draw_is_a_page_too(tmp_path: Path) -> None:
-    text, page = page_of(write_bag(tmp_path / "bag.mcap", talk("/chat", 1)), Judged())
+    text, page = page_of(write_bag(tmp_path / "bag.mcap", talk("/chat", 1)), ReportFindings())
     assert_harmless(text, page)
     assert "no topic that can be drawn" in text
     empty = write_bag(tmp_path / "empty.mcap", [])
-    assert_harmless(*page_of(empty, Judged()))
+    assert_harmless(*page_of(empty, ReportFindings()))
 
 
 def test_odometry_that_is_no_number_is_counted_and_not_drawn(tmp_path: Path) -> None:
     places = [0.0, float("nan"), float("inf"), 1e300, 0.5]
     bag = write_bag(tmp_path / "bag.mcap", [odometry(10.0 * n, x) for n, x in enumerate(places)])
-    text, page = page_of(bag, Judged())
+    text, page = page_of(bag, ReportFindings())
     assert_harmless(text, page)
     assert len(read_recorded(bag).traces.driven.whole()) == 2
     assert "nan" not in text.lower().replace("provenance", "")
@@ -290,8 +290,8 @@ def test_a_recording_that_is_being_written_is_shown_as_far_as_it_is_committed(
     channel = recorder.add_topic(TWIST)
     write_numbered(recorder, channel, range(1, 11))
     until(lambda: recorder.stats().written == 10)
-    text, page = page_of(tmp_path / "run", Judged())
+    text, page = page_of(tmp_path / "run", ReportFindings())
     recorder.close()
     assert_harmless(text, page)
     assert "This recording is being written" in text
-    assert "This recording is being written" not in page_of(tmp_path / "run", Judged())[0]
+    assert "This recording is being written" not in page_of(tmp_path / "run", ReportFindings())[0]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from robotctl.cdr.type_names import JOURNAL_ENTRY
+from robotctl.cdr.known_types import JOURNAL_ENTRY
 from robotctl.kernel.types import ModeRequested
 from robotctl.recording import Recorder, RecorderOptions, Topic, read_info
 from robotctl.recording.format.journal import EntryKind, JournalEntry, encode

@@ -26,7 +26,7 @@ from mcap.records import (
     Statistics,
 )
 
-from robotctl.cdr.type_names import JOURNAL_ENTRY
+from robotctl.cdr.known_types import JOURNAL_ENTRY
 from robotctl.recording.format.journal import TOPIC, EntryKind, JournalEntry, encode
 from robotctl.recording.format.metadata_names import LIBRARY
 from robotctl.recording.format.records import MAGIC, MESSAGE_HEAD, record_bytes

@@ -33,7 +33,7 @@ from robotctl.cli.terminal.text import (
     size,
     terminal_lines,
 )
-from robotctl.cli.terminal.topic_table import TopicTable
+from robotctl.cli.terminal.topic_lines import TopicLines
 from robotctl.domains import reserved_domain
 from robotctl.errors import NoDaemon, RobotctlError
 from robotctl.ipc.answers import DriveAnswer, Status
@@ -204,7 +204,7 @@ def _report(robot: str, result: DemoResult, png: Path, *, keep: bool) -> Iterato
     found = read_info(result.folder)
     folder = short_path(result.folder)
     heard = [topic for topic in found.topics if topic.message_count]
-    table = TopicTable((topic.name, topic.type_name) for topic in heard)
+    table = TopicLines((topic.name, topic.type_name) for topic in heard)
     yield f"\n{table.header}"
     for topic in heard:
         yield table.row(topic.name, topic.type_name, topic.message_count, topic.rate_hz)

@@ -17,7 +17,7 @@ from robotctl.cli.support.recording_paths import (
     find_recording,
 )
 from robotctl.cli.terminal.text import duration, moment, printable, row, short_path, size
-from robotctl.cli.terminal.topic_table import TopicTable
+from robotctl.cli.terminal.topic_lines import TopicLines
 from robotctl.errors import UnreadableFile
 
 if TYPE_CHECKING:
@@ -136,7 +136,7 @@ def info_lines(found: RecordingInfo) -> Iterator[str]:
     yield f"  writer     {printable(found.library)}, profile {printable(found.profile) or 'none'}"
     if shadow := shadow_sentence(found):
         yield from row("  shadow     ", shadow)
-    table = TopicTable((topic.name, topic.type_name) for topic in found.topics)
+    table = TopicLines((topic.name, topic.type_name) for topic in found.topics)
     if found.topics:
         yield ""
         yield table.header

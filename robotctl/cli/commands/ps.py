@@ -27,7 +27,7 @@ def ps(as_json: Json = False) -> None:
     print_answer({"robots": answers}, _lines(answers), as_json=as_json)
 
 
-def _answer(found: robots.RunningDaemon) -> dict[str, Any]:
+def _answer(found: robots.RobotDaemon) -> dict[str, Any]:
     status = found.status
     return {
         "robot": found.robot,

@@ -11,10 +11,10 @@ from contextlib import suppress
 from pathlib import Path
 
 from robotctl.cli.support import dead_daemons, robots
-from robotctl.cli.support.look_process import look_processes
+from robotctl.cli.support.query_process import query_processes
 from robotctl.cli.support.ros_view import RosView, ros_view
 from robotctl.config import Config, load
-from robotctl.doctor import graph, machine, python_installation, shared_memory
+from robotctl.doctor import graph_checks, machine, python_installation, shared_memory
 from robotctl.doctor.finding import Finding, fault, ok, warning
 from robotctl.domains import requested_domain, wider_discovery
 from robotctl.environment import RANGE
@@ -72,7 +72,7 @@ def _computer(config: Config) -> Iterator[Finding]:
 
 
 def _ros(robot: str, config: Config, domain_id: int | None) -> Iterator[Finding]:
-    with look_processes([]):
+    with query_processes([]):
         try:
             view = ros_view(robot, domain_id)
             os.environ.setdefault(RANGE, "LOCALHOST")  # as a start does
@@ -94,9 +94,9 @@ def _ros(robot: str, config: Config, domain_id: int | None) -> Iterator[Finding]
             odometry = _topic(view, kernel.odometry.topic, used)
             has_odometry = bool(odometry["publishers"])
             command = _topic(view, kernel.command.topic, used)
-            yield from graph.check_command(command, has_odometry=has_odometry)
-            yield from graph.check_odometry(odometry)
-            yield from graph.check_definitions(names["topics"], _is_installed)
+            yield from graph_checks.check_command(command, has_odometry=has_odometry)
+            yield from graph_checks.check_odometry(odometry)
+            yield from graph_checks.check_definitions(names["topics"], _is_installed)
         except UsageError:
             raise
         except RobotctlError as error:

@@ -48,7 +48,7 @@ def stop_all(params: dict[str, str]) -> tuple[list[StoppedRobot], RobotctlError 
     return stopped, failures[0] if failures else None
 
 
-def others_than(robot: str) -> list[robots.RunningDaemon]:
+def others_than(robot: str) -> list[robots.RobotDaemon]:
     """Return the other robots that move, or do not say whether they do."""
     others = [name for name in robots.names() if name != robot]
     return [found for found in robots.find(others) if found.moves or found.problem]

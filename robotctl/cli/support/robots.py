@@ -22,7 +22,7 @@ ANSWER_S = 2.0
 T = TypeVar("T")
 
 
-class RunningDaemon(NamedTuple):
+class RobotDaemon(NamedTuple):
     """One daemon: its status, or why it gave none."""
 
     robot: str
@@ -51,7 +51,7 @@ def names() -> list[str]:
     return sorted(name.removesuffix(SUFFIX) for name in found if name.endswith(SUFFIX))
 
 
-def find(robots: Iterable[str]) -> list[RunningDaemon]:
+def find(robots: Iterable[str]) -> list[RobotDaemon]:
     """Return each of these robots that has a daemon."""
     return [found for found in at_once(_look, robots) if found is not None]
 
@@ -64,14 +64,14 @@ def at_once(ask: Callable[[str], T], robots: Iterable[str]) -> list[T]:
     return [each.result() for each in asking]
 
 
-def _look(robot: str) -> RunningDaemon | None:
+def _look(robot: str) -> RobotDaemon | None:
     try:
         with Client(robot) as client:
             try:
-                return RunningDaemon(robot, client.call(STATUS, deadline_s=ANSWER_S), "")
+                return RobotDaemon(robot, client.call(STATUS, deadline_s=ANSWER_S), "")
             except RobotctlError as error:
-                return RunningDaemon(robot, None, str(error))
+                return RobotDaemon(robot, None, str(error))
     except NoDaemon:
         return None
     except RobotctlError as error:
-        return RunningDaemon(robot, None, str(error))
+        return RobotDaemon(robot, None, str(error))

@@ -1,6 +1,6 @@
 """What commands see of ROS: through the daemon where one runs, else through a process of their own.
 
-That process (robotctl.ros.looks) joins the ROS domain for as long as the command takes.
+That process (robotctl.ros.queries) joins the ROS domain for as long as the command takes.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from robotctl.cli.support.early_process import END_S
-from robotctl.cli.support.look_process import leave, look_process
+from robotctl.cli.support.query_process import leave, query_process
 from robotctl.domains import requested_domain
 from robotctl.environment import RANGE
 from robotctl.errors import NoDaemon, RobotctlError, UsageError, error_for_exit_code
@@ -129,7 +129,7 @@ class RosView:
     def _start(self, look: str, **request: Any) -> Child:
         from json import dumps
 
-        child = look_process()
+        child = query_process()
         discovery = os.environ.get(RANGE)  # it may have been started before this was known
         given = {"look": look, "domain_id": self.domain_id, "range": discovery, **request}
         line = dumps(given)

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from robotctl.cli.terminal.text import duration, number, printable, row, short_path, size
-from robotctl.cli.terminal.topic_table import TopicTable
+from robotctl.cli.terminal.topic_lines import TopicLines
 
 if TYPE_CHECKING:
     from robotctl.ipc.answers import Status
@@ -27,7 +27,7 @@ def status_screen_lines(status: Status) -> Iterator[str]:
         yield from row(f"  {'shadow':{_LABEL_WIDTH}} ", shadow_text(shadow))
     topics = status["topics"]
     if topics:
-        table = TopicTable((topic["name"], topic["type"]) for topic in topics)
+        table = TopicLines((topic["name"], topic["type"]) for topic in topics)
         yield ""
         yield table.header
         for topic in topics:

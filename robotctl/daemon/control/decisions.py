@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import assert_never
 
-from robotctl.decision_log.entries import Kind
+from robotctl.decision_log.entries import DecisionKind
 from robotctl.decision_log.log import DecisionLog
 from robotctl.kernel.lease import LeaseRequested
 from robotctl.kernel.modes import Mode
@@ -56,13 +56,13 @@ class Decisions:
             case ModeChanged():
                 self._changes += 1
                 latch, self._latch = self._latch, {}
-                self._log.add_values(Kind.MODE, {**_change(effect), **latch})
+                self._log.add_values(DecisionKind.MODE, {**_change(effect), **latch})
                 self._show({"event": "mode", **_change(effect)})
             case DriveEnded():
                 self._changes += 1
             case ParameterChanged():
                 self._log.add_values(
-                    Kind.PARAMETER,
+                    DecisionKind.PARAMETER,
                     {
                         "key": effect.key,
                         "from": effect.old,
@@ -84,7 +84,7 @@ class Decisions:
         changed = self._changes > before or isinstance(request, DriveRequested | LeaseRequested)
         if changed or not reply.ok:
             self._log.add(
-                Kind.REQUEST if reply.ok else Kind.REFUSED,
+                DecisionKind.REQUEST if reply.ok else DecisionKind.REFUSED,
                 asked=_asked(request),
                 by=request.source,
                 answer=reply.message,

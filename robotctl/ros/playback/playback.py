@@ -14,7 +14,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
-from robotctl.cdr.type_names import JOURNAL_ENTRY
+from robotctl.cdr.known_types import JOURNAL_ENTRY
 from robotctl.printable import short_name
 from robotctl.ros.graph import endpoints
 from robotctl.ros.messages.classes import UnusableType, message_class

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from robotctl.cdr.type_names import JOURNAL_ENTRY
+from robotctl.cdr.known_types import JOURNAL_ENTRY
 from robotctl.recording.format import journal
 from robotctl.ros.nodes import journal_publisher
 from robotctl.ros.nodes.battery_subscriber import BatterySubscriber

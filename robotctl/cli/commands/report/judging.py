@@ -13,7 +13,7 @@ from robotctl.cli.terminal.text import duration, size
 from robotctl.errors import UnreadableFile
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.event_kind import EventKind
-from robotctl.report.judged import Explanation, Judged, Judgement, Tone
+from robotctl.report.judged import CommandVerdict, Explanation, ReportFindings, Tone
 from robotctl.report.recorded import Recorded
 from robotctl.rerun import find_incident
 from robotctl.rerun.check_many import check_recordings
@@ -32,7 +32,7 @@ _VERIFY_TONES: Final = {"sealed": Tone.GOOD, "whole": Tone.UNSURE}
 _ROWS: Final = ("came_in", "known", "rule", "asked", "went_out", "shadow", "since")
 
 
-def judge(path: Path, recorded: Recorded, *, quiet: bool) -> Judged:
+def judge(path: Path, recorded: Recorded, *, quiet: bool) -> ReportFindings:
     """Check, verify and explain a recording; without a journal there is nothing but its bytes."""
     judgements, explanations = [], []
     if recorded.has_journal:
@@ -41,17 +41,17 @@ def judge(path: Path, recorded: Recorded, *, quiet: bool) -> Judged:
         judgements.append(_checked(checked))
         explanations = _explained(path, recorded, quiet=quiet)
     if isinstance(path, StorePath):
-        judgements.append(Judgement("verify", "not run", Tone.UNSURE, (_NOT_VERIFIED,)))
-        return Judged(tuple(judgements), tuple(explanations))
+        judgements.append(CommandVerdict("verify", "not run", Tone.UNSURE, (_NOT_VERIFIED,)))
+        return ReportFindings(tuple(judgements), tuple(explanations))
     with progress_bar("verifying", quiet=quiet) as on_progress:
         judgements.append(_verified(verified(path, on_progress)))
-    return Judged(tuple(judgements), tuple(explanations))
+    return ReportFindings(tuple(judgements), tuple(explanations))
 
 
-def _checked(report: dict[str, Any]) -> Judgement:
+def _checked(report: dict[str, Any]) -> CommandVerdict:
     verdict = Verdict(report["verdict"])
     sentences = list(_check_sentences(report))
-    return Judgement(
+    return CommandVerdict(
         "replay --check",
         verdict.value,
         _CHECK_TONES.get(verdict, Tone.BAD),
@@ -79,7 +79,7 @@ def _check_sentences(report: dict[str, Any]) -> Iterator[str]:
         yield f"seal: {report['seal']}"
 
 
-def _verified(report: dict[str, Any]) -> Judgement:
+def _verified(report: dict[str, Any]) -> CommandVerdict:
     sentences = [
         f"{file['name']}: {size(file['bytes'])}, {file['messages']} messages, {file['state']}"
         + (f", seal: {file['seal']['state']}" if file["seal"]["links"] else "")
@@ -90,7 +90,7 @@ def _verified(report: dict[str, Any]) -> Judgement:
     sentences += [f"note: {sentence}" for sentence in report["notes"]]
     verdict = report["verdict"]
     tone = _VERIFY_TONES.get(verdict, Tone.BAD)
-    return Judgement("verify", verdict, tone, tuple(sentences[:MAX_SENTENCES]))
+    return CommandVerdict("verify", verdict, tone, tuple(sentences[:MAX_SENTENCES]))
 
 
 def _explained(path: Path, recorded: Recorded, *, quiet: bool) -> list[Explanation]:

@@ -36,12 +36,12 @@ def list_topics(
 
 
 def _list_recorded(file: str, *, every: bool, as_json: bool) -> None:
-    from robotctl.cli.terminal.topic_table import TopicTable
+    from robotctl.cli.terminal.topic_lines import TopicLines
     from robotctl.recording import read_info
 
     found = read_info(find_recording(file, None))
     topics = [each for each in found.topics if every or not is_hidden(each.name)]
-    table = TopicTable((each.name, each.type_name) for each in topics)
+    table = TopicLines((each.name, each.type_name) for each in topics)
     rows = (
         table.row(each.name, each.type_name, each.message_count, each.rate_hz) for each in topics
     )

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from robotctl.cli.support import early_process, look_process
-from robotctl.cli.support.look_process import look_processes
+from robotctl.cli.support import early_process, query_process
+from robotctl.cli.support.query_process import query_processes
 from robotctl.cli.support.ros_view import RosView
 from robotctl.paths import socket_path
 
@@ -33,7 +33,7 @@ class Started:
         self.killed = 0
 
     def __call__(self, command: object, **_: object) -> Any:
-        assert command is look_process.LOOK
+        assert command is query_process.QUERY
         self.count += 1
         return self
 
@@ -72,7 +72,7 @@ def started(monkeypatch: pytest.MonkeyPatch) -> Iterator[Started]:
 def test_the_process_starts_early_where_the_line_needs_it(
     started: Started, line: str, count: int
 ) -> None:
-    with look_processes(line.split()):
+    with query_processes(line.split()):
         assert started.count == count
 
 
@@ -80,9 +80,9 @@ def test_where_a_daemon_answers_no_process_is_started_for_a_list(started: Starte
     socket = socket_path("robot")
     socket.parent.mkdir(parents=True)
     socket.touch()
-    with look_processes(["topic", "list"]):
+    with query_processes(["topic", "list"]):
         assert started.count == 0
-    with look_processes(["topic", "list", "--domain-id", "3"]):
+    with query_processes(["topic", "list", "--domain-id", "3"]):
         assert started.count == 1
 
 
@@ -92,12 +92,12 @@ def test_an_answer_comes_before_the_process_has_left(
     program, fifo = tmp_path / "look.py", tmp_path / "fifo"
     program.write_text(LINGERING)
     os.mkfifo(fifo)
-    monkeypatch.setattr(look_process, "LOOK", (sys.executable, str(program), str(fifo)))
+    monkeypatch.setattr(query_process, "QUERY", (sys.executable, str(program), str(fifo)))
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
-    with look_processes(["topic", "list", "--domain-id", "7"]):
+    with query_processes(["topic", "list", "--domain-id", "7"]):
         answer: Any = RosView("robot", "", 7, through_daemon=False).names()
         assert answer == {"look": "names", "domain_id": 7, "range": "SUBNET"}
-        (child,) = look_process._leaving
+        (child,) = query_process._leaving
         assert child.wait(0.0) is None
         with fifo.open("w") as end:
             end.write("x")

@@ -1,4 +1,4 @@
-"""`python -m robotctl.ros.looks --report-fd N`: do what the first line on stdin asks.
+"""`python -m robotctl.ros.queries --report-fd N`: do what the first line on stdin asks.
 
 The line is a JSON object with the name of a look (`names`, `topic`, `node`, `listen`, `call`), the
 domain, its discovery range (null for that of the environment), and what the look takes. The
@@ -27,7 +27,7 @@ def main(arguments: list[str]) -> int:
     with suppress(BrokenPipeError, asyncio.CancelledError):  # nothing waits for the answer any more
         try:
             # After environment.prepare(), because it imports rclpy; before the wait for the line.
-            from robotctl.ros.looks.look import look
+            from robotctl.ros.queries.by_name import look
 
             line = _first_line()
             if not line:

@@ -6,7 +6,7 @@ from typing import Any
 
 from robotctl.errors import UsageError
 from robotctl.ros.graph.overview import node_facts, overview, topic_facts
-from robotctl.ros.looks.visitor import Send, Visitor
+from robotctl.ros.queries.visitor import Send, Visitor
 
 
 def look(request: dict[str, Any], send: Send) -> None:
@@ -30,10 +30,10 @@ def look(request: dict[str, Any], send: Send) -> None:
                     raise UsageError(f"no node {request['name']!r}")
                 send(found)
             case "listen":
-                from robotctl.ros.looks.listen import listen
+                from robotctl.ros.queries.listen import listen
 
                 visitor.run(listen(visitor, request, send))
             case "call":
-                from robotctl.ros.looks.call import call
+                from robotctl.ros.queries.call import call
 
                 visitor.run(call(visitor, request, send))

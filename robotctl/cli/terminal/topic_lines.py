@@ -10,7 +10,7 @@ _MIN_NAME_WIDTH, _COUNT_WIDTH, _RATE_WIDTH = 24, 8, 7
 _INDENT_AND_GAPS = 5
 
 
-class TopicTable:
+class TopicLines:
     """A table whose columns fit its topics; on a terminal, types get the rest."""
 
     def __init__(self, topics: Iterable[tuple[object, object]]) -> None:

@@ -15,7 +15,7 @@ from robotctl.cli.support.early_process import END_S, early_or_new, started_earl
 from robotctl.paths import DEFAULT_ROBOT, ROBOT_VARIABLE, socket_path
 from robotctl.processes import Child, program
 
-LOOK: Final = program("robotctl.ros.looks")
+QUERY: Final = program("robotctl.ros.queries")
 
 _ALWAYS: Final = (("service", "call"), ("topic", "echo"), ("topic", "hz"))
 """The commands that look through a process of their own even where a daemon runs."""
@@ -33,24 +33,24 @@ _leaving: list[Child] = []
 
 
 @contextmanager
-def look_processes(arguments: Sequence[str]) -> Iterator[None]:
+def query_processes(arguments: Sequence[str]) -> Iterator[None]:
     """Start the process if the command line seems to need it; at the end, wait for all to leave."""
     command = tuple(arguments[:2])
     needed = command in _ALWAYS or (command in _WITHOUT_DAEMON and not _may_have_daemon(arguments))
     with ExitStack() as at_end:
         at_end.callback(_wait_until_left)
         if needed and not any(word.partition("=")[0] in _OTHERWISE for word in arguments):
-            at_end.enter_context(started_early(LOOK))
+            at_end.enter_context(started_early(QUERY))
         yield
 
 
-def look_process() -> Child:
+def query_process() -> Child:
     """Return a process that has not been asked for anything yet; the caller closes it."""
-    return early_or_new(LOOK)
+    return early_or_new(QUERY)
 
 
 def leave(child: Child) -> None:
-    """Ask a process to end; the end of `look_processes` waits for it."""
+    """Ask a process to end; the end of `query_processes` waits for it."""
     child.close_stdin()
     _leaving.append(child)
 

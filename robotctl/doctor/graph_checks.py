@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from itertools import chain, islice
 from typing import Final
 
-from robotctl.cdr.type_names import ODOMETRY
+from robotctl.cdr.known_types import ODOMETRY
 from robotctl.doctor.finding import Finding, fault, ok, warning
 from robotctl.ipc.graph_answers import GraphEndpoint, GraphTopic, NameAndTypes
 from robotctl.kernel.command_types import TWIST, TWIST_STAMPED

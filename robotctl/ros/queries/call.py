@@ -13,9 +13,9 @@ from robotctl.cdr.values import decode, encode
 from robotctl.errors import NoDaemon, Refused, UsageError
 from robotctl.ros.executor import AsyncioExecutor
 from robotctl.ros.graph.overview import services
-from robotctl.ros.looks.visitor import Send, Visitor
 from robotctl.ros.messages.classes import UnusableType, message_class
 from robotctl.ros.messages.type_definition import definition_of
+from robotctl.ros.queries.visitor import Send, Visitor
 from robotctl.unknown_name import unknown_name
 
 
