@@ -152,6 +152,60 @@ def test_no_file_has_more_lines_than_a_reader_can_hold() -> None:
     assert longer == set(LONGER), "split by idea; a file that became shorter leaves the list"
 
 
+NAMED_BY_RULE: Mapping[str, str] = {
+    "cli.commands": "a command and the files of its folder are named as the user types it",
+    "cdr": "what reads a message is named like the values that the kernel takes from it",
+    "daemon.api": "methods of the socket are named like what they are about",
+    "ros.executables": "the nodes of the tutorial, which the roles of the daemon resemble",
+}
+"""The rooms whose modules, and in executables classes, may share a name with others."""
+
+NAMED_ALIKE: Mapping[str, str] = {
+    "app": "the composition of a process, of the command line and of the daemon",
+    "effects": "decided by the kernel, carried out by the daemon",
+    "errors": "those of the executor, which imports nothing of ours",
+    "faults": "of the simulated robot, and documented ones for tests of users",
+    "indexing": "of all recordings for questions, and of one file for a reader",
+    "mode_service": "the role, and the process of it alone",
+    "parameters": "of the kernel, and their change while the daemon runs",
+    "params": "of a method of the socket, and of the kernel",
+    "safety_inputs": "what the kernel takes, and the role that receives it",
+    "software": "of a daemon, noted in its recordings, and of the gate",
+    "source": "of bytes, and of events for the executor",
+    "timeline": "of a replay, and of values in a check",
+    "Answer": "to a question, and to a service",
+    "Change": "of a result, of a value, and when a parameter takes one",
+    "Divergence": "documented, as an error with an exit code and as what a check found",
+    "Failure": "of a recording in the gate, and on the socket",
+    "Finding": "of the doctor, and of the safety table",
+    "Inputs": "of the daemon, and of a recording",
+    "Measured": "a base, a recording in the gate, and a robot",
+    "Missing": "objects, and ticks",
+    "Proof": "of a snapshot, and of a seal",
+    "Shown": "the status, and what it showed before",
+    "Source": "of bytes, and of events for the executor",
+    "Stalls": "counted by the kernel, and found in a recording",
+    "Status": "on the socket, and on ROS",
+    "Tick": "an event of the kernel, and a documented one of the executor",
+}
+"""The other modules and classes that share a name, each with what they are."""
+
+
+def test_a_name_of_a_module_or_class_says_which_one_is_meant() -> None:
+    homes: dict[str, set[str]] = {}
+    for name, path in own_modules().items():
+        by_rule = any(is_within(name, room) for room in NAMED_BY_RULE)
+        if path.stem not in ("__init__", "__main__") and not by_rule:
+            homes.setdefault(path.stem, set()).add(name)
+        if not is_within(name, "ros.executables"):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.ClassDef):
+                    homes.setdefault(node.name, set()).add(name)
+    assert {name: sorted(found) for name, found in homes.items() if len(found) > 1}.keys() == (
+        NAMED_ALIKE.keys()
+    ), "find a name of its own; a name that is unique leaves the list"
+
+
 def test_the_kernel_is_pure() -> None:
     """No clock, no file, no loop, no log, no chance; nothing but the standard library."""
     impure = {
