@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -48,6 +49,25 @@ def test_a_user_finds_the_drives_of_a_folder(cli: Cli) -> None:
     assert indexed["indexed"] == 1
     counted = cli("find", "--sql", "SELECT count(*) AS drives FROM drives").out
     assert counted.split() == ["drives", "1", "1", "row"]
+
+
+@pytest.mark.usefixtures("indexed")
+@pytest.mark.parametrize("place", ["recordings", "s3://robots/day"])
+@pytest.mark.parametrize(
+    "command", [("index",), ("find", "--in"), ("find", "--sql", "SELECT 1", "--in")]
+)
+def test_without_the_extra_a_question_is_one_sentence_with_its_cure(
+    cli: Cli, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, place: str, command: tuple[str, ...]
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setitem(sys.modules, "duckdb", None)
+    with serving(monkeypatch) as bucket:
+        for path in LAP.iterdir():
+            bucket[f"day/{LAP.name}/{path.name}"] = path.read_bytes()
+        ran = cli(*command, place)
+    assert (ran.exit_code, ran.out) == (2, "")
+    said = "an index needs duckdb, which is not installed: pip install 'robotctl[parquet]'"
+    assert ran.err.split("robotctl: ")[1:] == [f"{said}\n"]
 
 
 @pytest.mark.usefixtures("indexed")
