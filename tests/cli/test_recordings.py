@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from robotctl.cli.terminal import text
 from robotctl.paths import recordings_note_path
 from robotctl.recording import Recorder, Topic
 from robotctl.recording.format.event_kind import EventKind
@@ -64,6 +65,7 @@ def test_the_list_for_machines_has_every_fact(library: Path, cli: Cli) -> None:
         "size_bytes": first["size_bytes"],
         "files": 1,
         "laps": 0,
+        "driven_s": None,
         **dict.fromkeys(ERRORS),
         "worst": "estop",
         "readable": True,
@@ -72,6 +74,39 @@ def test_the_list_for_machines_has_every_fact(library: Path, cli: Cli) -> None:
         "kept": False,
         "clips": [],
     }
+
+
+def test_the_list_tells_the_errors_and_the_time_of_drives_within_80_columns(
+    cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(text, "_terminal_columns", lambda: 80)
+    folder = tmp_path / "driven" / OLDER
+    recorder = Recorder(folder, on_failure=pytest.fail)
+    write_numbered(recorder, recorder.add_topic(TWIST), range(1, 10))
+    errors = {
+        "cross_track_max_m": 0.021,
+        "true_cross_track_max_m": 0.024,
+        "heading_max_rad": 0.031,
+        "true_heading_max_rad": 0.034,
+        "closure_m": 0.005,
+        "true_closure_m": 0.006,
+    }
+    ended = RecordedEvent(
+        EventKind.DRIVE_ENDED, START_NS, "drive finished: 1 lap", 1, **errors, drive_s=77.0
+    )
+    recorder.add_event(ended)
+    recorder.close()
+    lines = cli("recordings", "--recordings", str(folder.parent)).out.splitlines()
+    assert max(map(len, lines[1:])) <= 80
+    assert [line.strip() for line in lines[3:]] == [
+        "drives: 0.021 m off track (0.024 in truth), 0.031 rad off heading (0.034 in",
+        "truth), 0.005 m closure (0.006 in truth), 1 min 17 s",
+    ]
+    (found,) = json.loads(cli("recordings", "--recordings", str(folder.parent), "--json").out)[
+        "recordings"
+    ]
+    assert {name: found[name] for name in errors} == errors
+    assert found["driven_s"] == 77.0
 
 
 def test_another_folder_may_be_named(library: Path, cli: Cli, tmp_path: Path) -> None:

@@ -197,6 +197,7 @@ def test_the_recording_holds_every_error_that_the_drive_told(session: Session) -
     assert [{name: getattr(each, name) for name in ERRORS} for each in events] == [
         {name: session.drive[name] for name in ERRORS}
     ]
+    assert [each.drive_s for each in events] == [session.drive["duration_s"]]
     known = [name for name in ERRORS if session.drive[name] is not None]
     assert set(ERRORS) - set(known) <= {"true_closure_m"}  # none if the drive ends with its lap
 

@@ -33,6 +33,7 @@ EVENTS = (
         closure_m=0.03,
         true_heading_max_rad=0.1,
         true_closure_m=0.04,
+        drive_s=17.25,
     ),
 )
 

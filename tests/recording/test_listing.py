@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -50,6 +51,21 @@ def test_a_recording_is_told_with_its_laps_and_the_worst_that_happened(tmp_path:
     assert (calm.start_ns, calm.duration_s) == (START_NS + 1_000_000, 0.099)
     assert calm.size_bytes == (tmp_path / "calm" / "calm_0.mcap").stat().st_size
     assert (calm.live, calm.kept, calm.clips) == (False, False, ())
+
+
+def test_of_drives_their_largest_errors_and_their_time_together_are_told(tmp_path: Path) -> None:
+    ended = event(EventKind.DRIVE_ENDED, 1)
+    drives = (
+        replace(ended, heading_max_rad=0.02, closure_m=0.01, drive_s=4.0),
+        replace(ended, heading_max_rad=0.03, true_heading_max_rad=0.05, drive_s=5.5),
+    )
+    record(tmp_path / "driven", *drives).close()
+    record(tmp_path / "before", ended).close()  # by a version that told no duration
+    driven, before = listed(tmp_path)["driven"], listed(tmp_path)["before"]
+    assert (driven.driven_s, before.driven_s) == (9.5, None)
+    assert (driven.largest("heading_max_rad"), driven.largest("closure_m")) == (0.03, 0.01)
+    assert driven.largest("true_heading_max_rad") == 0.05
+    assert before.largest("heading_max_rad") is None
 
 
 def test_what_is_being_recorded_is_live_and_what_is_marked_is_kept(tmp_path: Path) -> None:

@@ -41,8 +41,9 @@ _DRIVE_FIGURES = (*ERRORS, "drive_s")
 class RecordedEvent:
     """One event; `log_ns` since the epoch.
 
-    Of a drive that ended: its `laps`, its errors (see kernel.types.DriveReport) and its duration
-    `drive_s`, each None if not known; of a robot that the daemon simulated also the true ones, which odometry cannot see.
+    Of a drive that ended: its `laps`, its duration `drive_s`, and its errors (see
+    kernel.types.DriveReport), None if not known; of a robot that the daemon simulated also the true
+    errors, which odometry cannot see.
     """
 
     kind: EventKind
