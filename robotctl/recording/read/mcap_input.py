@@ -20,6 +20,7 @@ from mcap.records import McapRecord
 
 from robotctl.recording.format.records import RECORD_HEAD as RECORD_HEAD
 from robotctl.recording.read.damage import BeyondLimit, Damaged, Unreadable
+from robotctl.recording.read.read_failures import note_read_failure
 from robotctl.recording.read.read_limits import BYTES_PER_RECORD, RECORDS, ReadLimits
 from robotctl.recording.read.source import Source, open_source
 
@@ -96,7 +97,11 @@ class InputFile:
         """The first read that failed because of the disk or the memory, not the content of the
         file."""
 
-        self._source = source or open_source(path, on_progress)
+        try:
+            self._source = source or open_source(path, on_progress)
+        except OSError as error:
+            note_read_failure(f"{path}: {error.strerror or error}")
+            raise
         self.size = 0
         self.stored_bytes = 0
         """Bytes on the disk; the limits depend on them."""
@@ -146,6 +151,7 @@ class InputFile:
 
     def failed(self, reason: str) -> Unreadable:
         """Return the error for a failure of disk or memory; `failure` keeps the first."""
+        note_read_failure(f"{self.path}: {reason}")
         failure = Unreadable(reason)
         self.failure = self.failure or failure
         return failure
