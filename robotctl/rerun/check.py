@@ -239,7 +239,10 @@ class _Check:
 
     def _note(self, divergence: Divergence | None) -> None:
         report = self._report
-        if divergence is None or report.divergence is not None:
+        if divergence is None:
+            return
+        report.count_divergence(divergence)
+        if report.divergence is not None:
             return
         report.divergence = divergence
         if not report.same_version:

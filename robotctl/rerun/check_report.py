@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 from robotctl import __version__
 from robotctl.errors import Divergence as DivergenceError
@@ -17,6 +18,7 @@ from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.read.file_index import note_missing
 from robotctl.rerun.divergence import Divergence
 from robotctl.rerun.invariants import Violation
+from robotctl.rerun.rounded import rounded
 
 
 class Verdict(StrEnum):
@@ -67,6 +69,12 @@ class Report:
     begin_ns: int = 0
     begin_log_ns: int = 0
     divergence: Divergence | None = None
+    divergences: int = 0
+    """How many were found: the first, and the first after each snapshot."""
+
+    divergences_crc: int = 0
+    """The CRC over their sentences, with rounded numbers."""
+
     violations: list[Violation] = field(default_factory=list)
     violation_count: int = 0
     missing: list[str] = field(default_factory=list)
@@ -95,6 +103,11 @@ class Report:
         if self.violation_count:
             return Verdict.BROKEN
         return Verdict.INCOMPLETE if self.missing else Verdict.SAME
+
+    def count_divergence(self, found: Divergence) -> None:
+        """Count a divergence, which need not be the first."""
+        self.divergences += 1
+        self.divergences_crc = crc32(rounded(found.sentence()).encode(), self.divergences_crc)
 
     def miss(self, sentence: str) -> None:
         """Note what could not be checked."""

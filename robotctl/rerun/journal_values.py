@@ -37,8 +37,14 @@ _QUICK_EVENTS, _QUICK_EFFECTS = (
 _NOT_QUICK = (msgspec.DecodeError, RecursionError)
 """What a decoder raises also for nan and inf, which are strings in the journal."""
 
-KERNEL_FAILURES = (AssertionError, ArithmeticError, LookupError, ValueError, TypeError)
-"""The errors that a kernel raises in a state that no kernel reaches by itself."""
+KERNEL_FAILURES = (
+    *(AssertionError, ArithmeticError, AttributeError, LookupError),
+    *(NameError, RuntimeError, TypeError, ValueError),
+)
+"""What a kernel raises in a state that no kernel reaches by itself, or with a bug.
+
+`MemoryError` and `OSError` tell nothing about the kernel.
+"""
 
 
 def read_event(entry: JournalEntry) -> Event:

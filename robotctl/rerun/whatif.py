@@ -22,6 +22,7 @@ from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording
 from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.journal_reader import read_journal
+from robotctl.rerun.drive_commands import DrivesOfKernel, drives_of_both
 from robotctl.rerun.journal_steps import Gap, Step, steps
 from robotctl.rerun.journal_values import decide, read_event, read_snapshot, text_of
 from robotctl.rerun.recorded_settings import Settings, changed
@@ -91,11 +92,12 @@ class _Difference:
 
 @dataclass(slots=True)
 class _Side:
-    """One of the two kernels, its time in each mode, and its answers that are not compared yet."""
+    """One of the two kernels: its time in each mode, its drives, and answers to be compared."""
 
     kernel: Kernel | None = None
     in_mode_ns: dict[Mode, int] = field(default_factory=lambda: dict.fromkeys(Mode, 0))
     answers: dict[int, Reply] = field(default_factory=dict)
+    drives: DrivesOfKernel = field(default_factory=DrivesOfKernel)
     refusal: str = ""
     """The last request that was refused, as its answer says."""
 
@@ -107,8 +109,10 @@ class _Side:
         return f"refused: {self.refusal}" if self.refusal else "no motion was requested"
 
     def step(self, kernel: Kernel, event: Event, elapsed_ns: int) -> tuple[Effect, ...]:
-        self.in_mode_ns[kernel.state.mode] += elapsed_ns
+        before = kernel.state
+        self.in_mode_ns[before.mode] += elapsed_ns
         effects = decide(kernel, event)
+        self.drives.add(before, kernel.state, effects, event.t_ns, elapsed_ns)
         for effect in effects:
             if isinstance(effect, Reply):
                 self.answers[effect.request_id] = effect
@@ -129,6 +133,9 @@ class _TwoKernels:
         self._apart_ns = 0
         self._linear, self._angular = _Difference(), _Difference()
         self._first: dict[str, Any] | None = None
+        self._failure: dict[str, Any] | None = None
+        """The first event at which only the kernel with other parameters could not go on."""
+
         self._answers: list[dict[str, Any]] = []
         self._answer_count = 0
 
@@ -157,7 +164,11 @@ class _TwoKernels:
         if kernel.state.mode is not other.state.mode:
             self._apart_ns += elapsed_ns
         effects = self._recorded.step(kernel, event, elapsed_ns)
-        others = self._other.step(other, event, elapsed_ns)
+        try:
+            others = self._other.step(other, event, elapsed_ns)
+        except UnreadableFile as error:
+            self._failure = self._failure or {**self._moment(event), "text": str(error)}
+            raise
         if self._first is None and effects != others:
             self._first = {
                 **self._moment(event),
@@ -198,6 +209,10 @@ class _TwoKernels:
             },
             "mode_differs_s": self._apart_ns / NS_PER_S,
             "first_difference": self._first,
+            "failure": self._failure,
+            "drives": drives_of_both(
+                self._recorded.drives.drives, self._other.drives.drives, self._begin_ns
+            ),
             "no_drive": {"recorded": self._recorded.no_drive, "what_if": self._other.no_drive},
             "answers": self._answers,
             "answer_count": self._answer_count,
