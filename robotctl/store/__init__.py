@@ -15,6 +15,7 @@ from robotctl.store.store_errors import (
     ObjectChanged,
     StoreError,
     StoreFailed,
+    TooLarge,
 )
 from robotctl.store.stored_object import StoredObject
 from robotctl.store.url import is_url
@@ -28,6 +29,7 @@ __all__ = [
     "StoreError",
     "StoreFailed",
     "StoredObject",
+    "TooLarge",
     "is_url",
     "open_store",
 ]

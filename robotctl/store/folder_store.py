@@ -13,7 +13,13 @@ from typing import Final
 
 from robotctl.printable import printable
 from robotctl.store.failed_request import changed, short_answer
-from robotctl.store.store_errors import AccessDenied, NoSuchObject, StoreError, StoreFailed
+from robotctl.store.store_errors import (
+    AccessDenied,
+    NoSuchObject,
+    StoreError,
+    StoreFailed,
+    TooLarge,
+)
 from robotctl.store.stored_object import StoredObject, check_key
 from robotctl.store.unfinished_file import PREFIX, UnfinishedFile, unfinished_file
 
@@ -78,7 +84,7 @@ class FolderStore:
         """Return a whole file."""
         found = self.head(key)
         if found.size_bytes > max_bytes:
-            raise StoreError(f"{self._where(key)} has {found.size_bytes} bytes: that is too many")
+            raise TooLarge(f"{self._where(key)} has {found.size_bytes} bytes: that is too many")
         return self.get_range(found, 0, found.size_bytes)
 
     def put_if_absent(self, key: str, data: bytes) -> bool:

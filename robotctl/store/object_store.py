@@ -45,7 +45,7 @@ class ObjectStore(Protocol):
 
         Raises:
             NoSuchObject: There is none of that name.
-            StoreError: It has more than `max_bytes`.
+            TooLarge: It has more than `max_bytes`.
         """
 
     def put_if_absent(self, key: str, data: bytes) -> bool:

@@ -16,7 +16,7 @@ from robotctl.store.aws_profile import profile_keys
 from robotctl.store.failed_request import ALLOW_HTTP, changed, error_of, short_answer
 from robotctl.store.object_store import PART_BYTES
 from robotctl.store.request_loop import run_request, start_request
-from robotctl.store.store_errors import BrokenAnswer, StoreError
+from robotctl.store.store_errors import BrokenAnswer, TooLarge
 from robotctl.store.stored_object import StoredObject, check_key
 from robotctl.store.url import StoreUrl
 
@@ -137,7 +137,7 @@ class RemoteStore:
         """Return a whole object."""
         found = self.head(key)
         if found.size_bytes > max_bytes:
-            raise StoreError(f"{self._where(key)} has {found.size_bytes} bytes: that is too many")
+            raise TooLarge(f"{self._where(key)} has {found.size_bytes} bytes: that is too many")
         return self.get_range(found, 0, found.size_bytes)
 
     def put_if_absent(self, key: str, data: bytes) -> bool:

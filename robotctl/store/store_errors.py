@@ -17,6 +17,10 @@ class AccessDenied(StoreError):
     """A store that wants other credentials, or none that is there."""
 
 
+class TooLarge(StoreError):
+    """An object with more bytes than the reader takes."""
+
+
 class ObjectChanged(StoreError):
     """An object that is not the one any more that was read before."""
 
