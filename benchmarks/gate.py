@@ -30,9 +30,9 @@ from recording.heard_drive import record_drive
 from robotctl.fleet.baseline import Baseline
 from robotctl.fleet.cluster import Cluster
 from robotctl.fleet.gate import judge_all
-from robotctl.fleet.judgement import software_hash
 from robotctl.fleet.judging import Engine, Judging, judge_here
 from robotctl.fleet.result_store import ResultStore
+from robotctl.fleet.software import software_hash
 from robotctl.rerun.check_report import Verdict
 
 RATE_HZ = 100.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import platform
 import re
 import socket
 import time
@@ -13,14 +14,13 @@ from contextlib import closing, contextmanager
 from functools import lru_cache, partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Final
-from uuid import uuid4
+from typing import TYPE_CHECKING, Final, NamedTuple
 
-from robotctl import __version__
 from robotctl.errors import IN_PARENTHESES, Refused, RobotctlError, UsageError
 from robotctl.fleet.jobs import Done
-from robotctl.fleet.judgement import software_hash
 from robotctl.fleet.judging import Answers, Judged, Judging
+from robotctl.fleet.result_store import ResultStore
+from robotctl.fleet.software import software_hash, software_name
 from robotctl.store.store_path import path_of
 
 if TYPE_CHECKING:
@@ -74,22 +74,26 @@ class Cluster:
 
         Raises:
             Refused: The scheduler or its workers are gone for too long, or a worker has another
-                robotctl, or does not see the recordings, or cannot store a result.
+                robotctl, or does not see the recordings or the results.
         """
         left = dict.fromkeys(recordings)
-        judged = partial(_judged, uuid4().hex, judging)
         connect_s = self._connect_s
-        while left:
-            with self._connected(connect_s) as client:
-                connect_s = self._patience_s
-                try:
-                    self._check(client, judging.software)
-                except OSError:  # it is gone again
-                    continue
-                for path, answer in _answers(client, judged, list(left)):
-                    del left[path]
-                    on_progress(len(recordings) - len(left), len(recordings))
-                    yield path, answer
+        token = judging.store.put_token()
+        judged = partial(_judged, token, judging)
+        try:
+            while left:
+                with self._connected(connect_s) as client:
+                    connect_s = self._patience_s
+                    try:
+                        self._check(client, judging, token)
+                    except OSError:  # it is gone again
+                        continue
+                    for path, answer in _answers(client, judged, list(left)):
+                        del left[path]
+                        on_progress(len(recordings) - len(left), len(recordings))
+                        yield path, answer
+        finally:
+            judging.store.remove_token(token)
 
     @contextmanager
     def _connected(self, connect_s: float) -> Iterator[Client]:
@@ -127,9 +131,10 @@ class Cluster:
             else:
                 return
 
-    def _check(self, client: Client, software: str) -> None:
+    def _check(self, client: Client, judging: Judging, token: str) -> None:
         """Refuse the cluster by the name of the worker that is not fit for it."""
-        found = client.run(_state, str(self._place), on_error="return")
+        asked = str(self._place), str(judging.store), token
+        found = client.run(_state, *asked, on_error="return")
         for worker, state in found.items():
             if isinstance(state, OSError):  # it has ended; others get its jobs
                 continue
@@ -138,19 +143,20 @@ class Cluster:
             if isinstance(state, Exception):
                 raise Refused(
                     f"the worker {worker} cannot run robotctl ({state})",
-                    f"install robotctl {__version__} there",
+                    f"install {software_name()} there",
                 )
-            version, worker_software, sees_place = state
-            if worker_software != software:
+            if state.software != judging.software:
                 raise Refused(
-                    f"the worker {worker} has another robotctl ({version}) than the gate",
-                    f"install this one ({__version__}) there, and start the worker again",
+                    f"the worker {worker} has another robotctl ({state.name}) than the gate",
+                    f"install this one ({software_name()}) there, and start the worker again",
                 )
-            if not sees_place:
+            if not state.sees_place:
                 raise Refused(
                     f"the worker {worker} does not see {self._place}",
                     "give --in a URL, or a folder that all workers see under this name",
                 )
+            if not state.sees_results:
+                raise _no_results(f"the worker {worker}", judging.store)
 
     def _no_scheduler(self, error: OSError | ValueError) -> Refused:
         said = (error.strerror if isinstance(error, OSError) else None) or error
@@ -209,22 +215,44 @@ def _scheduler(client: Client) -> str:
     return str(info["id"]) if info.get("workers") else ""
 
 
-def _state(place: str) -> tuple[str, str, bool]:
-    """Return, in a worker, version and hash of its robotctl, and whether it sees a place."""
-    return __version__, software_hash(), path_of(place).exists()
+class _State(NamedTuple):
+    """What a worker is and sees."""
+
+    software: str
+    name: str
+    sees_place: bool
+    sees_results: bool
 
 
-def _judged(run: str, judging: Judging, path: Path) -> Judged:
-    _forget_stores(run)
+def _state(place: str, results: str, token: str) -> _State:
+    """Return, in a worker, its software, and whether it sees recordings and results."""
+    sees_results = _begin(token, results)
+    return _State(software_hash(), software_name(), path_of(place).exists(), sees_results)
+
+
+def _judged(token: str, judging: Judging, path: Path) -> Judged:
+    if not _begin(token, str(judging.store)):  # a worker that came later
+        raise _no_results(platform.node(), judging.store)
     return judging.judged(path)
 
 
 @lru_cache(maxsize=1)
-def _forget_stores(run: str) -> None:
-    """Ask stores again what they hold: a worker may know it from an earlier run of the gate."""
+def _begin(token: str, results: str) -> bool:
+    """Begin a run of the gate in a worker; return whether it sees the results.
+
+    Stores are asked again what they hold: a worker may know it from an earlier run.
+    """
     from robotctl.store.opened_bucket import opened_bucket  # it loads asyncio
 
     opened_bucket.cache_clear()
+    return ResultStore(results).has_token(token)
+
+
+def _no_results(worker: str, store: ResultStore) -> Refused:
+    return Refused(
+        f"{worker} does not see the results in {store}",
+        "give --results a URL, or a folder that all workers see under this name",
+    )
 
 
 @contextmanager

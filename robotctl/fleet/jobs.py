@@ -13,8 +13,9 @@ from concurrent.futures import (
     as_completed,
 )
 from contextlib import AbstractContextManager, contextmanager
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from pathlib import Path
+from threading import Thread
 from typing import Final, TypeVar
 
 Result = TypeVar("Result")
@@ -78,17 +79,29 @@ def local_threads(jobs: int) -> Iterator[Executor]:
         executor.shutdown(cancel_futures=True)
 
 
+def _begin_process() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    assert parent is not None
+    parent.join()
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
 @contextmanager
 def local_processes(jobs: int) -> Iterator[Executor]:
     """Yield an executor with a process per processor, and no more than there are jobs.
 
-    They ignore Ctrl-C, which ends the process that started them, and are killed at the end.
+    They ignore Ctrl-C, which ends the process that started them, and are killed at the end, also
+    if that process is killed.
     """
     executor = ProcessPoolExecutor(
         min(jobs, len(os.sched_getaffinity(0))),
         mp_context=get_context("spawn"),
-        initializer=signal.signal,
-        initargs=(signal.SIGINT, signal.SIG_IGN),
+        initializer=_begin_process,
     )
     try:
         yield executor

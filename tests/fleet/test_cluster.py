@@ -15,12 +15,15 @@ from statistics import median
 import pytest
 
 from robotctl.errors import Refused, UsageError
+from robotctl.fleet import cluster, judgement
 from robotctl.fleet.baseline import Baseline
 from robotctl.fleet.cluster import Cluster
 from robotctl.fleet.gate import judge_all
-from robotctl.fleet.judgement import software_hash
-from robotctl.fleet.judging import Judging
+from robotctl.fleet.judging import Judged, Judging
 from robotctl.fleet.result_store import ResultStore
+from robotctl.fleet.software import software_hash
+from robotctl.rerun.check import check_recording
+from robotctl.rerun.check_report import Report
 from robotctl.testing.drives import drive, record
 from tests.support.checked_drives import altered
 
@@ -30,6 +33,31 @@ from tests.support.dask_processes import DaskProcesses, dask_processes
 
 WORKERS = 3
 PART = 200
+
+
+class _ResultsHere(ResultStore):
+    """Results that another machine looks for elsewhere, as a folder that it does not share."""
+
+    def __str__(self) -> str:
+        return f"{super().__str__()}/elsewhere"
+
+
+class _Bug(Exception):
+    pass
+
+
+class _Failing(Judging):
+    """Jobs at which robotctl fails in one recording, as with a bug of the kernel."""
+
+    def judged(self, path: Path) -> Judged:
+        def failing(path: Path) -> Report:
+            if path.name == "robot_0002":
+                raise _Bug("what nothing expects")
+            return check_recording(path)
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(judgement, "check_recording", failing)
+            return super().judged(path)
 
 
 @pytest.fixture(scope="module")
@@ -81,13 +109,8 @@ def test_a_killed_worker_and_a_restarted_scheduler_lose_no_result_and_count_none
     engine = Cluster(dask.address, tmp_path).judge
     report = judge_all(recordings, ResultStore(results), {}, Baseline(), engine, disturb)
     assert list(report.results) == recordings
-    assert report.counts() == {
-        "same": 9 * count // 10,
-        "diverged": count // 10,
-        "broken": 0,
-        "incomplete": 0,
-        "unreadable": 0,
-    }
+    counted = {verdict: number for verdict, number in report.counts().items() if number}
+    assert counted == {"same": 9 * count // 10, "diverged": count // 10}
     assert at_restart[0] < stored(results) == count, "nothing was left for the new scheduler"
     again = judge_all(recordings, ResultStore(results), {}, Baseline(), engine)
     assert (again.stored, again.results) == (count, report.results)
@@ -147,14 +170,49 @@ def test_a_worker_that_does_not_see_the_recordings_says_so(
     ((_, answer),) = engine(judging, [tmp_path / "gone"], lambda done, total: None)
     assert answer is not None
     assert re.fullmatch(r"\S+ cannot read it: .*gone cannot be read: No such .*", answer.problem)
-    assert not (tmp_path / "results").exists()
+    assert list((tmp_path / "results").iterdir()) == []
+
+
+def test_a_worker_that_does_not_see_the_results_is_refused_before_it_judges(
+    dask: DaskProcesses, tmp_path: Path
+) -> None:
+    recordings = make_recordings(tmp_path / "recordings", 3)
+    engine = Cluster(dask.address, tmp_path).judge
+    with pytest.raises(
+        Refused, match=r"the worker tcp://\S+ does not see the results in .*results"
+    ):
+        judge_all(recordings, _ResultsHere(tmp_path / "results"), {}, Baseline(), engine)
+    assert list((tmp_path / "results").iterdir()) == []
+
+
+def test_a_late_worker_that_does_not_see_the_results_judges_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (recording,) = make_recordings(tmp_path / "recordings", 1)
+    judging = Judging({}, ResultStore(tmp_path / "results"), software_hash())
+    monkeypatch.setattr(Judging, "judged", lambda *_: pytest.fail("it judged"))
+    with pytest.raises(Refused, match="does not see the results"):
+        cluster._judged("no.token", judging, recording)
+
+
+def test_a_recording_at_which_a_worker_fails_is_named_and_all_others_are_judged(
+    dask: DaskProcesses, tmp_path: Path
+) -> None:
+    recordings = make_recordings(tmp_path / "recordings", 6)
+    judging = _Failing({}, ResultStore(tmp_path / "results"), software_hash())
+    engine = Cluster(dask.address, tmp_path).judge
+    answers = dict(engine(judging, recordings, lambda done, total: None))
+    judged = [answers[each] for each in recordings]
+    verdicts = [each.judgement.verdict for each in judged if each and each.judgement]
+    assert verdicts == ["same", "same", "crashed", "same", "same", "same"]
+    assert stored(tmp_path / "results") == 5
 
 
 def test_results_that_cannot_be_stored_are_refused(dask: DaskProcesses, tmp_path: Path) -> None:
     (recording,) = make_recordings(tmp_path / "recordings", 1)
     (tmp_path / "results").touch()
     engine = Cluster(dask.address, tmp_path).judge
-    with pytest.raises(Refused, match=r"cannot read results: .*Not a directory"):
+    with pytest.raises(Refused, match=r"cannot write results: .*"):
         judge_all([recording], ResultStore(tmp_path / "results"), {}, Baseline(), engine)
 
 

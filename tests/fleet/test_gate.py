@@ -2,43 +2,27 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import signal
-from collections.abc import Iterator
-from concurrent.futures import Executor, ThreadPoolExecutor
-from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 
-from robotctl.errors import ConfigError
 from robotctl.fleet import gate as gates
 from robotctl.fleet import judgement, judging
-from robotctl.fleet.baseline import Baseline, read_baseline
-from robotctl.fleet.gate import GateReport, judge_all
 from robotctl.fleet.jobs import local_processes, results_of
 from robotctl.fleet.judgement import judge
-from robotctl.fleet.judging import judge_here
 from robotctl.fleet.junit import junit_text
 from robotctl.fleet.result_store import ResultStore
 from robotctl.rerun.check_report import Verdict
 from robotctl.store import open_store
 from robotctl.testing.drives import drive, record
-from tests.support.checked_drives import altered
+from tests.support.judged_folder import judged, wrong
 from tests.support.s3_server import environment
 
 GOOD, WRONG = "robot_20260101_120000", "robot_20260102_120000"
-
-
-@contextmanager
-def threads(jobs: int) -> Iterator[Executor]:
-    """Any executor of concurrent.futures will do; this one starts at once."""
-    with ThreadPoolExecutor(2) as executor:
-        yield executor
 
 
 @pytest.fixture(scope="module")
@@ -46,22 +30,13 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("gate")
     written = drive(2.0)
     record(folder / GOOD, written)
-    record(folder / WRONG, altered(written, "PublishTwist", '"linear":0.', '"linear":0.0')[0])
+    record(folder / WRONG, wrong(written))
     return folder
 
 
 @pytest.fixture
 def folder(made: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(made, tmp_path / "recordings"))
-
-
-def judged(
-    folder: Path, baseline: Baseline | None = None, settings: dict[str, str] | None = None
-) -> GateReport:
-    recordings = [folder / GOOD, folder / WRONG]
-    store = ResultStore(folder / ".gate")
-    engine = partial(judge_here, processes=threads)
-    return judge_all(recordings, store, settings or {}, baseline or Baseline(), engine)
 
 
 def test_what_is_decided_differently_closes_the_gate_with_its_first_cause(folder: Path) -> None:
@@ -94,21 +69,6 @@ def test_other_software_or_parameters_or_bytes_are_judged_again(
     for module in (gates, judgement, judging):
         monkeypatch.setattr(module, "software_hash", lambda: "another")
     assert judged(folder).stored == 0
-
-
-def test_what_is_accepted_passes_until_it_changes(folder: Path, tmp_path: Path) -> None:
-    file = tmp_path / "baseline.json"
-    report = judged(folder)
-    baseline = read_baseline(file)
-    for path, result in report.failures().items():
-        baseline.accept(path.name, result, by="ann", why="a shorter ramp", at="2026-01-01")
-    baseline.write(file)
-    again = judged(folder, read_baseline(file))
-    assert again.failures() == {}
-    assert [each.by for each in again.accepted.values()] == ["ann"]
-    shutil.rmtree(folder / WRONG)
-    record(folder / WRONG, altered(drive(2.5), "PublishTwist", '"linear":0.', '"linear":0.0')[0])
-    assert list(judged(folder, read_baseline(file)).failures()) == [folder / WRONG]
 
 
 def test_other_parameters_that_change_a_mode_close_the_gate(folder: Path) -> None:
@@ -146,20 +106,15 @@ def test_a_result_is_stored_once_and_a_damaged_one_is_made_again(made: Path, pla
     (stored,) = raw.list()
     assert results.put(result) == result
     assert list(raw.list()) == [stored]
-    forged = json.dumps(result.as_object() | {"recording": "0" * 64})
+    other = judge(made / WRONG, {})
+    results.put(other)
+    forged = raw.get(f"{other.key}.json", 1 << 20).decode()
+    raw.delete(f"{other.key}.json")
     for damage in ("{", forged):
         raw.put(stored.key, [damage.encode()])
         assert results.get(result.key) is None
         assert results.put(result) == result
         assert results.get(result.key) == result
-
-
-@pytest.mark.parametrize("text", ["", "[]", '{"accepted": [{"name": 1}]}', "[" * 100_000])
-def test_a_wrong_baseline_is_named(tmp_path: Path, text: str) -> None:
-    file = tmp_path / "baseline.json"
-    file.write_text(text)
-    with pytest.raises(ConfigError, match="is not a baseline"):
-        read_baseline(file)
 
 
 def die_at(path: Path) -> str:

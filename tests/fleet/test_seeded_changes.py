@@ -15,7 +15,8 @@ from typing import Any
 import pytest
 
 import robotctl
-from robotctl.fleet.judgement import software_hash
+from robotctl import __version__
+from robotctl.fleet.software import software_hash
 from tests.support.kernel_history import make_history
 from tests.support.seeded_changes import HARMLESS, REGRESSIONS, SourceChange
 
@@ -36,8 +37,14 @@ class OtherRobotctl:
     tree: Path
     history: Path
 
-    def gate(self, changes: Sequence[SourceChange]) -> tuple[int, dict[str, Any]]:
+    def gate(
+        self, changes: Sequence[SourceChange], version: str = __version__
+    ) -> tuple[int, dict[str, Any]]:
         """Change the kernel and run the gate; return exit code and answer."""
+        module = self.tree / "robotctl/__init__.py"
+        module.unlink(missing_ok=True)
+        text = (PACKAGE / "__init__.py").read_text()
+        module.write_text(text.replace(f'"{__version__}"', f'"{version}"'))
         kernel = self.tree / "robotctl/kernel"
         shutil.rmtree(kernel, ignore_errors=True)
         shutil.copytree(PACKAGE / "kernel", kernel)
@@ -98,6 +105,34 @@ def test_a_harmless_change_passes(other: OtherRobotctl, change: SourceChange) ->
 def test_all_harmless_changes_together_pass(other: OtherRobotctl) -> None:
     exit_code, answer = other.gate(HARMLESS)
     assert (exit_code, answer["stored"]) == (0, 0), answer["causes"]
+
+
+def test_a_regression_is_caught_although_another_version_recorded(other: OtherRobotctl) -> None:
+    exit_code, answer = other.gate(REGRESSIONS[:1], version="9.9.9")
+    assert exit_code == 7
+    assert answer["counts"]["diverged"] == answer["failed"] > 0
+    assert all(cause.startswith("diverged: after ") for cause in answer["causes"])
+    assert f"(recorded by {__version__})" in str(answer["recordings"])
+
+
+@pytest.mark.slow
+def test_another_version_that_decides_the_same_passes(other: OtherRobotctl) -> None:
+    exit_code, answer = other.gate(HARMLESS, version="9.9.9")
+    assert exit_code == 0, answer["causes"]
+
+
+def test_a_kernel_that_raises_fails_only_where_it_does(other: OtherRobotctl) -> None:
+    change = SourceChange(
+        "a fence asks odometry for what it does not have",
+        "checks.py",
+        "health.fence_origin, health.odometry.pose)",
+        "health.fence_origin, health.odometry.place)",
+    )
+    exit_code, answer = other.gate([change])
+    assert (exit_code, answer["failed"]) == (7, 1), answer["counts"]
+    assert answer["counts"]["same"] == len(answer["recordings"]) - 1
+    (cause,) = answer["causes"]
+    assert "the kernel fails: AttributeError" in cause
 
 
 def test_there_are_twenty_of_each() -> None:

@@ -3,32 +3,31 @@
 from __future__ import annotations
 
 import getpass
-from collections.abc import Iterator, Sequence
+import os
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.support.answer import print_answer
+from robotctl.cli.support.gate_answer import answer_lines, answer_object
 from robotctl.cli.support.recording_paths import recording_path, recordings_folder
 from robotctl.cli.terminal.progress import progress_bar
-from robotctl.cli.terminal.text import row, short_path
+from robotctl.cli.terminal.text import short_path
 from robotctl.errors import Divergence, Refused, RobotctlError, UnreadableFile, UsageError
 
 if TYPE_CHECKING:
+    from robotctl.fleet.baseline import Baseline
     from robotctl.fleet.gate import GateReport
-    from robotctl.fleet.judgement import Judgement
     from robotctl.fleet.judging import Engine
 
 app = new_app()
 
 RESULTS = ".gate"
 """The folder of the results, in the folder of recordings."""
-
-MAX_NAMED = 5
-"""The number of recordings that are named for each cause; --json names all."""
 
 
 @app.command()
@@ -77,7 +76,8 @@ def gate(
     kept: a second run judges only recordings that are new, or all after robotctl has changed.
     With --what-if, modes and answers with other parameters are compared with the recorded ones.
     The exit code is 7 if a recording is decided differently or broken, or other parameters change
-    modes or answers; 6 if one cannot be judged completely.
+    modes or answers; 6 if one cannot be judged completely; 4 if there are none. A recording that is
+    being written is left out.
 
     \b
     Examples:
@@ -91,7 +91,6 @@ def gate(
     from robotctl.fleet.judging import judge_here
     from robotctl.fleet.junit import junit_text
     from robotctl.fleet.result_store import ResultStore
-    from robotctl.recording.keep.listing import recordings_in
     from robotctl.rerun.recorded_settings import check_scope, parse_settings
 
     if accept is not None and baseline is None:
@@ -108,98 +107,89 @@ def gate(
 
         place = place.resolve()  # a worker has another working directory
         engine = Cluster(cluster, place).judge
-    try:
-        recordings = recordings_in(place)
-    except OSError as error:
-        raise Refused(f"{place} cannot be listed: {error.strerror}") from error
+    recordings = _recordings(place)
+    for file in filter(None, (junit, baseline if accept is not None else None)):
+        _check_writable(file)
+    by = _user()
     with progress_bar("judging", quiet=as_json) as on_progress:
         store = ResultStore(results or place / RESULTS)
         report = judge_all(recordings, store, settings, known, engine, on_progress)
+    problems: list[RobotctlError] = []
     if accept is not None and baseline is not None:
-        at = datetime.now(UTC).isoformat(timespec="seconds")
-        for path, result in (report.failures() | report.unknown()).items():
-            known.accept(path.name, result, by=getpass.getuser(), why=accept, at=at)
-        known.write(baseline)
-        report.pass_accepted(known)
+        try:
+            _accept(report, known, baseline, by, accept)
+        except Refused as error:
+            problems.append(error)
     if junit is not None:
         try:
             junit.write_text(junit_text(report), encoding="utf-8")
         except OSError as error:
-            raise Refused(f"cannot write {junit}: {error.strerror}") from error
+            problems.append(_cannot_write(junit, error))
     print_answer(
-        _as_object(place, report), _lines(place, report), as_json=as_json, error=_error(report)
+        answer_object(place, report),
+        answer_lines(place, report),
+        as_json=as_json,
+        error=_error(report, problems),
     )
 
 
-def _as_object(place: Path, report: GateReport) -> dict[str, Any]:
-    failures, unknown = report.failures(), report.unknown()
+def _recordings(place: Path) -> list[Path]:
+    from robotctl.recording.keep.listing import recordings_in
 
-    def state(path: Path) -> str:
-        if path in report.accepted:
-            return "accepted"
-        return "failed" if path in failures else "unknown" if path in unknown else "passed"
-
-    return {
-        "folder": str(place),
-        "counts": report.counts(),
-        "failed": len(failures),
-        "unknown": len(unknown) + len(report.lost),
-        "accepted": len(report.accepted),
-        "stored": report.stored,
-        "causes": {cause: [p.name for p in paths] for cause, paths in report.causes().items()},
-        "recordings": [
-            {"path": str(path), "state": state(path), **result.as_object()}
-            for path, result in report.results.items()
-        ],
-        "lost": {str(path): said for path, said in report.lost.items()},
-    }
+    try:
+        found = recordings_in(place)
+    except OSError as error:
+        raise Refused(f"{place} cannot be listed: {error.strerror}") from error
+    if not found:
+        raise Refused(
+            f"{short_path(place)} holds no recordings, so nothing was judged",
+            "give --in the folder or URL above them",
+        )
+    return found
 
 
-def _lines(place: Path, report: GateReport) -> Iterator[str]:
-    counted = ", ".join(f"{count} {verdict}" for verdict, count in report.counts().items() if count)
-    total = len(report.results)
-    yield f"{short_path(place)}: {total} recordings: {counted or 'none'}"
-    yield f"  {report.stored} of them judged before, {len(report.accepted)} accepted"
-    for cause, paths in report.causes().items():
-        yield from row(f"  {len(paths):5}  ", cause)
-        yield from row(" " * 9, _names(paths))
-        yield from row(" " * 9, f"first: {_first(report.results[paths[0]])}")
-    for said, paths in report.lost_causes().items():
-        yield from row(f"  {len(paths):5}  ", f"lost: {said}")
-        yield from row(" " * 9, _names(paths))
-    yield from _change_lines(report)
+def _check_writable(path: Path) -> None:
+    """Refuse a file that cannot be written, before anything is judged."""
+    existed = path.exists()
+    try:
+        with path.open("a"):
+            pass
+        if not existed:
+            path.unlink()
+    except OSError as error:
+        raise _cannot_write(path, error) from error
 
 
-def _names(paths: Sequence[Path]) -> str:
-    more = f" and {len(paths) - MAX_NAMED} more" if len(paths) > MAX_NAMED else ""
-    return ", ".join(path.name for path in paths[:MAX_NAMED]) + more
+def _cannot_write(path: Path, error: OSError) -> Refused:
+    return Refused(f"cannot write {path}: {error.strerror or error}")
 
 
-def _first(result: Judgement) -> str:
-    other = result.other
-    if other is not None and result.differs and other["first_difference"]:
-        found = other["first_difference"]
-        return f"{found['after_s']:.3f} s after the beginning, at {found['event'].split(' ')[0]}"
-    return result.says
+def _user() -> str:
+    """Return who accepts: in a container a user may have no name."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return f"uid {os.getuid()}"
 
 
-def _change_lines(report: GateReport) -> Iterator[str]:
-    """Yield what other parameters change in all recordings together."""
-    others = [each.other for each in report.results.values() if each.other is not None]
-    if not others:
-        return
-    yield f"  {'time in mode':16}{'recorded':>12}{'what-if':>12}"
-    for mode in others[0]["modes_s"]:
-        before = sum(each["modes_s"][mode]["recorded"] for each in others)
-        after = sum(each["modes_s"][mode]["what_if"] for each in others)
-        yield f"  {mode:16}{before:10.1f} s{after:10.1f} s"
-    largest = max(each["linear_mps"]["max"] for each in others)
-    yield f"  commands differ by up to {largest:.3f} m/s"
+def _accept(report: GateReport, known: Baseline, baseline: Path, by: str, why: str) -> None:
+    at = datetime.now(UTC).isoformat(timespec="seconds")
+    for path, result in (report.failures() | report.unknown()).items():
+        known.accept(path.name, result, by=by, why=why, at=at)
+    known.write(baseline)
+    report.pass_accepted(known)
 
 
-def _error(report: GateReport) -> RobotctlError | None:
+def _error(report: GateReport, problems: Sequence[RobotctlError]) -> RobotctlError | None:
+    """Return why the gate does not pass; what could not be written comes last."""
+    also = "".join(f"; {problem}" for problem in problems)
     if failures := report.failures():
-        return Divergence(f"{len(failures)} of {len(report.results)} recordings do not pass")
+        return Divergence(f"{len(failures)} of {len(report.results)} recordings do not pass{also}")
     if unknown := len(report.unknown()) + len(report.lost):
-        return UnreadableFile(f"{unknown} recordings could not be judged completely")
-    return None
+        return UnreadableFile(f"{unknown} recordings could not be judged completely{also}")
+    if not report.results:
+        return Refused(
+            f"nothing was judged: all recordings are being written{also}",
+            "stop the robot, or wait for its next recording",
+        )
+    return problems[0] if problems else None

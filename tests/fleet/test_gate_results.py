@@ -1,0 +1,89 @@
+"""Stored results of the gate: what is damaged is made again, and stays no obstacle."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robotctl.fleet import result_store
+from robotctl.fleet.judgement import judge
+from robotctl.fleet.result_store import ResultStore
+from robotctl.store import open_store
+from robotctl.testing.drives import drive, record
+from tests.support.judged_folder import judged
+
+NAME = "robot_1"
+SETTINGS = {"limits.linear_mps": "0.3"}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("made")
+    record(folder / NAME, drive(0.5))
+    return folder
+
+
+def sealed(change: Callable[[dict[str, Any]], object]) -> Callable[[bytes], bytes]:
+    """Return a damage of the result whose hash is right, as a program that is wrong makes it."""
+
+    def damaged(data: bytes) -> bytes:
+        result = json.loads(data)["result"]
+        change(result)
+        text = json.dumps(result, sort_keys=True)
+        digest = hashlib.sha256(text.encode()).hexdigest()
+        return json.dumps({"sha256": digest, "result": result}).encode()
+
+    return damaged
+
+
+DAMAGES: dict[str, Callable[[bytes], bytes]] = {
+    "empty": lambda data: b"",
+    "half": lambda data: data[: len(data) // 2],
+    "zeros": lambda data: bytes(len(data)),
+    "no UTF-8": lambda data: b"\xff" + data,
+    "another value": lambda data: b"[1]",
+    "nested": lambda data: b"[" * 100_000,
+    "another verdict": lambda data: data.replace(b'"same"', b'"broken"'),
+    "a bit in a number": lambda data: data.replace(b'"ticks": 2', b'"ticks": 3'),
+    "too large": lambda data: data + b" " * 100_000,
+    "no such verdict": sealed(lambda result: result.update(verdict="fine")),
+    "settings of None": sealed(lambda result: result.update(settings=None)),
+    "a number as the hash": sealed(lambda result: result.update(recording=5)),
+    "another recording": sealed(lambda result: result.update(recording="0" * 64)),
+    "a number as the change": sealed(lambda result: result.update(other=5)),
+    "a change without modes": sealed(lambda result: result["other"].pop("modes_s")),
+    "a mode that is text": sealed(lambda result: result["other"]["modes_s"].update(IDLE="x")),
+    "no cause": sealed(lambda result: result.pop("cause")),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_damaged_result_is_made_again(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage: str
+) -> None:
+    monkeypatch.setattr(result_store, "MAX_BYTES", 50_000)
+    results, raw = ResultStore(tmp_path), open_store(str(tmp_path))
+    result = results.put(judge(made / NAME, SETTINGS))
+    assert results.get(result.key) == result
+    (stored,) = raw.list()
+    data = raw.get(stored.key, 1 << 20)
+    damaged = DAMAGES[damage](data)
+    assert damaged != data
+    raw.put(stored.key, [damaged])
+    assert results.get(result.key) is None
+    assert results.put(result) == result
+    assert results.get(result.key) == result
+
+
+def test_a_run_over_damaged_results_judges_again_and_repairs_them(made: Path) -> None:
+    first = judged(made)
+    (stored,) = (made / ".gate").glob("*.json")
+    stored.write_text('{"sha256": null}')
+    second, third = judged(made), judged(made)
+    assert (first.stored, second.stored, third.stored) == (0, 0, 1)
+    assert first.results == second.results == third.results
