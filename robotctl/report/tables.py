@@ -8,7 +8,7 @@ from typing import Final
 
 from robotctl.recording import TopicInfo
 from robotctl.recording.format.ledger_record import read_ledger
-from robotctl.recording.format.metadata_names import INFO_RECORD
+from robotctl.recording.format.metadata_names import INFO_RECORD, PARAMETER_PREFIX
 from robotctl.report.markup import Content, Markup, joined, plain, tag
 from robotctl.report.recorded import Recorded
 from robotctl.report.traces import EndedDrive, ModeSpan, TracedMoment
@@ -20,7 +20,6 @@ MAX_TABLE_CHARACTERS: Final = 75_000
 MAX_NAMES: Final = 100
 
 RATE_WIDTH, RATE_HEIGHT = 120, 18
-PARAMETER: Final = "parameter."
 
 
 def table(heads: Sequence[str], rows: Sequence[Sequence[Content]]) -> Markup:
@@ -143,7 +142,9 @@ def provenance_table(recorded: Recorded) -> Markup:
     """Return what made the recording."""
     info = recorded.info
     told = info.metadata.get(INFO_RECORD, {})
-    known = {key: value for key, value in told.items() if not key.startswith(PARAMETER) and value}
+    known = {
+        key: value for key, value in told.items() if not key.startswith(PARAMETER_PREFIX) and value
+    }
     own = {
         "files": ", ".join(path.name for path in info.files),
         "writer": info.library,
@@ -162,9 +163,9 @@ def parameter_values(recorded: Recorded) -> dict[str, str]:
     """Return the parameters that the metadata of the last file tells."""
     told = recorded.info.metadata.get(INFO_RECORD, {})
     return {
-        key.removeprefix(PARAMETER): value
+        key.removeprefix(PARAMETER_PREFIX): value
         for key, value in told.items()
-        if key.startswith(PARAMETER)
+        if key.startswith(PARAMETER_PREFIX)
     }
 
 

@@ -27,6 +27,7 @@ from robotctl.kernel.types import (
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recorder, RecorderOptions, Topic
 from robotctl.recording.format.journal import JournalEntry, decode, encode
+from robotctl.recording.format.metadata_names import PARAMETER_PREFIX
 from robotctl.rerun.closed_loop import closed_loop
 
 START_NS = 1_700_000_000_000_000_000
@@ -160,7 +161,7 @@ def record(
     Log times follow the times of the journal. `clock` maps them to wall-clock times, so that a
     test can set the clock. `beside(recorder, time_ns)` may record more, before each item.
     """
-    parameters = {f"parameter.{key}": str(v) for key, v in flat(config or Config()).items()}
+    parameters = {f"{PARAMETER_PREFIX}{key}": str(v) for key, v in flat(config or Config()).items()}
     recorder = Recorder(
         folder,
         options or RecorderOptions(chunk_bytes=1 << 14),

@@ -18,6 +18,7 @@ from robotctl.paths import make_private, recordings_note_path
 from robotctl.recording import Recorder, RecorderOptions
 from robotctl.recording.format.metadata_names import (
     FOXGLOVE_RECORD,
+    PARAMETER_PREFIX,
     SHADOW_RECORD,
     SOFTWARE_RECORD,
 )
@@ -76,13 +77,13 @@ def open_recorder(
 
     def metadata() -> dict[str, str]:
         values = flat(config if present is None else present())
-        parameters = {f"parameter.{key}": str(value) for key, value in values.items()}
+        parameters = {f"{PARAMETER_PREFIX}{key}": str(value) for key, value in values.items()}
         head = {"decisions": head_of(log_folder(robot))}
         return {"mode": mode(), **described, **head, **parameters}
 
     records = {SOFTWARE_RECORD: software(), FOXGLOVE_RECORD: {"deviceName": robot}}
     if shadow is not None:
-        own = {f"parameter.{key}": value for key, value in shadow.own.items()}
+        own = {f"{PARAMETER_PREFIX}{key}": value for key, value in shadow.own.items()}
         records[SHADOW_RECORD] = {"file": str(shadow.file), "digest": shadow.digest, **own}
     return Recorder(
         _new_folder(recordings, f"{robot}_{time.strftime('%Y%m%d_%H%M%S')}"),

@@ -14,6 +14,9 @@ LIBRARY = OWN_LIBRARY + robotctl.__version__
 INFO_RECORD = "robotctl"
 """The robot, and what made the recording; written when a file begins."""
 
+PARAMETER_PREFIX = "parameter."
+"""The beginning of the keys in INFO_RECORD and SHADOW_RECORD that are parameters."""
+
 SOFTWARE_RECORD = "robotctl.software"
 """The content hashes of the modules that decide and command; written when a file begins."""
 
@@ -25,7 +28,7 @@ FOXGLOVE_RECORD = "foxglove"
 """The name of the device, where Foxglove looks for it; written when a file begins."""
 
 EVENT_RECORD = "robotctl.event"
-"""One event of the recording, written as it happens: see `events`."""
+"""One event of the recording, written as it happens: see `recorded_events`."""
 
 LEDGER_RECORD = "robotctl.ledger"
 """The loss ledger since the recording began, one JSON object per topic. It is the last record of a

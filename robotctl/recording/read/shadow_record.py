@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.journal import SHADOW_TOPIC, TOPIC, EntryKind, JournalEntry
-from robotctl.recording.format.metadata_names import SHADOW_RECORD
+from robotctl.recording.format.metadata_names import PARAMETER_PREFIX, SHADOW_RECORD
 from robotctl.recording.read.info import RecordingInfo
 from robotctl.recording.read.journal_reader import EntryDecoder, own_journal_topic
 from robotctl.recording.read.reader import Recording
@@ -16,8 +16,6 @@ MAX_CHARACTERS = 200
 
 NEAR_NS = NS_PER_S
 """How far from its event an entry is searched."""
-
-_PREFIX = "parameter."
 
 
 def shadow_topic(info: RecordingInfo) -> str | None:
@@ -35,9 +33,9 @@ def shadow_sentence(info: RecordingInfo) -> str:
     if told is None:
         return f"a shadow decided with other parameters; where it differs is in {topic}"
     own = [
-        f"{key.removeprefix(_PREFIX)} {value}"
+        f"{key.removeprefix(PARAMETER_PREFIX)} {value}"
         for key, value in told.items()
-        if key.startswith(_PREFIX)
+        if key.startswith(PARAMETER_PREFIX)
     ]
     parameters = ", ".join(own)[:MAX_CHARACTERS] or "the same parameters"
     return f"a shadow decided with {parameters}; where it differs is in {topic}"
