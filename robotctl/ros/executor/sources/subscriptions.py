@@ -12,8 +12,9 @@ from rclpy.qos import HistoryPolicy, QoSProfile
 from rclpy.subscription import Subscription
 
 from robotctl.ros.executor.announcements import Announcement, counts_each_message
-from robotctl.ros.executor.decoder import decoder_of
+from robotctl.ros.executor.decoder import Decode, decoder_of
 from robotctl.ros.executor.errors import RclCallFailed
+from robotctl.ros.executor.raw_tap import RawTap
 from robotctl.ros.executor.runtime import Runtime
 from robotctl.ros.executor.serialized_taker import SerializedTaker
 from robotctl.ros.executor.sources.source import EventFdSource, TakeFailed, coroutine_of
@@ -45,18 +46,26 @@ class _TakenSource(EventFdSource):
         subscription: Subscription,
         where: str,
         *,
+        decode: Decode | None,
         views: bool = False,
-        bare: bool = False,
     ) -> None:
+        """The receiver gets what `decode` makes of the data; without it, all that is taken."""
         super().__init__(runtime, subscription, subscription.handle, where)
-        self._taker = SerializedTaker(self.handle.pointer, views=views, bare=bare)
+        self._taker = SerializedTaker(self.handle.pointer, views=views, bare=decode is not None)
+        self._decode = decode
+        self._callback = subscription.callback
+        self._receive = self.receiver_of(self._callback)
         self._counts = counts_each_message()
         self._is_counted = False
         """Whether no more messages wait than the eventfd counts."""
+        self._polls = 0
 
-    def receiver(self) -> Callable[..., Any]:
-        """Return the function that gets what the taker returns of each message."""
+    def receiver_of(self, callback: Any) -> Callable[..., Any]:
+        """Return the function that is called for each message, for this callback of the user."""
         raise NotImplementedError
+
+    def check_rate(self) -> None:
+        """Adapt to the rate of the messages; called after each POLLS_PER_RATE_CHECK polls."""
 
     def detach(self) -> None:
         if not self.closed:
@@ -78,14 +87,23 @@ class _TakenSource(EventFdSource):
             raise TakeFailed(error) from error
 
     def deliver(self, item: Any) -> Coroutine[Any, Any, Any] | None:
-        return coroutine_of(self.receiver()(*item))
+        decode, receive = self._decode, self._receive
+        return coroutine_of(receive(*item) if decode is None else receive(decode(item)))
 
     def drain(self) -> bool:
+        self._polls += 1
+        if self._polls == POLLS_PER_RATE_CHECK:
+            self._polls = 0
+            self.check_rate()
+        callback = self.entity._callback
+        if callback is not self._callback:
+            self._callback, self._receive = callback, self.receiver_of(callback)
         if self._custom_group:
             return super().drain()
         # The same as the base class does, without its calls, for speed.
         runtime, taker = self.runtime, self._taker
-        take, receive = taker.take, self.receiver()
+        take: Callable[[], Any] = taker.take
+        decode, receive = self._decode, self._receive
         left = self.announced if self._is_counted else UNKNOWN_COUNT
         self._is_counted = self._counts
         clock = time.monotonic_ns
@@ -102,7 +120,7 @@ class _TakenSource(EventFdSource):
                 return False
             result = None
             try:
-                result = receive(*item)
+                result = receive(*item) if decode is None else receive(decode(item))
             except Exception as error:  # noqa: BLE001 - goes to the exception handler
                 runtime.report(error, self.where)
             now = clock()
@@ -134,36 +152,21 @@ class SubscriptionSource(_TakenSource):
     """
 
     def __init__(self, runtime: Runtime, subscription: Subscription, where: str) -> None:
-        super().__init__(runtime, subscription, where, bare=True)
-        self._decode = bytes if subscription.raw else decoder_of(subscription.msg_type)
-        self._callback = subscription.callback
-        self._receive = self._receiver_of(self._callback)
-        self._polls = 0
+        decode = bytes if subscription.raw else decoder_of(subscription.msg_type)
+        super().__init__(runtime, subscription, where, decode=decode)
         self._rate_checked_ns = 0
         self._rest_s = affordable_rest_s(FLOOD_REST_S, subscription.qos_profile)
 
-    def receiver(self) -> Callable[..., Any]:
-        callback = self.entity._callback
-        if callback is not self._callback:
-            self._callback, self._receive = callback, self._receiver_of(callback)
-        return self._receive
-
-    def _receiver_of(self, callback: Callable[..., Any]) -> Callable[..., Any]:
-        decode, info = self._decode, self._taker.info
+    def receiver_of(self, callback: Callable[..., Any]) -> Callable[..., Any]:
         if self.entity._callback_type is Subscription.CallbackType.MessageOnly:
-            return lambda data: callback(decode(data))
-        return lambda data: callback(decode(data), info())
+            return callback
+        info = self._taker.info
+        return lambda message: callback(message, info())
 
-    def drain(self) -> bool:
-        self._polls += 1
-        if self._polls >= POLLS_PER_RATE_CHECK:
-            self._check_rate()
-        return super().drain()
-
-    def _check_rate(self) -> None:
+    def check_rate(self) -> None:
         now = time.monotonic_ns()
         took_ns = now - self._rate_checked_ns
-        self._polls, self._rate_checked_ns = 0, now
+        self._rate_checked_ns = now
         if self.pool is None and self._rest_s > 0.0 and took_ns < FLOODED_WITHIN_NS:
             with suppress(OSError):  # Without a descriptor for a pool it stays as it is.
                 self.listen(self.runtime.pool(self._rest_s))
@@ -177,7 +180,8 @@ class RawTapSource(_TakenSource):
     woken_by = "eventfd, collected"
 
     def __init__(self, runtime: Runtime, subscription: Subscription, where: str) -> None:
-        super().__init__(runtime, subscription, where, views=subscription.callback.views)
+        views = subscription.callback.views
+        super().__init__(runtime, subscription, where, decode=None, views=views)
         rest_s = affordable_rest_s(subscription.callback.latency_s or 0.0, subscription.qos_profile)
         if rest_s > 0.0:
             self.pool = runtime.pool(rest_s)
@@ -193,9 +197,8 @@ class RawTapSource(_TakenSource):
         if not self.closed:
             self.poll()
 
-    def receiver(self) -> Callable[..., Any]:
-        sink: Callable[..., Any] = self.entity.callback.sink
-        return sink
+    def receiver_of(self, callback: RawTap) -> Callable[..., Any]:
+        return callback.sink
 
 
 def affordable_rest_s(wanted_s: float, qos: QoSProfile) -> float:
