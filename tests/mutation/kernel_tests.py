@@ -1,0 +1,111 @@
+"""Runs the tests of the kernel in a process that loads them for one mutant."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import resource
+import shutil
+import signal
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, Phase, settings
+
+TREE = Path(__file__).parents[2]
+TESTS = Path("tests/kernel")
+
+RUN_LAST = ("test_codec.py", "test_driving.py", "test_properties.py")
+"""The slow test files; those that import the changed module run first, and kill most mutants."""
+
+CPU_S, WALL_S, MEMORY_BYTES = 240, 3600, 4 << 30
+"""Limits of one run of the tests, which takes 25 to 60 s of CPU: a mutant may never end."""
+
+LIMIT_CODE = 99
+"""Exit code of a run that one of the limits ended."""
+
+
+def copied(folder: Path) -> Path:
+    """Copy into `folder` what the tests of the kernel need."""
+    for name in ("robotctl", "tests", "docs"):
+        shutil.copytree(TREE / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(TREE / "pyproject.toml", folder)
+    return folder
+
+
+def prepare(folder: Path) -> None:
+    """Let this process import from the copy in `folder`, and write what it prints there."""
+    with (folder / "output").open("w") as output:
+        os.dup2(output.fileno(), 1)
+        os.dup2(output.fileno(), 2)
+    os.chdir(folder)
+    for variable in ("PYTHONPATH", "LD_LIBRARY_PATH", "AMENT_PREFIX_PATH"):
+        os.environ.pop(variable, None)  # for a sourced ROS the tests would start this script again
+    # An editable install finds its modules before sys.path does: those of the tree, not the copy.
+    sys.meta_path[:] = [each for each in sys.meta_path if "editable" not in type(each).__module__]
+    sys.path.insert(0, str(folder))
+    settings.register_profile(
+        "mutation",
+        derandomize=True,
+        database=None,
+        deadline=None,
+        phases=(Phase.explicit, Phase.generate),  # how a mutant fails need not be made simple
+        suppress_health_check=[HealthCheck.too_slow],
+    )
+
+
+def options_of_pytest() -> list[str]:
+    """Return the options of each run."""
+    options = ["-x", "-q", "-n0", "-p", "no:cacheprovider", "--hypothesis-profile=mutation"]
+    return [*options, "-W", "ignore::pytest.PytestAssertRewriteWarning"]  # it is imported above
+
+
+def exit_code_with(path: Path, code: str, folder: Path) -> int:
+    """Run the tests of the kernel with `code` at `path`; return their exit code."""
+    original = path.read_text()
+    path.write_text(code)
+    try:
+        return _run_tests(folder, path.stem)
+    finally:
+        path.write_text(original)
+
+
+def _run_tests(folder: Path, changed: str) -> int:
+    """Run the tests in a process of their own, those that import the module `changed` first."""
+    files = sorted((folder / TESTS).glob("test_*.py"), key=lambda file: file.name in RUN_LAST)
+    near = [
+        file
+        for file in files
+        if file.name not in RUN_LAST and f"kernel.{changed} import" in file.read_text()
+    ]
+    groups = [near, [file for file in files if file not in near]]
+    fork = multiprocessing.get_context("fork")
+    process = fork.Process(target=_test, args=(folder, groups), daemon=True)
+    process.start()
+    process.join(WALL_S)
+    process.kill()
+    process.join()
+    code = process.exitcode
+    return LIMIT_CODE if code is None or code < 0 else code
+
+
+def _test(folder: Path, groups: Iterable[Sequence[Path]]) -> None:
+    signal.signal(signal.SIGXCPU, _end_tests)
+    resource.setrlimit(resource.RLIMIT_CPU, (CPU_S, CPU_S + 10))
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
+    prepare(folder)
+    sys.dont_write_bytecode = True  # it may be taken for that of another mutant
+    code = 0
+    for files in filter(None, groups):
+        code = code or pytest.main([*options_of_pytest(), *map(str, files)])
+    # isort: split
+    import robotctl
+
+    assert Path(robotctl.__file__ or "").is_relative_to(folder), robotctl.__file__
+    os._exit(code)
+
+
+def _end_tests(*_signal: object) -> None:
+    pytest.exit("too much CPU time", LIMIT_CODE)
