@@ -16,7 +16,7 @@ from robotctl.ros.session import Session
 
 
 def serve_parameters(session: Session, parameters: Parameters, robot: str) -> None:
-    """Give each visible node its parameters and their services; cures name `robot`."""
+    """Give each visible node its parameters and their services; cures in errors name `robot`."""
 
     def ask(settings: Sequence[tuple[str, Any]], source: str) -> str:
         try:

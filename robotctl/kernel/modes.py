@@ -42,7 +42,7 @@ class Guard(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Transition:
-    """The target of a trigger and its condition; with NEVER the mode does not change."""
+    """The mode that a trigger leads to, and on which condition. Guard.NEVER refuses the trigger."""
 
     target: Mode
     guard: Guard = Guard.NONE

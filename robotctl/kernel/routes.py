@@ -18,7 +18,7 @@ _last_plan: list[tuple[Path, float, VelocityLimits, tuple[Leg, ...]]] = []
 
 
 def path_for(pattern: Pattern, course: Course, laps: int) -> Path:
-    """Return the path of one lap of a drive of `laps` laps."""
+    """Return the path of one lap. If more than one is driven, a lap returns to its start."""
     again = laps != 1
     for known_pattern, known_course, known_again, path in _last_path:
         if known_pattern is pattern and known_course is course and known_again is again:

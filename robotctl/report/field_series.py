@@ -32,7 +32,11 @@ MAX_FIELDS: Final = 8
 
 @dataclass(frozen=True, slots=True)
 class FieldSeries:
-    """A field and its values; `absent` messages have a shorter list than the path asks for."""
+    """A field and its values over time.
+
+    `absent` is the number of messages without a value: their list is shorter than the index in the
+    path.
+    """
 
     path: str
     series: Series

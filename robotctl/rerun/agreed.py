@@ -1,4 +1,4 @@
-"""Steps that a kernel decides as they are recorded."""
+"""Steps in which the re-run kernel decides exactly what is recorded."""
 
 from __future__ import annotations
 

@@ -89,7 +89,7 @@ class StatusTimes:
         self._without.clear()
 
     def _begin(self, wall_ns: int) -> None:
-        """Compare from a time since the epoch on."""
+        """Forget what was compared; compare from `wall_ns` on, in ns since the epoch."""
         self._begin_ns = wall_ns
         self._modes, self._levels = Timeline(self._mode), Timeline(self._level)
 

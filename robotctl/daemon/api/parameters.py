@@ -25,7 +25,7 @@ def list_method(config: Callable[[], Config]) -> dict[str, Method[Any]]:
 
 
 def parameter_methods(parameters: Parameters, robot: str) -> dict[str, Method[Any]]:
-    """Return `param_list` and `param_set`; cures name `robot`."""
+    """Return `param_list` and `param_set`; the cures in errors name `robot`."""
 
     async def set_one(params: ParamSetParams) -> ParameterSet:
         setting = parameters.parsed(params.key, params.value)

@@ -21,7 +21,7 @@ COMMIT_DEADLINE_S = 5.0
 
 
 def recording_methods(recorder: FlightRecorder, robot: str) -> dict[str, Method[Any]]:
-    """Return `record_status`, `record_commit`, `record_split` and `mark`; cures name `robot`."""
+    """Return the methods that record, split, commit and mark; the cures in errors name `robot`."""
 
     def failure() -> str:
         return for_robot(recorder.failure, robot)

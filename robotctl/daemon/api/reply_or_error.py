@@ -10,7 +10,7 @@ from robotctl.kernel.types import Reply
 
 
 def granted(reply: Reply, robot: str) -> ModeAnswer:
-    """Return the answer to a request that was granted; cures name `robot`.
+    """Return the answer to a request that was granted; the cures in errors name `robot`.
 
     Raises:
         Refused: The kernel refused it.

@@ -41,7 +41,7 @@ class PendingRequests:
         self._replies_now[request_id] = None
 
     def keep_now(self, reply: Reply) -> bool:
-        """Keep a reply if `reply_now` will return it; return whether it does."""
+        """Keep the reply to a request that waits in `reply_now`; return False if none does."""
         if reply.request_id not in self._replies_now:
             return False
         self._replies_now[reply.request_id] = reply

@@ -29,8 +29,8 @@ class SealedFile:
 class Chain:
     """What the seals of several files say about each other.
 
-    `wrong` has a sentence for each file that does not continue the one before; `absent` for each
-    gap in their numbers.
+    `wrong` has a sentence for each file whose seal does not continue that of the file before it,
+    `absent` a sentence for each gap in the numbers of the files.
     """
 
     wrong: list[str] = field(default_factory=list)

@@ -39,7 +39,7 @@ class ChunkRef:
 
 
 class UnpackBudget:
-    """What decompressing chunks may still cost while a file is searched for them."""
+    """How many bytes a search for chunks in a damaged file may still decompress."""
 
     def __init__(self, limits: ReadLimits) -> None:
         self._limit = limits.unpacked_cost

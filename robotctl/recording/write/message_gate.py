@@ -28,7 +28,7 @@ class MessageGate:
     def __call__(
         self, data: Buffer, log_ns: int, publish_ns: int, sequence: int, gid: bytes
     ) -> None:
-        """Take a message; see Recorder.write."""
+        """Record a message, or count it as throttled. The arguments are those of Recorder.write."""
         if self.is_shut or not self._keeps(log_ns):
             self._recorder.leave_out(self._channel, log_ns, sequence, gid)
         else:

@@ -44,7 +44,7 @@ class TopicFilter:
         return not self._include or any(included)
 
     def can_leave_out(self, topic: str) -> bool:
-        """Return whether a pattern can exclude the topic."""
+        """Return whether patterns may exclude the topic. Some topics are always recorded."""
         return topic not in self._always
 
 

@@ -1,4 +1,7 @@
-"""The entities that are attached to the loop, each by a source of its kind."""
+"""Attaches subscriptions, timers, services and other ROS entities to the asyncio loop.
+
+Each kind of entity has a class in `sources/` that takes its events and runs its callbacks.
+"""
 
 from __future__ import annotations
 
