@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Final
 
 from robotctl.errors import UnreadableFile
 from robotctl.recording.read.files import recording_files
 from robotctl.recording.read.seal_check import SealState
 from robotctl.recording.read.verified import VerifiedRecording, verify_recording
+from robotctl.recording.read.whole_file import WholeFileReading
 from robotctl.rerun.check_report import Report
 
 ALL_BYTES_BELOW: Final = 100_000_000
@@ -26,10 +29,15 @@ class BytesFound:
     seal: str
 
 
-def read_bytes(path: Path) -> BytesFound | None:
-    """Read every byte of a recording; None if it cannot be read at all."""
+def read_bytes(
+    path: Path, begun: Mapping[Path, WholeFileReading] = MappingProxyType({})
+) -> BytesFound | None:
+    """Read every byte of a recording, on in the files that are `begun`.
+
+    None if it cannot be read at all.
+    """
     try:
-        found = verify_recording(path)
+        found = verify_recording(path, begun=begun)
     except (OSError, UnreadableFile):
         return None
     return BytesFound([*found.whole.unreadable, *found.whole.wrong], _seal_line(found))

@@ -22,14 +22,17 @@ from robotctl.recording.read.messages import Message
 from robotctl.recording.read.shadow_record import shadow_sentence
 from robotctl.recording.read.source import Source
 from robotctl.rerun.agreed import Agreed
+from robotctl.rerun.batch import Batch
+from robotctl.rerun.bytes_beside import BytesBeside, bytes_beside
 from robotctl.rerun.bytes_check import BytesFound, check_bytes
 from robotctl.rerun.check_reading import CheckReading, Readers
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.comparison import Comparison
 from robotctl.rerun.comparisons import Comparisons
 from robotctl.rerun.divergence import Divergence
+from robotctl.rerun.entry_order import Gap
 from robotctl.rerun.journal_format import JournalFormat
-from robotctl.rerun.journal_steps import Gap, Item, LogTimes, Step
+from robotctl.rerun.journal_steps import Step
 from robotctl.rerun.journal_values import read_effect, read_event, read_snapshot
 from robotctl.rerun.measured import Measured
 from robotctl.rerun.ordinary_run import OrdinaryRun, ordinary_runs
@@ -73,8 +76,14 @@ def check_recording(
         with Recording(path, source=source, files=files if others else ()) as recording:
             check = _Check(recording, report, on_progress)
             with pool_for(recording, report.version, processes) as pool:
-                check.run(pool)
-                found = None if pool is None else pool.bytes_found()
+                beside = None
+                if pool is None and source is None:
+                    beside = bytes_beside(recording, all_bytes=all_bytes)
+                check.run(pool, beside)
+                if pool is not None:
+                    found = pool.bytes_found()
+                elif beside is not None:
+                    found = beside.found()
     except UnreadableFile as error:
         report.miss(str(error))
     for group in others:
@@ -110,8 +119,10 @@ class _Check:
         self._log_ns = (0, 0)
         """When the last two events before the present item were recorded, since the epoch [ns]."""
 
-    def run(self, pool: PiecePool | None) -> None:
+    def run(self, pool: PiecePool | None, beside: BytesBeside | None) -> None:
         """Fill the report; `pool` re-runs pieces of the recording meanwhile.
+
+        Every byte of the places is read `beside`, before they are checked.
 
         Raises:
             UnreadableFile: The recording has no journal, or cannot be read at all.
@@ -130,20 +141,23 @@ class _Check:
         is_own = topic == own_journal_topic(info)
         self._ends = RecordingEnds(self._recording, info, report, is_own=is_own)
         self._compared = Comparisons(report, info, topic)
-        self._reading = CheckReading(self._recording, report, self._ends, self._on_progress)
+        self._reading = CheckReading(
+            self._recording,
+            report,
+            self._ends,
+            self._on_progress,
+            (lambda spot: None) if beside is None else beside.enter,
+        )
         readers = self._compared.readers()
-        for batch in self._reading.batches(topic, readers):
+        for batch in self._reading.batches(topic, readers, self._compared.ordinary_topics):
             self._take(batch, readers)
         self._end()
 
-    def _take(self, batch: list[tuple[Item, LogTimes]], readers: Readers) -> None:
+    def _take(self, batch: Batch, readers: Readers) -> None:
         """Look at what was read."""
         rerun = self._rerun
-        agreed: list[Agreed] = []
-        if rerun is not None:
-            steps = [(item, log_ns) for item, log_ns in batch if isinstance(item, Step)]
-            agreed = rerun.ahead([step for step, _ in steps], [log_ns for _, log_ns in steps])
-        for part in ordinary_runs(batch, agreed, self._compared.ordinary_topics):
+        agreed = [] if rerun is None else rerun.ahead(batch.steps, batch.log_times)
+        for part in ordinary_runs(batch, agreed):
             if isinstance(part, OrdinaryRun):
                 self._run(part)
                 continue

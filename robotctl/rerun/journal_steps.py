@@ -4,18 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from heapq import heappop, heappush
 
 from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.recording.read.messages import Message
-
-MAX_DISORDER = 4096
-"""How many entries are held back to put them in the order of their `seq`.
-
-Our files are in order; in a file that another program sorted by time, entries are out of order
-around a change of the clock.
-"""
-
+from robotctl.rerun.entry_order import Gap, in_sequence
 
 LogTimes = tuple[int, int]
 """When the last two events were recorded, in nanoseconds since the epoch."""
@@ -32,13 +24,6 @@ class Step:
     effects: list[JournalEntry] = field(default_factory=list)
     cut: bool = False
     """Whether the journal ends after it, so that effects may be missing."""
-
-
-@dataclass(frozen=True, slots=True)
-class Gap:
-    """A place where journal entries are missing or out of order; `text` says which."""
-
-    text: str
 
 
 Item = Step | Message | JournalEntry | Gap
@@ -72,43 +57,3 @@ def steps(entries: Iterable[JournalEntry]) -> Iterator[Step | JournalEntry | Gap
     if step is not None:
         step.cut = True
         yield step
-
-
-def in_sequence(entries: Iterable[JournalEntry]) -> Iterator[JournalEntry | Gap]:
-    """Yield the entries ordered by `seq`, and the gaps and repetitions among them."""
-    held: list[tuple[int, int, JournalEntry]] = []
-    first: int | None = None
-    following = 0
-
-    def take_held(at_most: int) -> Iterator[JournalEntry | Gap]:
-        nonlocal following
-        while held and (held[0][0] <= following or len(held) > at_most):
-            seq, _, entry = heappop(held)
-            if seq < following:
-                yield Gap(f"the journal repeats entry {seq}")
-                continue
-            if seq > following:
-                yield _missing(following, seq - 1)
-            yield entry
-            following = seq + 1
-
-    for position, entry in enumerate(entries):
-        if entry.seq == following and not held and first is not None:
-            yield entry
-            following += 1
-            continue
-        if first is None:
-            first = following = entry.seq
-        elif entry.seq < first:
-            yield Gap(f"the journal is not in order: entry {entry.seq} follows {first}")
-            first = entry.seq
-            continue
-        heappush(held, (entry.seq, position, entry))
-        yield from take_held(MAX_DISORDER)
-    yield from take_held(0)
-
-
-def _missing(first: int, last: int) -> Gap:
-    if first == last:
-        return Gap(f"the journal lacks entry {first}")
-    return Gap(f"the journal lacks the entries {first} to {last}")

@@ -7,7 +7,7 @@ messages of both. What is not ordinary stands between two runs, and is compared 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Container, Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 from robotctl.kernel.types import (
@@ -22,6 +22,7 @@ from robotctl.kernel.types import (
 )
 from robotctl.recording.read.messages import Message
 from robotctl.rerun.agreed import Agreed
+from robotctl.rerun.batch import Batch
 from robotctl.rerun.clock_changes import CLOCK_NS
 from robotctl.rerun.journal_steps import Item, LogTimes, Step
 
@@ -37,14 +38,40 @@ Single = tuple[Item, LogTimes, Agreed | None]
 class OrdinaryRun:
     """Ordinary steps and messages: in the order of writing, and by kind."""
 
-    __slots__ = ("by_kind", "items", "messages", "steps")
+    __slots__ = ("_items", "_read", "by_kind", "messages", "steps")
 
-    def __init__(self) -> None:
-        self.items: list[Agreed | Message] = []
-        self.steps: list[Agreed] = []
+    def __init__(
+        self,
+        read: Sequence[Step | Message],
+        steps: list[Agreed],
+        messages: defaultdict[str | None, list[Message]],
+    ) -> None:
+        """Take what was read; of that the `steps` as decided, and the messages by topic."""
+        self._read = read
+        self._items: list[Agreed | Message] | None = None
+        self.steps = steps
+        self.messages = messages
         self.by_kind: defaultdict[type[Event], list[Agreed]] = defaultdict(list)
-        self.messages: defaultdict[str | None, list[Message]] = defaultdict(list)
-        """The messages by topic."""
+        for each in steps:
+            self.by_kind[type(each.event)].append(each)
+
+    @property
+    def items(self) -> list[Agreed | Message]:
+        """Steps and messages in the order of writing."""
+        if self._items is None:
+            steps = iter(self.steps)
+            self._items = [
+                each if isinstance(each, Message) else next(steps) for each in self._read
+            ]
+        return self._items
+
+    def has_only_ordinary_steps(self) -> bool:
+        """Return whether each step is ordinary."""
+        return all(
+            kind in MEASUREMENTS and not any(step.effects for step in steps)
+            for kind, steps in self.by_kind.items()
+            if kind is not Tick
+        ) and all(map(_is_ordinary_tick, self.by_kind[Tick]))
 
     def last_step(self) -> Agreed | None:
         """Return the last step; odometry does not count."""
@@ -62,40 +89,50 @@ class OrdinaryRun:
         return max(offsets) - min(offsets) <= CLOCK_NS
 
 
-def ordinary_runs(
-    batch: Iterable[tuple[Item, LogTimes]], agreed: Iterable[Agreed], topics: Container[str]
-) -> Iterator[OrdinaryRun | Single]:
+def ordinary_runs(batch: Batch, agreed: list[Agreed]) -> Iterator[OrdinaryRun | Single]:
     """Yield the runs of a batch, and what stands between them.
 
-    `agreed` are the first steps of the batch as a kernel decides them. Messages of other `topics`
-    are not ordinary.
+    `agreed` are the first steps of the batch as a kernel decides them.
     """
-    following = iter(agreed)
-    run = OrdinaryRun()
-    for item, log_times in batch:
-        each: Agreed | None = None
-        if isinstance(item, Message):
-            if item.topic in topics:
-                run.items.append(item)
-                run.messages[item.topic].append(item)
-                continue
-        elif isinstance(item, Step):
-            each = next(following, None)
-            if each is not None and _is_ordinary(each):
-                run.items.append(each)
-                run.steps.append(each)
-                run.by_kind[type(each.event)].append(each)
-                continue
-        if run.items:
-            yield run
-            run = OrdinaryRun()
-        yield item, log_times, each
-    if run.items:
+    run = OrdinaryRun(batch.items, agreed, batch.messages)
+    if len(agreed) < len(batch.steps) or not run.has_only_ordinary_steps():
+        yield from _cut(batch, agreed)
+    elif batch.items:
         yield run
+    if batch.end is not None:
+        yield batch.end, batch.end_log_times, None
+
+
+def _cut(batch: Batch, agreed: Sequence[Agreed]) -> Iterator[OrdinaryRun | Single]:
+    """Yield the runs of a batch, and the steps between them."""
+    following, times = iter(agreed), iter(batch.log_times)
+    read: list[Step | Message] = []
+    steps: list[Agreed] = []
+    messages: defaultdict[str | None, list[Message]] = defaultdict(list)
+    for item in batch.items:
+        if isinstance(item, Message):
+            read.append(item)
+            messages[item.topic].append(item)
+            continue
+        log_times, each = next(times), next(following, None)
+        if each is not None and _is_ordinary(each):
+            read.append(item)
+            steps.append(each)
+            continue
+        if read:
+            yield OrdinaryRun(read, steps, messages)
+            read, steps, messages = [], [], defaultdict(list)
+        yield item, log_times, each
+    if read:
+        yield OrdinaryRun(read, steps, messages)
 
 
 def _is_ordinary(step: Agreed) -> bool:
-    kind, effects = type(step.event), step.effects
-    if not effects:
-        return kind is Tick or kind in MEASUREMENTS
-    return kind is Tick and len(effects) == 1 and type(effects[0]) is PublishTwist
+    if type(step.event) is Tick:
+        return _is_ordinary_tick(step)
+    return type(step.event) in MEASUREMENTS and not step.effects
+
+
+def _is_ordinary_tick(tick: Agreed) -> bool:
+    effects = tick.effects
+    return not effects or (len(effects) == 1 and type(effects[0]) is PublishTwist)

@@ -9,7 +9,6 @@ so that its report does not depend on how the recording was cut.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from itertools import repeat
 from typing import NamedTuple
 
 from robotctl.errors import UnreadableFile
@@ -20,6 +19,7 @@ from robotctl.recording.format.journal import EntryKind, JournalEntry, is_snapsh
 from robotctl.recording.read.journal_reader import EntryDecoder
 from robotctl.recording.read.spots import Spot
 from robotctl.rerun.agreed import Agreed
+from robotctl.rerun.batch import Batch
 from robotctl.rerun.comparison import Comparison
 from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.journal_steps import Step
@@ -107,7 +107,7 @@ class _Piece:
         self._invariants.snapshot(begun)
         self._is_right = comparison.is_exact and divergence is None
         self._seq = snapshot.seq
-        self._steps: list[Step] = []
+        self._batch = Batch()
         self._unused: set[int] = set()
 
     def confirmed(self) -> ConfirmedPiece:
@@ -119,15 +119,15 @@ class _Piece:
         if entry.seq != self._seq + 1:
             return False
         self._seq = entry.seq
-        steps = self._steps
         if entry.kind is EntryKind.EFFECT:
+            steps = self._batch.steps
             if not steps:
                 return False
             steps[-1].effects.append(entry)
         else:
-            if len(steps) >= MAX_STEPS:
+            if len(self._batch.steps) >= MAX_STEPS:
                 self._take_steps()
-            self._steps.append(Step(entry))
+            self._batch.add(Step(entry, []), (0, 0))
         return self._is_right
 
     def ends_with(self, snapshot: JournalEntry) -> bool:
@@ -145,16 +145,16 @@ class _Piece:
         )
 
     def _take_steps(self) -> None:
-        steps, self._steps = self._steps, []
-        agreed = self._rerun.ahead(steps) if self._is_right else []
-        for part in ordinary_runs(zip(steps, repeat((0, 0)), strict=False), agreed, ()):
+        batch, self._batch = self._batch, Batch()
+        agreed = self._rerun.ahead(batch.steps) if self._is_right else []
+        for part in ordinary_runs(batch, agreed):
             if isinstance(part, OrdinaryRun):
                 self._invariants.run(part, was_checked=False)
                 self._note_unused(part.by_kind[OdomReceived])
             elif part[2] is not None:
                 self._invariants.step(part[2].seq, part[2].event, part[2].effects)
                 self._note_unused([part[2]])
-        is_whole = len(agreed) == len(steps) and len(self._unused) <= MAX_UNUSED
+        is_whole = len(agreed) == len(batch.steps) and len(self._unused) <= MAX_UNUSED
         self._is_right = self._is_right and is_whole
 
     def _note_unused(self, steps: Iterable[Agreed]) -> None:

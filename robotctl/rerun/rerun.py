@@ -18,7 +18,8 @@ from robotctl.recording.format.journal import JournalEntry
 from robotctl.rerun.agreed import Agreed, followed_steps, new_tuple, read_events
 from robotctl.rerun.comparison import DECISION_NAMES, Comparison
 from robotctl.rerun.divergence import Divergence
-from robotctl.rerun.journal_steps import Gap, LogTimes, Step, steps
+from robotctl.rerun.entry_order import Gap
+from robotctl.rerun.journal_steps import LogTimes, Step, steps
 from robotctl.rerun.journal_values import (
     KERNEL_FAILURES,
     read_effect,

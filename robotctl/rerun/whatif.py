@@ -23,7 +23,8 @@ from robotctl.recording import Recording
 from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.journal_reader import read_journal
 from robotctl.rerun.drive_commands import DrivesOfKernel, drives_of_both
-from robotctl.rerun.journal_steps import Gap, Step, steps
+from robotctl.rerun.entry_order import Gap
+from robotctl.rerun.journal_steps import Step, steps
 from robotctl.rerun.journal_values import decide, read_event, read_snapshot, text_of
 from robotctl.rerun.recorded_settings import Settings, changed
 

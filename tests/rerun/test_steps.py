@@ -9,8 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robotctl.recording.format.journal import EntryKind, JournalEntry
-from robotctl.rerun import journal_steps as module
-from robotctl.rerun.journal_steps import Gap, Step, in_sequence, steps
+from robotctl.rerun import entry_order as module
+from robotctl.rerun.entry_order import Gap, in_sequence
+from robotctl.rerun.journal_steps import Step, steps
 
 
 def entry(seq: int, kind: EntryKind = EntryKind.EVENT) -> JournalEntry:

@@ -1,9 +1,12 @@
-"""A check finds the same in an edited recording, whether it compares runs of steps or each step."""
+"""A check finds the same in an edited recording, whether it compares runs of steps or each step.
+
+And whether it reads every byte beside that, or afterwards.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Container, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -12,8 +15,9 @@ import pytest
 
 from robotctl.rerun import check
 from robotctl.rerun.agreed import Agreed
+from robotctl.rerun.batch import Batch
 from robotctl.rerun.check_report import Report, Verdict
-from robotctl.rerun.journal_steps import Item, LogTimes, Step
+from robotctl.rerun.journal_steps import Step
 from robotctl.rerun.ordinary_run import OrdinaryRun, Single, ordinary_runs
 from tests.support.edited_recordings import Contents, write_contents
 from tests.support.heard_drives import COMMANDS
@@ -27,12 +31,16 @@ FLOOD = 30_000
 """In quadratic time it would take 20 s."""
 
 
-def each_alone(
-    batch: Iterable[tuple[Item, LogTimes]], agreed: Iterable[Agreed], topics: Container[str]
-) -> Iterator[Single]:
-    following = iter(agreed)
-    for item, log_times in batch:
-        yield item, log_times, next(following, None) if isinstance(item, Step) else None
+def each_alone(batch: Batch, agreed: Iterable[Agreed]) -> Iterator[Single]:
+    following, times, log_times = iter(agreed), iter(batch.log_times), batch.end_log_times
+    for item in batch.items:
+        if isinstance(item, Step):
+            log_times = next(times)
+            yield item, log_times, next(following, None)
+        else:
+            yield item, log_times, None
+    if batch.end is not None:
+        yield batch.end, batch.end_log_times, None
 
 
 def reported(path: Path) -> Report:
@@ -58,6 +66,7 @@ def differing(
         together = shown(path)
         with monkeypatch.context() as patched:
             patched.setattr(check, "ordinary_runs", each_alone)
+            patched.setattr(check, "bytes_beside", lambda *_, **__: None)
             alone = shown(path)
         if together != alone:
             found.append(f"{name} ({recording}, {place})")
@@ -74,10 +83,8 @@ def test_almost_all_steps_of_an_honest_recording_are_ordinary(
 ) -> None:
     alone: list[Single] = []
 
-    def noted(
-        batch: Iterable[tuple[Item, LogTimes]], agreed: Iterable[Agreed], topics: Container[str]
-    ) -> Iterator[OrdinaryRun | Single]:
-        for part in ordinary_runs(batch, agreed, topics):
+    def noted(batch: Batch, agreed: list[Agreed]) -> Iterator[OrdinaryRun | Single]:
+        for part in ordinary_runs(batch, agreed):
             if not isinstance(part, OrdinaryRun):
                 alone.append(part)
             yield part

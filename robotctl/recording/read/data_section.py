@@ -7,6 +7,7 @@ In files of other writers only what contradicts itself is a flaw.
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import inf
 
 from isal.isal_zlib import crc32
 from mcap.opcode import Opcode
@@ -48,34 +49,83 @@ def read_data_section(
     Raises:
         Damaged: The file does not begin as an MCAP file, or the disk fails.
     """
-    header, offset = read_header(file)
-    data = WholeData(header)
-    if data.own and record_bytes(header) != file.read(len(MAGIC), offset - len(MAGIC)):
-        flaws.add(len(MAGIC), offset, "the header is not as robotctl writes it")
-    file.expect([(offset, (file.size if stop is None else stop) - offset)])
-    reading = _Reading(file, data, flaws)
-    checksum = _Checksum(file)
-    while stop is None or offset < stop:
+    return DataSection(file, flaws, stop, on_progress).finish()
+
+
+class DataSection:
+    """A data section that is read record by record."""
+
+    def __init__(
+        self,
+        file: InputFile,
+        flaws: Flaws,
+        stop: int | None = None,
+        on_progress: Callable[[int], None] = lambda offset: None,
+    ) -> None:
+        """Read the header; see `read_data_section`.
+
+        Raises:
+            Damaged: The file does not begin as an MCAP file, or the disk fails.
+        """
+        header, offset = read_header(file)
+        data = WholeData(header)
+        if data.own and record_bytes(header) != file.read(len(MAGIC), offset - len(MAGIC)):
+            flaws.add(len(MAGIC), offset, "the header is not as robotctl writes it")
+        file.expect([(offset, (file.size if stop is None else stop) - offset)])
+        self._file = file
+        self._data = data
+        self._flaws = flaws
+        self._reading = _Reading(file, data, flaws)
+        self._checksum = _Checksum(file)
+        self._on_progress = on_progress
+        self._offset = offset
+        self._stop: float = inf if stop is None else stop
+
+    def read_past(self, offset: float) -> None:
+        """Read the records up to the one at `offset`.
+
+        Raises:
+            Damaged: The disk fails.
+        """
+        while self._offset <= offset and self._offset < self._stop:
+            self._read_record()
+
+    def finish(self) -> WholeData:
+        """Read the rest, and return what was found.
+
+        Raises:
+            Damaged: The disk fails.
+        """
+        self.read_past(inf)
+        data, checksum = self._data, self._checksum
+        checksum.add_up_to(self._offset)
+        data.end, data.crc = self._offset, checksum.crc
+        return data
+
+    def _read_record(self) -> None:
+        """Read one record; nothing follows DataEnd and what cannot be read.
+
+        Raises:
+            Damaged: The disk fails.
+        """
+        file, data, offset = self._file, self._data, self._offset
+        end = None
         try:
-            end = reading.record(offset)
+            end = self._reading.record(offset)
         except BeyondLimit as limit:
             data.unread = f"the data after byte {offset} is not read: {limit}"
-            break
         except Damaged as damage:
             if file.failure:
                 raise file.failure from None
-            flaws.add(offset, min(offset + RECORD_HEAD.size, file.size), str(damage))
+            self._flaws.add(offset, min(offset + RECORD_HEAD.size, file.size), str(damage))
             data.unread = f"the data after byte {offset} is not read"
-            break
         if end is None:
-            break
-        on_progress(offset)
-        offset = end
-        if offset - checksum.end > _PIECE_BYTES:
-            checksum.add_up_to(offset)
-    checksum.add_up_to(offset)
-    data.end, data.crc = offset, checksum.crc
-    return data
+            self._stop = offset
+            return
+        self._on_progress(offset)
+        self._offset = end
+        if end - self._checksum.end > _PIECE_BYTES:
+            self._checksum.add_up_to(end)
 
 
 class _Checksum:

@@ -20,7 +20,6 @@ from robotctl.recording.read.mcap_input import (
     TOO_MANY_RECORDS,
     InputFile,
     RecordHead,
-    head_blocks,
 )
 
 Window = tuple[int, int]
@@ -205,7 +204,7 @@ class PlaceReader:
         names, known, message = self._names, self.file.index.channels, Opcode.MESSAGE.value
         offset, tally = self.place.offset, self.file.index.tally
         try:
-            for block in head_blocks(data, self._records_left()):
+            for block in self.file.file.head_blocks(data, self._records_left()):
                 records += len(block)
                 wanted = [
                     (position + RECORD_HEAD.size, head)

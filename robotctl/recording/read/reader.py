@@ -142,6 +142,11 @@ class Recording:
             LEDGER_RECORD, CLIP_RECORD
         )
 
+    @property
+    def open_files(self) -> Sequence[OpenFile]:
+        """Its files, in the order in which places are numbered."""
+        return self._files
+
     def metadata(self) -> list[Metadata]:
         """Return all metadata records, in the order of the files."""
         return metadata_in(self._files)

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
+from types import MappingProxyType
 
 from robotctl.errors import UnreadableFile
 from robotctl.recording.read.damage import Damaged
 from robotctl.recording.read.mcap_input import InputFile
 from robotctl.recording.read.seal_chain import Chain, SealedFile, check_chain
 from robotctl.recording.read.seal_check import SealState, check_seal
+from robotctl.recording.read.whole_file import WholeFileReading
 from robotctl.recording.read.whole_recording import WholeRecording, read_whole_recording
 
 
@@ -61,16 +63,18 @@ class VerifiedRecording:
 
 
 def verify_recording(
-    path: Path, on_progress: Callable[[int, int], None] = lambda done, total: None
+    path: Path,
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
+    begun: Mapping[Path, WholeFileReading] = MappingProxyType({}),
 ) -> VerifiedRecording:
     """Read every byte of a recording, and check its seals.
 
-    `on_progress` gets bytes done and in total.
+    `on_progress` gets bytes done and in total. The files that are `begun` are read on.
 
     Raises:
         UnreadableFile: `path` holds no MCAP file, or the disk fails.
     """
-    whole = read_whole_recording(path, on_progress)
+    whole = read_whole_recording(path, on_progress, begun)
     files = []
     for file in whole.files:
         try:

@@ -11,9 +11,12 @@ from robotctl.recording.format.records import Chunk, place
 from robotctl.recording.read.damage import BeyondLimit, Damaged
 from robotctl.recording.read.flaws import Flaws
 from robotctl.recording.read.mcap_input import (
+    MAX_KEPT_BLOCKS,
     RECORD_HEAD,
+    HeadBlock,
     InputFile,
-    walk_heads,
+    KeptChunk,
+    head_blocks,
 )
 from robotctl.recording.read.stored_chunk import (
     ChunkRef,
@@ -48,11 +51,14 @@ class WholeChunks:
             BeyondLimit: It holds more than `most` records, or is too large.
         """
         file, data = self._file, self._data
+        file.kept = None
         try:
             ref = read_chunk_ref(file, offset, end - offset)
             self._budget.spend(ref.uncompressed_size)
             content = read_chunk(file, ref)
-            indexes, count = self._read(content, (offset, end), most)
+            blocks: list[HeadBlock] = []
+            indexes, count = self._read(content, (offset, end), most, blocks)
+            file.keep(KeptChunk(ref, content, blocks, count))
         except BeyondLimit:
             raise
         except Damaged as damage:
@@ -76,7 +82,9 @@ class WholeChunks:
             data.add_messages(*span)
         self._entry = self._placed(ref, offset, end, empty=not spans)
         data.chunk_indexes[offset] = self._entry
-        self._expected = {channel: entries.tobytes() for channel, entries in indexes.items()}
+        self._expected = {
+            channel: array("Q", entries).tobytes() for channel, entries in indexes.items()
+        }
         return count
 
     def message_index(self, offset: int, content: bytes) -> None:
@@ -130,31 +138,41 @@ class WholeChunks:
         return placed.entry
 
     def _read(
-        self, content: bytes, at: tuple[int, int], most: int
-    ) -> tuple[dict[int, array[int]], int]:
-        """Return log time and offset of each message by channel, and the number of records."""
+        self, content: bytes, at: tuple[int, int], most: int, blocks: list[HeadBlock]
+    ) -> tuple[dict[int, list[int]], int]:
+        """Return log time and offset of each message by channel, and the number of records.
+
+        The first `blocks` of them are appended, more than are kept at most.
+        """
         data = self._data
-        indexes: dict[int, array[int]] = {}
+        indexes: dict[int, list[int]] = {}
         count, message = 0, Opcode.MESSAGE.value
-        for position, head in walk_heads(content, most):
-            count += 1
-            opcode, length, channel, _, log_ns, _ = head
-            if opcode == message:
-                entries = indexes.get(channel)
-                if entries is None:
-                    if channel not in data.channels:
-                        raise Damaged(
-                            f"a chunk holds messages of channel {channel}, without a topic"
-                        )
-                    entries = indexes[channel] = array("Q")
-                entries.append(log_ns)
-                entries.append(position)
-            elif data.own:
-                raise Damaged("a chunk holds records that robotctl does not write there")
-            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                start = position + RECORD_HEAD.size
-                data.define(opcode, content[start : start + length], at, self._flaws)
+        for block in head_blocks(content, most):
+            count += len(block)
+            if len(blocks) <= MAX_KEPT_BLOCKS:
+                blocks.append(block)
+            for position, (opcode, length, channel, _, log_ns, _) in block:
+                if opcode == message:
+                    entries = indexes.get(channel)
+                    if entries is None:
+                        entries = indexes[channel] = self._entries_of(channel)
+                    entries += log_ns, position
+                elif data.own:
+                    raise Damaged("a chunk holds records that robotctl does not write there")
+                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                    start = position + RECORD_HEAD.size
+                    data.define(opcode, content[start : start + length], at, self._flaws)
         return indexes, count
+
+    def _entries_of(self, channel: int) -> list[int]:
+        """Return the beginning of a message index.
+
+        Raises:
+            Damaged: The channel is not known.
+        """
+        if channel not in self._data.channels:
+            raise Damaged(f"a chunk holds messages of channel {channel}, without a topic")
+        return []
 
 
 def _sorted(entries: bytes) -> list[tuple[int, int]]:
