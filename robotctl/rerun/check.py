@@ -60,8 +60,8 @@ def check_recording(
 
     A file that cannot be read is named in the report. Every byte is read if `all_bytes` is set, or
     if the recording is small. With `source`, one MCAP file is read from there, no more of it than
-    the check needs, and `path` is only its name. So many `processes` help with a long recording;
-    the report does not depend on them.
+    the check needs, and `path` is only its name. `processes` is the number of helpers for a long
+    recording; the report does not depend on it.
     """
     report = Report(path)
     began = time.perf_counter()

@@ -51,7 +51,7 @@ class Report:
     """The check of one recording.
 
     `version` and `made_by` describe the recording, "" if unknown. `missing` lists what could not be
-    checked, and `notes` how the rest was compared. `seal` says who signed it, "" if nobody did.
+    checked, and `notes` how the rest was compared. `seal` says who signed it, "" if no one did.
     `begin_ns` (steady) and `begin_log_ns` (since the epoch) are the same moment. `divergence` is
     the first difference, also for a recording of another version.
     """

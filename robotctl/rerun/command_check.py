@@ -100,12 +100,14 @@ class CommandCheck:
         self._tell_undecided(ending)
         if ending.is_own:
             self._tell_late(invariants, ending)
-        if pairs.unsent:
+        if pairs.counts.unsent:
             self._report.notes.append("the journal tells of commands that could not be sent")
-        elif pairs.resumed:
+        elif pairs.counts.resumed:
             self._report.miss("a snapshot counts other commands than were decided before it")
-        if pairs.out_of_order:
-            self._report.miss(f"{pairs.out_of_order} commands are not in the order of their number")
+        if pairs.counts.out_of_order:
+            self._report.miss(
+                f"{pairs.counts.out_of_order} commands are not in the order of their number"
+            )
 
     def _tell_foreign(self, invariants: Invariants, count: int, example: str) -> None:
         if count:
@@ -119,12 +121,12 @@ class CommandCheck:
 
     def _tell_missing(self, invariants: Invariants, ending: Ending) -> None:
         pairs = self._pairs
-        count = pairs.missing + (0 if ending.is_clip else pairs.before_first)
+        count = pairs.counts.missing + (0 if ending.is_clip else pairs.counts.before_first)
         if not count:
             return
         text = f"{count} decided commands are missing"
-        if pairs.missing_example:
-            text += f", the first is {pairs.missing_example}"
+        if pairs.counts.missing_example:
+            text += f", the first is {pairs.counts.missing_example}"
         if count <= ending.lost:
             self._report.notes.append(f"{text}: {ending.lost} were counted as lost")
         elif ending.ledger is None:
@@ -137,13 +139,13 @@ class CommandCheck:
         count = old + (recent if is_closed else 0)
         if count <= ending.lost:
             return
-        if not self._pairs.paired and is_closed and old:
+        if not self._pairs.counts.paired and is_closed and old:
             ending.accuse(self._report, invariants, f"none of {count} decided commands is recorded")
         else:
             self._report.miss(f"the last {count} decided commands are missing")
 
     def _tell_undecided(self, ending: Ending) -> None:
-        notes, undecided = self._report.notes, self._pairs.undecided
+        notes, undecided = self._report.notes, self._pairs.counts.undecided
         if not ending.is_own:
             if after := undecided + self._pairs.others.after_end:
                 notes.append(f"{after} commands are later than the journal that was received")
@@ -154,7 +156,11 @@ class CommandCheck:
             )
 
     def _tell_late(self, invariants: Invariants, ending: Ending) -> None:
-        late = [text for steady_ns, text in self._pairs.late if not self._clock.is_near(steady_ns)]
+        late = [
+            text
+            for steady_ns, text in self._pairs.counts.late
+            if not self._clock.is_near(steady_ns)
+        ]
         if late:
             ending.accuse(
                 self._report,

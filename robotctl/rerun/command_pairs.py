@@ -7,7 +7,6 @@ message with another number or velocity is of another publisher, or was not deci
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterable, Sequence
 from math import inf
 
@@ -27,11 +26,13 @@ from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.records import MAX_SEQUENCE
 from robotctl.recording.read.messages import Message
 from robotctl.rerun.agreed import Agreed
-from robotctl.rerun.command_bytes import STILL, is_zero, numbers_of, serialized, shown_command
-from robotctl.rerun.command_run import LATE_NS, CommandRun, Decided, command_run
+from robotctl.rerun.command_bytes import STILL, is_zero, numbers_of, serialized
+from robotctl.rerun.command_counts import CommandCounts, follows
+from robotctl.rerun.command_run import CommandRun, Decided, command_run
 from robotctl.rerun.journal_steps import Moments
 from robotctl.rerun.ordinary_run import OrdinaryRun
 from robotctl.rerun.other_commands import OtherCommands
+from robotctl.rerun.recent_commands import RecentCommands
 from robotctl.rerun.undecided_end import JOURNAL_LAG_NS, LAST_ZEROS, Early, UndecidedEnd
 
 MAX_WAITING = 20_000
@@ -49,29 +50,7 @@ class CommandPairs:
 
     def __init__(self) -> None:
         self.others = OtherCommands()
-        self.paired = 0
-        self.undecided = 0
-        """The number of commands at the end that may have been decided after it."""
-
-        self.missing = 0
-        """The number of decided commands without a message, before the last one with a message."""
-
-        self.missing_example = ""
-        self.before_first = 0
-        """The number of decided commands before the first one with a message."""
-
-        self.late: deque[tuple[int, str]] = deque(maxlen=MAX_WAITING)
-        """Commands that were sent outside of their step: steady time [ns], and the sentence."""
-
-        self.out_of_order = 0
-        """The number of commands after one with a higher number."""
-
-        self.resumed = 0
-        """How often the count of a snapshot was not that of the decisions before it."""
-
-        self.unsent = False
-        """Whether the journal tells that commands could not be sent."""
-
+        self.counts = CommandCounts()
         self.is_counting = False
         self._has_ended = False
         """Whether a snapshot counts zeros that only the end of the daemon sends."""
@@ -82,8 +61,6 @@ class CommandPairs:
         self._base = 0
         """The number of commands before the first decision that is counted."""
 
-        self._first: int | None = None
-        self._newest = 0
         self._t_ns = self._log_ns = 0
         """When the last event was handled, on the steady clock and since the epoch."""
 
@@ -94,7 +71,7 @@ class CommandPairs:
         self._instead: dict[int, tuple[bytes, int]] = {}
         """Zeros where another command was decided: the next event may tell of a stall."""
 
-        self._recent: deque[tuple[int, bytes]] = deque(maxlen=64)
+        self._recent = RecentCommands()
 
     # The wire
 
@@ -108,7 +85,7 @@ class CommandPairs:
             self._keep(sequence, numbers, publish_ns)
         elif wanted[0] == numbers or (numbers == STILL and is_zero(wanted[0])):
             del self._wanted[sequence]
-            self._pair(sequence, wanted[1], publish_ns)
+            self.counts.pair(sequence, wanted[1], publish_ns)
         elif numbers == STILL:
             self._instead[sequence] = numbers, publish_ns
         else:
@@ -116,26 +93,12 @@ class CommandPairs:
 
     def _keep(self, sequence: int, numbers: bytes, publish_ns: int) -> None:
         """Keep a message that is not decided yet, or doubt it."""
-        if _follows(sequence, self._number):
+        if follows(sequence, self._number):
             self._early.setdefault(sequence, []).append(Early(numbers, publish_ns, self._t_ns))
             if len(self._early) > MAX_WAITING:
                 self._doubt_all(self._early.pop(next(iter(self._early))))
-        elif self._first is not None or not self._base:
+        elif self.counts.has_begun or not self._base:
             self.others.doubt(self._t_ns, numbers)  # else decided before the recording begins
-
-    def _pair(self, sequence: int, moments: Moments, publish_ns: int) -> None:
-        self.paired += 1
-        if self._first is None:
-            self._first = self._newest = sequence
-        elif _follows(sequence, self._newest):
-            self._newest = sequence
-        else:
-            self.out_of_order += 1
-        steady_ns, begin_ns, end_ns = moments
-        if end_ns and not begin_ns - LATE_NS <= publish_ns <= end_ns + LATE_NS:
-            off_s = max(begin_ns - publish_ns, publish_ns - end_ns) / NS_PER_S
-            when = "before" if publish_ns < begin_ns else "after"
-            self.late.append((steady_ns, f"command {sequence}, {off_s:.3f} s {when} its decision"))
 
     def _doubt_all(self, messages: Iterable[Early]) -> None:
         for numbers, _, t_ns in messages:
@@ -146,14 +109,14 @@ class CommandPairs:
     def resume(self, proof: Proof) -> None:
         """Continue from a snapshot, with the number of commands that it tells."""
         differs = proof.commands & MAX_SEQUENCE != self._number
-        was_moving = bool(self._recent) and not is_zero(self._recent[-1][1])
+        was_moving = self._recent.were_moving
         more = (proof.commands - self._number) & MAX_SEQUENCE
         if self.is_counting and was_moving and 0 < more <= LAST_ZEROS:
             self._has_ended = True
             while proof.commands & MAX_SEQUENCE != self._number:
                 self._decide(STILL, (self._t_ns, 0, 0))
             return
-        self.resumed += self.is_counting and differs
+        self.counts.resumed += self.is_counting and differs
         if not self.is_counting or differs:
             self._forget()
             self._number = self._base = proof.commands & MAX_SEQUENCE
@@ -169,7 +132,7 @@ class CommandPairs:
         self._early.clear()
         self._instead.clear()
         self._recent.clear()
-        self._first = None
+        self.counts.begin_again()
 
     def step(self, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
         """Take an event with its effects."""
@@ -177,7 +140,7 @@ class CommandPairs:
             return
         self._t_ns, self._log_ns, _ = moments
         if self._has_ended:
-            self.resumed += 1
+            self.counts.resumed += 1
             self._has_ended = False
         if isinstance(event, Tick):
             self._settle()
@@ -188,7 +151,7 @@ class CommandPairs:
         elif isinstance(event, CommandPublishersSeen):
             self.others.publish(event.t_ns, bool(event.names))
         elif isinstance(event, FaultReported) and SEND_FAILED in event.detail:
-            self.unsent = True  # it is not known which: the next snapshot counts again
+            self.counts.unsent = True  # it is not known which: the next snapshot counts again
             self.stop()
             return
         for effect in effects:
@@ -210,11 +173,9 @@ class CommandPairs:
         for decided in found.decided_before:
             self._decide(*decided)
         numbers = range(self._number + 1, self._number + 1 + len(found.common))
-        self._recent.extend(zip(numbers, found.common, strict=True))
-        if self._first is None:
-            self._first = numbers[0]
-        self._number = self._newest = numbers[-1]
-        self.paired += len(numbers)
+        self._recent.add_all(numbers, found.common)
+        self.counts.pair_all(numbers)
+        self._number = numbers[-1]
         for decided in found.decided_after:
             self._decide(*decided)
         self._take_early(run, found.sent_after)
@@ -242,7 +203,7 @@ class CommandPairs:
         return (
             self.is_counting
             and not (self._has_ended or self._instead or self.others.are_waiting)
-            and (self._first is None or _follows(first, self._newest))
+            and self.counts.may_follow(first)
             and end + len(found.decided_after) <= MAX_SEQUENCE
             and self._early.keys().isdisjoint(range(begin, end))
             and all(map(self._is_wanted, found.sent_before))
@@ -258,21 +219,23 @@ class CommandPairs:
 
     def _decide(self, numbers: bytes, moments: Moments) -> None:
         self._number = number = (self._number + 1) & MAX_SEQUENCE
-        self._recent.append((number, numbers))
+        self._recent.add(number, numbers)
         early = self._early.pop(number, None)
         if early is None:
             self._wanted[number] = numbers, moments
         else:
             self._decide_late(number, (numbers, moments), early)
         if len(self._wanted) > MAX_WAITING:
-            self._lack(next(iter(self._wanted)))
+            number, (numbers, _) = next(iter(self._wanted.items()))
+            del self._wanted[number]
+            self.counts.lack(number, numbers)
 
     def _decide_late(self, number: int, decided: Decided, early: list[Early]) -> None:
         """Take a decision after the messages with its number."""
         numbers, moments = decided
         own = next((each for each in early if each[0] == numbers), None)
         if own is not None:
-            self._pair(number, moments, own[1])
+            self.counts.pair(number, moments, own[1])
         else:
             self._wanted[number] = decided
             own = next((each for each in early if each[0] == STILL), None)
@@ -285,20 +248,13 @@ class CommandPairs:
         steady_ns, begin_ns, end_ns = moments
         began_ns = max(begin_ns - round(event.stalled_s * NS_PER_S), 1) if begin_ns else 0
         during = steady_ns, began_ns, end_ns
-        left = event.withheld
-        held = []
-        for number, numbers in reversed(self._recent):
-            if left <= 0:
-                break
-            held.append(number)
-            left -= not is_zero(numbers)
-        for number in reversed(held):
+        for number in self._recent.withheld(event.withheld):
             if number in self._wanted:
                 self._wanted[number] = STILL, during
             if number in self._instead:
                 _, publish_ns = self._instead.pop(number)
                 del self._wanted[number]
-                self._pair(number, during, publish_ns)
+                self.counts.pair(number, during, publish_ns)
         self._recent.clear()
         for _ in range(min(event.zeros, MAX_WAITING)):
             self._decide(STILL, during)
@@ -320,31 +276,17 @@ class CommandPairs:
         """
         end = UndecidedEnd(self._number, self._log_ns, cut, is_own, is_closed)
         unexplained = [*end.unexplained(self._early)]
-        self.undecided = sum(map(len, self._early.values())) - len(unexplained)
+        self.counts.undecided = sum(map(len, self._early.values())) - len(unexplained)
         self._doubt_all(unexplained)
         for number, (_, publish_ns) in self._instead.items():  # the end fell into a stall
-            self._pair(number, self._wanted.pop(number)[1], publish_ns)
+            self.counts.pair(number, self._wanted.pop(number)[1], publish_ns)
         old = recent = 0
         for number, (_, moments) in list(self._wanted.items()):
-            if self._first is not None and not _follows(number, self._newest):
-                self._lack(number)
+            if self.counts.is_passed(number):
+                self.counts.lack(number, self._wanted.pop(number)[0])
             elif self._t_ns - moments[0] > TAIL_NS:
                 old += 1
             else:
                 recent += 1
         self.others.end(inf if is_own else self._t_ns - JOURNAL_LAG_NS)
         return old, recent
-
-    def _lack(self, number: int) -> None:
-        numbers, _ = self._wanted.pop(number)
-        if self._first is not None and _follows(self._first, number):
-            self.before_first += 1
-            return
-        self.missing += 1
-        if not self.missing_example:
-            self.missing_example = f"command {number} ({shown_command(numbers)})"
-
-
-def _follows(number: int, other: int) -> bool:
-    """Return whether a number is later than another one; they begin again after MAX_SEQUENCE."""
-    return 0 < (number - other) & MAX_SEQUENCE <= MAX_SEQUENCE // 2

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from math import hypot
 from pathlib import Path
 
+from robotctl.cdr.known_types import ODOMETRY
 from robotctl.cdr.motion import read_odometry
 from robotctl.errors import UnreadableFile
 from robotctl.kernel.course import MAX_POINTS, Frame, Point
@@ -17,8 +18,6 @@ from robotctl.recording import Recording
 from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.recording.read.journal_reader import read_journal
 from robotctl.rerun.journal_values import read_effect, read_event, read_snapshot
-
-ODOMETRY_TYPE = "nav_msgs/msg/Odometry"
 
 SPACING_M = 0.03
 """Places nearer to each other than this are one: a robot that stops may roll a little too far."""
@@ -121,7 +120,7 @@ def _moves(entry: JournalEntry, moving: bool) -> bool:
 
 def _all_odometry(recording: Recording) -> list[Pose]:
     topics = recording.info().topics
-    name = next((topic.name for topic in topics if topic.type_name == ODOMETRY_TYPE), None)
+    name = next((topic.name for topic in topics if topic.type_name == ODOMETRY), None)
     return [] if name is None else list(_poses(recording, name))
 
 

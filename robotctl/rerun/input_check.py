@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import nan
 from typing import Any
 
+from robotctl.cdr import known_types
 from robotctl.cdr.battery import read_battery_level
 from robotctl.cdr.motion import decode_twist, decode_twist_stamped, read_sample
 from robotctl.kernel.command_types import COMMAND_TYPES, TWIST_STAMPED
@@ -218,7 +219,7 @@ class Inputs:
 
 
 _TYPES: Mapping[str, str] = {
-    "odometry": "nav_msgs/msg/Odometry",
+    "odometry": known_types.ODOMETRY,
     "battery": "sensor_msgs/msg/BatteryState",
     "scan": "sensor_msgs/msg/LaserScan",
 }

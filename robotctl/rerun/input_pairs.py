@@ -11,7 +11,7 @@ PATIENCE_NS = 30 * NS_PER_S
 """How long an input waits for its message, on the steady clock of the journal."""
 
 EDGE_NS = NS_PER_S // 2
-"""How near to the end of a journal the last inputs may lack their messages: they were under way.
+"""Inputs this close to the end of a journal may lack a message, which was still under way.
 
 Near to the begin of a file, messages may be in the file before: the recorder takes them, and the
 new file begins, before the control loop takes them.

@@ -84,8 +84,8 @@ def report_last(
 ) -> int:
     """Report messages after the last input that cannot all have been under way.
 
-    The control loop may have been `waited_ns` late. Of what `is_rare` most messages never become an
-    input. Return how many messages may have been lost.
+    The control loop may have been `waited_ns` late. If `is_rare` is set, most messages never become
+    an input. Return how many messages may have been lost.
     """
     if not (pairs.paired and pairs.has_one_publisher and ending.is_own) or moment.clock_changed:
         return 0

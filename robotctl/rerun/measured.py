@@ -1,4 +1,4 @@
-"""What the robot has measured, as far as a check compares it with what the statuses show."""
+"""The measurements that a check compares with the recorded statuses."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ class OtherCommands:
 
     def __init__(self) -> None:
         self.extra = 0
-        """The number of messages that nobody is known to have sent."""
+        """The number of messages without a known sender."""
 
         self.extra_example = ""
         self.foreign = 0

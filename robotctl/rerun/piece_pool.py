@@ -39,13 +39,13 @@ _AHEAD = 3
 
 _LEAD = 4
 """How many jobs lie between those of a process. The check passes two or three confirmed ones while
-a process does one, and a job that is not done when the check is there was in vain."""
+a process does one. A job that is unfinished when the check reaches it is wasted."""
 
 
 class PiecePool:
     """The processes, and what they have confirmed. Use it in a `with` block.
 
-    A process that ends or stands still costs speed alone: the check re-runs what it was given.
+    A process that ends or hangs only costs speed: the check re-runs what it was given.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class PiecePool:
         *,
         reads_bytes: bool,
     ) -> None:
-        """Share the `places` of the journal, each with its bytes, among so many processes.
+        """Divide the `places` of the journal among `processes`, by their size in bytes.
 
         `begin` starts one, and raises OSError if it cannot. With `reads_bytes` the first one reads
         every byte of the recording before.
@@ -116,7 +116,7 @@ class PiecePool:
         return self._bytes
 
     def _receive(self, child: Child, seconds: float) -> None:
-        """Take what a process reports within so many seconds; drop it if it ended."""
+        """Read the reports of a process for up to `seconds`; drop it if it ended."""
         try:
             reports = child.receive(seconds)
         except TimeoutError:
@@ -165,7 +165,7 @@ class PiecePool:
 
 @contextmanager
 def pool_for(recording: Recording, version: str, processes: int) -> Iterator[PiecePool | None]:
-    """Start so many processes for a recording, or none if it is too short for them.
+    """Start `processes` for a recording, or none if it is too short for them.
 
     Only recordings of this version are re-run in pieces: others need more than yes or no.
     """

@@ -8,9 +8,8 @@ from dataclasses import fields
 from robotctl.config import Config, check_together, with_text
 from robotctl.errors import ConfigError, UsageError
 from robotctl.recording import RecordingInfo
-from robotctl.recording.format.metadata_names import INFO_RECORD
+from robotctl.recording.format.metadata_names import INFO_RECORD, PARAMETER_PREFIX
 
-PREFIX = "parameter."
 """The prefix of configuration keys in the metadata of a recording."""
 
 _SECTIONS = frozenset(item.name for item in fields(Config))
@@ -78,7 +77,7 @@ def simulated(config: Config, info: RecordingInfo) -> tuple[Config, list[str]]:
     """
     unknown = []
     for name, value in info.metadata.get(INFO_RECORD, {}).items():
-        key = name.removeprefix(PREFIX)
+        key = name.removeprefix(PARAMETER_PREFIX)
         if key != name and key.startswith("sim."):
             try:
                 config = with_text(config, key, value)

@@ -19,6 +19,7 @@ from robotctl.rerun.agreed import Agreed, followed_steps, new_tuple, read_events
 from robotctl.rerun.comparison import DECISION_NAMES, Comparison
 from robotctl.rerun.divergence import Divergence
 from robotctl.rerun.entry_order import Gap
+from robotctl.rerun.entry_shapes import EntryShapes
 from robotctl.rerun.journal_steps import LogTimes, Step, steps
 from robotctl.rerun.journal_values import (
     KERNEL_FAILURES,
@@ -28,9 +29,6 @@ from robotctl.rerun.journal_values import (
     text_of,
 )
 from robotctl.rerun.measured import Followed, Measured
-
-MAX_SHAPES = 4096
-"""The number of entry shapes that are remembered: a source may be any text."""
 
 
 class ConfirmedPiece(NamedTuple):
@@ -64,7 +62,7 @@ class Rerun:
 
         self._event: JournalEntry | None = None
         self._same_version = comparison.same_version
-        self._shapes: set[bytes] = set()
+        self._shapes = EntryShapes(comparison)
 
     def stop(self) -> None:
         """Pause until the next snapshot: events are missing."""
@@ -127,7 +125,7 @@ class Rerun:
             return Decided(event, tuple(map(read_effect, step.effects)))
         self._event = entry
         before = kernel.state
-        if not self._is_untouched(entry, event):
+        if not self._shapes.is_untouched(entry, event):
             return self._diverged(event, entry, event, before)
         theirs = step.effects
         try:
@@ -184,7 +182,7 @@ class Rerun:
             return len(decided)
         for number, (step, mine) in enumerate(zip(steps, decided, strict=False)):
             entry, theirs, effects = step.event, step.effects, mine.effects
-            if len(theirs) != len(effects) or not self._is_untouched(entry, mine.event):
+            if len(theirs) != len(effects) or not self._shapes.is_untouched(entry, mine.event):
                 return number
             for recorded, effect in zip(theirs, effects, strict=True):
                 if not self._is_recorded(effect, recorded, entry.t_ns):
@@ -206,7 +204,7 @@ class Rerun:
             [entry.t_ns for entry in recorded] == times_ns
             and [entry.name for entry in recorded] == [type(each).__name__ for each in effects]
             and all(map(self.comparison.same, [entry.data for entry in recorded], effects))
-            and self._are_untouched(entries, events)
+            and self._shapes.are_untouched(entries, events)
         )
 
     def _is_recorded(self, effect: Effect, recorded: JournalEntry, t_ns: int) -> bool:
@@ -215,32 +213,6 @@ class Rerun:
             and recorded.name == type(effect).__name__
             and self.comparison.same(recorded.data, effect)
         )
-
-    def _are_untouched(self, entries: Sequence[JournalEntry], events: Sequence[Event]) -> bool:
-        """Return whether all entries are as `_is_untouched` says."""
-        shapes = _shapes(entries)
-        unknown = set(shapes) - self._shapes
-        return len(shapes) == len(entries) and all(
-            self._is_untouched(entry, event)
-            for shape, entry, event in zip(shapes, entries, events, strict=True)
-            if shape in unknown
-        )
-
-    def _is_untouched(self, entry: JournalEntry, event: Event) -> bool:
-        """Return whether the entry is unchanged since it was written for this event.
-
-        The text without its digits is compared with texts that were correct; the digits are the
-        values of the event.
-        """
-        if not self._same_version:
-            return True
-        shape = _shape(entry)
-        if shape not in self._shapes:
-            if not self.comparison.same(entry.data, event):
-                return False
-            if len(self._shapes) < MAX_SHAPES:
-                self._shapes.add(shape)
-        return entry.t_ns == event.t_ns
 
     def _diverged(
         self, event: Event, recorded: JournalEntry | None, mine: Any, before: State
@@ -288,17 +260,6 @@ def first_divergence(entries: Iterable[JournalEntry]) -> Divergence | None:
         if found is not None:
             return found
     return None
-
-
-def _shape(entry: JournalEntry) -> bytes:
-    """Return the text of an entry without its digits."""
-    return entry.data.encode().translate(None, b"0123456789")
-
-
-def _shapes(events: Iterable[JournalEntry]) -> list[bytes]:
-    """Return the shape of each event, or more shapes if a text holds a line break."""
-    texts = "\n".join([entry.data for entry in events])
-    return texts.encode().translate(None, b"0123456789").split(b"\n")
 
 
 def _text(entry: JournalEntry) -> str:

@@ -16,7 +16,7 @@ from robotctl.kernel.health import CommandTopic
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.state import State
-from robotctl.kernel.units import NS_PER_S
+from robotctl.kernel.units import DAY_S, NS_PER_S
 from robotctl.recording import Recording
 from robotctl.recording.format.journal import EntryKind
 from robotctl.recording.read.file_index import note_missing
@@ -26,7 +26,7 @@ from robotctl.rerun.journal_values import read_snapshot
 from robotctl.rerun.recorded_settings import Settings, changed, simulated
 from robotctl.rerun.simulated_run import MAX_REQUESTS, Run, figures
 
-MAX_SPAN_NS = 7 * 86_400 * NS_PER_S
+MAX_SPAN_NS = 7 * round(DAY_S) * NS_PER_S
 """The longest recording that is simulated."""
 
 LONGEST = 10

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from math import inf
 
+from robotctl.cdr.known_types import ROBOT_STATUS
 from robotctl.cdr.reader import CdrReader
 from robotctl.kernel.snapshot import Snapshot
 from robotctl.kernel.types import BatteryReceived, Effect, Event, ModeChanged
@@ -22,8 +23,6 @@ from robotctl.rerun.own_topics import own_name
 from robotctl.rerun.repeated_latched import RepeatedLatched
 from robotctl.rerun.status_times import Status, StatusTimes
 
-TYPE = "robot_controller/msg/RobotStatus"
-
 UNDER_WAY_NS = 2 * NS_PER_S
 """How long before the end a change of the mode may lack its status."""
 
@@ -35,7 +34,7 @@ class StatusCheck:
         self, report: Report, info: RecordingInfo, journal_topic: str, clock: ClockChanges
     ) -> None:
         self._name, self._is_told = own_name(info, journal_topic, "topic.robot_status")
-        recorded = {topic.name for topic in info.topics if topic.type_name == TYPE}
+        recorded = {topic.name for topic in info.topics if topic.type_name == ROBOT_STATUS}
         self.topic = self._name if self._name in recorded else None
         self._others = sorted(recorded - {self._name})
         self.is_on = False
@@ -49,7 +48,7 @@ class StatusCheck:
         self._seen = 0
         self._repeats = RepeatedLatched(info)
         self._ahead: set[int] = set()
-        """The numbers of statuses that are recorded before they were sent, and did not come yet."""
+        """Statuses that were recorded as repeats and have not arrived in order yet, by number."""
 
         self._unordered = 0
         self._wrong = 0

@@ -1,8 +1,8 @@
 """Checks that the ticks of a journal keep to their schedule: after a removed tick all are late.
 
 The control loop ticks at multiples of the period, each time a little late, and counts the ticks
-that it missed. So the lateness comes near to its least again and again; if a tick was removed from
-the journal, or was missed and is not counted, it stays a whole period above it.
+that it missed. So the lateness often returns to its minimum. After a tick that was removed from the
+journal, or was missed and not counted, it stays one period above that minimum.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from robotctl.kernel.types import Event, Tick
 from robotctl.kernel.units import NS_PER_S
 
 WINDOW_NS: Final = NS_PER_S
-"""Within this time also a busy loop is in time for one tick."""
+"""Even a busy loop handles one tick on time within this period."""
 
 LATE_NS: Final = NS_PER_S // 200
 LATE_PERIODS: Final = 0.75

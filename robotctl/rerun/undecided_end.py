@@ -57,7 +57,7 @@ class UndecidedEnd(NamedTuple):
             yield from _without(messages, explained)
 
     def _explains(self, message: Early, later: int) -> bool:
-        """Return whether the end explains a message with a number so much `later` than the last."""
+        """Return whether the end explains a message, `later` numbers after the last command."""
         if later <= self.cut:
             return True
         after_ns = message.publish_ns - self.log_ns

@@ -1,7 +1,7 @@
-"""Finds messages of an input that the control loop must have heard, and the journal does not tell.
+"""Finds messages that the control loop must have received, but that are not in the journal.
 
 The control loop hands on each value that differs from the last one, and equal ones from time to
-time. It takes its inputs with best effort, so that some may be lost, but not all of a longer time.
+time. It receives inputs with best effort, so some may be lost, but not all for a longer time.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ PATIENCE_NS = NS_PER_S // 2
 """How long messages may go unheard; a stall of the control loop adds its time."""
 
 GAP_NS = NS_PER_S // 10
-"""The most that counts of the time between two messages: in a longer gap nothing could be heard."""
+"""The longest gap between two messages that is counted; a longer gap holds no message to miss."""
 
 BEGIN_NS = 3 * NS_PER_S
-"""How long all of them may at the beginning, until the control loop is connected."""
+"""How long messages may be missed at the beginning, before the control loop is connected."""
 
 MAX_WAITING = 100_000
 """The number of messages, and of inputs, that may wait; older ones are not compared."""

@@ -1,7 +1,7 @@
 """Judges the last messages of an input, after all that the control loop received.
 
-Some were under way when the recording ended. Earlier ones may be lost, as the control loop takes
-its inputs with best effort, but then others of the same input are lost as well.
+Some were under way when the recording ended. The control loop receives inputs with best effort, so
+earlier ones may be lost. Then other messages of this input are lost, too.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ AFTER_NS: Final = 2 * NS_PER_S
 """How long after the last journal entry a message may be recorded."""
 
 FEW: Final = 10
-"""So many messages may be under way at any rate..."""
+"""The number of messages that may always be under way..."""
 
 BURST: Final = 10.0
-"""...and so many times as many as come at the mean rate of their publisher."""
+"""...plus this factor times the number expected at the mean rate of their publisher."""
 
 LOST: Final = 2
-"""So many messages in a row may be lost where none else is."""
+"""The number of messages in a row that may be lost if no others are lost."""
 
 
 class UnheardEnd(NamedTuple):
