@@ -22,7 +22,7 @@ from recording.figures import Figure, Round, table
 
 from robotctl.recording.format.seal_records import LINK_OPCODE, OPENING_OPCODE
 from robotctl.recording.read.mcap_input import RECORD_HEAD
-from robotctl.recording.read.verified import Proof, verify_recording
+from robotctl.recording.read.verified import RecordingProof, verify_recording
 
 RATE_HZ = 50.0
 RECORDER_NICE = 5
@@ -67,7 +67,7 @@ def measure(options: argparse.Namespace, domain: int, *, sealed: bool) -> dict[s
             pss = pss_mb(pid)
         (path,) = (each for each in folder.rglob("*.mcap") if each.parent.name != "clips")
         found = verify_recording(path.parent)
-        assert found.proof is (Proof.SEALED if sealed else Proof.WHOLE), found
+        assert found.proof is (RecordingProof.SEALED if sealed else RecordingProof.WHOLE), found
         (whole,) = found.whole.files
         seal_bytes = sum(
             RECORD_HEAD.size + length

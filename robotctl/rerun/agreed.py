@@ -10,7 +10,7 @@ from robotctl.errors import UnreadableFile
 from robotctl.kernel.types import Effect, Event
 from robotctl.rerun.journal_steps import LogTimes, Moments, Step
 from robotctl.rerun.journal_values import read_effect, read_event
-from robotctl.rerun.measured import Followed, Measured
+from robotctl.rerun.measured import Followed, MeasuredState
 
 new_tuple: Final = tuple.__new__
 """Makes a named tuple in a third of the time of its class."""
@@ -25,7 +25,7 @@ class Agreed(NamedTuple):
     seq: int
     event: Event
     effects: tuple[Effect, ...]
-    measured: Measured
+    measured: MeasuredState
     log_times: LogTimes
 
     @property

@@ -9,7 +9,7 @@ from robotctl.errors import UnreadableFile
 from robotctl.recording import Recording
 from robotctl.recording.read.damage import Damaged
 from robotctl.recording.read.messages import OpenFile
-from robotctl.recording.read.spots import Spot
+from robotctl.recording.read.topic_places import Spot
 from robotctl.recording.read.whole_file import WholeFileReading
 from robotctl.rerun.bytes_check import BytesFound, is_small, read_bytes
 from robotctl.store.store_path import StorePath

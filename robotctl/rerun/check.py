@@ -13,6 +13,7 @@ from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording, RecordingInfo
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.format.metadata_names import INFO_RECORD, OWN_LIBRARY
+from robotctl.recording.read.byte_source import ByteSource
 from robotctl.recording.read.journal_reader import (
     journal_topic,
     journal_topics,
@@ -20,7 +21,6 @@ from robotctl.recording.read.journal_reader import (
 )
 from robotctl.recording.read.messages import Message
 from robotctl.recording.read.shadow_record import shadow_sentence
-from robotctl.recording.read.source import Source
 from robotctl.rerun.agreed import Agreed
 from robotctl.rerun.batch import Batch
 from robotctl.rerun.bytes_beside import BytesBeside, bytes_beside
@@ -31,13 +31,13 @@ from robotctl.rerun.comparison import Comparison
 from robotctl.rerun.comparisons import Comparisons
 from robotctl.rerun.divergence import Divergence
 from robotctl.rerun.entry_order import Gap
+from robotctl.rerun.gc_pacing import rare_collections
 from robotctl.rerun.journal_format import JournalFormat
 from robotctl.rerun.journal_steps import Step
 from robotctl.rerun.journal_values import read_effect, read_event, read_snapshot
-from robotctl.rerun.measured import Measured
+from robotctl.rerun.measured import MeasuredState
 from robotctl.rerun.ordinary_run import OrdinaryRun, ordinary_runs
 from robotctl.rerun.piece_pool import PiecePool, pool_for
-from robotctl.rerun.rare_collections import rare_collections
 from robotctl.rerun.recording_ends import RecordingEnds
 from robotctl.rerun.recording_groups import FileGroup, file_groups
 from robotctl.rerun.rerun import Rerun
@@ -53,7 +53,7 @@ def check_recording(
     on_progress: Progress = lambda done, total: None,
     *,
     all_bytes: bool = False,
-    source: Source | None = None,
+    source: ByteSource | None = None,
     processes: int = 0,
 ) -> Report:
     """Check one recording, a file or a folder, and return the report.
@@ -215,7 +215,7 @@ class _Check:
         entry, report, rerun = step.event, self._report, self._rerun
         report.events += 1
         report.effects += len(step.effects)
-        measured: Measured | None
+        measured: MeasuredState | None
         try:
             if rerun is None:
                 self._before_snapshot += 1
@@ -238,7 +238,7 @@ class _Check:
 
     def _decided(
         self, rerun: Rerun, step: Step
-    ) -> tuple[Event, tuple[Effect, ...], Measured | None]:
+    ) -> tuple[Event, tuple[Effect, ...], MeasuredState | None]:
         """Decide on one step; return event, effects, and what is measured after them.
 
         Raises:

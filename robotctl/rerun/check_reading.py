@@ -10,7 +10,7 @@ from robotctl.recording import Recording
 from robotctl.recording.format.journal import EntryKind, JournalEntry, decode
 from robotctl.recording.read.journal_reader import EntryDecoder
 from robotctl.recording.read.messages import Message
-from robotctl.recording.read.spots import Spot
+from robotctl.recording.read.topic_places import Spot
 from robotctl.rerun.batch import Batch, End
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.entry_order import EntryOrder, Gap

@@ -11,8 +11,8 @@ from robotctl.recording.read.messages import Message
 from robotctl.rerun.agreed import Agreed
 from robotctl.rerun.command_bytes import numbers_of, serialized
 from robotctl.rerun.journal_steps import Moments
-from robotctl.rerun.lockstep import lockstep
 from robotctl.rerun.ordinary_run import OrdinaryRun
+from robotctl.rerun.sequence_overlap import lockstep
 
 LATE_NS: Final = NS_PER_S // 2
 """How far the time of a command may lie outside of its step."""

@@ -16,12 +16,12 @@ from robotctl.rerun.ending import Ending, JournalEnd
 from robotctl.rerun.input_check import input_checks
 from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.journal_steps import Moments
-from robotctl.rerun.measured import Measured
+from robotctl.rerun.measured import MeasuredState
 from robotctl.rerun.measurement_order import MeasurementOrder
 from robotctl.rerun.ordinary_run import OrdinaryRun
 from robotctl.rerun.safety_input_check import SafetyInputChecks
 from robotctl.rerun.service_check import ServiceChecks
-from robotctl.rerun.stalls import Stalls
+from robotctl.rerun.stalls import RecordedStalls
 from robotctl.rerun.status_check import StatusCheck
 from robotctl.rerun.tick_schedule import TickSchedule
 
@@ -37,7 +37,7 @@ class Comparisons:
         self._commands = CommandCheck(report, clock)
         self._command_topic = command_topic(info, journal_topic)
         self._inputs = input_checks(report, info, journal_topic)
-        self._stalls = Stalls()
+        self._stalls = RecordedStalls()
         self._safety_inputs = SafetyInputChecks(report, info, journal_topic, self._stalls)
         self.ordinary_topics = {
             *self._inputs.readers(),
@@ -79,7 +79,7 @@ class Comparisons:
         seq: int,
         event: Event,
         effects: tuple[Effect, ...],
-        measured: Measured | None,
+        measured: MeasuredState | None,
         moments: Moments,
         *,
         was_checked: bool,

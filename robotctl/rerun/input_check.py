@@ -25,10 +25,10 @@ from robotctl.rerun.input_kinds import BATTERY, ODOMETRY, SCAN, WANTED, InputKin
 from robotctl.rerun.input_pairs import Input, InputPairs
 from robotctl.rerun.input_report import report_inputs, report_last
 from robotctl.rerun.invariants import Invariants
-from robotctl.rerun.lockstep import lockstep
 from robotctl.rerun.ordinary_run import OrdinaryRun
 from robotctl.rerun.own_topics import full_name
 from robotctl.rerun.repeated_latched import RepeatedLatched
+from robotctl.rerun.sequence_overlap import lockstep
 
 _NOTHING = "[]"
 """An empty list of topics in the metadata."""
@@ -146,9 +146,9 @@ class InputCheck:
             )
 
 
-def input_checks(report: Report, info: RecordingInfo, journal_topic: str) -> Inputs:
+def input_checks(report: Report, info: RecordingInfo, journal_topic: str) -> RecordedInputs:
     """Return the checks of the inputs of a recording."""
-    return Inputs(
+    return RecordedInputs(
         InputCheck(
             report,
             ODOMETRY,
@@ -175,7 +175,7 @@ def input_checks(report: Report, info: RecordingInfo, journal_topic: str) -> Inp
     )
 
 
-class Inputs:
+class RecordedInputs:
     """The checks of all inputs that are compared."""
 
     def __init__(self, *checks: InputCheck) -> None:

@@ -10,7 +10,7 @@ from robotctl.kernel.codec import to_json
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.journal_values import read_snapshot
-from robotctl.rerun.vocabulary import Vocabulary
+from robotctl.rerun.unknown_fields import Vocabulary
 
 
 class JournalFormat:

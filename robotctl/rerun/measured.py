@@ -11,7 +11,7 @@ from robotctl.kernel.params import BatteryScale
 from robotctl.kernel.types import BatteryReceived, Event, OdomReceived
 
 
-class Measured(Protocol):
+class MeasuredState(Protocol):
     """The last measurements: the health of a kernel, or what stands in for it."""
 
     @property

@@ -17,15 +17,15 @@ from robotctl.kernel.types import OdomReceived
 from robotctl.recording import Recording
 from robotctl.recording.format.journal import EntryKind, JournalEntry, is_snapshot
 from robotctl.recording.read.journal_reader import EntryDecoder
-from robotctl.recording.read.spots import Spot
+from robotctl.recording.read.topic_places import Spot
 from robotctl.rerun.agreed import Agreed
 from robotctl.rerun.batch import Batch
 from robotctl.rerun.comparison import Comparison
+from robotctl.rerun.gc_pacing import rare_collections
 from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.journal_steps import Step
 from robotctl.rerun.journal_values import read_snapshot
 from robotctl.rerun.ordinary_run import OrdinaryRun, ordinary_runs
-from robotctl.rerun.rare_collections import rare_collections
 from robotctl.rerun.rerun import ConfirmedPiece, Rerun
 
 MAX_UNUSED = 1000

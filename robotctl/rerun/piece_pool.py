@@ -17,7 +17,7 @@ from robotctl.errors import UnreadableFile
 from robotctl.processes import Child, fork, has_one_thread, program, start
 from robotctl.recording import Recording
 from robotctl.recording.read.journal_reader import journal_topic
-from robotctl.recording.read.spots import Spot
+from robotctl.recording.read.topic_places import Spot
 from robotctl.rerun.bytes_check import BytesFound, is_small
 from robotctl.rerun.piece import BYTES, Position
 from robotctl.rerun.piece_process import do_jobs

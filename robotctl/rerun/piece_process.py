@@ -18,7 +18,7 @@ from pathlib import Path
 from robotctl.errors import UnreadableFile
 from robotctl.processes import report_fd, send_report
 from robotctl.recording import Recording
-from robotctl.recording.read.spots import Spot
+from robotctl.recording.read.topic_places import Spot
 from robotctl.rerun.bytes_check import read_bytes
 from robotctl.rerun.piece import BYTES, confirmed_pieces
 

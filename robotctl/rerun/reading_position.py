@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from robotctl.recording.read.spots import Spot
+from robotctl.recording.read.topic_places import Spot
 from robotctl.rerun.piece import Position
 
 

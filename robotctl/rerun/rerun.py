@@ -28,7 +28,7 @@ from robotctl.rerun.journal_values import (
     read_snapshot,
     text_of,
 )
-from robotctl.rerun.measured import Followed, Measured
+from robotctl.rerun.measured import Followed, MeasuredState
 
 
 class ConfirmedPiece(NamedTuple):
@@ -81,7 +81,7 @@ class Rerun:
         return self._followed is not None
 
     @property
-    def measured(self) -> Measured | None:
+    def measured(self) -> MeasuredState | None:
         """What is measured after the last step; None without a kernel."""
         if self._followed is not None:
             return self._followed.measured

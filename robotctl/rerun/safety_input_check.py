@@ -29,8 +29,8 @@ from robotctl.rerun.ordinary_run import OrdinaryRun
 from robotctl.rerun.own_topics import full_name
 from robotctl.rerun.repeated_latched import RepeatedLatched
 from robotctl.rerun.said_diagnoses import SaidDiagnoses
-from robotctl.rerun.stalls import Stalls
-from robotctl.rerun.unheard_change import Shown, UnheardChange
+from robotctl.rerun.stalls import RecordedStalls
+from robotctl.rerun.unheard_change import ShownValue, UnheardChange
 
 NAMES: Final = {
     SafetyInput.ESTOP: "the emergency stop button",
@@ -78,7 +78,7 @@ class SafetyInputCheck:
             return
         value, _ = self._read(message.data)
         self._pairs.message(message.sequence, value, message.log_ns)
-        self._unheard.message(Shown(message.sequence, str(value), message.log_ns))
+        self._unheard.message(ShownValue(message.sequence, str(value), message.log_ns))
 
     def received(self, event: SafetyInputReceived, seq: int) -> None:
         """Take an input; `seq` is the number of its entry."""
@@ -135,7 +135,7 @@ class SafetyInputChecks:
     """The checks of all safety inputs that the configuration uses."""
 
     def __init__(
-        self, report: Report, info: RecordingInfo, journal_topic: str, stalls: Stalls
+        self, report: Report, info: RecordingInfo, journal_topic: str, stalls: RecordedStalls
     ) -> None:
         """Take the configuration from the metadata; `stalls` are those of the journal."""
         self._stalls = stalls

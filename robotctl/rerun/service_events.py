@@ -39,7 +39,7 @@ SERVICES = (
 )
 
 
-class Answer(NamedTuple):
+class RecordedAnswer(NamedTuple):
     """A response: whether the request was granted, its text, and the mode after it if it has one.
 
     `publish_ns` is when it was sent, since the epoch.
@@ -59,7 +59,7 @@ class ServiceEvent(NamedTuple):
 
     call: tuple[bytes, int]
     requested: int | None
-    answer: Answer | None
+    answer: RecordedAnswer | None
 
 
 def read_service_event(service: Service, data: bytes, publish_ns: int) -> ServiceEvent | None:
@@ -89,4 +89,4 @@ def read_service_event(service: Service, data: bytes, publish_ns: int) -> Servic
         raise struct.error("a response without contents")
     ok, text = bool(reader.take("B")[0]), reader.text()
     mode = reader.take("B")[0] if service.has_mode else None
-    return ServiceEvent(call, None, Answer(ok, text, mode, publish_ns))
+    return ServiceEvent(call, None, RecordedAnswer(ok, text, mode, publish_ns))

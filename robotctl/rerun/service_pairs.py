@@ -11,7 +11,7 @@ from robotctl.kernel.units import NS_PER_S
 from robotctl.rerun.clock_changes import ClockChanges
 from robotctl.rerun.command_run import LATE_NS
 from robotctl.rerun.journal_steps import Moments
-from robotctl.rerun.service_events import Answer, ServiceEvent
+from robotctl.rerun.service_events import RecordedAnswer, ServiceEvent
 
 MAX_CALLS: Final = 100_000
 """The number of calls of a service that are compared."""
@@ -48,7 +48,7 @@ class Call:
     requested: int
     publish_ns: int
     in_work: int
-    answer: Answer | None = None
+    answer: RecordedAnswer | None = None
 
     @property
     def was_refused_as_busy(self) -> bool:

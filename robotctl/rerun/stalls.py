@@ -11,7 +11,7 @@ RECENT_NS: Final = 2 * NS_PER_S
 """Stalls that ended within this time before the end may hold up its last messages."""
 
 
-class Stalls:
+class RecordedStalls:
     """The times of the stalls."""
 
     def __init__(self) -> None:

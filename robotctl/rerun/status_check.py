@@ -17,11 +17,11 @@ from robotctl.rerun.clock_changes import ClockChanges
 from robotctl.rerun.ending import Ending
 from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.journal_steps import Moments
-from robotctl.rerun.measured import Measured
+from robotctl.rerun.measured import MeasuredState
 from robotctl.rerun.ordinary_run import OrdinaryRun
 from robotctl.rerun.own_topics import own_name
 from robotctl.rerun.repeated_latched import RepeatedLatched
-from robotctl.rerun.status_times import Status, StatusTimes
+from robotctl.rerun.status_times import RecordedStatus, StatusTimes
 
 UNDER_WAY_NS = 2 * NS_PER_S
 """How long before the end a change of the mode may lack its status."""
@@ -84,7 +84,7 @@ class StatusCheck:
         self._seen += 1
         if self._report.robot and name != self._report.robot:
             self._blame(f"one of {name[:40]!r}")
-        self._times.status(Status(mode, level, is_connected, message.publish_ns))
+        self._times.status(RecordedStatus(mode, level, is_connected, message.publish_ns))
 
     def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
         """Continue from a snapshot, with its time by the steady clock and since the epoch."""
@@ -96,7 +96,11 @@ class StatusCheck:
         self._times.snapshot(snapshot, t_ns, log_ns)
 
     def step(
-        self, event: Event, effects: tuple[Effect, ...], measured: Measured | None, moments: Moments
+        self,
+        event: Event,
+        effects: tuple[Effect, ...],
+        measured: MeasuredState | None,
+        moments: Moments,
     ) -> None:
         """Take an event with its effects, and what is measured after it, if known."""
         if measured is not None:

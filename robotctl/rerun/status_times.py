@@ -19,7 +19,7 @@ from robotctl.kernel.units import NS_PER_S
 from robotctl.rerun.clock_changes import CLOCK_NS, EXCUSES_NS, ClockChanges
 from robotctl.rerun.journal_steps import Moments
 from robotctl.rerun.ordinary_run import OrdinaryRun
-from robotctl.rerun.timeline import Timeline
+from robotctl.rerun.values_over_time import Timeline
 
 AGE_NS: Final = NS_PER_S // 10
 """How near to its timeout the age of odometry may count as either fresh or stale."""
@@ -31,7 +31,7 @@ _FLOAT = struct.Struct("<f")
 _UNKNOWN = _FLOAT.pack(nan)
 
 
-class Status(NamedTuple):
+class RecordedStatus(NamedTuple):
     """A recorded status; `publish_ns` is since the epoch."""
 
     mode: int
@@ -52,7 +52,7 @@ class StatusTimes:
         self._clock = clock
         self._modes: Timeline[int] | None = None
         self._levels = Timeline(_UNKNOWN)
-        self._statuses: deque[tuple[Status, int, int]] = deque(maxlen=MAX_WAITING)
+        self._statuses: deque[tuple[RecordedStatus, int, int]] = deque(maxlen=MAX_WAITING)
         """Each with its time by the steady clock, and that of the event before it in the file."""
 
         self._mode = Mode.IDLE.value
@@ -103,7 +103,7 @@ class StatusTimes:
             self._begin(wall_ns)
         self._t_ns, self._wall_ns = t_ns, wall_ns
 
-    def status(self, status: Status) -> None:
+    def status(self, status: RecordedStatus) -> None:
         """Take a status."""
         if self._modes is not None and status.publish_ns >= self._begin_ns:
             steady_ns = status.publish_ns - self._offset_ns
@@ -171,7 +171,7 @@ class StatusTimes:
             is_due = begin_ns < self._due_ns and not self._clock.is_near(steady_ns)
             self.unshown += is_due and not change.is_shown
 
-    def _difference(self, status: Status, steady_ns: int) -> str:
+    def _difference(self, status: RecordedStatus, steady_ns: int) -> str:
         """Return what is wrong about a status, "" if nothing is."""
         modes = self._modes
         if modes is not None and not modes.shows(status.mode, status.publish_ns):
@@ -181,7 +181,7 @@ class StatusTimes:
             return f"one shows the battery level {status.level:.6g}, which was not known then"
         return self._freshness(status, steady_ns)
 
-    def _freshness(self, status: Status, steady_ns: int) -> str:
+    def _freshness(self, status: RecordedStatus, steady_ns: int) -> str:
         assert self._timeouts_ns is not None
         inside = (
             begin_ns

@@ -29,7 +29,7 @@ class _Window(NamedTuple):
     t_ns: int
 
 
-class Missing(NamedTuple):
+class MissingTicks(NamedTuple):
     """Ticks that are missing before an entry; `t_ns` is the steady time of that entry."""
 
     ticks: int
@@ -41,7 +41,7 @@ class TickSchedule:
     """The lateness of the ticks, from a snapshot on."""
 
     def __init__(self) -> None:
-        self.missing: list[Missing] = []
+        self.missing: list[MissingTicks] = []
         self._period_ns = 0
         self._due_ns = 0
         self._least: _Window | None = None
@@ -78,6 +78,6 @@ class TickSchedule:
             late_ns = later.late_ns - earlier.late_ns
             if late_ns > limit_ns:
                 ticks = max(round(late_ns / self._period_ns), 1)
-                self.missing.append(Missing(ticks, window.seq, window.t_ns))
+                self.missing.append(MissingTicks(ticks, window.seq, window.t_ns))
                 break
         self._due_ns, self._least, self._windows = 0, None, []

@@ -24,7 +24,7 @@ MAX_WAITING = 100_000
 """The number of messages, and of inputs, that may wait; older ones are not compared."""
 
 
-class Shown(NamedTuple):
+class ShownValue(NamedTuple):
     """A message: its number, its value as text (nan differs from itself), when it was recorded."""
 
     sequence: int
@@ -41,16 +41,16 @@ class UnheardChange:
         """The first messages that must have been heard and were not, "" if there are none."""
 
         self._repeat_ns = repeat_ns
-        self._waiting: deque[Shown] = deque(maxlen=MAX_WAITING)
+        self._waiting: deque[ShownValue] = deque(maxlen=MAX_WAITING)
         self._heard: set[int] = set()
-        self._last: Shown | None = None
+        self._last: ShownValue | None = None
         """The last message that was heard, the first of all before that."""
 
         self._is_begin = True
-        self._since: Shown | None = None
+        self._since: ShownValue | None = None
         self._before_ns = self._unheard_ns = 0
 
-    def message(self, shown: Shown) -> None:
+    def message(self, shown: ShownValue) -> None:
         """Take a message."""
         self._waiting.append(shown)
 
@@ -80,7 +80,7 @@ class UnheardChange:
             if shown.log_ns <= log_ns:
                 self._take(shown, stall_ns)
 
-    def _take(self, shown: Shown, stall_ns: int) -> None:
+    def _take(self, shown: ShownValue, stall_ns: int) -> None:
         if shown.sequence in self._heard:
             self._heard.discard(shown.sequence)
             self._last, self._since, self._is_begin = shown, None, False

@@ -32,7 +32,7 @@ from robotctl.kernel.types import (
 )
 from robotctl.rerun.incident import Incident, IncidentKind
 from robotctl.rerun.sentences import sentence_of, span
-from robotctl.rerun.shadow_words import shadow_words
+from robotctl.rerun.shadow_sentences import shadow_words
 
 _MEASURES: Mapping[Cause, tuple[str, ...]] = MappingProxyType(
     {

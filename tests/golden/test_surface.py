@@ -25,7 +25,7 @@ from robotctl.kernel.codec import to_json
 from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.rerun.check_report import Verdict
 from robotctl.rerun.journal_values import read_effect, read_event, read_snapshot
-from robotctl.rerun.vocabulary import Vocabulary
+from robotctl.rerun.unknown_fields import Vocabulary
 
 GOLDEN = Path(__file__).parent
 READERS = {

@@ -34,7 +34,7 @@ from robotctl.recording import Compression, Recorder, RecorderOptions, read_info
 from robotctl.recording.convert.channel_table import ChannelTable
 from robotctl.recording.convert.conversion import convert
 from robotctl.recording.convert.converter import Form
-from robotctl.recording.read.verified import Proof, verify_recording
+from robotctl.recording.read.verified import RecordingProof, verify_recording
 from robotctl.rerun import Verdict, check_recording
 from robotctl.testing.drives import TWIST, drive, record
 from tests.support.recordings import read_strictly, write_numbered
@@ -130,10 +130,10 @@ def test_the_result_of_a_sealed_recording_is_whole_and_says_that_it_is_not_seale
     tmp_path: Path,
 ) -> None:
     record_sealed(tmp_path / "run", keyring(tmp_path / "keys"), splits=2)
-    assert verify_recording(tmp_path / "run").proof is Proof.SEALED
+    assert verify_recording(tmp_path / "run").proof is RecordingProof.SEALED
     convert(tmp_path / "run", tmp_path / "copy", Form())
     found = verify_recording(tmp_path / "copy")
-    assert (found.proof, found.wrong) == (Proof.WHOLE, ())
+    assert (found.proof, found.wrong) == (RecordingProof.WHOLE, ())
     notes = [note for file in found.files for note in file.seal.notes]
     assert notes == ["it was converted: a seal of the original does not hold for it"] * 3
 

@@ -18,7 +18,7 @@ from robotctl.recording.format.seal_records import Link, Opening, SealOfFile
 from robotctl.recording.keep.repair import repair
 from robotctl.recording.read.seal_chain import SealedFile, check_chain, find_head
 from robotctl.recording.read.seal_check import SealState
-from robotctl.recording.read.verified import Proof, verify_recording
+from robotctl.recording.read.verified import RecordingProof, verify_recording
 from robotctl.recording.read.whole_file import read_whole_file
 from robotctl.recording.seal.heads import read_heads
 from robotctl.recording.seal.keyring import KEY_FILE, Keyring
@@ -49,7 +49,7 @@ def test_a_finished_recording_is_sealed_and_every_reader_opens_it(
 ) -> None:
     (file,) = record_sealed(tmp_path / "run", keys)
     found = verify_recording(tmp_path / "run")
-    assert (found.proof, found.wrong) == (Proof.SEALED, ())
+    assert (found.proof, found.wrong) == (RecordingProof.SEALED, ())
     assert len(found.files[0].seal.links) > 2
     assert len(read_strictly(file)) == len(list(read_messages(tmp_path / "run"))) == 199
     with file.open("rb") as stream:  # as a stream, skipping what is not known
@@ -193,7 +193,7 @@ def test_a_rotation_begins_a_new_chain_at_the_next_file(tmp_path: Path, keys: Ke
         file.seal.opening.root for path in (one, two) for file in sealed(path) if file.seal.opening
     ]
     assert roots == [before.root, after.root]
-    assert verify_recording(two).proof is Proof.SEALED
+    assert verify_recording(two).proof is RecordingProof.SEALED
 
 
 class FailingSealer:
@@ -236,7 +236,7 @@ def test_a_recording_without_a_sealer_has_no_seal(tmp_path: Path) -> None:
     write_numbered(recorder, recorder.add_topic(TWIST), range(10))
     recorder.close()
     found = verify_recording(tmp_path / "run")
-    assert (found.proof, found.files[0].seal.opening) == (Proof.WHOLE, None)
+    assert (found.proof, found.files[0].seal.opening) == (RecordingProof.WHOLE, None)
 
 
 def test_a_signature_is_of_one_key_and_one_text() -> None:
@@ -270,6 +270,6 @@ def test_a_repair_says_so_and_forges_no_link(tmp_path: Path, keys: Keyring) -> N
     found = verify_recording(tmp_path / "runs" / "run")
     (seal,) = [each.seal for each in found.files]
     assert seal.opening is not None
-    assert (found.proof, found.wrong, seal.state) == (Proof.WHOLE, (), SealState.PARTLY)
+    assert (found.proof, found.wrong, seal.state) == (RecordingProof.WHOLE, (), SealState.PARTLY)
     assert any("a repair has written the rest" in note for note in seal.notes)
     assert all(is_signed(each.signed(), each.signature, seal.opening.key) for each in seal.links)

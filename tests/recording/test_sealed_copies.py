@@ -14,7 +14,7 @@ from robotctl.recording.keep.repair import repair
 from robotctl.recording.read.mcap_input import RECORD_HEAD, InputFile
 from robotctl.recording.read.seal_chain import SealedFile, check_chain
 from robotctl.recording.read.seal_check import SealState
-from robotctl.recording.read.verified import Proof, verify_recording
+from robotctl.recording.read.verified import RecordingProof, verify_recording
 from robotctl.recording.read.whole_file import read_whole_file
 from robotctl.recording.seal.keyring import Keyring
 from robotctl.recording.write import file_seal
@@ -56,7 +56,7 @@ def test_a_recovered_file_says_repaired_and_forges_no_link(tmp_path: Path, keys:
     recover(file, copy)
     found = verify_recording(copy)
     seal = found.files[0].seal
-    assert (found.proof, found.wrong, seal.state) == (Proof.WHOLE, (), SealState.NONE)
+    assert (found.proof, found.wrong, seal.state) == (RecordingProof.WHOLE, (), SealState.NONE)
     assert seal.notes == ["a repair copied it from a sealed file: nothing in it is signed"]
     assert seal.opening == original.opening
     assert original.head is not None
@@ -85,7 +85,7 @@ def test_a_torn_file_that_a_repair_replaced_keeps_its_place_in_the_chain(
     (note,) = repair(tmp_path / "runs")
     assert "was torn" in note.text
     found = verify_recording(run)
-    assert (found.proof, found.wrong, found.chain.absent) == (Proof.WHOLE, (), [])
+    assert (found.proof, found.wrong, found.chain.absent) == (RecordingProof.WHOLE, (), [])
     states = [file.seal.state for file in found.files]
     assert states == [SealState.SEALED, SealState.NONE, SealState.SEALED]
     assert found.files[1].seal.is_copy
@@ -98,7 +98,7 @@ def test_a_copy_beside_its_original_takes_no_place_in_the_chain(
     record_sealed(run, keys, splits=2)
     recover_folder(run, tmp_path / "copy")
     originals, copies = verify_recording(run), verify_recording(tmp_path / "copy")
-    assert (copies.proof, copies.wrong, copies.chain.absent) == (Proof.WHOLE, (), [])
+    assert (copies.proof, copies.wrong, copies.chain.absent) == (RecordingProof.WHOLE, (), [])
     both = check_chain([*copies.files, *originals.files])
     assert (both.wrong, both.absent) == ([], [])
 

@@ -25,7 +25,7 @@ from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording
 from robotctl.recording.format.journal import is_snapshot
 from robotctl.recording.read.journal_reader import journal_topic
-from robotctl.recording.read.spots import Spot
+from robotctl.recording.read.topic_places import Spot
 from robotctl.rerun import check as check_module
 from robotctl.rerun import piece_pool
 from robotctl.rerun.check import check_recording

@@ -8,7 +8,7 @@ from random import Random
 import pytest
 
 from robotctl.kernel.types import LoopStalled, Tick
-from robotctl.rerun.tick_schedule import Missing, TickSchedule
+from robotctl.rerun.tick_schedule import MissingTicks, TickSchedule
 
 PERIOD_NS = 20_000_000
 
@@ -28,7 +28,7 @@ def honest(seconds: float, busy_s: tuple[float, float] = (0.0, 0.0)) -> list[Tic
     return ticks
 
 
-def missing(ticks: Iterable[Tick]) -> list[Missing]:
+def missing(ticks: Iterable[Tick]) -> list[MissingTicks]:
     schedule = TickSchedule()
     schedule.begin(50.0)
     for seq, tick in enumerate(ticks):

@@ -13,7 +13,7 @@ from shutil import rmtree
 import pytest
 
 from robotctl.recording.format.seal_records import Opening
-from robotctl.recording.read.verified import Proof, verify_recording
+from robotctl.recording.read.verified import RecordingProof, verify_recording
 from robotctl.recording.write import file_seal
 from tests.support.edited_recordings import Contents, write_contents
 from tests.support.sealed import Forger, keyring
@@ -45,7 +45,7 @@ def opening_of(tmp_path: Path, contents: Contents) -> Opening:
     found = verify_recording(
         write_contents(tmp_path / "sealed" / "run", contents, keyring(tmp_path / "keys"))
     )
-    assert (found.proof, found.wrong) == (Proof.SEALED, ())
+    assert (found.proof, found.wrong) == (RecordingProof.SEALED, ())
     opening = found.files[0].seal.opening
     assert opening is not None
     return opening
@@ -55,7 +55,9 @@ def is_found(tmp_path: Path, edited: Contents, forger: Forger) -> bool:
     """Return whether the seal is broken, and tells between which bytes."""
     found = verify_recording(write_contents(tmp_path / "run", edited, forger))
     rmtree(tmp_path / "run")
-    return found.proof is Proof.BROKEN and any("between byte" in each for each in found.wrong)
+    return found.proof is RecordingProof.BROKEN and any(
+        "between byte" in each for each in found.wrong
+    )
 
 
 def missed(

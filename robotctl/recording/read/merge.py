@@ -14,7 +14,7 @@ from robotctl.recording.read.messages import (
     Window,
     place_readers,
 )
-from robotctl.recording.read.spots import Spot
+from robotctl.recording.read.topic_places import Spot
 
 _AFTER_ALL = (1 << 64, 0)
 

@@ -17,7 +17,7 @@ from robotctl.recording.read.whole_file import WholeFileReading
 from robotctl.recording.read.whole_recording import WholeRecording, read_whole_recording
 
 
-class Proof(StrEnum):
+class RecordingProof(StrEnum):
     """What is proved of a recording, the gravest first."""
 
     BROKEN = "broken"
@@ -52,14 +52,14 @@ class VerifiedRecording:
         return (*self.whole.wrong, *seals, *self.chain.wrong)
 
     @property
-    def proof(self) -> Proof:
+    def proof(self) -> RecordingProof:
         """The gravest that was found."""
         if self.wrong:
-            return Proof.BROKEN
+            return RecordingProof.BROKEN
         if self.whole.unreadable:
-            return Proof.UNREADABLE
+            return RecordingProof.UNREADABLE
         sealed = all(file.seal.state is SealState.SEALED for file in self.files)
-        return Proof.SEALED if sealed else Proof.WHOLE
+        return RecordingProof.SEALED if sealed else RecordingProof.WHOLE
 
 
 def verify_recording(

@@ -12,7 +12,7 @@ from robotctl.paths import check_robot_name, seal_folder
 from robotctl.recording.format.seal_records import Opening
 from robotctl.recording.read.seal_chain import Chain, SealedFile, check_chain, find_head
 from robotctl.recording.read.seal_check import SealState
-from robotctl.recording.read.verified import Proof, VerifiedRecording
+from robotctl.recording.read.verified import RecordingProof, VerifiedRecording
 from robotctl.recording.read.whole_file import WholeFile
 from robotctl.recording.seal.heads import HeadsList, read_heads
 
@@ -55,7 +55,7 @@ def unreadable_object(path: Path, reason: str) -> dict[str, Any]:
     """Return the object of a recording of which nothing can be read."""
     return {
         "path": str(path),
-        "verdict": Proof.UNREADABLE.value,
+        "verdict": RecordingProof.UNREADABLE.value,
         "files": [],
         "wrong": [],
         "unreadable": [reason],

@@ -20,7 +20,7 @@ Value = TypeVar("Value")
 
 
 @dataclass(slots=True)
-class Change(Generic[Value]):
+class TimedChange(Generic[Value]):
     """A change to a value: its step, and whether the value was shown within it."""
 
     value: Value
@@ -34,13 +34,13 @@ class Timeline(Generic[Value]):
     def __init__(self, value: Value) -> None:
         self._value = value
         self._last = value
-        self._changes: deque[Change[Value]] = deque(maxlen=MAX_CHANGES)
+        self._changes: deque[TimedChange[Value]] = deque(maxlen=MAX_CHANGES)
 
     def change(self, value: Value, moments: Moments) -> None:
         """Take the value after a step; nothing happens if it is the one before it."""
         if value != self._last:
             self._last = value
-            self._changes.append(Change(value, moments))
+            self._changes.append(TimedChange(value, moments))
 
     def shows(self, value: Value, at_ns: int) -> bool:
         """Return whether a value was right at a time since the epoch; note that it was shown."""
@@ -56,7 +56,7 @@ class Timeline(Generic[Value]):
                 is_right = False
         return is_right
 
-    def forget(self, until_ns: float) -> Iterator[Change[Value]]:
+    def forget(self, until_ns: float) -> Iterator[TimedChange[Value]]:
         """Remove and yield the changes whose steps ended before a time since the epoch."""
         while self._changes and self._changes[0].moments[2] + EDGE_NS < until_ns:
             change = self._changes.popleft()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from robotctl.rerun.lockstep import lockstep
+from robotctl.rerun.sequence_overlap import lockstep
 
 
 @pytest.mark.parametrize(

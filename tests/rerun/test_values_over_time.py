@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from robotctl.rerun.timeline import EDGE_NS, Timeline
+from robotctl.rerun.values_over_time import EDGE_NS, Timeline
 
 STEP = 10 * EDGE_NS
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from robotctl.rerun.rare_collections import NEW_OBJECTS, rare_collections
+from robotctl.rerun.gc_pacing import NEW_OBJECTS, rare_collections
 
 
 @pytest.fixture(autouse=True)

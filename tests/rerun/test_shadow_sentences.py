@@ -8,7 +8,7 @@ from robotctl.kernel.codec import to_json
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import ModeChanged, PublishTwist, Twist
 from robotctl.recording.format.journal import EntryKind, JournalEntry
-from robotctl.rerun.shadow_words import shadow_words
+from robotctl.rerun.shadow_sentences import shadow_words
 
 SLOWER = PublishTwist(Twist(0.1, 0.0))
 STOPPED = (PublishTwist(Twist(0.0, 0.0)), ModeChanged(Mode.MOVING, Mode.ERROR, "lost", None))
