@@ -9,10 +9,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
 
-import msgspec
-
 from robotctl.errors import ConfigError, Refused
 from robotctl.fleet.judgement import Judgement
+from robotctl.fleet.typed import Typed
 from robotctl.regular_file import open_regular
 
 MAX_BYTES: Final = 64 << 20
@@ -45,6 +44,8 @@ class _File:
     format: int
     accepted: tuple[Accepted, ...]
 
+
+_file = Typed(_File)
 
 _Key = tuple[str, tuple[tuple[str, str], ...], str]
 
@@ -102,12 +103,12 @@ def read_baseline(path: Path) -> Baseline:
                 f"accepted other parameters and other numbers, too",
                 "name a new file, and accept again what is still right",
             )
-        file = msgspec.convert(found, _File)
+        file = _file(found)
         if file.format != FORMAT:
             raise ValueError(f"it has the format {file.format}, this robotctl knows {FORMAT}")
     except FileNotFoundError:
         return Baseline()
-    except (OSError, ValueError, msgspec.ValidationError, RecursionError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise ConfigError(f"{path} is not a baseline of the gate: {error}") from None
     return Baseline(file.accepted)
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import msgspec
+from robotctl.fleet.typed import Typed
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,9 +141,12 @@ class Totals:
     max_angular_rps: Pair
 
 
+_change = Typed(Change)
+
+
 def change_of(found: Mapping[str, Any]) -> Change:
     """Return the object of `replay --what-if` with its types."""
-    return msgspec.convert(found, Change)
+    return _change(found)
 
 
 def totals_of(changes: Iterable[Change]) -> Totals:

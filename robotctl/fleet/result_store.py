@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import Any, Final
 from uuid import uuid4
 
-import msgspec
-
 from robotctl.errors import Refused
 from robotctl.fleet.judgement import Judgement
+from robotctl.fleet.typed import Typed
 from robotctl.store import NoSuchObject, ObjectStore, StoreError, TooLarge, is_url, open_store
 
 MAX_BYTES: Final = 64 << 20
@@ -28,6 +27,9 @@ class _Sealed:
 
     sha256: str
     result: dict[str, Any]
+
+
+_sealed_result, _judgement = Typed(_Sealed), Typed(Judgement)
 
 
 class ResultStore:
@@ -128,11 +130,11 @@ def _opened(data: bytes) -> Judgement:
         ValueError: It is damaged.
     """
     try:
-        found = msgspec.convert(json.loads(data), _Sealed)
+        found = _sealed_result(json.loads(data))
         if _hash(found.result) != found.sha256:
             raise ValueError("it was changed")
-        return msgspec.convert(found.result, Judgement)
-    except (msgspec.ValidationError, RecursionError) as error:
+        return _judgement(found.result)
+    except RecursionError as error:
         raise ValueError(str(error)) from error
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -78,6 +80,20 @@ def test_a_damaged_result_is_made_again(
     assert results.get(result.key) is None
     assert results.put(result) == result
     assert results.get(result.key) == result
+
+
+def test_no_thread_meets_a_class_that_is_not_prepared() -> None:
+    """Two threads in which msgspec prepares the same class crash Python."""
+    program = (
+        "from robotctl.fleet import baseline, change, judgement, result_store\n"
+        "kinds = result_store._Sealed, judgement.Judgement, change.Change, change.DriveChange\n"
+        "kinds += change.Commanded, baseline._File, baseline.Accepted\n"
+        "print([kind.__name__ for kind in kinds if '__msgspec_cache__' not in vars(kind)])"
+    )
+    ran = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert ran.stdout == "[]\n"
 
 
 def test_a_run_over_damaged_results_judges_again_and_repairs_them(made: Path) -> None:
