@@ -9,10 +9,12 @@ from pathlib import Path
 import pytest
 
 from robotctl.errors import ConfigError
+from robotctl.fleet import judgement
 from robotctl.fleet.baseline import Baseline, read_baseline
 from robotctl.fleet.gate import GateReport
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.types import Effect, Event
+from robotctl.rerun import check_report, comparison
 from robotctl.rerun.comparison import Comparison
 from robotctl.testing.drives import BEGIN_NS, drive, record
 from tests.support.checked_drives import rechained
@@ -96,6 +98,19 @@ def test_an_accepted_divergence_passes_no_later_one(
     monkeypatch.setattr(Kernel, "step", silent_later)
     shutil.rmtree(folder / ".gate")
     assert folder / "other" in judged(folder, baseline).failures()
+
+
+def test_what_was_accepted_passes_with_the_next_version_too(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record(folder / "other", wrong(drive(2.0)))
+    baseline = accepted(judged(folder), tmp_path / "baseline.json")
+    for module in (check_report, comparison, judgement):
+        monkeypatch.setattr(module, "__version__", "9.9.9")
+    shutil.rmtree(folder / ".gate")
+    again = judged(folder, baseline)
+    assert list(again.accepted) == [folder / "other"]
+    assert "recorded by" in again.results[folder / "other"].says
 
 
 def test_another_recording_with_the_same_difference_is_not_accepted(
