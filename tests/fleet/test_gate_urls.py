@@ -82,6 +82,12 @@ def test_another_content_is_judged_again(bucket: FaultyBucket, made: Path) -> No
     assert [path.name for path in again.failures()] == ["robot_1", "robot_3"]
 
 
+def test_another_list_of_files_is_judged_again(bucket: FaultyBucket) -> None:
+    judged()
+    bucket["one/robot_1/metadata.yaml"] = b"other"
+    assert judged().stored == len(NAMES) - 1
+
+
 def test_a_store_that_fails_five_percent_changes_no_verdict(bucket: FaultyBucket) -> None:
     bucket.failing_share = bucket.short_share = 0.05
     report = judged()
