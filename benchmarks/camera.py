@@ -17,7 +17,7 @@ import time
 from pathlib import Path
 
 from robotctl.recording import Compression, Recorder, RecorderOptions, Topic
-from robotctl.recording.read.byte_source import LocalSource
+from robotctl.recording.read.source import LocalSource
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
 from robotctl.testing.drives import GID, JOURNAL, ODOMETRY, TWIST, drive, record

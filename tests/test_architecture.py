@@ -158,6 +158,8 @@ NAMED_BY_RULE: Mapping[str, str] = {
 """The rooms whose modules, and in executables classes, may share a name with others."""
 
 NAMED_ALIKE: Mapping[str, str] = {
+    "Source": "documented, of the bytes of a file; and of events for the executor",
+    "source": "documented, of the bytes of a file; and of events for the executor",
     "app": "the composition of a process, of the command line and of the daemon",
     "effects": "decided by the kernel, carried out by the daemon",
     "errors": "those of the executor, which imports nothing of ours",

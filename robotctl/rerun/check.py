@@ -13,7 +13,6 @@ from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording, RecordingInfo
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.format.metadata_names import INFO_RECORD, OWN_LIBRARY
-from robotctl.recording.read.byte_source import ByteSource
 from robotctl.recording.read.journal_reader import (
     journal_topic,
     journal_topics,
@@ -21,6 +20,7 @@ from robotctl.recording.read.journal_reader import (
 )
 from robotctl.recording.read.messages import Message
 from robotctl.recording.read.shadow_record import shadow_sentence
+from robotctl.recording.read.source import Source
 from robotctl.rerun.agreed import Agreed
 from robotctl.rerun.batch import Batch
 from robotctl.rerun.bytes_beside import BytesBeside, bytes_beside
@@ -53,7 +53,7 @@ def check_recording(
     on_progress: Progress = lambda done, total: None,
     *,
     all_bytes: bool = False,
-    source: ByteSource | None = None,
+    source: Source | None = None,
     processes: int = 0,
 ) -> Report:
     """Check one recording, a file or a folder, and return the report.

@@ -16,7 +16,7 @@ from robotctl.fleet import judgement
 from robotctl.fleet.junit import junit_text
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.types import Effect, Event
-from robotctl.recording.read.byte_source import LocalSource
+from robotctl.recording.read.source import LocalSource
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Report
 from robotctl.testing.drives import BEGIN_NS, drive, record

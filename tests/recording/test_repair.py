@@ -198,7 +198,7 @@ def break_once(monkeypatch: pytest.MonkeyPatch, breaks: Callable[[bytes], bool])
             raise OSError(errno.EIO, os.strerror(errno.EIO))
         return data
 
-    monkeypatch.setattr("robotctl.recording.read.byte_source.os.pread", failing)
+    monkeypatch.setattr("robotctl.recording.read.source.os.pread", failing)
 
 
 @pytest.mark.parametrize("torn", [False, True])

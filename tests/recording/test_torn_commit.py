@@ -335,7 +335,7 @@ def test_a_read_that_fails_once_during_a_repair_loses_no_message(
             raise OSError(errno.EIO, os.strerror(errno.EIO))
         return pread(fd, length, offset)
 
-    monkeypatch.setattr("robotctl.recording.read.byte_source.os.pread", failing)
+    monkeypatch.setattr("robotctl.recording.read.source.os.pread", failing)
     for state in states(recorded):
         if state.chunks != 2 or state.torn:
             continue

@@ -19,10 +19,10 @@ from mcap.opcode import Opcode
 from mcap.records import McapRecord
 
 from robotctl.recording.format.records import RECORD_HEAD as RECORD_HEAD
-from robotctl.recording.read.byte_source import ByteSource, open_source
 from robotctl.recording.read.damage import BeyondLimit, Damaged, Unreadable
 from robotctl.recording.read.read_failures import note_read_failure
 from robotctl.recording.read.read_limits import BYTES_PER_RECORD, RECORDS, ReadLimits
+from robotctl.recording.read.source import Source, open_source
 
 MESSAGE_FIELDS: Final = struct.Struct("<HIQQ")
 """The fields before a message's data: channel id, sequence, log time [ns], publish time [ns]."""
@@ -99,7 +99,7 @@ class InputFile:
         self,
         path: Path,
         on_progress: Callable[[int, int], None] = lambda done, total: None,
-        source: ByteSource | None = None,
+        source: Source | None = None,
     ) -> None:
         """Open `path`, a regular file, or read `source`, of which `path` is then only the name.
 

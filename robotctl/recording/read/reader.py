@@ -17,7 +17,6 @@ from robotctl.errors import UnreadableFile
 from robotctl.recording.format.metadata_names import CLIP_RECORD, LEDGER_RECORD
 from robotctl.recording.format.rosbag2 import metadata_text
 from robotctl.recording.format.type_names import type_name_of
-from robotctl.recording.read.byte_source import ByteSource
 from robotctl.recording.read.count_check import find_shortfalls
 from robotctl.recording.read.damage import Damaged
 from robotctl.recording.read.file_index import note_missing
@@ -29,6 +28,7 @@ from robotctl.recording.read.mcap_input import InputFile
 from robotctl.recording.read.merge import in_order_written, merge
 from robotctl.recording.read.messages import ALWAYS, Message, OpenFile, Window
 from robotctl.recording.read.read_limits import ReadLimits
+from robotctl.recording.read.source import Source
 from robotctl.recording.read.topic_places import Spot, messages_from, spots_of
 
 
@@ -72,7 +72,7 @@ class Recording:
         self,
         path: Path,
         on_progress: Callable[[int, int], None] = lambda done, total: None,
-        source: ByteSource | None = None,
+        source: Source | None = None,
         files: Sequence[Path] = (),
     ) -> None:
         """Open `path`; `on_progress` gets bytes done and in total while files are scanned.

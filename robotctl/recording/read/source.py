@@ -14,7 +14,7 @@ from robotctl.recording.read.zstd_file import is_zstd_file, unpack_zstd_file
 from robotctl.store.store_path import StorePath
 
 
-class ByteSource(Protocol):
+class Source(Protocol):
     """A file that is read by ranges; it may grow.
 
     Every method but `close` may raise OSError, or UnreadableFile, which ends the reading.
@@ -41,7 +41,7 @@ class ByteSource(Protocol):
 
 def open_source(
     path: Path, on_progress: Callable[[int, int], None] = lambda done, total: None
-) -> ByteSource:
+) -> Source:
     """Open a file; `on_progress` gets bytes done and in total while it is decompressed.
 
     Raises:
