@@ -21,7 +21,7 @@ from typing import Final, TypeVar
 Result = TypeVar("Result")
 
 Processes = Callable[[int], AbstractContextManager[Executor]]
-"""Starts an executor for so many jobs."""
+"""Starts an executor; the argument is the number of jobs."""
 
 Done = Callable[[int, int], None]
 """Receives how many jobs are done, and the total."""

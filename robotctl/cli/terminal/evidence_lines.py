@@ -71,7 +71,7 @@ def _daemon(item: Mapping[str, Any]) -> str:
     until = "" if item["end_ns"] is None else f" until {moment(item['end_ns'])}"
     kind = "observer" if item.get("observe") else "driver"
     version = item.get("version", "")
-    return f"{kind} {version} by {item.get('by', 'somebody')}{until}: {item['ended']}"
+    return f"{kind} {version} by {item.get('by', 'an unknown user')}{until}: {item['ended']}"
 
 
 def _mode(item: Mapping[str, Any]) -> str:
