@@ -5,8 +5,10 @@ from __future__ import annotations
 import asyncio
 import os
 import sys
-from collections.abc import Awaitable, Callable
+import threading
+from collections.abc import Awaitable, Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,6 +16,7 @@ from robotctl.daemon.recording import indexer as module
 from robotctl.daemon.recording.indexer import Indexer, has_grown
 from robotctl.fleet.index_file import files_of, index_path, stamp_of
 from robotctl.fleet.stamps import stamps_in
+from robotctl.processes import Child, start
 from robotctl.recording.keep.retention import RetentionPolicy, enforce_retention
 from tests.support.waiting import until
 from tests.support.world import World
@@ -121,6 +124,61 @@ async def test_a_cancelled_indexer_leaves_no_process(
     await asyncio.wait({running})
     with pytest.raises(ProcessLookupError):
         os.kill(int(pid.read_text()), 0)
+
+
+async def test_nothing_of_it_runs_on_the_loop(
+    said: Callable[[str], Indexer], until: Until, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All that opens a file or makes a system call about a process runs in other threads."""
+    seen: list[tuple[str, bool]] = []
+
+    def watched(owner: object, name: str) -> None:
+        function = getattr(owner, name)
+
+        def call(*arguments: Any, **options: Any) -> Any:
+            seen.append((name, threading.current_thread() is threading.main_thread()))
+            return function(*arguments, **options)
+
+        monkeypatch.setattr(owner, name, call)
+
+    indexer = said(REPORT % "the disk is full")
+    for owner, name in ((module, "start"), (module, "find_spec"), (module, "_size")):
+        watched(owner, name)
+    watched(Child, "close")
+    running = asyncio.create_task(indexer.run())
+    indexer.file_finished()
+    await until(lambda: indexer.problem)
+    running.cancel()
+    await asyncio.wait({running})
+    await indexer.finish()
+    assert {name for name, _ in seen} == {"start", "find_spec", "_size", "close"}
+    assert [name for name, on_loop in seen if on_loop] == []
+
+
+async def test_an_indexer_that_is_cancelled_while_its_process_starts_leaves_none(
+    said: Callable[[str], Indexer], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun, go_on = threading.Event(), threading.Event()
+    children: list[Child] = []
+
+    def slow(command: Sequence[str]) -> Child:
+        begun.set()
+        assert go_on.wait(10)
+        children.append(start(command))
+        return children[0]
+
+    indexer = said("import time; time.sleep(600)")
+    monkeypatch.setattr(module, "start", slow)
+    running = asyncio.create_task(indexer.run())
+    indexer.file_finished()
+    assert await asyncio.to_thread(begun.wait, 10)
+    running.cancel()
+    await asyncio.sleep(0)
+    go_on.set()
+    await asyncio.wait({running})
+    assert running.cancelled()
+    with pytest.raises(ProcessLookupError):
+        os.kill(children[0].pid, 0)
 
 
 async def test_without_duckdb_that_is_said_once_and_nothing_is_started(

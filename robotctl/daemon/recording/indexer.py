@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import os
-from contextlib import aclosing
+from contextlib import aclosing, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
@@ -35,7 +35,8 @@ class Indexer:
     """Starts a process of the lowest priority that writes the index of the present recording.
 
     One runs at a time. The last one, of the closed recording, outlives the daemon, which does not
-    wait for it. For the loop's thread.
+    wait for it. For the loop's thread, in which it only waits: what looks at files, or starts and
+    ends processes, runs in others.
     """
 
     def __init__(self, recording: Path, log: Path, *, enabled: bool) -> None:
@@ -77,11 +78,16 @@ class Indexer:
         await asyncio.to_thread(self._start_last)
 
     async def _index(self) -> None:
+        starting = asyncio.create_task(asyncio.to_thread(start, self._command))
         try:
-            child = start(self._command)
+            child = await asyncio.shield(starting)
         except OSError as error:  # no process or no descriptor
             self._tell(str(error))
             return
+        except asyncio.CancelledError:
+            with suppress(OSError):
+                await asyncio.to_thread((await starting).close)
+            raise
         failure: str | None = None
         try:
             async with aclosing(reports_of(child)) as reports:

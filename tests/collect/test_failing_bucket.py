@@ -1,0 +1,69 @@
+"""Copies to a bucket that fails often: S3 of another maker, which loses requests and answers."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from robotctl.collect.collecting import collect
+from robotctl.collect.hash_ledger import hash_ledger
+from robotctl.collect.object_names import ObjectName, collected_recordings
+from robotctl.collect.pruning import prune
+from robotctl.collect.read_back import read_manifest
+from robotctl.recording.keep.retention import RetentionPolicy
+from robotctl.store import PART_BYTES, open_store
+from tests.collect.conftest import FIRST, copy_as, files_here
+from tests.support.s3_server import Application, Failing, environment, s3_server
+
+pytest.importorskip("obstore", reason="URLs are an extra: robotctl[store]")
+
+LARGE = 2 * PART_BYTES + 1000
+
+
+@pytest.fixture
+def failing(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Failing]]:
+    made: list[Failing] = []
+
+    def within(application: Application) -> Application:
+        made.append(Failing(application))
+        return made[0]
+
+    with s3_server(within) as endpoint:
+        for name, value in environment(endpoint).items():
+            monkeypatch.setenv(name, value)
+        yield made
+
+
+def test_a_bucket_that_fails_often_holds_everything_before_anything_is_removed(
+    failing: list[Failing], recordings: Path, one_recording: Path
+) -> None:
+    for day in range(10, 28):
+        copy_as(one_recording, recordings / f"robot_202601{day}_120000")
+    large = recordings / FIRST / f"{FIRST}_0.mcap"
+    large.write_bytes(large.read_bytes() + os.urandom(LARGE))
+    here = {path.name: files_here(path) for path in recordings.glob("robot_*")}
+    store = open_store("s3://robots/one")
+    with hash_ledger(recordings, time.time_ns) as ledger:
+        run = collect(recordings, store, ledger)
+    assert (len(run.complete), run.problems, run.wrong) == (20, [], [])
+    there = collected_recordings(store.list())
+    for name, files in here.items():
+        manifest = read_manifest(store, there[name])
+        assert {each.name for each in manifest.files} == files.keys()
+    pruned = prune(recordings, store, RetentionPolicy(0, None), time.time())
+    assert (pruned.problems, pruned.wrong) == ([], [])
+    assert not list(recordings.glob("robot_*"))
+    for each in (each for each in store.list() if each.key.endswith(".mcap")):
+        stored = ObjectName.parse(each.key)
+        assert stored is not None
+        assert hashlib.sha256(store.get(each.key, 1 << 30)).hexdigest() == stored.sha256
+    assert failing[0].requests > 150
+    assert {"PUT", "PUT partNumber uploadId", "POST uploads", "GET", "HEAD"} <= failing[
+        0
+    ].kinds.keys()
+    assert sum(failing[0].kinds.values()) >= 8
