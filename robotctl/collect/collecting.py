@@ -17,7 +17,7 @@ from robotctl.printable import printable
 from robotctl.store import ObjectStore, StoreError
 
 GIVE_UP_AFTER: Final = 3
-"""Recordings in a row whose copy the store fails: it is away, and so the rest is left for later."""
+"""After this number of failed copies in a row the store counts as unreachable, and the run ends."""
 
 
 @dataclass(slots=True)

@@ -25,7 +25,7 @@ _FILE: Final = "hashes.jsonl"
 _MAX_BYTES: Final = 256 << 20
 _APPEND: Final = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
 _RESTLESS_NS: Final = 2 * NS_PER_S
-"""A file that was written so shortly before could be written again within the same time stamp."""
+"""A file that was written this recently could change again without a new time stamp."""
 
 
 class FileChanged(UnreadableFile):

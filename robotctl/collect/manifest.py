@@ -1,4 +1,4 @@
-"""The manifest of a collected recording: its files. Once it is there, all of them are."""
+"""The manifest of a collected recording: its files. It is written last, when all of them exist."""
 
 from __future__ import annotations
 

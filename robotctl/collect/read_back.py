@@ -24,8 +24,8 @@ def read_manifest(store: ObjectStore, recording: CollectedRecording) -> Manifest
 
     Raises:
         StoreError: The store fails.
-        WrongContent: It is another than its name says.
-        UnreadableFile: It is none, or there is none.
+        WrongContent: The content does not match the name.
+        UnreadableFile: There is no manifest, or it is not valid.
     """
     name = recording.manifest
     assert name is not None, "a recording without a manifest"

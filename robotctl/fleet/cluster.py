@@ -30,7 +30,7 @@ CONNECT_S: Final = 10.0
 """How long the gate waits for a scheduler at first."""
 
 PATIENCE_S: Final = 60.0
-"""How long it waits for one that was lost, and for the first worker: a restart takes that long."""
+"""How long it waits for a lost scheduler and for the first worker; a restart takes up to that."""
 
 _CHECK_S: Final = 5.0
 """Without an answer for this time, the gate asks whether there are still workers."""
@@ -132,7 +132,7 @@ class Cluster:
                 return
 
     def _check(self, client: Client, judging: Judging, token: str) -> None:
-        """Refuse the cluster by the name of the worker that is not fit for it."""
+        """Refuse the cluster, and name the unsuitable worker."""
         asked = str(self._place), str(judging.store), token
         found = client.run(_state, *asked, on_error="return")
         for worker, state in found.items():

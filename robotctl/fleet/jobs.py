@@ -38,8 +38,8 @@ def results_of(
 ) -> Iterator[tuple[Path, Result | None]]:
     """Yield each recording with its result, in the order in which they are ready.
 
-    The result is None where the process was killed. One that dies takes its neighbours' jobs along,
-    so all that are not done then run again, each in a process of its own.
+    The result is None where the process was killed. When a process dies, all unfinished jobs are
+    lost; they run again, each in a process of its own.
     """
     done = 0
     lost: list[Path] = []

@@ -38,9 +38,9 @@ def stamps_in(path: Path | str) -> Stamps:
 
 
 def stamps_of_each(paths: Sequence[Path | str]) -> list[Stamps]:
-    """Return the stamps of the recordings in each file; none of one that is wrong.
+    """Return the stamps of the recordings in each file; none of a file that is wrong.
 
-    One is wrong that cannot be read, is a link, has another layout, or more rows than `MAX_ROWS`
+    A file is wrong if it cannot be read, is a link, has another layout, or over `MAX_ROWS` rows
     beside samples.
 
     Raises:
@@ -62,7 +62,7 @@ def _collect(
 ) -> None:
     """Add the stamps in these files, all at once: one after the other takes ten times as long.
 
-    What cannot be read is found by halves.
+    Unreadable files are found by bisection.
     """
     import duckdb
 

@@ -12,7 +12,7 @@ _HASH: Final = re.compile(r"[0-9a-f]{64}")
 _HASH_FOLDER: Final = re.compile(r"(?<![^/])[0-9a-f]{64}/")
 
 _LOOKED_AT: Final = 3
-"""Folders of recordings that are looked into; in a folder of copies the first one tells."""
+"""The number of recordings that are looked into; in a folder of copies the first is enough."""
 
 
 def without_hashes(key: str) -> str:

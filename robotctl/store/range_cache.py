@@ -19,7 +19,7 @@ class Extent:
     end: int
     data: Future[bytes]
     ahead: bool
-    """Whether it was asked for ahead, and is still to be read: so it is not dropped."""
+    """Whether it was fetched ahead and not read yet; then it is not dropped."""
 
 
 class Extents:
@@ -37,7 +37,7 @@ class Extents:
         return None if extent is None or offset >= extent.end else extent
 
     def free_around(self, offset: int, begin: int, end: int) -> tuple[int, int]:
-        """Return what of a range around `offset`, which no extent holds, is in no extent."""
+        """Return the part of a range around `offset` that no extent holds; `offset` is in none."""
         number = bisect_right(self._begins, offset)
         if number < len(self._begins):
             end = min(end, self._begins[number])

@@ -20,7 +20,7 @@ _MOST_BYTES: Final = 4 << 20
 """A larger range becomes several requests, which are under way at once."""
 
 _AHEAD_REQUESTS: Final = 32
-"""At once: with 20 ms each, a check of a recording with images waits no longer than it computes."""
+"""Requests at once: with 20 ms each, a check of images waits at most half of its time."""
 
 _AHEAD_BYTES: Final = 16 << 20
 

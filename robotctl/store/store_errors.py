@@ -22,7 +22,7 @@ class TooLarge(StoreError):
 
 
 class ObjectChanged(StoreError):
-    """An object that is not the one any more that was read before."""
+    """An object that changed since it was first read."""
 
 
 class StoreFailed(StoreError):

@@ -19,7 +19,7 @@ class StoredObject:
 
     size_bytes: int
     etag: str
-    """Changes with the content. It is no hash: its form is up to the store."""
+    """Changes with the content; its form is up to the store, and need not be a hash."""
 
     modified_s: float = field(default=0.0, compare=False)
     """When it was stored, since the epoch; a listing may tell more digits than the object."""
