@@ -8,7 +8,7 @@ from math import inf, nan
 import pytest
 
 from robotctl.kernel.health import Health
-from robotctl.kernel.input_checks import estop_silent
+from robotctl.kernel.input_checks import estop_silent, is_any_required
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.safety_inputs import Reading, SafetyInput, SafetyInputParams, Use, with_reading
@@ -111,6 +111,14 @@ def test_a_required_input_that_was_never_heard_refuses_the_start_and_no_more(
     assert f"nothing was received on {topic} yet" in start(bench)
     read(bench, kind, 0.0)
     assert not start(bench)
+
+
+@pytest.mark.parametrize("use", Use)
+@pytest.mark.parametrize("kind", SafetyInput)
+def test_one_required_input_is_enough_for_the_rules_about_silence(
+    kind: SafetyInput, use: Use
+) -> None:
+    assert is_any_required(params(kind, use)) is (use is Use.REQUIRED)
 
 
 def test_a_reading_of_the_future_is_as_old_as_one_of_the_past() -> None:
