@@ -40,6 +40,8 @@ START_TIMEOUT_S = 30.0
 ASYNCIO, TAP, SINGLE, EVENTS, POLLING = "asyncio", "tap", "single", "events", "polling"
 TICKER, SLEEP = "ticker", "sleep"
 EXECUTORS = (ASYNCIO, SINGLE, EVENTS, POLLING)
+OURS = (ASYNCIO, TAP, TICKER, SLEEP)
+"""They run in the loop of `robotctl.ros.executor.run`, the others in that of asyncio."""
 
 
 @dataclass(frozen=True)
@@ -179,7 +181,7 @@ async def executing(contender: str, node: Any) -> AsyncIterator[None]:
 
     from robotctl.ros import AsyncioExecutor
 
-    if contender in (ASYNCIO, TAP, TICKER, SLEEP):
+    if contender in OURS:
         async with AsyncioExecutor() as executor:
             executor.add_node(node)
             yield
@@ -469,7 +471,10 @@ def main() -> None:
     options = parser.parse_args()
     if options.subject:
         name, contender, seconds = options.subject
-        print(json.dumps(asyncio.run(subject(name, contender, float(seconds)))), flush=True)
+        from robotctl.ros.executor import run
+
+        in_loop: Any = run if contender in OURS else asyncio.run
+        print(json.dumps(in_loop(subject(name, contender, float(seconds)))), flush=True)
     elif options.publish:
         publish(options.publish[0], bool(options.publish[1]))
     elif options.call:

@@ -7,7 +7,6 @@ of the configuration.
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import sys
 from collections.abc import Mapping
@@ -94,6 +93,7 @@ def _time(settings: Mapping[str, object]) -> tuple[Assignment, ...]:
 
 def _run(options: DaemonOptions, notes: list[str], at_end: ExitStack) -> None:
     from robotctl.daemon.app import serve  # after environment.prepare(): it imports rclpy
+    from robotctl.ros.executor import run
 
     def on_ready(summary: Mapping[str, Any]) -> None:
         for each in summary["notes"]:
@@ -102,4 +102,4 @@ def _run(options: DaemonOptions, notes: list[str], at_end: ExitStack) -> None:
     _log.info("Mode Service Node started")
     if dict(options.settings)["standalone"] is True:
         _log.warning("while there is %s", ALONE)
-    asyncio.run(serve(options, notes, on_ready, at_end))
+    run(serve(options, notes, on_ready, at_end))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import resource
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
@@ -54,8 +53,9 @@ def _run(
     at_end: ExitStack,
 ) -> None:
     from robotctl.daemon.app import serve  # after environment.prepare(): it imports rclpy
+    from robotctl.ros.executor import run
 
-    asyncio.run(serve(options, notes, send, at_end))
+    run(serve(options, notes, send, at_end))
 
 
 def allow_many_files() -> None:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import sys
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
@@ -18,7 +17,7 @@ from robotctl.end_signals import end_signals
 from robotctl.errors import UsageError
 from robotctl.ros.arguments import BAD_ARGUMENTS
 from robotctl.ros.context import close_context
-from robotctl.ros.executor import AsyncioExecutor
+from robotctl.ros.executor import AsyncioExecutor, run
 
 LOGGER_SERVICES: Final = {"enable_logger_service": True}
 """The option of rclpy's Node with which other programs see and set the levels of its loggers."""
@@ -61,7 +60,7 @@ def run_node(
     make_node: Callable[[Context], Made], at_end: Callable[[Made], None] = lambda node: None
 ) -> int:
     """Run the node that `make_node` returns until SIGINT, SIGTERM or SIGHUP; return 0."""
-    return asyncio.run(_run(make_node, at_end))
+    return run(_run(make_node, at_end))
 
 
 async def _run(make_node: Callable[[Context], Made], at_end: Callable[[Made], None]) -> int:

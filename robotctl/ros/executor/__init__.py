@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from robotctl.ros.executor.errors import RclCallFailed, UnsupportedPlatform
+    from robotctl.ros.executor.event_loop import EventLoop, run
     from robotctl.ros.executor.executor import AsyncioExecutor
     from robotctl.ros.executor.present_request import requester
     from robotctl.ros.executor.raw_tap import UNKNOWN_GID, RawTap, SerializedData, Sink, ViewSink
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 __all__ = [
     "UNKNOWN_GID",
     "AsyncioExecutor",
+    "EventLoop",
     "ExceptionHandler",
     "RawTap",
     "RclCallFailed",
@@ -31,11 +33,13 @@ __all__ = [
     "UnsupportedPlatform",
     "ViewSink",
     "requester",
+    "run",
 ]
 
 _MODULES = {
     "UNKNOWN_GID": "raw_tap",
     "AsyncioExecutor": "executor",
+    "EventLoop": "event_loop",
     "ExceptionHandler": "runtime",
     "RawTap": "raw_tap",
     "RclCallFailed": "errors",
@@ -46,6 +50,7 @@ _MODULES = {
     "UnsupportedPlatform": "errors",
     "ViewSink": "raw_tap",
     "requester": "present_request",
+    "run": "event_loop",
 }
 
 

@@ -14,6 +14,7 @@ from asyncio import AbstractEventLoop, TimerHandle
 from typing import Protocol
 
 from robotctl.ros.executor.beat import BEAT_NS, beat_before
+from robotctl.ros.executor.event_loop import unwatch, watch
 from robotctl.ros.executor.time_limits import FLOOD_REST_S, FLOODED_SHARE, NS_PER_S, TURN_NS
 
 
@@ -65,13 +66,12 @@ class Pool:
     def _watch(self) -> None:
         if not self._watching:
             self._watching = True
-            self._loop.add_reader(self._epoll.fileno(), self._poll)
+            watch(self._loop, self._epoll.fileno(), self._poll)
 
     def _unwatch(self) -> None:
         if self._watching:
             self._watching = False
-            if not self._loop.is_closed():
-                self._loop.remove_reader(self._epoll.fileno())
+            unwatch(self._loop, self._epoll.fileno())
 
     def _poll(self) -> None:
         self._resting = None

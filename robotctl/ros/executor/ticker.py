@@ -7,9 +7,11 @@ import math
 import time
 import weakref
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple, Self
 
 from robotctl.ros.executor.beat import beat_before
+from robotctl.ros.executor.event_loop import unwatch, watch
 from robotctl.ros.executor.time_limits import NS_PER_S
 from robotctl.ros.executor.timerfd import TimerFd
 
@@ -107,8 +109,7 @@ class Ticker:
         timer, self._timer = self._timer, None
         if timer is not None:
             assert self._loop is not None
-            if not self._loop.is_closed():
-                self._loop.remove_reader(timer.fd)
+            unwatch(self._loop, timer.fd)
             timer.close()
         self._expired = 0
         self._release()
@@ -130,7 +131,7 @@ class Ticker:
             self._due_ns = beat_before(now_ns + self._lead_ns, self.period_ns) - self._lead_ns
             self._timer.arm_periodic(self._due_ns + self.period_ns, self.period_ns)
             # A weak reference: the loop must not keep an unused ticker alive.
-            loop.add_reader(self._timer.fd, _wake, weakref.ref(self))
+            watch(loop, self._timer.fd, partial(_wake, weakref.ref(self)))
         elif loop is not self._loop:
             raise RuntimeError("this ticker runs in another event loop; give each loop its own")
 

@@ -13,6 +13,7 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallb
 from robotctl.ros.executor import announcements
 from robotctl.ros.executor.announcements import Announcement
 from robotctl.ros.executor.errors import RclCallFailed, UnsupportedPlatform
+from robotctl.ros.executor.event_loop import unwatch, watch
 from robotctl.ros.executor.pool import Pool
 from robotctl.ros.executor.runtime import Runtime, log
 from robotctl.ros.executor.time_limits import SLOW_CALLBACK_NS
@@ -155,7 +156,7 @@ class EventFdSource(Source):
         """Let the pool poll the eventfd; without one, the loop watches it, at every message."""
         self.stop_listening()
         if pool is None:
-            self.runtime.loop.add_reader(self._fd, self.poll)
+            watch(self.runtime.loop, self._fd, self.poll)
         else:
             pool.add(self._fd, self)
         self.pool, self._listening = pool, True
@@ -167,8 +168,8 @@ class EventFdSource(Source):
         self._listening = False
         if self.pool is not None:
             self.pool.remove(self._fd)
-        elif not self.runtime.loop.is_closed():
-            self.runtime.loop.remove_reader(self._fd)
+        else:
+            unwatch(self.runtime.loop, self._fd)
 
     def resume(self) -> None:
         if not self.closed:

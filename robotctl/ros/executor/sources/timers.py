@@ -11,6 +11,7 @@ from rclpy.timer import Timer
 
 from robotctl.ros.executor import announcements
 from robotctl.ros.executor.announcements import Announcement
+from robotctl.ros.executor.event_loop import unwatch, watch
 from robotctl.ros.executor.runtime import Runtime
 from robotctl.ros.executor.sources.source import Source
 from robotctl.ros.executor.timerfd import TimerFd
@@ -44,8 +45,8 @@ class TimerSource(Source):
             self._timer_fd = TimerFd()
             self._reset_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
             announcements.watch(Announcement.TIMER_RESET, self.handle.pointer, self._reset_fd)
-            self.runtime.loop.add_reader(self._reset_fd, self._on_reset)
-            self.runtime.loop.add_reader(self._timer_fd.fd, self._on_expiry)
+            watch(self.runtime.loop, self._reset_fd, self._on_reset)
+            watch(self.runtime.loop, self._timer_fd.fd, self._on_expiry)
             if isinstance(self.entity.clock, ROSClock):
                 self._jumps = self.entity.clock.create_jump_callback(
                     _ANY_JUMP, post_callback=self._on_jump
@@ -61,15 +62,12 @@ class TimerSource(Source):
         self.closed = True
         if self._jumps is not None:
             self._jumps.unregister()
-        loop = self.runtime.loop
         if self._reset_fd >= 0:
             announcements.unwatch(Announcement.TIMER_RESET, self.handle.pointer)
-            if not loop.is_closed():
-                loop.remove_reader(self._reset_fd)
+            unwatch(self.runtime.loop, self._reset_fd)
             os.close(self._reset_fd)
         if self._timer_fd is not None:
-            if not loop.is_closed():
-                loop.remove_reader(self._timer_fd.fd)
+            unwatch(self.runtime.loop, self._timer_fd.fd)
             self._timer_fd.close()
         self.handle.__exit__(None, None, None)
 

@@ -1,0 +1,120 @@
+"""An asyncio loop that calls the executor's sources while it polls, and how to run it.
+
+asyncio leads each ready descriptor through a selector key, a handle and a queue to its callback.
+At 1 kHz, where each message wakes the loop, that is a tenth of what a message costs the process.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable, Coroutine
+from contextvars import copy_context
+from functools import partial
+from select import EPOLLIN, EPOLLOUT
+from selectors import EVENT_READ, EVENT_WRITE, EpollSelector, SelectorKey
+from typing import Any, Final, TypeVar
+
+_MS_PER_S: Final = 1000
+"""epoll waits for whole milliseconds."""
+
+_MOST_AT_ONCE: Final = 64
+"""Descriptors of one turn; Linux returns the others, which have waited longer, in the next one."""
+
+T = TypeVar("T")
+
+
+class _CallingSelector(EpollSelector):
+    """A selector that calls what watches a descriptor, and returns the other descriptors."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._epoll: Any = self._selector  # type: ignore[attr-defined]
+        self.calls: dict[int, Callable[[], object]] = {}
+        self.on_error: Callable[[BaseException], None]
+
+    def watch(self, fd: int, call: Callable[[], object]) -> None:
+        self._epoll.register(fd, EPOLLIN)
+        self.calls[fd] = call
+
+    def unwatch(self, fd: int) -> None:
+        if self.calls.pop(fd, None) is not None:
+            self._epoll.unregister(fd)
+
+    def close(self) -> None:
+        self.calls.clear()
+        super().close()
+
+    def select(self, timeout: float | None = None) -> list[tuple[SelectorKey, int]]:
+        # Rounded up, as the base class does: a timer must not be late by a busy wait.
+        wait_s = -1 if timeout is None else math.ceil(timeout * _MS_PER_S) / _MS_PER_S
+        others = []
+        for fd, event in self._epoll.poll(wait_s, _MOST_AT_ONCE):
+            call = self.calls.get(fd)
+            if call is None:
+                others.append((fd, event))
+                continue
+            try:
+                call()
+            except (SystemExit, KeyboardInterrupt):
+                raise
+            except BaseException as error:  # noqa: BLE001 - as a handle of asyncio does
+                self.on_error(error)
+        if not others:
+            return []
+        # Looked up only now: a call may have replaced the reader of another descriptor.
+        keyed = self.get_map()
+        keys = ((keyed.get(fd), event) for fd, event in others)
+        return [(key, _mask(event) & key.events) for key, event in keys if key is not None]
+
+
+def _mask(event: int) -> int:
+    """Return what an event of epoll means for a selector; an error is both."""
+    readable = EVENT_READ if event & ~EPOLLOUT else 0
+    return readable | (EVENT_WRITE if event & ~EPOLLIN else 0)
+
+
+class EventLoop(asyncio.SelectorEventLoop):
+    """An asyncio loop that an `AsyncioExecutor` wakes up with less work.
+
+    It keeps what asyncio promises; `watch` is the cheaper form of `add_reader`.
+    """
+
+    def __init__(self) -> None:
+        self._calling = _CallingSelector()
+        self._calling.on_error = self._report
+        super().__init__(self._calling)
+
+    def watch(self, fd: int, callback: Callable[[], object]) -> None:
+        """Call `callback` in the present context whenever `fd` is readable, before other calls."""
+        self._calling.watch(fd, partial(copy_context().run, callback))
+
+    def unwatch(self, fd: int) -> None:
+        """Stop watching `fd`, which must still be open; one that is not watched is ignored."""
+        self._calling.unwatch(fd)
+
+    def _report(self, error: BaseException) -> None:
+        context = {"message": "exception in the callback of a descriptor", "exception": error}
+        self.call_exception_handler(context)
+
+
+def run(main: Coroutine[Any, Any, T]) -> T:
+    """Run a coroutine as `asyncio.run` does, in an `EventLoop`."""
+    with asyncio.Runner(loop_factory=EventLoop) as runner:
+        return runner.run(main)
+
+
+def watch(loop: asyncio.AbstractEventLoop, fd: int, callback: Callable[[], object]) -> None:
+    """Call `callback` in the loop, of any class, whenever `fd` is readable."""
+    if isinstance(loop, EventLoop):
+        loop.watch(fd, callback)
+    else:
+        loop.add_reader(fd, callback)
+
+
+def unwatch(loop: asyncio.AbstractEventLoop, fd: int) -> None:
+    """Stop watching `fd`; where the loop is closed, it does so already."""
+    if isinstance(loop, EventLoop):
+        loop.unwatch(fd)
+    elif not loop.is_closed():
+        loop.remove_reader(fd)
