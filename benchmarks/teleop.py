@@ -32,6 +32,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
+from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -71,9 +72,13 @@ class Listener:
     def is_fast(self) -> bool:
         return bool(self.heard) and self.heard[-1][1] > FAST_MPS
 
-    def first(self, after_ns: int, smaller_than: float) -> int | None:
-        later = (at_ns for at_ns, speed in self.heard if at_ns > after_ns and speed < smaller_than)
-        return next(later, None)
+    def first_zero(self, after_ns: int) -> int | None:
+        return next((at_ns for at_ns, speed in self.heard if at_ns > after_ns and not speed), None)
+
+    def first_slower(self, after_ns: int) -> int | None:
+        """Return when the first command came that is smaller than the one before it."""
+        both = pairwise(self.heard)
+        return next((at[0] for last, at in both if at[0] > after_ns and at[1] < last[1]), None)
 
 
 class Gamepad:
@@ -185,9 +190,9 @@ def measure(world: World, listener: Listener, gamepad: Gamepad, what: str) -> fl
             hold(listener, acts["button released"], lambda: gamepad.press(pressed=True))
         elif what in acts:
             hold(listener, acts["released"], lambda: terminal.press(W_DOWN))
-        smaller_than = listener.heard[-1][1] if what in RELEASES else 1e-12
         asked_ns = act(acts[what]) if what in acts else repeat(terminal, listener)
-        found_ns: Any = until(lambda: listener.first(asked_ns, smaller_than))
+        first = listener.first_slower if what in RELEASES else listener.first_zero
+        found_ns: Any = until(lambda: first(asked_ns))
         return float(found_ns - asked_ns) / 1e6
 
 
