@@ -170,12 +170,11 @@ NAMED_ALIKE: Mapping[str, str] = {
     "params": "of a method of the socket, and of the kernel",
     "safety_inputs": "what the kernel takes, and the role that receives it",
     "software": "of a daemon, noted in its recordings, and of the gate",
-    "Change": "of a result, of a value, and when a parameter takes one",
+    "Change": "of a result, and when a parameter takes a new value",
     "Divergence": "documented, as an error with an exit code and as what a check found",
     "Failure": "of a recording in the gate, and on the socket",
     "Finding": "of the doctor, and of the safety table",
-    "Measured": "a base, a recording in the gate, and a robot",
-    "Missing": "objects, and ticks",
+    "Measured": "a base, and a recording in the gate",
     "Tick": "an event of the kernel, and a documented one of the executor",
 }
 """The other modules and classes that share a name, each with what they are."""
