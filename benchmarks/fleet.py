@@ -108,9 +108,9 @@ def make_many(folder: Path, template: Path, count: int) -> None:
                 "recording": text(recording.name),
                 "stamp": f"CASE WHEN stamp IS NULL THEN NULL ELSE {text(stamp_of([data]))} END",
                 "start_ns": f"start_ns + {number} * 3600000000000",
-                "laps": f"CASE WHEN laps IS NULL THEN NULL ELSE {number % 5}::BIGINT END",
-                "max_error_m": "CASE WHEN max_error_m IS NULL THEN NULL "
-                f"ELSE {chance.uniform(0.0, 0.2)}::DOUBLE END",
+                "laps": f"CASE WHEN kind = 'drive' THEN {number % 5}::BIGINT ELSE laps END",
+                "max_error_m": f"CASE WHEN kind = 'drive' THEN {chance.uniform(0.0, 0.2)}::DOUBLE "
+                "ELSE max_error_m END",
             }
             shown = ", ".join(f"{value} AS {key}" for key, value in changed.items())
             connection.execute(
