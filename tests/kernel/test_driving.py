@@ -108,8 +108,9 @@ def test_a_lap_takes_little_more_than_the_shortest_possible_time(
 
 @pytest.mark.parametrize("kind", PatternKind)
 def test_errors_do_not_add_up_over_laps(kind: PatternKind) -> None:
-    report = drive(kind, laps=4).ended.report
+    one, report = drive(kind).ended.report, drive(kind, laps=4).ended.report
     assert report.laps == 4
+    assert report.distance_m == pytest.approx(4 * one.distance_m, rel=0.05, abs=0.05)
     assert report.closure_m <= 0.05
     assert report.cross_track_max_m <= 0.030
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import random
 from dataclasses import replace
-from math import cos, inf, isclose, isnan, pi, sin, sqrt
+from math import cos, hypot, inf, isclose, isnan, pi, sin, sqrt
 
 import pytest
 
 from robotctl.kernel.course import PLAIN
-from robotctl.kernel.drive import Drive
+from robotctl.kernel.drive import LOST_RAD, Drive
 from robotctl.kernel.figure_eight import FigureEight, figure_eight
 from robotctl.kernel.geometry import ORIGIN, Pose
 from robotctl.kernel.params import KernelParams, VelocityLimits
@@ -294,6 +294,27 @@ def test_behind_a_corner_of_an_open_path_the_side_before_it_counts() -> None:
     path = Path(sides, 1.0, closed=False)
     assert isclose(path.distance_to(Pose(0.9, -0.01, 0.0), 1, 0.02), 0.01)
     assert isclose(path.distance_to(Pose(-0.3, 0.0, 0.0), 0, 0.02), 0.3)
+
+
+def test_an_open_path_does_not_go_on_at_its_other_end() -> None:
+    sides = (Line(ORIGIN, 1.0), Line(Pose(1.0, 0.0, pi / 2), 1.0), Line(Pose(1.0, 1.0, pi), 1.0))
+    path = Path(sides, 1.0, closed=False)
+    assert isclose(path.distance_to(Pose(-0.3, 1.0, 0.0), 0, 0.02), hypot(0.3, 1.0))
+
+
+def test_a_robot_in_a_corner_is_lost_beyond_one_radian_only() -> None:
+    corner = drive(SQUARE, Progress(segment=1))
+    for heading_rad, error_m in ((LOST_RAD, 0.0), (LOST_RAD + 1e-9, inf)):
+        measured = corner.measured(Pose(1.0, 0.0, heading_rad), 0.0)
+        assert measured.score.error_m == error_m
+
+
+def test_the_reference_of_a_slow_base_is_in_the_next_segment_already() -> None:
+    pattern = Pattern(PatternKind.ROUNDED_SQUARE, 1.0, 0.5)
+    line, arc = lap_of(PatternKind.ROUNDED_SQUARE, 1.0).segments[:2]
+    driven = drive(pattern, going(0.5, length=line.length - 0.01))
+    assert driven.reference().curvature == 0.0
+    assert driven.reference(lag_s=0.04).curvature == arc.curvature_at(0.01) > 0.0
 
 
 def test_the_figure_eight_goes_where_its_heading_points() -> None:
