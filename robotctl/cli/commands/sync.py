@@ -59,7 +59,7 @@ def sync(
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Copy all recordings of a folder to a store; what is there already is not sent again.
+    """Copy all recordings of a folder to a store; a file is sent once.
 
     Each finished file, also of a damaged recording or of another tool, becomes
     RECORDING/SHA256/FILE below the URL and is never overwritten. A run that was killed goes on.
