@@ -15,9 +15,10 @@ from robotctl.kernel.geometry import ORIGIN, Pose
 from robotctl.kernel.params import KernelParams, VelocityLimits
 from robotctl.kernel.path import Path
 from robotctl.kernel.patterns import Pattern, PatternKind
-from robotctl.kernel.reference import Progress, advanced
+from robotctl.kernel.reference import Progress, advanced, begun
 from robotctl.kernel.routes import legs_for, path_for
 from robotctl.kernel.segments import Arc, Circle, Line, Turn
+from robotctl.kernel.speed_plan import Leg
 from robotctl.kernel.tracking import Reference, track
 from tests.support.laps import lap_of
 
@@ -315,6 +316,31 @@ def test_the_reference_of_a_slow_base_is_in_the_next_segment_already() -> None:
     driven = drive(pattern, going(0.5, length=line.length - 0.01))
     assert driven.reference().curvature == 0.0
     assert driven.reference(lag_s=0.04).curvature == arc.curvature_at(0.01) > 0.0
+
+
+def test_a_lead_that_has_arrived_waits_for_the_reference() -> None:
+    legs = legs_for(lap_of(PatternKind.SQUARE, 1.0), 0.5, LIMITS)
+    at, stands, ticks = going(0.3, length=0.9), False, 0
+    while not stands and ticks < 100:
+        before, ticks = at, ticks + 1
+        at, stands = advanced(at, legs, 1, 0.02, 4)
+        assert at.lead_speed >= 0.0
+        assert at.length >= before.length
+    assert stands
+    assert (at.segment, at.length) == (0, 1.0)
+
+
+def test_a_drive_that_goes_on_begins_within_its_first_segment_or_at_rest() -> None:
+    short, long = Leg(0.01, 1.0, 1.0, 0.0, 0.0), Leg(1.0, 1.0, 1.0, 0.0, 0.0)
+    assert begun(0.5, 5, 0.02, (short, long), turns=False) == Progress()
+    assert begun(0.5, 5, 0.02, (long, short), turns=False).speed == 0.5
+
+
+@pytest.mark.parametrize("open_loop", [True, False])
+def test_only_in_open_loop_a_corner_is_left_before_the_robot_arrives(open_loop: bool) -> None:
+    course = replace(PLAIN, open_loop=open_loop)
+    waiting = replace(drive(SQUARE, LINE_END), course=course)
+    assert after(waiting, 0.02).segment == int(open_loop)
 
 
 def test_the_figure_eight_goes_where_its_heading_points() -> None:
