@@ -56,6 +56,17 @@ def check_whole(place: str) -> int:
     return len(listing)
 
 
+def until_stored(place: str, count: int) -> None:
+    """Wait until a run has stored at least `count` objects."""
+    store = open_store(place)
+    until(lambda: len(list(store.list())) >= count)
+
+
+def until_left(recordings: Path, count: int) -> None:
+    """Wait until at most `count` folders are left."""
+    until(lambda: len(os.listdir(recordings)) <= count)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["folder", "bucket"])
 def test_a_process_that_is_killed_at_any_moment_goes_on(
@@ -74,22 +85,19 @@ def test_a_process_that_is_killed_at_any_moment_goes_on(
         if number % 8 == 0:
             with (folder / f"{folder.name}_0.mcap").open("ab") as file:
                 file.write(os.urandom(9 << 20))  # goes in two parts
-    begun_s = time.monotonic()
     run_to_its_end(f"{root}/whole", recordings)
-    whole_s = time.monotonic() - begun_s
-    chance, seen = random.Random(5), []
+    chance = random.Random(5)
     for number in range(KILLS):
         with started(f"{root}/{number}", recordings) as process:
-            time.sleep(chance.uniform(0.3, 1.0) * whole_s)
+            until_stored(f"{root}/{number}", chance.randrange(1, WHOLE // 2))
             process.kill()
-        seen.append(check_whole(f"{root}/{number}"))
-    assert any(0 < count < WHOLE for count in seen), f"no kill fell into the copying: {seen}"
+        assert 0 < check_whole(f"{root}/{number}") < WHOLE
     for number in range(KILLS):
         run_to_its_end(f"{root}/{number}", recordings)
         assert check_whole(f"{root}/{number}") == WHOLE
-    for _ in range(3):
+    for left in (30, 20, 10):
         with started(f"{root}/whole", recordings, "--max-total-gb", "0") as process:
-            time.sleep(chance.uniform(0.3, 1.0) * whole_s)
+            until_left(recordings, left)
             process.kill()
     run_to_its_end(f"{root}/whole", recordings, "--max-total-gb", "0")
     assert not list(recordings.rglob("*.mcap"))

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import re
 import socket
 import sys
-import time
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from statistics import median
 
 import pytest
 
@@ -32,7 +28,6 @@ pytest.importorskip("distributed", reason="a cluster is an extra: robotctl[clust
 from tests.support.dask_processes import DaskProcesses, dask_processes
 
 WORKERS = 3
-PART = 200
 
 
 class _ResultsHere(ResultStore):
@@ -114,38 +109,6 @@ def test_a_killed_worker_and_a_restarted_scheduler_lose_no_result_and_count_none
     assert at_restart[0] < stored(results) == count, "nothing was left for the new scheduler"
     again = judge_all(recordings, ResultStore(results), {}, Baseline(), engine)
     assert (again.stored, again.results) == (count, report.results)
-
-
-@pytest.mark.slow
-def test_a_core_of_a_cluster_judges_nearly_as_much_as_one_process(
-    dask: DaskProcesses, tmp_path: Path
-) -> None:
-    recordings = make_recordings(tmp_path / "recordings", 1000, seconds=20.0)
-    judging = Judging({}, ResultStore(tmp_path / "alone"), software_hash())
-    engine = Cluster(dask.address, tmp_path).judge
-    store = ResultStore(tmp_path / "results")
-
-    def alone_s(part: list[Path]) -> float:
-        before_s = time.thread_time()
-        for path in part:
-            judging.judged(path)
-        return (time.thread_time() - before_s) / len(part)
-
-    shares: list[float] = []
-    with ThreadPoolExecutor(1) as thread:
-        for begin in range(0, len(recordings), PART):
-            part = recordings[begin : begin + PART]
-            before_s = time.process_time() + dask.cpu_s()
-            one = thread.submit(alone_s, part[: PART // 3])  # at the same time, by the same cores
-            judge_all(part, store, {}, Baseline(), engine)
-            one_s = one.result()
-            all_s = time.process_time() + dask.cpu_s() - before_s
-            shares.append(one_s * PART / (all_s - one_s * (PART // 3)))
-    assert stored(tmp_path / "results") == len(recordings)
-    print("efficiency:", ", ".join(f"{each:.2f}" for each in shares))
-    if (load := os.getloadavg()[0]) > 2 * WORKERS:
-        pytest.skip(f"workers wait for others, and their heartbeats count: load {load:.0f}")
-    assert median(shares) >= 0.85, shares
 
 
 def test_a_worker_with_another_robotctl_is_refused_by_its_name(
