@@ -17,8 +17,8 @@ from typing import Final
 from robotctl.errors import Refused
 from robotctl.fleet.catalogue_file import write_catalogue
 from robotctl.fleet.database import file_of
-from robotctl.fleet.index_file import files_of, index_path, stamp_of
-from robotctl.fleet.indexing import Failures, closed_files, index_recordings
+from robotctl.fleet.index_file import closed_files, files_of, index_path, stamp_of
+from robotctl.fleet.indexing import Failures, index_recordings
 from robotctl.fleet.stamps import stamps_in, stamps_of_each
 from robotctl.printable import printable
 from robotctl.recording.format.derived_files import INDEX_FILE
@@ -109,14 +109,13 @@ def _stamps(folder: Path, known: dict[str, str]) -> tuple[dict[Path, str], list[
     stamps: dict[Path, str] = {}
     left_out = []
     with os.scandir(folder) as entries:
-        found = sorted(
-            (
-                Path(each.path)
-                for each in entries
-                if (each.name.endswith(".mcap") and each.is_file(follow_symlinks=False))
-                or (not each.name.startswith(".") and each.is_dir(follow_symlinks=False))
-            ),
+        listed = sorted(
+            each.path
+            for each in entries
+            if (each.name.endswith(".mcap") and each.is_file(follow_symlinks=False))
+            or (not each.name.startswith(".") and each.is_dir(follow_symlinks=False))
         )
+        found = [*map(Path, listed)]  # sorting paths takes four times as long
     for path in found:
         if not _is_text(path):
             left_out.append(_left_out(path, NOT_TEXT))

@@ -17,7 +17,9 @@ from typing import Final
 from robotctl.errors import Refused
 from robotctl.fleet.database import file_of, name, text, write_parquet
 from robotctl.fleet.rows import IndexRow, RecordingRow, all_columns
+from robotctl.recording.disk.storage import is_being_written
 from robotctl.recording.format.derived_files import INDEX_FILE
+from robotctl.recording.read.files import natural_order
 
 LAYOUT: Final = 1
 """The number of the columns' layout; an index with another one is made again."""
@@ -40,6 +42,15 @@ def files_of(recording: Path) -> list[Path]:
         return [recording]
     with os.scandir(recording) as entries:
         return [Path(each.path) for each in entries if each.name.endswith(".mcap")]
+
+
+def closed_files(files: Iterable[Path]) -> list[Path]:
+    """Return those files of a recording that no process is writing any more, in their order.
+
+    Raises:
+        OSError: One cannot be opened.
+    """
+    return [each for each in sorted(files, key=natural_order) if not is_being_written(each)]
 
 
 def stamp_of(files: Iterable[Path]) -> str:

@@ -13,7 +13,7 @@ os.nice(19)  # before the imports, which could delay the control of a robot
 
 from pathlib import Path  # noqa: E402
 
-from robotctl.fleet.indexing import index_recording  # noqa: E402
+from robotctl.fleet.recording_index import index_recording  # noqa: E402
 from robotctl.processes import report_fd, send_report  # noqa: E402
 
 

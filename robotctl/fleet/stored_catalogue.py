@@ -25,8 +25,9 @@ from robotctl.fleet.catalogue_file import write_catalogue
 from robotctl.fleet.database import database, parquet
 from robotctl.fleet.history import rows_of
 from robotctl.fleet.index_file import LAYOUT, index_path, write_index
-from robotctl.fleet.indexing import NOT_CHECKED, Failures
+from robotctl.fleet.indexing import Failures
 from robotctl.fleet.jobs import Done, local_processes, results_of
+from robotctl.fleet.recording_index import NOT_CHECKED
 from robotctl.fleet.stamps import stamps_of_each
 from robotctl.paths import make_private
 from robotctl.printable import printable

@@ -13,7 +13,7 @@ import pytest
 
 from robotctl.cli.support import view_process
 from robotctl.cli.terminal import text
-from robotctl.fleet.indexing import index_recording
+from robotctl.fleet.recording_index import index_recording
 from robotctl.testing.drives import drive, drive_requested, record
 from tests.support.faulty_bucket import serving
 

@@ -14,8 +14,8 @@ from mcap.reader import make_reader
 
 from robotctl.fleet import catalogue as catalogues
 from robotctl.fleet.catalogue import Catalogue, catalogue_of
-from robotctl.fleet.indexing import index_recording
 from robotctl.fleet.questions import find
+from robotctl.fleet.recording_index import index_recording
 from robotctl.kernel.patterns import Pattern, PatternKind
 from robotctl.kernel.types import DriveRequested, ModeRequested
 from robotctl.recording import Recorder, Topic

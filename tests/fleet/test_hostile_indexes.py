@@ -19,8 +19,8 @@ from robotctl.fleet import stamps
 from robotctl.fleet.catalogue import CATALOGUE_NAME, catalogue_of
 from robotctl.fleet.database import database, parquet, write_parquet
 from robotctl.fleet.index_file import files_of, index_path, stamp_of
-from robotctl.fleet.indexing import index_recording
 from robotctl.fleet.questions import ask, find
+from robotctl.fleet.recording_index import index_recording
 from robotctl.fleet.stamps import stamps_in
 from robotctl.processes import program, start
 from robotctl.recording.format.derived_files import derived_files

@@ -20,8 +20,8 @@ from robotctl.fleet import database as databases
 from robotctl.fleet.catalogue import CATALOGUE_NAME, Catalogue, catalogue_of
 from robotctl.fleet.condition import parse_condition
 from robotctl.fleet.index_file import index_path
-from robotctl.fleet.indexing import index_recording
 from robotctl.fleet.questions import Answer, ask, find
+from robotctl.fleet.recording_index import index_recording
 from robotctl.kernel.types import DriveEnded, ModeRequested
 from robotctl.recording import Recorder, Recording, read_journal
 from robotctl.recording.disk.replaced_file import replaced_file

@@ -15,8 +15,8 @@ import pytest
 from robotctl.errors import Refused
 from robotctl.fleet import stored_catalogue as module
 from robotctl.fleet.catalogue import Catalogue
-from robotctl.fleet.indexing import index_recording
 from robotctl.fleet.questions import ask, find
+from robotctl.fleet.recording_index import index_recording
 from robotctl.fleet.stored_catalogue import stored_catalogue
 from robotctl.store import StoreError, open_store
 from robotctl.store.opened_bucket import opened_bucket
