@@ -211,6 +211,11 @@ def test_a_rounded_corner_fits_half_a_side(corner_m: float) -> None:
     assert not Pattern(PatternKind.ROUNDED_SQUARE).refusal(Course(corner_m=corner_m))
 
 
+def test_a_path_of_as_many_points_as_are_allowed_is_driven() -> None:
+    points = tuple((0.1 * number, 0.0) for number in range(MAX_POINTS))
+    assert not Pattern().refusal(Course(waypoints=points))
+
+
 @pytest.mark.parametrize(
     ("pattern", "course", "said"),
     [
@@ -221,6 +226,8 @@ def test_a_rounded_corner_fits_half_a_side(corner_m: float) -> None:
         (Pattern(), Course(waypoints=((0.0, -inf), (0.0, 1.0))), "point 1"),
         (Pattern(), Course(waypoints=((0.0, 1e5), (0.0, 1.0))), "10000 m"),
         (Pattern(), Course(corner_m=0.0), "a corner of 0 m"),
+        (Pattern(), Course(corner_m=-0.1, waypoints=ZIGZAG), "a corner of -0.1 m"),
+        (Pattern(), Course(corner_m=10.1, waypoints=ZIGZAG), "0.02 to 10 m"),
         (Pattern(), Course(corner_m=nan), "a corner of nan m"),
         (Pattern(), Course(angle_rad=0.0), "an angle of 0 rad"),
         (Pattern(PatternKind.ROUNDED_SQUARE), Course(corner_m=0.6), "0.02 to 0.5 m"),

@@ -46,7 +46,15 @@ def test_every_parameter_is_found() -> None:
 
 def test_a_drive_without_a_size_fits_a_room() -> None:
     sizes_m = {kind.value: shape.default_size_m for kind, shape in SHAPES.items()}
-    assert sizes_m | {"square": 1.0, "circle": 0.5, "figure-eight": 0.5} == sizes_m
+    assert sizes_m == {
+        "square": 1.0,
+        "circle": 0.5,
+        "figure-eight": 0.5,
+        "rounded-square": 1.0,
+        "line": 1.0,
+        "arc": 0.5,
+        "turn": 1.0,
+    }
 
 
 @pytest.mark.parametrize(

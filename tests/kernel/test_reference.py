@@ -303,6 +303,13 @@ def test_an_open_path_does_not_go_on_at_its_other_end() -> None:
     assert isclose(path.distance_to(Pose(-0.3, 1.0, 0.0), 0, 0.02), hypot(0.3, 1.0))
 
 
+def test_in_a_corner_of_an_open_path_the_side_after_it_counts() -> None:
+    turn = Turn(Pose(1.0, 0.0, 0.0), pi / 2)
+    sides = (Line(ORIGIN, 1.0), turn, Line(Pose(1.0, 0.0, pi / 2), 1.0))
+    path = Path(sides, 1.0, closed=False)
+    assert isclose(path.distance_to(Pose(1.1, 0.5, 0.0), 1, 0.0), 0.1)
+
+
 def test_a_robot_in_a_corner_is_lost_beyond_one_radian_only() -> None:
     corner = drive(SQUARE, Progress(segment=1))
     for heading_rad, error_m in ((LOST_RAD, 0.0), (LOST_RAD + 1e-9, inf)):
