@@ -136,9 +136,9 @@ class PlaceReader:
     def as_written(
         self, is_wanted: Callable[[bytes], bool] = lambda records: True
     ) -> Iterator[list[Message]]:
-        """Yield all messages in file order, many at once, without `load`.
+        """Yield all messages in file order, many at once; `load` need not be called.
 
-        None, if the place is not wanted for its records.
+        `is_wanted` gets the records of the place; if it returns False, nothing is yielded.
 
         Raises:
             Damaged: After the last message, if some are missing.
