@@ -10,6 +10,7 @@ from pathlib import Path
 from robotctl.errors import UnreadableFile
 from robotctl.fleet.rows import DriveRow, EventRow, IndexRow, RecordingRow, SampleRow, TopicRow
 from robotctl.kernel.codec import to_json
+from robotctl.kernel.finite import finite_or_none
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.types import (
@@ -217,17 +218,17 @@ class _History:
             pattern=None if row is None else row.pattern,
             wanted_laps=None if row is None else row.wanted_laps,
             asked_by="" if asked is None else asked.source,
-            duration_s=_known(report.duration_s),
+            duration_s=finite_or_none(report.duration_s),
             laps=report.laps,
             completed=ended.completed,
             ended=ended.reason,
             cause=None if ended.cause is None else ended.cause.value,
-            distance_m=_known(report.distance_m),
-            rms_error_m=_known(report.cross_track_rms_m),
-            max_error_m=_known(report.cross_track_max_m),
-            closure_m=_known(report.closure_m),
-            rms_heading_rad=_known(report.heading_rms_rad),
-            max_heading_rad=_known(report.heading_max_rad),
+            distance_m=finite_or_none(report.distance_m),
+            rms_error_m=finite_or_none(report.cross_track_rms_m),
+            max_error_m=finite_or_none(report.cross_track_max_m),
+            closure_m=finite_or_none(report.closure_m),
+            rms_heading_rad=finite_or_none(report.heading_rms_rad),
+            max_heading_rad=finite_or_none(report.heading_max_rad),
         )
 
     def _sample(self, t_ns: int) -> None:
@@ -258,8 +259,3 @@ class _History:
 def _rounded(value: float) -> float | None:
     """Return a sample to 0.1 mm or 0.1 mrad, which takes a third less in a file; None for inf."""
     return round(value, 4) if isfinite(value) else None
-
-
-def _known(value: float) -> float | None:
-    """Return the number, None for NaN, which means that it is not known."""
-    return value if isfinite(value) else None

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from math import isfinite
 from typing import Any
 
+from robotctl.kernel.finite import finite_or_none
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.state import State
 from robotctl.kernel.types import DriveEnded, Effect
@@ -33,7 +33,7 @@ class DriveCommands:
             "commanded_m": self.commanded_m,
             "max_linear_mps": self.largest_mps,
             "max_angular_rps": self.largest_rps,
-            "duration_s": None if end is None else _known(end.report.duration_s),
+            "duration_s": None if end is None else finite_or_none(end.report.duration_s),
             "completed": None if end is None else end.completed,
             "ended": None if end is None else end.reason,
             "cause": None if end is None or end.cause is None else end.cause.value,
@@ -47,9 +47,9 @@ class DriveCommands:
         report = self.end.report
         return {
             "laps": report.laps,
-            "distance_m": _known(report.distance_m),
-            "rms_error_m": _known(report.cross_track_rms_m),
-            "max_error_m": _known(report.cross_track_max_m),
+            "distance_m": finite_or_none(report.distance_m),
+            "rms_error_m": finite_or_none(report.cross_track_rms_m),
+            "max_error_m": finite_or_none(report.cross_track_max_m),
         }
 
 
@@ -117,8 +117,3 @@ def drives_of_both(
             }
         )
     return found
-
-
-def _known(value: float) -> float | None:
-    """Return the number, None for NaN, which means that it is not known."""
-    return value if isfinite(value) else None

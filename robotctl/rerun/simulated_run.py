@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import isfinite
 from typing import Any, Final
 
 from robotctl.kernel.battery import counts_in_percent, level_of
+from robotctl.kernel.finite import finite_or_none
 from robotctl.kernel.lease import LeaseLost, LeaseRequested
 from robotctl.kernel.lifecycle import LifecycleChanged
 from robotctl.kernel.modes import Mode
@@ -119,5 +119,5 @@ def figures(report: DriveReport) -> dict[str, Any]:
         "distance_m": report.distance_m,
         "cross_track_rms_m": report.cross_track_rms_m,
         "cross_track_max_m": report.cross_track_max_m,
-        "closure_m": report.closure_m if isfinite(report.closure_m) else None,
+        "closure_m": finite_or_none(report.closure_m),
     }

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable
-from math import isfinite
 from typing import Any
 
 from robotctl.daemon.api.drive_shape import default_laps, path_course, shape_course, shape_size_m
@@ -38,6 +37,7 @@ from robotctl.ipc.params import (
     SetModeParams,
 )
 from robotctl.kernel.course import Course, Held
+from robotctl.kernel.finite import finite_or_none
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.patterns import SHAPES, Pattern, PatternKind
 from robotctl.kernel.safety import remedies_for
@@ -247,20 +247,16 @@ def _drive_answer(ended: DriveEnded, mode: Mode, truth: GroundTruth) -> DriveAns
         "message": ended.reason,
         "mode": mode.name,
         "laps": report.laps,
-        "distance_m": _known(report.distance_m),
-        "cross_track_rms_m": _known(report.cross_track_rms_m),
-        "cross_track_max_m": _known(report.cross_track_max_m),
+        "distance_m": finite_or_none(report.distance_m),
+        "cross_track_rms_m": finite_or_none(report.cross_track_rms_m),
+        "cross_track_max_m": finite_or_none(report.cross_track_max_m),
         "true_cross_track_rms_m": None if true is None else true.cross_track_rms_m,
         "true_cross_track_max_m": None if true is None else true.cross_track_max_m,
         "true_heading_rms_rad": None if true is None else true.heading_rms_rad,
         "true_heading_max_rad": None if true is None else true.heading_max_rad,
-        "true_closure_m": None if true is None else _known(true.closure_m),
-        "closure_m": _known(report.closure_m),
-        "heading_rms_rad": _known(report.heading_rms_rad),
-        "heading_max_rad": _known(report.heading_max_rad),
-        "duration_s": _known(report.duration_s),
+        "true_closure_m": None if true is None else finite_or_none(true.closure_m),
+        "closure_m": finite_or_none(report.closure_m),
+        "heading_rms_rad": finite_or_none(report.heading_rms_rad),
+        "heading_max_rad": finite_or_none(report.heading_max_rad),
+        "duration_s": finite_or_none(report.duration_s),
     }
-
-
-def _known(value: float) -> float | None:
-    return value if isfinite(value) else None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from math import isfinite
 
 from robotctl.daemon.control.dispatcher import Control
 from robotctl.daemon.control.ground_truth import GroundTruth
@@ -14,6 +13,7 @@ from robotctl.ipc.answers import ConditionAnswer, DriveFacts, DrivenPath, Prefli
 from robotctl.ipc.conditions import condition_of
 from robotctl.kernel.battery import is_level
 from robotctl.kernel.checks import FOREIGN_COMMAND_S, foreign_command, stands_alone
+from robotctl.kernel.finite import finite_or_none
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.health import Health
 from robotctl.kernel.params import Foreign, KernelParams
@@ -215,15 +215,11 @@ def _drive_facts(state: State, truth: GroundTruth) -> DriveFacts | None:
         "true_cross_track_max_m": None if true is None else true.cross_track_max_m,
         "true_heading_rms_rad": None if true is None else true.heading_rms_rad,
         "true_heading_max_rad": None if true is None else true.heading_max_rad,
-        "true_closure_m": None if true is None else _known(true.closure_m),
+        "true_closure_m": None if true is None else finite_or_none(true.closure_m),
         "heading_rms_rad": report.heading_rms_rad,
         "heading_max_rad": report.heading_max_rad,
-        "closure_m": _known(report.closure_m),
+        "closure_m": finite_or_none(report.closure_m),
     }
-
-
-def _known(value: float) -> float | None:
-    return value if isfinite(value) else None
 
 
 def _recent(health: Health, now_ns: int) -> Iterator[str]:
