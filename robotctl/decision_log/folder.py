@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from robotctl.paths import make_private, robot_state_folder
-from robotctl.regular_file import open_regular
+from robotctl.regular_file import open_folder, open_regular
 
 FILE_BYTES: Final = 1_000_000
 """A file that has grown to this size is followed by the next one."""
@@ -83,11 +83,8 @@ def remove_oldest(folder: Path, keep_s: float, now_s: float) -> Path | None:
 
 
 def _sync(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
+    with open_folder(folder) as descriptor:
         os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def _name(number: int) -> str:

@@ -32,6 +32,7 @@ from robotctl.fleet.stamps import stamps_of_each
 from robotctl.paths import make_private
 from robotctl.printable import printable
 from robotctl.recording.disk.replaced_file import replaced_file
+from robotctl.regular_file import open_folder
 from robotctl.rerun.check import check_recording
 from robotctl.store import NoSuchObject, StoreError, open_store
 from robotctl.store.hash_folders import is_hash
@@ -227,7 +228,7 @@ def _put_beside(recording: StorePath, index: bytes) -> None:
 @contextmanager
 def _in_use(cache: Path) -> Iterator[None]:
     """Keep other processes from removing what is in the cache."""
-    with _opened(cache) as descriptor:
+    with open_folder(cache) as descriptor:
         with suppress(OSError):  # a file system without locks
             flock(descriptor, LOCK_SH)
         yield
@@ -238,7 +239,7 @@ def _tidy(cache: Path, present: Collection[Path], begun_s: float) -> None:
 
     What another process uses stays: it, or the next one, removes it.
     """
-    with suppress(OSError), _opened(cache) as descriptor:
+    with suppress(OSError), open_folder(cache) as descriptor:
         flock(descriptor, LOCK_EX | LOCK_NB)
         for each in cache.iterdir():
             if each not in present and each.lstat().st_mtime < begun_s:
@@ -246,15 +247,6 @@ def _tidy(cache: Path, present: Collection[Path], begun_s: float) -> None:
                     shutil.rmtree(each)
                 else:
                     each.unlink()
-
-
-@contextmanager
-def _opened(folder: Path) -> Iterator[int]:
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        yield descriptor
-    finally:
-        os.close(descriptor)
 
 
 def _digest(*parts: str) -> str:

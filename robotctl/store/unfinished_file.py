@@ -11,6 +11,8 @@ from pathlib import Path
 from tempfile import NamedTemporaryFile
 from typing import IO, Final
 
+from robotctl.regular_file import open_folder
+
 PREFIX: Final = ".unfinished-"
 
 _NOT_OFFERED: Final = (errno.EPERM, errno.EOPNOTSUPP, errno.EISDIR, errno.EINVAL, errno.ENOSYS)
@@ -70,7 +72,8 @@ class UnfinishedFile:
         os.fsync(self._file.fileno())
 
     def _link(self, target: Path) -> None:
-        with _opened(target.parent) as folder:  # a descriptor makes Python follow the link in /proc
+        # A descriptor makes Python follow the link in /proc.
+        with open_folder(target.parent) as folder:
             os.link(f"/proc/self/fd/{self._file.fileno()}", target, src_dir_fd=folder)
 
 
@@ -109,15 +112,6 @@ def _rename_if_free(path: Path, target: Path) -> None:
         raise OSError(number, os.strerror(number), str(target))
 
 
-@contextmanager
-def _opened(folder: Path) -> Iterator[int]:
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        yield descriptor
-    finally:
-        os.close(descriptor)
-
-
 def _sync_folder(folder: Path) -> None:
-    with _opened(folder) as descriptor, suppress(OSError):  # some network file systems cannot
+    with open_folder(folder) as descriptor, suppress(OSError):  # some network file systems cannot
         os.fsync(descriptor)

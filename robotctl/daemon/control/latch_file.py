@@ -11,7 +11,7 @@ from robotctl.kernel.modes import Mode
 from robotctl.kernel.safety import RULES
 from robotctl.kernel.types import Cause
 from robotctl.paths import chain_to, make_private
-from robotctl.regular_file import open_regular
+from robotctl.regular_file import open_folder, open_regular
 
 MAX_BYTES = 4096
 """A reason is a sentence: of a longer file only this much is read."""
@@ -91,8 +91,5 @@ def _read_text(path: Path) -> str:
 
 
 def _sync_folder(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
+    with open_folder(folder) as descriptor:
         os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

@@ -13,7 +13,7 @@ from typing import Final
 from robotctl.recording.disk.access import open_private
 from robotctl.recording.disk.replaced_file import replaced_file
 from robotctl.recording.keep.tidy_note import TidyNote
-from robotctl.regular_file import open_regular
+from robotctl.regular_file import open_folder, open_regular
 
 NOTES_FILE: Final = ".removed.jsonl"
 """In the folder of recordings."""
@@ -73,13 +73,10 @@ def only_one_in(recordings: Path) -> Iterator[None]:
     Raises:
         OSError: The folder cannot be opened.
     """
-    folder = os.open(recordings, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
+    with open_folder(recordings) as folder:
         with suppress(OSError):  # NFS cannot lock a read-only descriptor
             flock(folder, LOCK_EX)
         yield
-    finally:
-        os.close(folder)
 
 
 def _write(path: Path, notes: dict[str, str]) -> None:
