@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import multiprocessing
 import os
 import resource
@@ -9,6 +10,7 @@ import shutil
 import signal
 import sys
 from collections.abc import Iterable, Sequence
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -25,6 +27,9 @@ CPU_S, WALL_S, MEMORY_BYTES = 240, 3600, 4 << 30
 
 LIMIT_CODE = 99
 """Exit code of a run that one of the limits ended."""
+
+_stamps_s = itertools.count(1)
+"""Times of change, a new one for each mutant: bytecode that a test has cached is told by it."""
 
 
 def copied(folder: Path) -> Path:
@@ -64,22 +69,31 @@ def options_of_pytest() -> list[str]:
 
 def exit_code_with(path: Path, code: str, folder: Path) -> int:
     """Run the tests of the kernel with `code` at `path`; return their exit code."""
-    original = path.read_text()
+    original, status = path.read_text(), path.stat()
     path.write_text(code)
+    stamp_s = next(_stamps_s)
+    os.utime(path, (stamp_s, stamp_s))
     try:
         return _run_tests(folder, path.stem)
     finally:
         path.write_text(original)
+        os.utime(path, ns=(status.st_atime_ns, status.st_mtime_ns))
+
+
+def imports(file: Path, module: str) -> bool:
+    """Return whether a file of tests imports a module of the kernel."""
+    return f"kernel.{module} import" in _text_of(file)
+
+
+@cache
+def _text_of(file: Path) -> str:
+    return file.read_text()
 
 
 def _run_tests(folder: Path, changed: str) -> int:
     """Run the tests in a process of their own, those that import the module `changed` first."""
     files = sorted((folder / TESTS).glob("test_*.py"), key=lambda file: file.name in RUN_LAST)
-    near = [
-        file
-        for file in files
-        if file.name not in RUN_LAST and f"kernel.{changed} import" in file.read_text()
-    ]
+    near = [file for file in files if file.name not in RUN_LAST and imports(file, changed)]
     groups = [near, [file for file in files if file not in near]]
     fork = multiprocessing.get_context("fork")
     process = fork.Process(target=_test, args=(folder, groups), daemon=True)
@@ -96,7 +110,6 @@ def _test(folder: Path, groups: Iterable[Sequence[Path]]) -> None:
     resource.setrlimit(resource.RLIMIT_CPU, (CPU_S, CPU_S + 10))
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
     prepare(folder)
-    sys.dont_write_bytecode = True  # it may be taken for that of another mutant
     code = 0
     for files in filter(None, groups):
         code = code or pytest.main([*options_of_pytest(), *map(str, files)])

@@ -25,7 +25,14 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from tests.mutation.kernel_tests import LIMIT_CODE, MEMORY_BYTES, TESTS, options_of_pytest, prepare
+from tests.mutation.kernel_tests import (
+    LIMIT_CODE,
+    MEMORY_BYTES,
+    TESTS,
+    imports,
+    options_of_pytest,
+    prepare,
+)
 from tests.mutation.mutants import KERNEL, Mutant
 
 FIRST_KILLERS = 8
@@ -140,19 +147,13 @@ class _Server:
 
     def _in_order(self, items: Sequence[pytest.Item], module: str, where: str) -> list[pytest.Item]:
         killers = self.killers.get(where, [])
-        near = f"kernel.{module} import"
 
         def rank(item: pytest.Item) -> tuple[int, bool, float]:
             known = killers.index(item.nodeid) if item.nodeid in killers else len(killers)
-            is_far = near not in _text_of(item.path)
+            is_far = not imports(item.path, module)
             return known, is_far, self.cpu_s.get(item.nodeid, 0.0)
 
         return sorted(items, key=rank)
-
-
-@functools.cache
-def _text_of(path: Path) -> str:
-    return path.read_text()
 
 
 def change_of(path: Path, code: str, where: str) -> Callable[[], None] | None:

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import argparse
 import random
-import shutil
 import sys
 import tempfile
 import time
@@ -30,7 +29,6 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from tests.mutation.kernel_tests import LIMIT_CODE, copied, exit_code_with
 from tests.mutation.loaded_tests import LoadedTests, loaded_tests
 from tests.mutation.mutants import (
-    KERNEL,
     Key,
     Site,
     equivalents,
@@ -60,7 +58,6 @@ def main() -> int:
         print(f"{options.count or 'all'} of {len(drawn)} mutants, seed {options.seed}")
         random.Random(options.seed).shuffle(drawn)
         with loaded_tests(folder) as tests:
-            shutil.rmtree(folder / KERNEL / "__pycache__", ignore_errors=True)
             return report(drawn[: options.count][options.part], listed, folder, tests)
 
 
