@@ -17,9 +17,15 @@ from typing import Final
 from robotctl.errors import Refused
 from robotctl.fleet.catalogue_file import write_catalogue
 from robotctl.fleet.database import file_of
-from robotctl.fleet.index_file import closed_files, files_of, index_path, stamp_of
+from robotctl.fleet.index_file import (
+    closed_files,
+    files_of,
+    index_path,
+    index_path_text,
+    stamp_of,
+)
 from robotctl.fleet.indexing import Failures, index_recordings
-from robotctl.fleet.stamps import stamps_in, stamps_of_each
+from robotctl.fleet.stamps import Stamps, stamps_in, stamps_of_each
 from robotctl.printable import printable
 from robotctl.recording.format.derived_files import INDEX_FILE
 from robotctl.regular_file import open_regular
@@ -32,14 +38,14 @@ NOT_TEXT: Final = "its name is no UTF-8"
 
 @dataclass(frozen=True, slots=True)
 class Catalogue:
-    """A catalogue that is up to date: its file, and the index of each recording in it.
+    """A catalogue that is up to date: its file, and the path of each recording's index.
 
     `left_out` has a sentence for each recording that is missing, or missing in part because it
     goes on. `failures` are those that cannot be indexed, each with the reason.
     """
 
     path: Path
-    indexes: tuple[Path, ...]
+    indexes: tuple[str, ...]
     left_out: tuple[str, ...]
     failures: Failures
 
@@ -59,35 +65,42 @@ def catalogue_of(
         UsageError: duckdb is not installed.
     """
     path = folder / CATALOGUE_NAME
-    if not _is_text(path):
+    if not _is_text(str(path)):
         raise Refused(f"{printable(folder)}: {NOT_TEXT}", "give the folder another name")
     with ExitStack() as stack:
         before = _opened(path, stack)
         known = stamps_in(before) if before else {}
         stamps, left_out = _stamps(folder, known)
-        changed = [each for each, stamp in stamps.items() if known.get(each.name) != stamp]
+        changed = [folder / name for name, stamp in stamps.items() if known.get(name) != stamp]
         indexed = stamps_of_each(list(map(index_path, changed)))
         old = [
             each
             for each, found in zip(changed, indexed, strict=True)
-            if found != {each.name: stamps[each]}
+            if found != {each.name: stamps[each.name]}
         ]
         failures = index_recordings(old, on_progress) if old else {}
         for each in changed:
             if each not in failures and not index_path(each).exists():
                 failures[each] = "it was removed meanwhile"
-        left_out += [_left_out(each, said) for each, said in failures.items()]
+        left_out += [_left_out(each.name, said) for each, said in failures.items()]
         fresh = [index_path(each) for each in changed if each not in failures]
-        kept = [each.name for each in stamps if each not in changed and each not in failures]
-        indexes = tuple(index_path(each) for each in stamps if each not in failures)
+        failed = {each.name for each in failures}
+        kept = [name for name, stamp in stamps.items() if known.get(name) == stamp]
+        indexes = tuple(
+            index_path_text(f"{folder}/{name}") for name in stamps if name not in failed
+        )
         if fresh or len(kept) < len(known) or not before:
             elsewhere = Path(stack.enter_context(tempfile.TemporaryDirectory()), CATALOGUE_NAME)
             path = write_catalogue((path, elsewhere), before if kept else None, kept, fresh)
         yield Catalogue(path, indexes, tuple(left_out), failures)
 
 
-def _is_text(path: Path) -> bool:
-    return not any("\ud800" <= each <= "\udfff" for each in str(path))
+def _is_text(path: str) -> bool:
+    try:
+        path.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def _opened(path: Path, stack: ExitStack) -> str | None:
@@ -100,42 +113,42 @@ def _opened(path: Path, stack: ExitStack) -> str | None:
         return None
 
 
-def _stamps(folder: Path, known: dict[str, str]) -> tuple[dict[Path, str], list[str]]:
+def _stamps(folder: Path, known: Stamps) -> tuple[Stamps, list[str]]:
     """Return the stamp of each recording directly below a folder, and what is left out.
 
     Only a recording whose stamp is not the one `known` can go on: then it is that of its closed
     files. Links are not followed.
     """
-    stamps: dict[Path, str] = {}
+    stamps: Stamps = {}
     left_out = []
     with os.scandir(folder) as entries:
-        listed = sorted(
-            each.path
-            for each in entries
-            if (each.name.endswith(".mcap") and each.is_file(follow_symlinks=False))
-            or (not each.name.startswith(".") and each.is_dir(follow_symlinks=False))
-        )
-        found = [*map(Path, listed)]  # sorting paths takes four times as long
-    for path in found:
-        if not _is_text(path):
-            left_out.append(_left_out(path, NOT_TEXT))
+        found = sorted((each.name, each.path) for each in entries if _may_be_recording(each))
+    for name, path in found:
+        if not _is_text(name):
+            left_out.append(_left_out(name, NOT_TEXT))
             continue
         with suppress(OSError):  # removed meanwhile, or of another user
             files = files_of(path)
             if not files:
                 continue
-            stamps[path] = stamp_of(files)
-            if known.get(path.name) == stamps[path]:
+            stamps[name] = stamp_of(files)
+            if known.get(name) == stamps[name]:
                 continue
             closed = closed_files(files)
             if not closed:
-                del stamps[path]
-                left_out.append(_left_out(path, GOING_ON))
+                del stamps[name]
+                left_out.append(_left_out(name, GOING_ON))
             elif len(closed) < len(files):
-                stamps[path] = stamp_of(closed)
-                left_out.append(f"the last file of {_left_out(path, GOING_ON)}")
+                stamps[name] = stamp_of(closed)
+                left_out.append(f"the last file of {_left_out(name, GOING_ON)}")
     return stamps, left_out
 
 
-def _left_out(recording: Path, reason: str) -> str:
-    return f"{printable(recording.name)} is left out: {reason}"
+def _may_be_recording(entry: os.DirEntry[str]) -> bool:
+    if entry.name.endswith(".mcap") and entry.is_file(follow_symlinks=False):
+        return True
+    return not entry.name.startswith(".") and entry.is_dir(follow_symlinks=False)
+
+
+def _left_out(name: str, reason: str) -> str:
+    return f"{printable(name)} is left out: {reason}"

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from robotctl.errors import Refused, UsageError
@@ -93,33 +94,40 @@ def ask(catalogue: Catalogue, sql: str) -> Answer:
 
 def _run(catalogue: Catalogue, sql: str, values: Sequence[Any] | None) -> Answer:
     """Run a query; one without `values` comes from a user, and must be harmless."""
-    with database([catalogue.path, *catalogue.indexes]) as connection:
+    indexes = _present(catalogue.indexes) if SAMPLES in sql.lower() else []
+    with database([catalogue.path, *indexes]) as connection:
         import duckdb
 
         try:
-            _make_tables(connection, catalogue, with_samples=SAMPLES in sql.lower())
+            _make_tables(connection, catalogue.path, indexes)
             if values is None:
                 _check_reads_only(connection, sql)
             found = connection.execute(sql, list(values or ()))
             rows = tuple(found.fetchall())
         except duckdb.Error as error:
             said = " ".join(str(error).split())[:300]
-            if isinstance(error, duckdb.IOException) or not _all_exist(catalogue):
+            is_gone = len(_present([catalogue.path, *indexes])) <= len(indexes)
+            if is_gone or isinstance(error, duckdb.IOException):
                 raise Refused(f"an index cannot be read any more: {said}", "ask again") from None
             raise UsageError(f"the question cannot be answered: {said}") from None
         return Answer(tuple(each[0] for each in found.description or ()), rows)
 
 
+def _present(paths: Iterable[Path | str]) -> list[Path | str]:
+    return [each for each in paths if os.path.exists(each)]
+
+
 def _make_tables(
-    connection: DuckDBPyConnection, catalogue: Catalogue, *, with_samples: bool
+    connection: DuckDBPyConnection, catalogue: Path, indexes: Sequence[Path | str]
 ) -> None:
-    source = parquet([catalogue.path])
+    """Make a view of each table; that of the samples only if there are `indexes`."""
+    source = parquet([catalogue])
     for table, kind in TABLES.items():
         names = ", ".join(map(name, columns_of(table)))
         connection.execute(
             f"CREATE VIEW {table} AS SELECT {names} FROM {source} WHERE kind = '{kind.kind}'"
         )
-    if with_samples and (indexes := [each for each in catalogue.indexes if each.exists()]):
+    if indexes:
         names = ", ".join(map(name, ("recording", *columns(SampleRow))))
         connection.execute(
             f"CREATE VIEW {SAMPLES} AS SELECT {names} FROM {parquet(indexes)} "
@@ -142,7 +150,3 @@ def _check_reads_only(connection: DuckDBPyConnection, sql: str) -> None:
     if [each.type for each in statements] != [duckdb.StatementType.SELECT]:
         raise UsageError("the question cannot be answered: it is not one SELECT statement")
     connection.execute(f"CREATE TEMP VIEW {_QUESTION} AS {sql}")
-
-
-def _all_exist(catalogue: Catalogue) -> bool:
-    return all(map(os.path.exists, (catalogue.path, *catalogue.indexes)))

@@ -48,8 +48,9 @@ def stamps_of_each(paths: Sequence[Path | str]) -> list[Stamps]:
     """
     present = [str(each) for each in paths if isinstance(each, str) or _is_file(each)]
     found: dict[str, Stamps] = {}
-    with database(present) as connection:
-        _collect(connection, present, found)
+    if present:
+        with database(present) as connection:
+            _collect(connection, present, found)
     return [found.get(str(each), {}) for each in paths]
 
 

@@ -92,7 +92,7 @@ def stored_catalogue(
             cause = f"cannot write {cache}: {error.strerror or error}"
             raise Refused(cause, f"free some space, or set {CACHE_VARIABLE}") from error
         yield catalogue
-    _tidy(cache, {catalogue.path, *catalogue.indexes}, begun_s)
+    _tidy(cache, {catalogue.path, *map(Path, catalogue.indexes)}, begun_s)
 
 
 def _filled(cache: Path, recordings: Sequence[StoredRecording], on_progress: Done) -> Catalogue:
@@ -108,7 +108,7 @@ def _filled(cache: Path, recordings: Sequence[StoredRecording], on_progress: Don
     if not path.exists():
         write_catalogue([path], None, (), indexes)
     left_out = (f"{printable(each.name)} is left out: {said}" for each, said in failures.items())
-    return Catalogue(path, indexes, tuple(left_out), failures)
+    return Catalogue(path, tuple(map(str, indexes)), tuple(left_out), failures)
 
 
 def _cache_folder() -> Path:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 from typing import Final
@@ -22,10 +23,7 @@ def without_hashes(key: str) -> str:
 
 def has_hash_folders(path: Path) -> bool:
     """Return whether a folder holds such folders, or recordings that do."""
-    within = _folders(path)
-    return any(is_hash(each.name) for each in within) or any(
-        is_hash(each.name) for folder in islice(within, _LOOKED_AT) for each in _folders(folder)
-    )
+    return _has_hash_folder(path) or any(map(_has_hash_folder, _first_folders(path)))
 
 
 def is_hash(name: str) -> bool:
@@ -33,14 +31,19 @@ def is_hash(name: str) -> bool:
     return _HASH.fullmatch(name) is not None
 
 
-def _folders(path: Path) -> list[Path]:
-    """Return the folders in a folder, without hidden ones; none if it cannot be listed."""
-    try:
-        with os.scandir(path) as found:
-            return [
-                Path(each.path)
-                for each in found
-                if not each.name.startswith(".") and each.is_dir(follow_symlinks=False)
-            ]
-    except OSError:
-        return []
+def _has_hash_folder(path: Path | str) -> bool:
+    with suppress(OSError), os.scandir(path) as found:
+        return any(is_hash(each.name) and each.is_dir(follow_symlinks=False) for each in found)
+    return False
+
+
+def _first_folders(path: Path) -> list[str]:
+    """Return the first folders in a folder, without hidden ones; none if it cannot be listed."""
+    with suppress(OSError), os.scandir(path) as found:
+        folders = (
+            each.path
+            for each in found
+            if not each.name.startswith(".") and each.is_dir(follow_symlinks=False)
+        )
+        return list(islice(folders, _LOOKED_AT))
+    return []

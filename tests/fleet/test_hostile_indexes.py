@@ -188,7 +188,7 @@ def kill_while_it_indexes(recording: Path, after_s: float) -> None:
     made = {each.name for each in derived_files(recording)}
     assert {each.name for each in recording.iterdir()} - made == {
         "metadata.yaml",
-        *(each.name for each in files_of(recording)),
+        *map(os.path.basename, files_of(recording)),
     }
 
 

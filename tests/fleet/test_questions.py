@@ -7,16 +7,17 @@ import json
 import os
 import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import pytest
 
 from robotctl.errors import Refused, UnreadableFile, UsageError
 from robotctl.fleet import catalogue as catalogues
 from robotctl.fleet import database as databases
+from robotctl.fleet import questions
 from robotctl.fleet.catalogue import CATALOGUE_NAME, Catalogue, catalogue_of
 from robotctl.fleet.condition import parse_condition
 from robotctl.fleet.index_file import index_path
@@ -198,7 +199,7 @@ def test_a_query_reads_the_indexes_and_nothing_else(catalogue: Catalogue, query:
 @pytest.mark.parametrize("file", ["index", "catalogue"])
 def test_a_query_writes_into_no_index(folder: Path, query: str, file: str) -> None:
     with catalogue_of(folder) as opened:
-        target = opened.indexes[0] if file == "index" else opened.path
+        target = Path(opened.indexes[0]) if file == "index" else opened.path
         before = target.read_bytes()
         with pytest.raises(UsageError, match="cannot be answered"):
             ask(opened, query.replace("INDEX", str(target)))
@@ -229,8 +230,13 @@ def test_an_index_that_is_removed_meanwhile_is_one_sentence(
     folder: Path, gone: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with catalogue_of(folder) as opened:
-        (opened.indexes[0] if gone == "an index" else opened.path).unlink()
-        monkeypatch.setattr(Path, "exists", lambda self: True)  # it went after it was looked for
+        removed = Path(opened.indexes[0] if gone == "an index" else opened.path)
+
+        def database_after_the_removal(files: Sequence[Path | str]) -> Any:
+            removed.unlink()  # it goes after it was looked for
+            return databases.database(files)
+
+        monkeypatch.setattr(questions, "database", database_after_the_removal)
         with pytest.raises(Refused, match="an index cannot be read any more"):
             ask(opened, "SELECT count(*) FROM samples")
 

@@ -192,7 +192,7 @@ def test_two_questions_at_once_do_not_disturb_each_other(
         assert ask(first, "SELECT count(*) FROM samples").rows[0][0] > 30
     with catalogue() as second:
         pass
-    assert set(second.path.parent.iterdir()) == {second.path, *second.indexes}
+    assert set(second.path.parent.iterdir()) == {second.path, *map(Path, second.indexes)}
     assert indexed == []
 
 

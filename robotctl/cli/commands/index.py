@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Annotated
 
 import typer
@@ -41,7 +42,7 @@ def index(
       robotctl index s3://bucket/robots/one
     """
     with open_catalogue(folder, quiet=as_json) as (place, catalogue):
-        bytes_of = [each.stat().st_size for each in catalogue.indexes]
+        bytes_of = [os.stat(each).st_size for each in catalogue.indexes]
         answer = {
             "folder": str(place),
             "indexed": len(catalogue.indexes),

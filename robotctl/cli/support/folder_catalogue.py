@@ -24,8 +24,6 @@ def open_catalogue(given: str | None, *, quiet: bool) -> Iterator[tuple[Path, Ca
         Refused: It cannot be listed.
         UnreadableFile: The store cannot be listed.
     """
-    from robotctl.fleet.catalogue import catalogue_of
-    from robotctl.fleet.stored_catalogue import stored_catalogue
     from robotctl.store.store_path import StorePath
 
     place = recordings_folder(None, None) if given is None else recording_path(given)
@@ -35,8 +33,12 @@ def open_catalogue(given: str | None, *, quiet: bool) -> Iterator[tuple[Path, Ca
         with ExitStack() as stack:
             with progress_bar("indexing", quiet=quiet) as on_progress:
                 if isinstance(place, StorePath):
+                    from robotctl.fleet.stored_catalogue import stored_catalogue
+
                     opened = stored_catalogue(place, on_progress)
                 else:
+                    from robotctl.fleet.catalogue import catalogue_of
+
                     opened = catalogue_of(place, on_progress)
                 catalogue = stack.enter_context(opened)
             yield place, catalogue

@@ -130,24 +130,25 @@ def find(
 
 def _lines(found: Answer, shown: tuple[str, ...]) -> Iterator[str]:
     places = [found.columns.index(each) for each in shown]
+    width = columns()
     table = [
         (list(shown[:-1]), shown[-1]),
         *(
-            _cells([_text(found.columns[each], values[each]) for each in places])
+            _cells([_text(found.columns[each], values[each]) for each in places], width)
             for values in found.rows
         ),
     ]
     widths = [max(len(cells[number]) for cells, _ in table) for number in range(len(shown) - 1)]
     for cells, last in table:
-        label = "".join(f"{cell:{width}}  " for cell, width in zip(cells, widths, strict=True))
-        wraps = columns() - len(label) >= LEAST_WIDTH
+        label = "".join(f"{cell:{wide}}  " for cell, wide in zip(cells, widths, strict=True))
+        wraps = len(label) + LEAST_WIDTH <= width < len(label) + len(last)
         yield from row(label, last) if wraps else [f"{label}{last}"]
     yield f"{len(found.rows)} row{'' if len(found.rows) == 1 else 's'}"
 
 
-def _cells(texts: list[str]) -> tuple[list[str], str]:
+def _cells(texts: list[str], width: int) -> tuple[list[str], str]:
     """Return the cells of a row: those that are cut on a terminal, and the last one."""
-    return [elided(each, columns() // 3) for each in texts[:-1]], texts[-1]
+    return [elided(each, width // 3) for each in texts[:-1]], texts[-1]
 
 
 def _text(column: str, value: Any) -> str:
