@@ -21,10 +21,10 @@ from robotctl.printable import printable
 from robotctl.recording.disk.disk_errors import reason_of
 from robotctl.recording.disk.storage import is_locked
 from robotctl.recording.format.derived_files import INDEX_FILE
+from robotctl.recording.format.natural_order import natural_order
 from robotctl.recording.format.records import MAGIC
 from robotctl.recording.format.rosbag2 import METADATA_FILE
 from robotctl.recording.keep.catalog import CLIPS_FOLDER, is_own
-from robotctl.recording.read.files import natural_order
 
 SUFFIX: Final = ".mcap"
 

@@ -19,7 +19,7 @@ from robotctl.fleet.database import file_of, name, text, write_parquet
 from robotctl.fleet.rows import IndexRow, RecordingRow, all_columns
 from robotctl.recording.disk.storage import is_being_written
 from robotctl.recording.format.derived_files import INDEX_FILE
-from robotctl.recording.read.files import natural_order
+from robotctl.recording.format.natural_order import natural_order
 
 LAYOUT: Final = 1
 """The number of the columns' layout; an index with another one is made again."""

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from robotctl.fleet.jobs import Done, local_processes, results_of
+if TYPE_CHECKING:
+    from robotctl.fleet.jobs import Done
 
 Failures = dict[Path, str]
 """Recordings that could not be indexed, each with the reason."""
@@ -15,7 +17,8 @@ def index_recordings(
     recordings: Sequence[Path], on_progress: Done = lambda done, total: None
 ) -> Failures:
     """Index recordings, a process per processor, and return those that failed."""
-    # It imports the kernel, which a question about indexed recordings does not need.
+    # A question about indexed recordings needs neither processes nor the kernel.
+    from robotctl.fleet.jobs import local_processes, results_of
     from robotctl.fleet.recording_index import index_recording
 
     results = results_of(index_recording, recordings, local_processes, on_progress)

@@ -12,13 +12,13 @@ from tempfile import TemporaryDirectory
 from robotctl.recording.convert.convertible import ConvertibleFile
 from robotctl.recording.convert.mcap_source import McapSource
 from robotctl.recording.convert.sqlite_source import SqliteSource
+from robotctl.recording.format.natural_order import natural_order
 from robotctl.recording.format.rosbag2 import metadata_text, total_count_in
 from robotctl.recording.read.count_check import find_shortfalls
 from robotctl.recording.read.damage import Damaged
 from robotctl.recording.read.files import (
     SQLITE_SUFFIX,
     absent_files,
-    natural_order,
     recording_files,
 )
 from robotctl.recording.read.indexing import index_of

@@ -12,12 +12,13 @@ from pathlib import Path
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.event_kind import EventKind
 from robotctl.recording.format.metadata_names import INFO_RECORD
+from robotctl.recording.format.natural_order import natural_order
 from robotctl.recording.format.recorded_events import RecordedEvent, events_in
 from robotctl.recording.format.rosbag2 import metadata_text
 from robotctl.recording.keep.catalog import CLIPS_FOLDER, KEEP_FILE
 from robotctl.recording.read.count_check import find_shortfalls
 from robotctl.recording.read.damage import Damaged
-from robotctl.recording.read.files import files_of_bag, natural_order
+from robotctl.recording.read.files import files_of_bag
 from robotctl.recording.read.indexing import index_of
 from robotctl.recording.read.mcap_input import InputFile
 from robotctl.recording.read.messages import OpenFile

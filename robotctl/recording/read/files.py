@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from shlex import quote
 from stat import S_ISDIR, S_ISREG
 
 from robotctl.errors import UnreadableFile
+from robotctl.recording.format.natural_order import natural_order
 from robotctl.recording.format.records import MAGIC
 from robotctl.recording.format.rosbag2 import METADATA_FILE, files_in
 from robotctl.recording.read.zstd_file import SUFFIX
@@ -101,9 +101,3 @@ def absent_files(text: str, present: list[Path]) -> list[str]:
         for name in files_in(text)
         if name.removesuffix(SUFFIX) not in names
     ]
-
-
-def natural_order(path: Path) -> list[tuple[int, int, str]]:
-    """Return a sort key that puts `run_10` after `run_9`."""
-    parts = re.split(r"(\d+)", path.name)
-    return [(1, int(part), "") if part.isdecimal() else (0, 0, part) for part in parts]
