@@ -1,6 +1,6 @@
 """Any message as plain values, and back, by the definition of its type: no ROS is needed.
 
-A message is a dict, an array or a sequence a list, and one of bytes `bytes`.
+A message becomes a dict, an array or sequence a list, and an array or sequence of bytes `bytes`.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ class ObjectName:
 
     @classmethod
     def parse(cls, key: str) -> Self | None:
-        """Return the name that `key` is, None if it is none of this form."""
+        """Return what an object of the store is; None if its key is not RECORDING/SHA256/FILE."""
         recording, _, rest = key.partition("/")
         sha256, _, file = rest.partition("/")
         if not (is_plain(recording) and _SHA256.fullmatch(sha256) and is_plain(file)):

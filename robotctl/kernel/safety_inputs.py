@@ -74,7 +74,7 @@ class BumperParams:
 
 @dataclass(frozen=True, slots=True)
 class TiltParams:
-    """A sensor_msgs/Imu topic, and the largest tilt of the robot."""
+    """A sensor_msgs/Imu topic; the robot stops when it is tilted by more than `max_rad`."""
 
     use: Use = setting(Use.OFF, "tilt of an IMU", Change.START)
     topic: str = topic("imu", "its topic")

@@ -33,7 +33,7 @@ class Child:
 
     @property
     def has_stdin(self) -> bool:
-        """Whether its stdin is a pipe that is still open."""
+        """Whether lines can be sent to the process: it has a pipe as stdin, not closed here yet."""
         return self._stdin is not None
 
     def send(self, line: bytes) -> None:

@@ -1,4 +1,4 @@
-"""Pipes between processes, and waiting for a descriptor."""
+"""Pipes between processes, and waiting until a file descriptor can be read."""
 
 from __future__ import annotations
 

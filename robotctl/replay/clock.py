@@ -21,7 +21,7 @@ _TIMER_ABSTIME: Final = 1
 
 
 class Clock(Protocol):
-    """Steady time in nanoseconds."""
+    """A monotonic clock in nanoseconds."""
 
     def now_ns(self) -> int:
         """Return the time."""

@@ -60,7 +60,7 @@ class ReplayGuard:
         )
 
     def prefixed(self, routes: Iterable[Route]) -> list[Route]:
-        """Return the routes with the chosen prefix."""
+        """Return the routes to the same names below the prefix that the user chose."""
         return [replace(route, name=absolute(route.name, self.prefix)) for route in routes]
 
     def withheld(self, routes: Iterable[Route]) -> list[Route]:

@@ -40,9 +40,9 @@ class Recorded:
 def read_recorded(
     path: Path, on_progress: Callable[[int, int], None] = lambda done, total: None
 ) -> Recorded:
-    """Read a recording, a file or a folder, of robotctl or of another recorder.
+    """Read a recording: a file or a folder, written by robotctl or by another recorder.
 
-    Of a recording in a store only the topics that are drawn are read.
+    From a store, only the topics that the report draws are read.
 
     Raises:
         UnreadableFile: Nothing can be read.

@@ -135,7 +135,7 @@ class CommandPairs:
         self.counts.begin_again()
 
     def step(self, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
-        """Take an event with its effects."""
+        """Note an event and its effects: the commands that messages must be found for."""
         if not self.is_counting:
             return
         self._t_ns, self._log_ns, _ = moments

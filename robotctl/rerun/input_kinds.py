@@ -17,7 +17,10 @@ from robotctl.kernel.types import (
 
 
 class InputKind(NamedTuple):
-    """A kind of input: its name in sentences, its events, and what an event tells."""
+    """A kind of input, such as odometry: its name for people and the class of its events.
+
+    `source` returns which publisher an event is from, `value` what was measured.
+    """
 
     name: str
     event: type[Event]

@@ -32,11 +32,11 @@ class OtherCommands:
         self._heard_ns: int | None = None
         self._publish = False
         self._waiting: deque[tuple[int, bytes]] = deque()
-        """Messages that a publisher may still explain: time, numbers."""
+        """Messages whose sender may still be noticed: time, numbers."""
 
     @property
     def are_waiting(self) -> bool:
-        """Whether a publisher may still explain messages."""
+        """Whether there are messages whose sender may still be noticed."""
         return bool(self._waiting)
 
     def hear(self, t_ns: int) -> None:
@@ -64,7 +64,7 @@ class OtherCommands:
             self._waiting.append((t_ns, numbers))
 
     def settle(self, t_ns: int) -> None:
-        """Give up what no publisher has explained for too long."""
+        """Count messages as extra that are older than `NEAR_NS`: no other publisher was noticed."""
         while self._waiting and t_ns - self._waiting[0][0] > NEAR_NS:
             self._note_extra(self._waiting.popleft()[1])
 

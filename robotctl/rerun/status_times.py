@@ -1,4 +1,4 @@
-"""What a robot status must show at its time: mode, battery level, whether odometry was fresh.
+"""What each recorded robot status must show: mode, battery level, whether odometry was fresh.
 
 The control loop publishes a status within the step that changes the mode, and one a second between
 steps. So the times of the steps tell what each status must show.

@@ -32,7 +32,7 @@ class SimFault(Enum):
 
 
 class Faults:
-    """The faults that are present, with the rest of their time."""
+    """The simulated faults that are active, and how long each one still lasts."""
 
     def __init__(self) -> None:
         self._left_s: dict[SimFault, float] = {}

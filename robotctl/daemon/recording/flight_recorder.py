@@ -144,7 +144,7 @@ class FlightRecorder:
         self._config = config
 
     def work(self) -> dict[str, Work]:
-        """Return the tasks of the recorder by name."""
+        """Return what the daemon runs as tasks for the recorder, by the name of the task."""
         return {
             "recorder": self.tap.run,
             "black box": self._black_box.run,

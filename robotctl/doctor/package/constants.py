@@ -46,7 +46,7 @@ def _text_of(node: ast.expr | None, names: Mapping[str, str]) -> str | None:
 
 
 def texts_within(node: ast.AST, names: Mapping[str, str]) -> Iterator[str]:
-    """Yield every text that an expression in this tree has."""
+    """Yield the value of each expression in this tree that is known to be a string."""
     for each in ast.walk(node):
         if isinstance(each, ast.expr) and (text := text_of(each, names)) is not None:
             yield text

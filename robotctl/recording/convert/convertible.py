@@ -28,7 +28,7 @@ class ConvertibleFile(Protocol):
         """Return the metadata records in their order."""
 
     def batches(self) -> Iterator[Sequence[PlainMessage]]:
-        """Yield the messages, in each batch those that become one chunk."""
+        """Yield the messages in batches; each batch is written as one chunk."""
 
     def attachments(self) -> Iterator[Attachment]:
         """Yield the attachments, after the messages."""

@@ -82,7 +82,7 @@ class DataSection:
         self._stop: float = inf if stop is None else stop
 
     def read_past(self, offset: float) -> None:
-        """Read the records up to the one at `offset`.
+        """Read on to the end of the record at `offset`.
 
         Raises:
             Damaged: The disk fails.

@@ -136,9 +136,9 @@ class PlaceReader:
     def as_written(
         self, is_wanted: Callable[[bytes], bool] = lambda records: True
     ) -> Iterator[list[Message]]:
-        """Yield all messages in file order, many at once; `load` need not be called.
+        """Yield all messages of the place in file order, in lists; `load` need not be called.
 
-        `is_wanted` gets the records of the place; if it returns False, nothing is yielded.
+        `is_wanted` gets the bytes of the place; if it returns False, none of it is yielded.
 
         Raises:
             Damaged: After the last message, if some are missing.

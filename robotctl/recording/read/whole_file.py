@@ -144,7 +144,7 @@ class WholeFileReading:
         self._data = DataSection(file, self._flaws, None, on_progress)
 
     def read_past(self, offset: int) -> None:
-        """Read the records up to the one at `offset`; a small chunk there is kept.
+        """Read on to the end of the record at `offset`; a small chunk there stays in memory.
 
         Raises:
             Damaged: The disk fails.
