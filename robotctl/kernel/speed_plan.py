@@ -48,7 +48,7 @@ def speed_plan(path: Path, speed_mps: float, limits: VelocityLimits) -> tuple[Le
         for index, segment in enumerate(segments)
     ]
     last = _end_speeds(path, tops, accels, joints, 0.0)
-    end = 0.0 if joints[-1] == 0.0 else inf
+    end = inf
     for _ in range(2):  # the second round knows the speed at which the lap begins
         laps = _end_speeds(path, tops, accels, joints, end)
         end = _begin_speed(segments[0], tops[0], accels[0], laps[0])
@@ -92,12 +92,12 @@ def _end_speeds(
     path: Path, tops: list[float], accels: list[float], joints: list[float], end: float
 ) -> list[float]:
     """Return the speed at the end of each segment, for a lap that ends at speed `end`."""
-    speeds = [0.0] * len(tops)
-    for index in range(len(tops) - 1, -1, -1):
-        speeds[index] = min(end, joints[index] if end else 0.0, tops[index])
-        segment = path.segments[index]
-        end = _begin_speed(segment, tops[index], accels[index], speeds[index])
-    return speeds
+    speeds = []
+    legs = zip(path.segments, tops, accels, joints, strict=True)
+    for segment, top, accel, joint in reversed([*legs]):
+        speeds.append(min(end, joint, top))
+        end = _begin_speed(segment, top, accel, speeds[-1])
+    return speeds[::-1]
 
 
 def _begin_speed(segment: Segment, top: float, accel: float, end: float) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
-from math import cos, hypot, inf, isclose, nan, pi, sin
+from math import cos, hypot, inf, isclose, nan, pi, sin, sqrt
 
 import pytest
 from hypothesis import assume, given, settings
@@ -16,7 +16,9 @@ from robotctl.kernel.geometry import ORIGIN, Pose, wrap_angle
 from robotctl.kernel.limits import limit
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams, VelocityLimits
+from robotctl.kernel.path import Path
 from robotctl.kernel.patterns import SHAPES, Pattern, PatternKind, named, path_of
+from robotctl.kernel.segments import Line
 from robotctl.kernel.speed_plan import speed_plan
 from robotctl.kernel.tracking import Reference
 from robotctl.kernel.types import Cause, Twist
@@ -155,6 +157,14 @@ def test_the_plan_slows_down_before_a_bend_and_speeds_up_after_it() -> None:
     assert (legs[-1].end_speed > 0.0, legs[-1].last_end_speed) == (True, 0.0)
 
 
+def test_the_plan_enters_a_segment_as_fast_as_it_can_brake_there() -> None:
+    path = Path((Line(ORIGIN, 1.0), Line(Pose(1.0, 0.0, 0.0), 0.02)), 1.02, False)
+    legs = speed_plan(path, 0.5, LIMITS)
+    assert isclose(legs[0].last_end_speed, sqrt(2.0 * 0.9 * 0.02))
+    assert legs[0].end_speed == legs[1].end_speed == 0.5  # another lap follows
+    assert legs[1].last_end_speed == 0.0
+
+
 def test_the_plan_turns_no_faster_into_a_bend_than_the_turning_rate_may_grow() -> None:
     limits = replace(LIMITS, angular_accel_rps2=0.1)
     path = path_of(Pattern(PatternKind.FIGURE_EIGHT), Course())
@@ -250,6 +260,10 @@ def test_what_cannot_be_driven_is_refused_by_name(
 def test_points_in_one_place_are_one_point() -> None:
     twice = tuple(point for point in ZIGZAG for _ in range(2))
     assert waypoint_path(twice, 0.1, again=False) == waypoint_path(ZIGZAG, 0.1, again=False)
+
+
+def test_a_way_back_from_the_start_has_no_segments() -> None:
+    assert waypoint_path(((0.0, 0.0),), 0.1, again=True).segments == ()
 
 
 def test_a_motion_has_a_name() -> None:

@@ -28,6 +28,12 @@ def test_a_command_changes_no_faster_than_allowed() -> None:
     assert limit(Twist(0.01, 0.0), ZERO, 0.1, LIMITS) == ZERO
 
 
+def test_a_target_that_is_just_near_enough_is_reached_exactly() -> None:
+    limits = replace(LIMITS, linear_accel_mps2=abs(0.05 - -0.57))
+    assert -0.57 + limits.linear_accel_mps2 != 0.05
+    assert limit(Twist(-0.57, 0.0), Twist(0.05, 0.0), 1.0, limits).linear == 0.05
+
+
 @pytest.mark.parametrize("command", [Twist(1.1, 0.0), Twist(0.0, -2.1), Twist(nan, 0.0)])
 def test_a_command_beyond_the_limits_is_told(command: Twist) -> None:
     assert not within(command, LIMITS)

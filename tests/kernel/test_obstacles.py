@@ -18,7 +18,7 @@ from robotctl.kernel.obstacles import (
     free_beside_m,
     is_free,
 )
-from robotctl.kernel.params import KernelParams
+from robotctl.kernel.params import KernelParams, VelocityLimits
 from robotctl.kernel.safety_inputs import Use
 from robotctl.kernel.types import Cause, ScanReceived, Twist
 from robotctl.testing.kernels import Bench, moving, ready, reset, start, stopped_by
@@ -189,8 +189,9 @@ def test_the_centre_of_the_path_is_never_free_of_what_lies_on_it(
     assert ahead(x, y, Twist(linear, angular)) <= length_m + 0.15
 
 
-def driving(use: Use = Use.OPTIONAL) -> Bench:
-    bench = ready(replace(KernelParams(), scan=ScanParams(use=use)))
+def driving(use: Use = Use.OPTIONAL, accel_mps2: float = 1.0) -> Bench:
+    limits = VelocityLimits(linear_accel_mps2=accel_mps2)
+    bench = ready(replace(KernelParams(), scan=ScanParams(use=use), limits=limits))
     bench.give(ScanReceived(bench.t_ns, FREE))
     assert not start(bench)
     bench.run(5)
@@ -215,15 +216,18 @@ def test_a_faster_robot_stops_earlier() -> None:
         assert (distance_ahead(far, command, near, reach_m) < inf) is is_hit
 
 
-def test_a_tick_looks_ahead_with_the_command_of_that_tick() -> None:
-    bench = driving()
+@pytest.mark.parametrize("accel_mps2", [1.0, 0.4])
+def test_a_tick_looks_ahead_with_the_command_of_that_tick(accel_mps2: float) -> None:
+    bench = driving(accel_mps2=accel_mps2)
     bench.give(ScanReceived(bench.t_ns, seen(0.25 + 0.3 + 0.1, 0.0)))
     assert bench.state.mode is Mode.MOVING
-    for _ in range(40):  # without a new scan, the robot accelerates
+    for _ in range(60):  # without a new scan, the robot accelerates
         if bench.state.mode is Mode.MOVING:
             bench.run(1)
     assert stopped_by(bench, Cause.OBSTACLE_NEAR, Mode.ERROR)
-    assert max(each.linear for each in bench.commands) == pytest.approx(sqrt(2.0 * 0.1), abs=0.03)
+    assert max(each.linear for each in bench.commands) == pytest.approx(
+        sqrt(2.0 * accel_mps2 * 0.1), abs=0.03
+    )
 
 
 def test_an_unreadable_scan_stops() -> None:

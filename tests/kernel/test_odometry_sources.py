@@ -8,6 +8,7 @@ import pytest
 
 from robotctl.kernel.geometry import ORIGIN, Pose
 from robotctl.kernel.modes import Mode
+from robotctl.kernel.odometry import MAX_NAMED_SOURCES
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.types import (
     ZERO,
@@ -161,3 +162,13 @@ def test_only_the_frame_of_the_followed_publisher_counts() -> None:
     bench = moving(replace(KernelParams(), odometry=odometry))
     bench.give(OdometrySourceFound(bench.t_ns, 7, "", "/other", "map"))
     assert bench.state.mode is Mode.MOVING
+
+
+def test_the_names_and_frames_of_the_last_publishers_are_kept() -> None:
+    bench, last = moving(), MAX_NAMED_SOURCES + 3
+    for number in range(1, last + 1):
+        bench.give(OdometrySourceFound(bench.t_ns, number, "", f"/n{number}", f"f{number}"))
+    sources = bench.state.health.odometry_sources
+    wanted = range(last - MAX_NAMED_SOURCES + 1, last + 1)
+    assert sources.names == tuple((number, f"/n{number}") for number in wanted)
+    assert sources.frames == tuple((number, f"f{number}") for number in wanted)

@@ -1,8 +1,9 @@
 """Runs the tests of the kernel again and again without loading them again.
 
-A process loads pytest, the kernel and all tests once. For each mutant it forks, gives one function
-of the kernel the changed code, and runs the tests until one fails: first those that noticed the
-last mutants of this function, then those that import its module, the quick ones first.
+A process loads pytest, the kernel and all tests once, and notes which test calls which function of
+the kernel. For each mutant it forks, gives one function the changed code, and runs the tests that
+call it until one fails: first those that noticed the last mutants of this function, then those that
+import its module, the quick ones first.
 """
 
 from __future__ import annotations
@@ -15,12 +16,12 @@ import os
 import resource
 import signal
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
-from types import CodeType, FunctionType
+from types import CodeType, FrameType, FunctionType
 from typing import Any, NamedTuple
 
 import pytest
@@ -38,7 +39,7 @@ from tests.mutation.mutants import KERNEL, Mutant
 FIRST_KILLERS = 8
 """How many of the tests that noticed the last mutants of a function run first."""
 
-LEAST_CPU_S, TIMES_AS_LONG = 5.0, 20.0
+LEAST_CPU_S, TIMES_AS_LONG = 5.0, 10.0
 """A test may take this much CPU time, and so many times what it takes without a mutant."""
 
 
@@ -47,6 +48,13 @@ class Ran(NamedTuple):
 
     code: int
     failed: str = ""
+
+
+class Without(NamedTuple):
+    """What a test does without a mutant: its CPU time, and the functions that it calls."""
+
+    cpu_s: float
+    called: tuple[str, ...]
 
 
 class LoadedTests:
@@ -58,7 +66,8 @@ class LoadedTests:
     def run(self, mutant: Mutant) -> Ran | None:
         """Run the tests with a mutant.
 
-        None: it changes more than the code of one function, so the kernel must be loaded with it.
+        None: it changes more than the code of one function, or what runs only while the kernel is
+        loaded, so the kernel must be loaded with it.
         """
         self._connection.send((mutant.path, mutant.code, mutant.where))
         found: Ran | None = self._connection.recv()
@@ -107,16 +116,16 @@ class _Server:
 
     folder: Path
     connection: Connection
-    cpu_s: dict[str, float] = field(default_factory=dict)
-    """The CPU time of each test without a mutant."""
+    without: dict[str, Without] = field(default_factory=dict)
+    """What each test does without a mutant."""
 
     killers: dict[str, list[str]] = field(default_factory=dict)
     """The tests that noticed the last mutants of each function, the last one first."""
 
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
         """Serve, in place of a run of the tests."""
-        first, times = _in_a_copy(lambda: _run(session, session.items, {}))
-        self.cpu_s = times
+        first, found = _in_a_copy(lambda: _watched(session, self.folder))
+        self.without = {test: Without(*each) for test, each in found.items()}
         self.connection.send(first.code == 0)
         while first.code == 0:
             try:
@@ -130,11 +139,15 @@ class _Server:
         change = change_of(path.relative_to(self.folder), code, where)
         if change is None:
             return None
-        items = self._in_order(session.items, path.stem, where)
+        name = name_of(change.function.__code__)
+        calling = [item for item in session.items if name in self.without[item.nodeid].called]
+        if not calling:
+            return None
+        items = self._in_order(calling, path.stem, where)
 
-        def run() -> tuple[Ran, dict[str, float]]:
-            change()
-            return _run(session, items, self.cpu_s)
+        def run() -> tuple[Ran, Any]:
+            change.make()
+            return _run(session, items, self.without), None
 
         ran, _ = _in_a_copy(run)
         if ran.failed:
@@ -151,13 +164,27 @@ class _Server:
         def rank(item: pytest.Item) -> tuple[int, bool, float]:
             known = killers.index(item.nodeid) if item.nodeid in killers else len(killers)
             is_far = not imports(item.path, module)
-            return known, is_far, self.cpu_s.get(item.nodeid, 0.0)
+            return known, is_far, self.without[item.nodeid].cpu_s
 
         return sorted(items, key=rank)
 
 
-def change_of(path: Path, code: str, where: str) -> Callable[[], None] | None:
-    """Return what gives one function of a loaded module the code that it has in `code`.
+class Change(NamedTuple):
+    """A function of a loaded module, and the code that a mutant gives it."""
+
+    function: FunctionType
+    code: CodeType
+
+    def make(self) -> None:
+        """Give the function the code, and forget what it returned without it."""
+        function, code = self
+        function.__code__ = code
+        for cache in _caches():
+            cache.cache_clear()
+
+
+def change_of(path: Path, code: str, where: str) -> Change | None:
+    """Return what a mutant changes of a loaded module.
 
     `where` is module.Class.function. None, if the change is not within one function.
     """
@@ -178,7 +205,7 @@ def change_of(path: Path, code: str, where: str) -> Callable[[], None] | None:
                 or function.__code__.co_freevars != compiled.co_freevars
             ):
                 return None
-            return functools.partial(_replace, function, compiled)
+            return Change(function, compiled)
     return None
 
 
@@ -199,14 +226,50 @@ def _function_of(found: object) -> FunctionType | None:
     return found if isinstance(found, FunctionType) else None
 
 
-def _replace(function: FunctionType, code: CodeType) -> None:
-    function.__code__ = code
-    for each in gc.get_objects():
-        if isinstance(each, functools._lru_cache_wrapper):
-            each.cache_clear()
+def _caches() -> list[functools._lru_cache_wrapper[Any]]:
+    found = gc.get_objects()
+    return [each for each in found if isinstance(each, functools._lru_cache_wrapper)]
 
 
-def _in_a_copy(run: Callable[[], tuple[Ran, dict[str, float]]]) -> tuple[Ran, dict[str, float]]:
+def name_of(code: CodeType) -> str:
+    """Return a name for a function's code, which its code in a mutant has too."""
+    return f"{code.co_filename}:{code.co_qualname}"
+
+
+def _watched(session: pytest.Session, folder: Path) -> tuple[Ran, dict[str, Without]]:
+    """Run all tests without a mutant, and return what each one does."""
+    codes: dict[int, CodeType] = {}
+    caches = _caches()
+
+    def note(frame: FrameType, _event: str, _arg: object) -> None:
+        codes.setdefault(id(frame.f_code), frame.f_code)
+
+    found: dict[str, Without] = {}
+    kernel = str(folder / KERNEL)
+    for item, following in _followed(session.items):
+        codes.clear()
+        for cache in caches:
+            cache.cache_clear()  # a test that uses what another one cached depends on it, too
+        begun_s = _cpu_s()
+        sys.settrace(note)
+        try:
+            item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
+        finally:
+            sys.settrace(None)
+        called = sorted({name_of(each) for each in codes.values()})
+        within = tuple(name for name in called if name.startswith(kernel))
+        found[item.nodeid] = Without(_cpu_s() - begun_s, within)
+        if session.testsfailed:
+            return Ran(1, item.nodeid), found
+    return Ran(0), found
+
+
+def _followed(items: Sequence[pytest.Item]) -> Iterator[tuple[pytest.Item, pytest.Item | None]]:
+    """Yield each test with the one that follows."""
+    return zip(items, [*items[1:], None], strict=True)
+
+
+def _in_a_copy(run: Callable[[], tuple[Ran, Any]]) -> tuple[Ran, Any]:
     """Run in a copy of this process; a copy that ends otherwise has met a limit."""
     reading, writing = os.pipe()
     pid = os.fork()
@@ -225,26 +288,22 @@ def _in_a_copy(run: Callable[[], tuple[Ran, dict[str, float]]]) -> tuple[Ran, di
     os.waitpid(pid, 0)
     if not text:
         return Ran(LIMIT_CODE), {}
-    ran, times = json.loads(text)
-    return Ran(*ran), times
+    ran, found = json.loads(text)
+    return Ran(*ran), found
 
 
 def _run(
-    session: pytest.Session, items: Sequence[pytest.Item], known_cpu_s: dict[str, float]
-) -> tuple[Ran, dict[str, float]]:
-    """Run tests up to the first that fails; return the CPU time of each."""
-    times: dict[str, float] = {}
+    session: pytest.Session, items: Sequence[pytest.Item], without: Mapping[str, Without]
+) -> Ran:
+    """Run tests up to the first that fails."""
     signal.signal(signal.SIGPROF, lambda *_: os._exit(LIMIT_CODE))
-    for item, following in zip(items, [*items[1:], None], strict=True):
-        begun = _cpu_s()
-        if known_cpu_s:
-            allowed_s = LEAST_CPU_S + TIMES_AS_LONG * known_cpu_s.get(item.nodeid, 0.0)
-            signal.setitimer(signal.ITIMER_PROF, allowed_s)
+    for item, following in _followed(items):
+        allowed_s = LEAST_CPU_S + TIMES_AS_LONG * without[item.nodeid].cpu_s
+        signal.setitimer(signal.ITIMER_PROF, allowed_s)
         item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
-        times[item.nodeid] = _cpu_s() - begun
         if session.testsfailed:
-            return Ran(1, item.nodeid), times
-    return Ran(0), times
+            return Ran(1, item.nodeid)
+    return Ran(0)
 
 
 def _cpu_s() -> float:
