@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, get_type_hints
 
 import msgspec
 import pytest
 
 from robotctl.daemon.recording.topic_rows import TopicRows
+from robotctl.ipc.answers import TopicAnswer
 from robotctl.recording import Recorder, Topic
 from robotctl.recording.format.message_counts import RunningTotal, total
-from robotctl.recording.format.topics import TopicStats
+from robotctl.recording.format.topics import LATCHED_QOS, TopicStats
+from robotctl.recording.write.channel_state import ChannelState
+from robotctl.recording.write.counts_of_topics import CountsOfTopics
+from robotctl.recording.write.latched_repeats import repeats
+from robotctl.recording.write.writer_thread import WriterThread
+from tests.support.waiting import until
 
 GID = bytes(16)
 RATE = {("/b", "T"): 2.5}
@@ -46,7 +53,7 @@ def test_a_row_follows_its_counts_its_rate_and_new_topics() -> None:
     moving = TopicStats(received=7, name="/b", type_name="T")
     second = rows.encoded((still, moving), {})
     assert second[0] is first[0]
-    assert decoded(second)[1]["count"] == 7
+    assert [decoded(each)[1]["count"] for each in (first, second)] == [0, 7]
     assert decoded(rows.encoded((still, moving), RATE))[1]["rate"] == 2.5
     more = rows.encoded((still, moving, TopicStats(name="/aa", type_name="T")), RATE)
     assert [(row["name"], row["rate"]) for row in decoded(more)] == [
@@ -73,10 +80,39 @@ def test_the_counts_of_a_topic_are_the_same_object_until_one_changes(tmp_path: P
     recorder.write(quiet, b"data", 1, 1, 0, GID)
     recorder.close()
     before = recorder.stats().topics
-    assert recorder.stats().topics[quiet] is before[quiet]
+    assert recorder.stats().topics is recorder.stats().topics
+    before = recorder.stats().topics
     recorder.write(busy, b"data", 1, 1, 5, GID)
     after = recorder.stats()
     assert after.topics[quiet] is before[quiet]
     assert (after.topics[busy].received, after.topics[busy].dropped) == (1, 1)
     recorder.leave_out(busy, 1, 6, GID)
     assert recorder.stats().topics[busy].throttled == 1
+
+
+def test_counts_that_the_writer_thread_changes_are_seen(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "run", on_failure=pytest.fail)
+    channel = recorder.add_topic(Topic("/a", "T"))
+    recorder.write(channel, b"data", 1, 1, 0, GID)
+    assert recorder.stats().topics[channel].queued == 1
+    until(lambda: recorder.stats().topics[channel].written == 1)
+    recorder.close()
+
+
+@pytest.mark.parametrize("count", ["dropped_by_writer", "not_repeated"])
+def test_what_the_writer_thread_loses_is_seen(count: str) -> None:
+    state = ChannelState(Topic("/a", "T", offered_qos=LATCHED_QOS), received=1)
+    counts = CountsOfTopics([state])
+    assert counts.now() is counts.now()
+    if count == "not_repeated":
+        state.keep_latched(GID, b"data", 1, 1, 0, room=100)
+        assert repeats([state], 1, split_bytes=4) == []
+        assert counts.now()[0].not_repeated == 1
+    else:
+        WriterThread._drop(SimpleNamespace(_channels=[state], failure="full"), {0: 1})  # type: ignore[arg-type]
+        assert counts.now()[0].dropped == 1
+
+
+def test_a_row_has_the_fields_of_its_answer() -> None:
+    (row,) = decoded(TopicRows().encoded((TopicStats(name="/a", type_name="T"),), {}))
+    assert row.keys() == get_type_hints(TopicAnswer).keys()

@@ -97,6 +97,9 @@ class TopicHealth:
         self._expected = expected
         self._topics: dict[str, _Topic] = {}
         self._active: dict[str, _Topic] = {}
+        self._told: dict[str, _Topic] = {}
+        """The topics that may have a sentence: of 500 topics few ever have one."""
+
         self._looked_s = now_s
         self._logged = 0
         for name in names:
@@ -155,7 +158,12 @@ class TopicHealth:
 
     def warnings(self, now_s: float) -> Iterator[str]:
         """Yield a sentence for each trouble of now, and for those of the last RECENT_S."""
-        told = [text for topic in self._active.values() for text in _sentences(topic, now_s)]
+        told: list[str] = []
+        for topic in list(self._told.values()):
+            sentences = list(_sentences(topic, now_s))
+            told += sentences
+            if not sentences:  # until its trouble changes again
+                del self._told[topic.name]
         yield from islice(told, MAX_NAMED)
         if len(told) > MAX_NAMED:
             yield f"{len(told) - MAX_NAMED} more topics have other rates than expected"
@@ -189,6 +197,7 @@ class TopicHealth:
             self._tell(f"the publisher of {topic.name} was restarted")
         elif watch.trouble is before:
             return False
+        self._told[topic.name] = topic
         if watch.trouble is not before:
             if before is not Trouble.NONE:
                 topic.over = before, now_s - topic.since_s, now_s

@@ -54,6 +54,8 @@ class RunningTotal:
     def of(self, counts: Sequence[MessageCounts]) -> dict[str, int]:
         """Return the sum of each counter, by name, as `total` does."""
         before, self._counts = self._counts, counts
+        if counts is before:
+            return self._sums
         changes = [(old, new) for old, new in zip(before, counts, strict=False) if old is not new]
         if len(counts) != len(before) or 2 * len(changes) > len(counts):
             self._sums = total(counts)

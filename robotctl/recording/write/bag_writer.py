@@ -101,7 +101,9 @@ class BagWriter:
         self._file.write(packed)
         self._newest_ns = packed.end_ns
         for channel, index in packed.indexes.items():
-            self._channels[channel].written += len(index) // 2
+            state = self._channels[channel]
+            state.written += len(index) // 2
+            state.recounted = True
 
     def begin_seal(self) -> None:
         """Begin to seal the first file; later ones are sealed as they begin."""
@@ -139,7 +141,9 @@ class BagWriter:
                 self._file.write(pack(messages))
         except OutOfMemory:
             for channel, *_ in messages:
-                self._channels[channel].not_repeated += 1
+                state = self._channels[channel]
+                state.not_repeated += 1
+                state.recounted = True
         self._write_metadata()
         with suppress(Exception):  # a failing listener must not stop the recording
             self._on_split(successor.path)

@@ -72,12 +72,14 @@ class ChannelState:
     dropped_by_writer: int = 0
     """Changed by the writer thread: taken from the queue, but not written."""
 
-    _last: TopicStats = field(init=False)
-    """The last copy of the counts that `stats` returned."""
+    recounted: bool = False
+    """Set by the writer thread after each change of a count; cleared by `stats`."""
+
+    told: int = 0
+    """`arrived`, when `stats` was called last."""
 
     def __post_init__(self) -> None:
         """Set `expected`, and `latched` if the topic is latched."""
-        self._last = TopicStats(name=self.topic.name, type_name=self.topic.type_name)
         self.expected = self.gaps.expected
         self.latched = {} if self.topic.latched else None
 
@@ -123,21 +125,14 @@ class ChannelState:
         return received == self.written + self.dropped_by_writer + self.dropped_by_loop
 
     def stats(self) -> TopicStats:
-        """Return a copy in which the counts agree; the last one if none has changed.
+        """Return a copy in which the counts agree, for the loop.
 
-        For the loop, whose own changes have ended then: it changes the other counts together with
-        `received` or `throttled`.
+        The next one differs only if `recounted` is set or `arrived` is not `told`: the loop changes
+        its other counts together with `received` or `throttled`.
         """
-        last = self._last
-        if (
-            self.written != last.written
-            or self.received != last.received
-            or self.dropped_by_loop + self.dropped_by_writer != last.dropped
-            or self.throttled != last.throttled
-            or self.not_kept + self.not_repeated != last.not_repeated
-        ):
-            last = self._last = self.new_stats()
-        return last
+        self.recounted = False  # first: a change that this copy lacks sets it again
+        self.told = self.received + self.throttled
+        return self.new_stats()
 
     def new_stats(self) -> TopicStats:
         """Return a copy in which the counts agree, for any thread."""

@@ -37,5 +37,7 @@ def repeats(
         left -= len(latched[position][1])
         fits[position] = left >= 0
         if left < 0:
-            channels[latched[position][0]].not_repeated += 1
+            state = channels[latched[position][0]]
+            state.not_repeated += 1
+            state.recounted = True
     return [message for message, fit in zip(latched, fits, strict=True) if fit]

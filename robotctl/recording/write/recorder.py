@@ -16,7 +16,7 @@ from mcap.opcode import Opcode
 
 from robotctl.errors import Refused
 from robotctl.recording.disk.storage import Buffer
-from robotctl.recording.format.message_counts import RunningTotal
+from robotctl.recording.format.message_counts import RunningTotal, total
 from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.recording.format.records import (
     MAX_SEQUENCE,
@@ -24,10 +24,11 @@ from robotctl.recording.format.records import (
     MESSAGE_FIELDS_BYTES,
     MESSAGE_HEAD,
 )
-from robotctl.recording.format.topics import Topic
+from robotctl.recording.format.topics import Topic, TopicStats
 from robotctl.recording.write.bag_writer import begin_bag
 from robotctl.recording.write.buffer import LargeMessage, PackBuffer
 from robotctl.recording.write.channel_state import MAX_PACKERS, ChannelState, Packer
+from robotctl.recording.write.counts_of_topics import CountsOfTopics
 from robotctl.recording.write.recorder_options import RecorderOptions
 from robotctl.recording.write.recorder_stats import RecorderState, RecorderStats
 from robotctl.recording.write.writer_thread import WriterCommand, WriterThread
@@ -70,6 +71,7 @@ class Recorder:
         options = options or RecorderOptions()
         self._channels: list[ChannelState] = []
         self._channel_of: dict[Topic, int] = {}
+        self._counts = CountsOfTopics(self._channels)
         self._total = RunningTotal()
         self._closed = False
         self._chunk_bytes = options.chunk_bytes
@@ -174,14 +176,17 @@ class Recorder:
     def stats(self) -> RecorderStats:
         """Return the counts at this instant; those of a topic are one object until they change.
 
-        Call it in the loop's thread.
+        So are `topics`. Call it in the loop's thread.
         """
-        topics = tuple([state.stats() for state in self._channels])
+        topics = self._counts.now()
+        return self._stats(topics, self._total.of(topics))
+
+    def _stats(self, topics: tuple[TopicStats, ...], sums: Mapping[str, int]) -> RecorderStats:
         return RecorderStats(
             state=self._state(),
             file=self._writer.path,
             bytes=self._writer.size,
-            **self._total.of(topics),
+            **sums,
             no_memory=self._no_memory + self._thread.no_memory,
             failure=self._thread.failure,
             warning=self._writer.warning,
@@ -195,7 +200,8 @@ class Recorder:
         """
         self._closed = True
         self._thread.stop()
-        return self.stats()
+        topics = tuple([state.new_stats() for state in self._channels])
+        return self._stats(topics, total(topics))
 
     def _state(self) -> RecorderState:
         if self._thread.failure:

@@ -187,7 +187,9 @@ class WriterThread:
     def _drop(self, counts: Mapping[int, int]) -> None:
         """Count messages as dropped, by channel: for lack of memory, unless the file has failed."""
         for channel, count in counts.items():
-            self._channels[channel].dropped_by_writer += count
+            state = self._channels[channel]
+            state.dropped_by_writer += count
+            state.recounted = True
             if not self.failure:
                 self.no_memory += count
 
