@@ -51,6 +51,7 @@ FORWARD, LEFT, RIGHT = Twist(0.5, 0.0), Twist(0.5, 0.5), Twist(0.5, -0.5)
         (1.0, 0.0, Twist(-0.5, 0.0), False),
         (-1.0, 0.0, Twist(-0.5, 0.0), True),
         (0.9, 0.4, LEFT, True),
+        (0.3, 0.9, LEFT, False),
         (0.9, 0.4, RIGHT, False),
         (0.9, -0.4, RIGHT, True),
         (-0.9, 0.4, Twist(-0.5, -0.5), True),
