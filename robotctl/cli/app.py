@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 LOOKS = (["topic"], ["node"], ["service"])
 """The groups of commands that look at ROS."""
 
+PLAYS = ["replay"]
+"""The command that plays to ROS."""
+
 
 def main() -> None:
     """Run the command line of this process, and exit."""
@@ -41,9 +44,11 @@ def run(arguments: list[str]) -> int:
             from robotctl.cli.support.leading_options import behind_the_command
 
             arguments = behind_the_command(arguments)
-        from robotctl.cli import quick
+        command = None
+        if arguments[:1] not in (*LOOKS, PLAYS):  # the others start their process at once
+            from robotctl.cli import quick
 
-        command = quick.match(arguments)
+            command = quick.match(arguments)
         if command is not None:
             command()
         else:
@@ -77,7 +82,7 @@ def _process_for(arguments: list[str]) -> AbstractContextManager[None]:
         from robotctl.cli.support.query_process import query_processes
 
         return query_processes(arguments)
-    if arguments[:1] == ["replay"]:
+    if arguments[:1] == PLAYS:
         from robotctl.cli.support.early_player import early_player
 
         return early_player(arguments)

@@ -3,22 +3,28 @@
 store = open_store("s3://bucket/robots/one")
 for found in store.list():
     store.get_range(found, 0, 100)
+
+Each name is loaded on first use: a command that only asks whether a path is a URL loads little.
 """
 
 from __future__ import annotations
 
-from robotctl.store.object_store import PART_BYTES, ObjectStore
-from robotctl.store.opening import open_store
-from robotctl.store.store_errors import (
-    AccessDenied,
-    NoSuchObject,
-    ObjectChanged,
-    StoreError,
-    StoreFailed,
-    TooLarge,
-)
-from robotctl.store.stored_object import StoredObject
-from robotctl.store.url import is_url
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from robotctl.store.object_store import PART_BYTES, ObjectStore
+    from robotctl.store.opening import open_store
+    from robotctl.store.store_errors import (
+        AccessDenied,
+        NoSuchObject,
+        ObjectChanged,
+        StoreError,
+        StoreFailed,
+        TooLarge,
+    )
+    from robotctl.store.stored_object import StoredObject
+    from robotctl.store.url import is_url
 
 __all__ = [
     "PART_BYTES",
@@ -33,3 +39,25 @@ __all__ = [
     "is_url",
     "open_store",
 ]
+
+_NAMES_OF_MODULE = {
+    "object_store": ("PART_BYTES", "ObjectStore"),
+    "opening": ("open_store",),
+    "store_errors": (
+        "AccessDenied",
+        "NoSuchObject",
+        "ObjectChanged",
+        "StoreError",
+        "StoreFailed",
+        "TooLarge",
+    ),
+    "stored_object": ("StoredObject",),
+    "url": ("is_url",),
+}
+_MODULES = {name: module for module, names in _NAMES_OF_MODULE.items() for name in names}
+
+
+def __getattr__(name: str) -> object:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)

@@ -40,3 +40,27 @@ def test_what_controls_the_robot_imports_not_even_typer(arguments: list[str], da
 @pytest.mark.parametrize("arguments", [["status", "--help"], ["drive", "square"]])
 def test_other_commands_import_no_heavy_library(arguments: list[str], daemon: None) -> None:
     assert not imported_by(*arguments) & (HEAVY - {"pydantic"})
+
+
+STARTS = """
+import sys
+from robotctl.cli import app
+app._parse_and_run = lambda _: print("imported", *sys.modules)
+assert app.run(sys.argv[1:]) == 0
+"""
+
+
+@pytest.mark.parametrize("arguments", [["replay", "run.mcap"], ["topic", "list"]])
+def test_what_needs_a_process_for_ros_starts_it_before_other_imports(arguments: list[str]) -> None:
+    program = [sys.executable, "-c", STARTS, *arguments]
+    ran = subprocess.run(program, capture_output=True, text=True, check=True)
+    assert "robotctl.cli.app" in ran.stdout
+    assert "robotctl.ipc" not in ran.stdout
+
+
+def test_a_path_of_this_computer_needs_no_store() -> None:
+    program = "import sys; from robotctl.cli.support.recording_paths import recording_path as path"
+    program += "; path('run.mcap'); print(*sys.modules)"
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, check=True)
+    assert b"robotctl.store.store_path" in ran.stdout
+    assert b"robotctl.store.folder_store" not in ran.stdout
