@@ -52,7 +52,7 @@ def driven(pattern: Pattern, course: Course = Course(), *, laps: int = 1) -> Dri
         (PatternKind.LINE, 1.0, Pose(1.0, 0.0, 0.0)),
         (PatternKind.ARC, pi / 2, Pose(1.0, 1.0, pi / 2)),
         (PatternKind.ARC, -pi / 2, Pose(1.0, -1.0, -pi / 2)),
-        (PatternKind.TURN, pi, Pose(0.0, 0.0, pi)),
+        (PatternKind.TURN, 2.0, Pose(0.0, 0.0, 2.0)),
         (PatternKind.TURN, -pi / 2, Pose(0.0, 0.0, -pi / 2)),
     ],
 )

@@ -84,6 +84,10 @@ def test_a_pose_that_is_no_number_is_outside(pose: Pose) -> None:
     assert left_by(FenceParams(corners_m="-1,-1 1,-1 1,1 -1,1"), ORIGIN, pose)
 
 
+def test_a_fence_has_up_to_64_corners() -> None:
+    assert len(corners_of("0,0 1,0 " * 32)) == 64
+
+
 @pytest.mark.parametrize(
     "corners", ["0,0 1,1", "0,0 1,0 nan,1", "0,0 1,0 1", "a", "0,0,0 1,0 1,1", "0,0 " * 65, 7]
 )

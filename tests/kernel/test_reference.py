@@ -18,7 +18,7 @@ from robotctl.kernel.patterns import Pattern, PatternKind
 from robotctl.kernel.reference import Progress, advanced, begun
 from robotctl.kernel.routes import legs_for, path_for
 from robotctl.kernel.segments import Arc, Circle, Line, Turn
-from robotctl.kernel.speed_plan import Leg
+from robotctl.kernel.speed_plan import Leg, speed_plan
 from robotctl.kernel.tracking import Reference, track
 from tests.support.laps import lap_of
 
@@ -392,6 +392,12 @@ def test_the_correction_sideways_is_smooth_around_a_heading_without_error(theta:
     sinc = sin(theta) / theta if theta else 1.0
     sideways = gains.k_y * 0.4 * sinc * 0.02
     assert isclose(command.angular, 0.1 + sideways + gains.k_theta * theta)
+
+
+def test_a_path_is_planned_for_the_present_speed_and_limits() -> None:
+    path, slow = path_for(Pattern(), PLAIN, 1), replace(LIMITS, linear_accel_mps2=0.2)
+    for speed_mps, limits in ((0.2, LIMITS), (0.5, LIMITS), (0.2, LIMITS), (0.2, slow)):
+        assert legs_for(path, speed_mps, limits) == speed_plan(path, speed_mps, limits)
 
 
 @pytest.mark.parametrize("seed", [4, 7, 64, 79, 149])

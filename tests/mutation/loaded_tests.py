@@ -200,10 +200,8 @@ def change_of(path: Path, code: str, where: str) -> Change | None:
         compiled = _inner(compiled, each)
         function = _function_of(found)
         if function is not None and compiled is not None:
-            if (
-                function.__code__ == compiled
-                or function.__code__.co_freevars != compiled.co_freevars
-            ):
+            before = function.__code__
+            if _runs(before) == _runs(compiled) or before.co_freevars != compiled.co_freevars:
                 return None
             return Change(function, compiled)
     return None
@@ -214,6 +212,14 @@ def _inner(code: CodeType | None, name: str) -> CodeType | None:
     consts = () if code is None else code.co_consts
     found = [each for each in consts if isinstance(each, CodeType) and each.co_name == name]
     return found[0] if len(found) == 1 else None
+
+
+def _runs(code: CodeType) -> tuple[object, ...]:
+    """Return what is run of some code, wherever its lines stand: a decorator is not part of it."""
+    consts = [
+        _runs(each) if isinstance(each, CodeType) else (type(each), each) for each in code.co_consts
+    ]
+    return code.co_code, code.co_names, code.co_varnames, repr(consts)
 
 
 def _function_of(found: object) -> FunctionType | None:
