@@ -22,7 +22,9 @@ async def reports_of(child: Child) -> AsyncGenerator[dict[str, Any]]:
             await readable.wait()
             readable.clear()
             try:
-                said = child.receive()
+                said = child.receive(0.0)  # the event may be set for what is read already
+            except TimeoutError:
+                continue
             except EOFError:
                 return
             for each in said:
