@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from robotctl.cli.commands.verify.verified import verified
+from robotctl.cli.commands.verify.verified import verify_together
 from robotctl.cli.options import Json, Robot, new_app
 from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.time_argument import parse_since
@@ -55,8 +55,9 @@ def evidence(
     """Show who changed what, the stops, and what proves them.
 
     The journal of decisions tells it; robotctl keeps it for five years. A recording that is
-    there is checked as by `verify` and `replay --check`. The exit code is 0, 6 if a recording
-    could not be checked completely, and 7 if the journal or a recording is not as it was written.
+    there is checked as by `verify`, together with the others, and `replay --check`. The exit code
+    is 0, 6 if a recording could not be checked completely, and 7 if the journal or a recording is
+    not as it was written.
 
     \b
     Examples:
@@ -75,7 +76,7 @@ def evidence(
         start = command_for(robot, "start")
         raise Refused(f"robot {robot!r} has no journal of decisions in {folder}", f"begin: {start}")
     found = collect(log.entries, since_ns)
-    proof = _proof(found, recordings, check=check, quiet=as_json)
+    proof, together = _proof(found, recordings, check=check, quiet=as_json)
     known = [Path(item["path"]) for item in proof]
     later = _later(known, robot)
     for path in (*known, *later):
@@ -91,15 +92,21 @@ def evidence(
             for item in proof
         )
         found.daemons[-1]["ended"] = RUNS if runs else KILLED
-    answer = _as_object(robot, since_ns, folder, log, found, proof)
-    error = _gravest(log, proof)
+    answer = _as_object(robot, since_ns, folder, log, found) | {
+        "recordings": proof,
+        "verify": together,
+    }
+    error = _gravest(log, proof, together)
     print_answer(answer, evidence_lines(answer), as_json=as_json, error=error)
 
 
 def _proof(
     found: Evidence, elsewhere: Path | None, *, check: bool, quiet: bool
-) -> list[dict[str, Any]]:
-    """Return each recording with what it is, and its verdicts if it is to be checked."""
+) -> tuple[list[dict[str, Any]], dict[str, Any] | None]:
+    """Return each recording with what it is, and its verdicts if it is to be checked.
+
+    The second object is what `verify` says of all that were checked together, None without a check.
+    """
     from robotctl.recording.keep.listing import list_recording
     from robotctl.rerun.check_many import check_recordings
 
@@ -110,6 +117,7 @@ def _proof(
         if elsewhere is not None and not path.exists():
             path = elsewhere / path.name
         item: dict[str, Any] = {"path": str(path), "state": GONE, "verify": None, "check": None}
+        item |= {"wrong": [], "unproved": []}
         proof.append(item)
         try:
             listed = list_recording(path)
@@ -123,15 +131,33 @@ def _proof(
         }
         if check and not listed.live:
             finished.append((path, item))
-    for path, item in finished:
-        with progress_bar(f"reading {path.name}", quiet=quiet) as on_progress:
-            item["verify"] = verified(path, on_progress)["verdict"]
-    if finished:
-        with progress_bar("checking", quiet=quiet) as on_progress:
-            reports = check_recordings([path for path, _ in finished], on_progress)
-        for (_, item), report in zip(finished, reports, strict=True):
-            item["check"] = report["verdict"]
-    return proof
+    if not finished:
+        return proof, None
+    paths = [path for path, _ in finished]
+    found_by_verify = verify_together(paths, quiet=quiet)
+    with progress_bar("checking", quiet=quiet) as on_progress:
+        reports = check_recordings(paths, on_progress)
+    verdicts = zip(found_by_verify.recordings, reports, strict=True)
+    for (path, item), (verify, report) in zip(finished, verdicts, strict=True):
+        foreign = list(_of_other_recordings(path, verify))
+        item |= {
+            "verify": "broken" if foreign else verify["verdict"],
+            "check": report["verdict"],
+            "wrong": foreign + verify["wrong"],
+            "unproved": verify["unproved"],
+        }
+    return proof, found_by_verify.summary
+
+
+def _of_other_recordings(recording: Path, verify: dict[str, Any]) -> Iterator[str]:
+    """Yield a sentence for each file in the place of a recording that was sealed for another."""
+    for file in verify["files"]:
+        sealed = file["seal"]["file"]
+        if sealed and sealed.rpartition("_")[0] != recording.name:
+            yield (
+                f"{file['name']} was sealed as {sealed}: it is not of {recording.name}, which the "
+                "journal names"
+            )
 
 
 def _later(known: Sequence[Path], robot: str) -> list[Path]:
@@ -173,7 +199,6 @@ def _as_object(
     folder: Path,
     log: LogContent,
     found: Evidence,
-    proof: Sequence[dict[str, Any]],
 ) -> dict[str, Any]:
     times = [entry.time_ns for entry in log.entries]
     return {
@@ -199,19 +224,25 @@ def _as_object(
         "refusals": found.refusals,
         "removed": found.removed,
         "unwritten": found.unwritten,
-        "recordings": list(proof),
     }
 
 
-def _gravest(log: LogContent, proof: Sequence[dict[str, Any]]) -> RobotctlError | None:
+def _gravest(
+    log: LogContent, proof: Sequence[dict[str, Any]], together: dict[str, Any] | None
+) -> RobotctlError | None:
     wrong = list(_wrong(proof, ("broken",), ("diverged", "broken")))
     if log.broken:
         return Divergence(f"the journal of decisions is not as it was written: {log.broken[0]}")
     if wrong:
         return Divergence(f"{len(wrong)} recordings are not as they were written: {wrong[0]}")
+    if together is not None and together["wrong"]:
+        return Divergence(f"the chain of the recordings is broken: {together['wrong'][0]}")
     partly = list(_wrong(proof, ("unreadable",), ("incomplete",)))
     if partly:
         return UnreadableFile(f"{len(partly)} recordings could not be checked: {partly[0]}")
+    unproved = [sentence for item in proof for sentence in item["unproved"]]
+    if unproved:
+        return UnreadableFile(f"{len(unproved)} files have lost their seal: {unproved[0]}")
     return None
 
 

@@ -36,6 +36,9 @@ def evidence_lines(answer: Mapping[str, Any]) -> Iterator[str]:
     yield from _section("not written one by one", answer["unwritten"], _unwritten)
     yield from _section("recordings that retention removed", answer["removed"], _removed)
     yield from _recordings(answer["recordings"])
+    for name, label in (("wrong", "wrong"), ("notes", "note")):
+        for sentence in (answer["verify"] or {}).get(name, ()):
+            yield from row(_INDENT, f"{label}: {sentence}")
 
 
 def _software(software: Mapping[str, Any]) -> Iterator[str]:
@@ -101,6 +104,9 @@ def _recordings(recordings: Sequence[Mapping[str, Any]]) -> Iterator[str]:
         if "size_bytes" in item:
             told = f"{size(item['size_bytes'])}, {told}"
         yield from row(_INDENT, f"{short_path(item['path'])}: {told}")
+        for label in ("wrong", "unproved"):
+            for sentence in item[label]:
+                yield from row(_INDENT * 2, f"{label}: {sentence}")
 
 
 def _field(name: str, value: object) -> Iterator[str]:

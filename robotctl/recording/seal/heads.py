@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Set
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -16,10 +17,34 @@ _MAX_BYTES: Final = 256 << 20
 
 @dataclass(slots=True)
 class HeadsList:
-    """What is known of the files of a robot: how they were opened, and their last heads, by key."""
+    """What is known of the files of a robot: how they were opened, and their last heads, by key.
+
+    `signed` names the files that have at least one signed link.
+    """
 
     opened: dict[str, Opening] = field(default_factory=dict)
     closed: dict[str, Head] = field(default_factory=dict)
+    signed: set[str] = field(default_factory=set)
+    _keys: dict[str, set[str]] = field(default_factory=dict)
+
+    def add_opened(self, opening: Opening) -> None:
+        """Add a file that was opened: it continues the links of the file before it."""
+        self.opened[opening.key] = opening
+        self._keys.setdefault(opening.file, set()).add(opening.key)
+        if opening.previous_file:
+            self.signed.add(opening.previous_file)
+
+    def add_closed(self, key: str, head: Head) -> None:
+        """Add the last head of a file."""
+        self.closed[key] = head
+        self.signed.add(head.file)
+
+    def keys_of(self, file: str) -> Set[str]:
+        """Return the public keys of the files that had this name when they were opened.
+
+        There are several where the clock was set back after a recording was removed.
+        """
+        return self._keys.get(file, frozenset())
 
     def named(self, root: str, number: int) -> str:
         """Return the name of a file of a chain, "" if it is not known."""
@@ -50,8 +75,8 @@ def read_heads(folder: Path) -> HeadsList:
 def _take(entry: dict[str, dict[str, object]], heads: HeadsList) -> None:
     if "opened" in entry:
         opening = Opening.read(json.dumps(entry["opened"]).encode())
-        heads.opened[opening.key] = opening
+        heads.add_opened(opening)
     elif "closed" in entry:
         values = dict(entry["closed"])
         key = str(values.pop("key"))
-        heads.closed[key] = Head(**values)  # type: ignore[arg-type]
+        heads.add_closed(key, Head(**values))  # type: ignore[arg-type]

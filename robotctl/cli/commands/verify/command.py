@@ -12,7 +12,6 @@ from robotctl.cli.commands.verify.clip import verify_clip
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.recording_paths import RecordedBy, recording_path
-from robotctl.cli.terminal.progress import progress_bar
 from robotctl.errors import Divergence, NotSealed, RobotctlError, UnreadableFile, UsageError
 
 app = new_app()
@@ -48,7 +47,8 @@ def verify(
     """Show whether recordings are whole and sealed. Reads every byte; needs no ROS.
 
     The exit code is 0 if all are whole and sealed, 4 if one is whole but not sealed, 6 if one
-    cannot be read, and 7 if a byte, the chain or a signature is wrong.
+    cannot be read, and 7 if a byte, the chain or a signature is wrong, or if this machine's list
+    of keys knows the file otherwise.
 
     \b
     Examples:
@@ -64,31 +64,16 @@ def verify(
         verify_clip(files[0], source, as_json=as_json)
         return
     from robotctl.cli.commands.replay.select_recordings import select_recordings
-    from robotctl.cli.commands.verify.report import (
-        recording_lines,
-        recording_object,
-        summary_lines,
-        summary_object,
-        unreadable_object,
-    )
-    from robotctl.recording.read.verified import VerifiedRecording, verify_recording
+    from robotctl.cli.commands.verify.report import recording_lines, summary_lines
+    from robotctl.cli.commands.verify.verified import verify_together
 
     if head and not (len(head) == _DIGEST_DIGITS and set(head.lower()) <= set("0123456789abcdef")):
         raise UsageError(
             f"--head {head[:80]} is no head", "give 64 digits, as robotctl key head does"
         )
     paths, _ = select_recordings(files, robot)
-    found: list[VerifiedRecording] = []
-    reports: list[dict[str, Any]] = []
-    for path in paths:
-        with progress_bar("reading", quiet=as_json) as on_progress:
-            try:
-                found.append(verify_recording(path, on_progress))
-            except UnreadableFile as error:
-                reports.append(unreadable_object(path, str(error)))
-            else:
-                reports.append(recording_object(found[-1]))
-    summary = summary_object(found, head)
+    found = verify_together(paths, head, quiet=as_json)
+    reports, summary = found.recordings, found.summary
     lines = [line for report in reports for line in recording_lines(report)]
     lines += summary_lines(summary)
     answer = {"recordings": reports, **summary}

@@ -7,14 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from robotctl.cli.terminal.text import moment, row, short_path, size
-from robotctl.errors import RobotctlError
-from robotctl.paths import check_robot_name, seal_folder
-from robotctl.recording.format.seal_records import Opening
+from robotctl.recording.read.known_heads import KnownHeads
 from robotctl.recording.read.seal_chain import Chain, SealedFile, check_chain, find_head
 from robotctl.recording.read.seal_check import SealState
 from robotctl.recording.read.verified import RecordingProof, VerifiedRecording
 from robotctl.recording.read.whole_file import WholeFile
-from robotctl.recording.seal.heads import HeadsList, read_heads
+from robotctl.recording.read.zstd_file import SUFFIX
 
 _LABEL_WIDTH = 12
 _INDENT = " " * _LABEL_WIDTH
@@ -27,19 +25,32 @@ NOT_PROVED = (
 )
 
 
-def recording_object(found: VerifiedRecording) -> dict[str, Any]:
-    """Return the object of one recording."""
+def recording_object(found: VerifiedRecording, heads: KnownHeads) -> dict[str, Any]:
+    """Return the object of one recording; `heads` is what this machine knows of such files."""
     whole = found.whole
+    known = [(file.path.name, heads.compare(file)) for file in found.files]
+    wrong = [*found.wrong, *(f"{name}: {each.wrong}" for name, each in known if each.wrong)]
+    unproved = [f"{name}: {each.unproved}" for name, each in known if each.unproved]
     return {
         "path": str(whole.path),
-        "verdict": found.proof.value,
+        "verdict": (RecordingProof.BROKEN if wrong else found.proof).value,
         "files": [
             _file_object(file, sealed)
             for file, sealed in zip(whole.files, found.files, strict=True)
         ],
-        "wrong": list(found.wrong),
+        "wrong": wrong,
         "unreadable": list(whole.unreadable),
+        "unproved": unproved,
         "notes": [
+            *unproved,
+            *(
+                f"{file.path.name}: it was sealed as {file.seal.opening.file}: it was renamed, or "
+                "stands in the place of another"
+                for file in found.files
+                if file.seal.opening is not None
+                and not file.seal.is_copy
+                and file.path.name.removesuffix(SUFFIX) != file.seal.opening.file
+            ),
             *(
                 f"{file.path.name}: not closed: {file.loose} bytes before its end hold no data"
                 for file in whole.files
@@ -59,11 +70,14 @@ def unreadable_object(path: Path, reason: str) -> dict[str, Any]:
         "files": [],
         "wrong": [],
         "unreadable": [reason],
+        "unproved": [],
         "notes": [],
     }
 
 
-def summary_object(found: Sequence[VerifiedRecording], head: str) -> dict[str, Any]:
+def summary_object(
+    found: Sequence[VerifiedRecording], head: str, heads: KnownHeads
+) -> dict[str, Any]:
     """Return what holds for all recordings together: their chain, the head, what is not proved."""
     files = [file for each in found for file in each.files]
     chain = check_chain(files)
@@ -77,9 +91,8 @@ def summary_object(found: Sequence[VerifiedRecording], head: str) -> dict[str, A
         else:
             notes.append(f"the given head is in {holder.path.name}")
     sealed = [file for file in files if file.seal.state is not SealState.NONE]
-    notes += _named_here(chain, sealed)
-    known, cut = _known_here(sealed)
-    wrong += cut
+    notes += _named_here(chain, sealed, heads)
+    known = sum(heads.compare(file).listed for file in sealed)
     if known:
         notes.append(f"this machine's list of keys knows {known} of {len(sealed)} files")
     return {
@@ -135,6 +148,7 @@ def _seal_object(sealed: SealedFile) -> dict[str, Any]:
     opening, head = seal.opening, seal.head
     return {
         "state": seal.state.value,
+        "file": "" if opening is None else opening.file,
         "robot": "" if opening is None else opening.robot,
         "root": "" if opening is None else opening.root,
         "number": 0 if opening is None else opening.number,
@@ -148,38 +162,14 @@ def _seal_object(sealed: SealedFile) -> dict[str, Any]:
     }
 
 
-def _known_here(files: Sequence[SealedFile]) -> tuple[int, list[str]]:
-    """Return how many files the lists in this user's state folder know, and which were cut."""
-    lists: dict[str, HeadsList] = {}
-    known, cut = 0, []
-    for file in files:
-        opening = file.seal.opening
-        if opening is None:
-            continue
-        if opening.robot not in lists:
-            lists[opening.robot] = _heads_of(opening)
-        heads = lists[opening.robot]
-        known += heads.opened.get(opening.key) == opening
-        closed = heads.closed.get(opening.key)
-        if closed is not None and not file.seal.knows(closed.digest):
-            name = file.path.name
-            cut.append(f"{name}: this machine knows another end of it: a tail was cut or changed")
-    return known, cut
-
-
-def _named_here(chain: Chain, files: Sequence[SealedFile]) -> Iterator[str]:
+def _named_here(chain: Chain, files: Sequence[SealedFile], heads: KnownHeads) -> Iterator[str]:
     """Yield what the lists in this user's state folder know about the files that are missing."""
     robots = {
-        file.seal.opening.root: file.seal.opening for file in files if file.seal.opening is not None
+        file.seal.opening.root: file.seal.opening.robot
+        for file in files
+        if file.seal.opening is not None
     }
     for root, number in chain.missing:
-        name = _heads_of(robots[root]).named(root, number)
+        name = heads.of_robot(robots[root]).named(root, number)
         if name:
             yield f"this machine's list of keys knows file {number}: it was {name}"
-
-
-def _heads_of(opening: Opening) -> HeadsList:
-    try:
-        return read_heads(seal_folder(check_robot_name(opening.robot)))
-    except RobotctlError:
-        return HeadsList()
