@@ -7,7 +7,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 from robotctl.errors import UnreadableFile
-from robotctl.kernel.snapshot import Proof
 from robotctl.kernel.types import Effect, Event, Tick
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording, RecordingInfo
@@ -41,6 +40,7 @@ from robotctl.rerun.piece_pool import PiecePool, pool_for
 from robotctl.rerun.recording_ends import RecordingEnds
 from robotctl.rerun.recording_groups import FileGroup, file_groups
 from robotctl.rerun.rerun import Rerun
+from robotctl.rerun.snapshot_proofs import SnapshotProofs
 from robotctl.store.store_path import StorePath
 
 Progress = Callable[[int, int], None]
@@ -148,6 +148,7 @@ class _Check:
             self._on_progress,
             (lambda spot: None) if beside is None else beside.enter,
         )
+        self._proofs = SnapshotProofs(report, self._reading.chain, self._compared.invariants)
         readers = self._compared.readers()
         for batch in self._reading.batches(topic, readers, self._compared.ordinary_topics):
             self._take(batch, readers)
@@ -200,16 +201,8 @@ class _Check:
         position = self._reading.position.position
         if self._pool is not None and position is not None:
             self._rerun.trust(self._pool.confirmed(position))
-        self._check_chain(entry, snapshot.proof)
+        self._proofs.take(entry, snapshot.proof, self._ends.snapshot(entry, snapshot.proof))
         self._compared.snapshot(snapshot, entry.t_ns, self._log_ns[1])
-
-    def _check_chain(self, entry: JournalEntry, proof: Proof | None) -> None:
-        is_whole = self._reading.chain.is_whole(entry, proof)
-        before = self._ends.snapshot(entry, proof)
-        if not is_whole:
-            self._compared.invariants.violate(
-                f"the journal was changed between its entries {before} and {entry.seq}"
-            )
 
     def _step(self, step: Step, agreed: Agreed | None) -> None:
         entry, report, rerun = step.event, self._report, self._rerun

@@ -29,9 +29,10 @@ from tests.tampering.end_kinds import AT_THE_END, BUTTON, THOUSANDS_OF_THE_BUTTO
 from tests.tampering.journal_changes import last_dropped
 from tests.tampering.journal_kinds import IN_JOURNAL
 from tests.tampering.message_changes import numbered
+from tests.tampering.pretended_kinds import PRETENDED
 from tests.tampering.topic_kinds import IN_TOPICS
 
-FOUND: Mapping[str, Kind] = {**IN_TOPICS, **IN_JOURNAL, **AT_THE_END}
+FOUND: Mapping[str, Kind] = {**IN_TOPICS, **IN_JOURNAL, **AT_THE_END, **PRETENDED}
 """Edits that a check finds: its verdict is not `same`."""
 
 ON_A_BUTTON: Mapping[str, Kind] = {

@@ -1,0 +1,72 @@
+"""Checks the proof in each snapshot: it tells of the journal before it, and only version 0.1.0 has
+none.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Final
+
+from robotctl.kernel.snapshot import Proof
+from robotctl.recording.format.journal import JournalEntry
+from robotctl.rerun.check_report import Report
+from robotctl.rerun.invariants import Invariants
+from robotctl.rerun.journal_chain import JournalChain
+
+WITHOUT_PROOF: Final = "0.1.0"
+"""The version that wrote no proofs."""
+
+_STATE: Final = frozenset(
+    [
+        *("mode", "phase", "reason", "cause", "command", "tick_t_ns", "health", "drive"),
+        *("stop_reason", "waiting"),
+    ]
+)
+"""The fields of a state in that version."""
+
+NOT_COMPARED: Final = (
+    f"version {WITHOUT_PROOF} did not number what it sent and wrote: not compared are inputs, "
+    "statuses, calls, order and times of commands, and whether the journal is whole"
+)
+
+
+class SnapshotProofs:
+    """The proofs in one journal: all of its snapshots have one, or none has."""
+
+    def __init__(self, report: Report, chain: JournalChain, invariants: Invariants) -> None:
+        self._report = report
+        self._chain = chain
+        self._invariants = invariants
+        self._has_proofs: bool | None = None
+        """Whether the snapshots must have a proof, None before the first one."""
+
+        self._is_told = False
+
+    def take(self, entry: JournalEntry, proof: Proof | None, before: int) -> None:
+        """Check the next snapshot; `before` is the number of the one before it."""
+        if not self._chain.is_whole(entry, proof):
+            self._invariants.violate(
+                f"the journal was changed between its entries {before} and {entry.seq}"
+            )
+        has_proof = proof is not None
+        if self._has_proofs is None:
+            self._has_proofs = has_proof or not self._may_lack(entry)
+            if not self._has_proofs:
+                self._report.notes.append(NOT_COMPARED)
+        if has_proof is not self._has_proofs and not self._is_told:
+            self._is_told = True
+            self._tell(entry, has_proof=has_proof)
+
+    def _may_lack(self, entry: JournalEntry) -> bool:
+        """Return whether a snapshot is of the version that wrote no proofs."""
+        is_named = self._report.version == WITHOUT_PROOF
+        return is_named and _STATE.issuperset(json.loads(entry.data)["state"])
+
+    def _tell(self, entry: JournalEntry, *, has_proof: bool) -> None:
+        does = "tells" if has_proof else "does not tell"
+        text = f"the snapshot in entry {entry.seq} {does} what was sent and written before it"
+        if self._report.same_version:
+            self._invariants.violate(text)
+        else:
+            who = "those" if has_proof else "only those"
+            self._report.miss(f"{text}: {who} of version {WITHOUT_PROOF} do not")
