@@ -17,6 +17,7 @@ from robotctl.rerun.input_check import is_filtered
 from robotctl.rerun.invariants import Invariants, unbalanced
 from robotctl.rerun.journal_values import read_snapshot
 from robotctl.rerun.recorded_parameters import differing_parameters
+from robotctl.rerun.schema_check import check_schemas
 
 OBSERVING: Final = "observing"
 """The mode of a recorder that drives nothing. It may observe a robot with its own name."""
@@ -89,6 +90,7 @@ class RecordingEnds:
 
     def read_ledger(self, invariants: Invariants) -> None:
         """Check the loss ledger in the last file; there is none if it was not closed."""
+        check_schemas(self._recording, self._report, invariants)
         ledger = read_ledger(self._recording.metadata_of_file(-1))
         if not ledger and CLIP_RECORD in self._info.metadata:
             return  # a clip has no ledger: its source has it

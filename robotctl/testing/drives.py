@@ -9,7 +9,9 @@ from pathlib import Path
 
 from robotctl import __version__
 from robotctl.cdr import known_types
+from robotctl.cdr.definition import parse_definition
 from robotctl.cdr.motion import encode_twist
+from robotctl.cdr.type_hash import rihs01_hash
 from robotctl.config import Config, flat
 from robotctl.daemon.control.journal_writer import Journal
 from robotctl.kernel import command_types
@@ -26,6 +28,7 @@ from robotctl.kernel.types import (
 )
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recorder, RecorderOptions, Topic
+from robotctl.recording.convert.installed_definition import installed_definition
 from robotctl.recording.format.journal import JournalEntry, decode, encode
 from robotctl.recording.format.metadata_names import PARAMETER_PREFIX
 from robotctl.rerun.closed_loop import closed_loop
@@ -55,8 +58,16 @@ QOS = """\
 """
 """The quality of service that every recorded publisher offers."""
 
-TWIST = Topic("/cmd_vel", command_types.TWIST, "Vector3 linear\n", "RIHS01_ab", QOS)
-ODOMETRY = Topic("/odom", known_types.ODOMETRY, "Header header\n", "RIHS01_cd", QOS)
+
+def installed_topic(name: str, type_name: str) -> Topic:
+    """Return a topic with the definition of its type, as it is installed."""
+    text = installed_definition(type_name, "")
+    type_hash = rihs01_hash(type_name, parse_definition(type_name, text)) if text else ""
+    return Topic(name, type_name, text, type_hash, QOS)
+
+
+TWIST = installed_topic("/cmd_vel", command_types.TWIST)
+ODOMETRY = installed_topic("/odom", known_types.ODOMETRY)
 
 BEGIN_NS = 5_000_000_000
 """The steady time at which drives begin [ns]."""
@@ -64,7 +75,7 @@ BEGIN_NS = 5_000_000_000
 Step = tuple[Event, tuple[Effect, ...]]
 """An event and the effects that the kernel decided on."""
 
-JOURNAL = Topic("/robotctl/journal", known_types.JOURNAL_ENTRY)
+JOURNAL = installed_topic("/robotctl/journal", known_types.JOURNAL_ENTRY)
 
 MAX_QUEUED = 20_000
 """The number of messages that may be queued; the recorder would drop more."""

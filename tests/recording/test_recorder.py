@@ -215,8 +215,8 @@ def test_rosbags_opens_the_folder(open_recorder: OpenRecorder, folder: Path) -> 
     with RosbagsReader(folder) as bag:
         assert bag.message_count == 150
         assert {c.topic: (c.msgtype, c.msgcount, c.digest) for c in bag.connections} == {
-            "/cmd_vel": ("geometry_msgs/msg/Twist", 100, "RIHS01_ab"),
-            "/odom": ("nav_msgs/msg/Odometry", 50, "RIHS01_cd"),
+            "/cmd_vel": ("geometry_msgs/msg/Twist", 100, TWIST.type_hash),
+            "/odom": ("nav_msgs/msg/Odometry", 50, ODOMETRY.type_hash),
         }
         assert bag.connections[0].ext.offered_qos_profiles[0].depth == 10  # type: ignore[union-attr]
         assert [data for _, _, data in bag.messages(bag.connections[:1])] == [
@@ -305,7 +305,10 @@ def test_the_file_describes_itself(folder: Path) -> None:
         "throttled": 0,
     }
     (channel_record,) = summary.channels.values()
-    assert channel_record.metadata == {"topic_type_hash": "RIHS01_ab", "offered_qos_profiles": QOS}
+    assert channel_record.metadata == {
+        "topic_type_hash": TWIST.type_hash,
+        "offered_qos_profiles": QOS,
+    }
     assert channel_record.message_encoding == "cdr"
     (schema,) = summary.schemas.values()
     assert (schema.name, schema.encoding) == ("geometry_msgs/msg/Twist", "ros2msg")

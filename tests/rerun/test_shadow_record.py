@@ -9,7 +9,7 @@ import pytest
 
 from robotctl.cdr.known_types import JOURNAL_ENTRY
 from robotctl.kernel.types import ModeRequested
-from robotctl.recording import Recorder, RecorderOptions, Topic, read_info
+from robotctl.recording import Recorder, RecorderOptions, read_info
 from robotctl.recording.format.journal import EntryKind, JournalEntry, encode
 from robotctl.recording.format.metadata_names import SHADOW_RECORD
 from robotctl.recording.read.journal_reader import journal_topics
@@ -17,9 +17,9 @@ from robotctl.recording.read.shadow_record import MAX_CHARACTERS, shadow_sentenc
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
 from robotctl.rerun.incident import find_incident
-from robotctl.testing.drives import BEGIN_NS, drive, drive_requested, record
+from robotctl.testing.drives import BEGIN_NS, drive, drive_requested, installed_topic, record
 
-SHADOW = Topic("/robotctl/shadow", JOURNAL_ENTRY)
+SHADOW = installed_topic("/robotctl/shadow", JOURNAL_ENTRY)
 ESTOP = ModeRequested(BEGIN_NS + 1_000_000_000, 2, 3, "operator")
 OWN = {"file": "next.yaml", "digest": "01", "parameter.tracking.k_y": "8.0"}
 

@@ -13,21 +13,24 @@ from typing import Any
 
 from mcap.records import Channel, Schema
 
+from robotctl.cdr.definition import parse_definition
 from robotctl.cdr.reader import ENCAPSULATION
 from robotctl.cdr.safety_inputs import MESSAGE_TYPES
+from robotctl.cdr.type_hash import rihs01_hash
 from robotctl.config import Config
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.safety_inputs import SafetyInput
 from robotctl.kernel.types import Effect, Event
 from robotctl.kernel.units import NS_PER_S
+from robotctl.recording.convert.installed_definition import installed_definition
 from robotctl.recording.format.journal import decode
 from robotctl.recording.format.metadata_names import INFO_RECORD, LEDGER_RECORD
 from robotctl.rerun.closed_loop import closed_loop
-from robotctl.testing.drives import BEGIN_NS, drive_requested, journaled, record
+from robotctl.testing.drives import BEGIN_NS, QOS, drive_requested, journaled, record
 from robotctl.testing.hearing import BATTERY, ODOMETRY, SCAN, WANTED, HearingKernel
 from robotctl.testing.safety_messages import TOPICS as SAFETY_TOPICS
 from tests.support.edited_recordings import Contents, Stored, contents_of
-from tests.support.service_calls import ESTOP, SET_MODE, received, sent
+from tests.support.service_calls import ESTOP, EVENTS, SET_MODE, received, sent
 
 COMMANDS, JOURNAL, STATUS = "/cmd_vel", "/robotctl/journal", "/robot_status"
 
@@ -159,8 +162,10 @@ class _Calls:
 
 
 def _add_topic(contents: Contents, topic: str, type_name: str) -> None:
-    schema = Schema(id=0, name=type_name, encoding="ros2msg", data=type_name.encode())
-    values = {"topic_type_hash": "", "offered_qos_profiles": ""}
+    text = EVENTS.get(type_name) or installed_definition(type_name, "")
+    type_hash = rihs01_hash(type_name, parse_definition(type_name, text))
+    schema = Schema(id=0, name=type_name, encoding="ros2msg", data=text.encode())
+    values = {"topic_type_hash": type_hash, "offered_qos_profiles": QOS}
     channel = Channel(id=0, topic=topic, message_encoding="cdr", schema_id=0, metadata=values)
     contents.types.append((channel, schema))
 

@@ -22,6 +22,7 @@ from tests.tampering.edits import (
 )
 from tests.tampering.end_kinds import appended, repeated_at_the_end
 from tests.tampering.message_changes import last_number
+from tests.tampering.schema_kinds import READ, commented, described
 from tests.tampering.stretches import stretch_removed
 
 ACCEPTED: Mapping[str, tuple[Kind, str]] = {
@@ -100,6 +101,10 @@ ACCEPTED: Mapping[str, tuple[Kind, str]] = {
     "service: another client": (
         all_changed(ESTOP, lambda m: replace(m, data=m.data.replace(b"\1" * 16, b"\2" * 16))),
         "no decision depends on which client called",
+    ),
+    "schema: a comment changed": (
+        described(commented, *READ),
+        "the fields are the same, and a comment changes no value",
     ),
     "metadata: the mode at the start changed": (
         metadata("robotctl", "mode", "MOVING"),

@@ -44,8 +44,10 @@ from tests.tampering.message_changes import (
     shown_level,
     with_mode,
 )
+from tests.tampering.schema_kinds import IN_SCHEMAS
 
 IN_TOPICS: Mapping[str, Kind] = {
+    **IN_SCHEMAS,
     "commands: one that moves dropped": dropped(COMMANDS, 1, moves),
     "commands: any dropped": dropped(COMMANDS),
     "commands: many dropped": dropped(COMMANDS, 30, moves),
