@@ -91,8 +91,9 @@ class Course:
     `corner_m` is the radius of the corners of a rounded square; on waypoints it is how far before
     a corner the robot leaves the straight line, 0 to stop and turn at each point. `angle_rad` is
     how far a turn or an arc goes, to the left if positive. `reverse` drives rear first, `open_loop`
-    without correcting by odometry. `waypoints` [m] in `frame` replace the pattern. A `held`
-    velocity replaces both.
+    without correcting by odometry. `waypoints` [m] in `frame` replace the pattern: in reverse a
+    pattern lies behind the robot, but waypoints stay where they are. A `held` velocity replaces
+    both.
     """
 
     corner_m: float = 0.1

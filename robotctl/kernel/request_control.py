@@ -139,7 +139,7 @@ class RequestControl(LeaseControl):
             self._start_alone(request_id, reason)
             return
         if course.waypoints:
-            points = local_points(course.waypoints, course.frame, odometry.pose)
+            points = local_points(course, odometry.pose)
             course = replace(course, waypoints=points, frame=Frame.START)
             if not path_for(pattern, course, laps).segments:
                 self._refuse(request_id, "the robot is at each point of the path already")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 from math import atan2, hypot, tan
 
-from robotctl.kernel.course import MIN_LEG_M, Frame, Point
+from robotctl.kernel.course import MIN_LEG_M, Course, Frame, Point
 from robotctl.kernel.geometry import ORIGIN, Pose, wrap_angle
 from robotctl.kernel.path import Path
 from robotctl.kernel.segments import Arc, Line, Segment, Turn
@@ -19,12 +19,17 @@ MIN_RADIUS_M, GENTLE_RAD = 0.02, 0.35
 STRAIGHT_RAD = 1e-6
 
 
-def local_points(points: tuple[Point, ...], frame: Frame, start: Pose) -> tuple[Point, ...]:
-    """Return waypoints relative to `start`, the pose of the robot in the odometry frame."""
-    if frame is Frame.START:
-        return points
-    local = [start.express(Pose(x, y)) for x, y in points]
-    return tuple((pose.x, pose.y) for pose in local)
+def local_points(course: Course, start: Pose) -> tuple[Point, ...]:
+    """Return the waypoints relative to the origin of a drive by a robot at `start`.
+
+    They are places: in reverse the origin looks backwards, so what is ahead of the robot is
+    behind the origin.
+    """
+    points = course.waypoints
+    if course.frame is Frame.ODOM:
+        local = [start.express(Pose(x, y)) for x, y in points]
+        points = tuple((pose.x, pose.y) for pose in local)
+    return tuple((-x, -y) for x, y in points) if course.reverse else points
 
 
 def waypoint_path(points: tuple[Point, ...], corner_m: float, *, again: bool) -> Path:

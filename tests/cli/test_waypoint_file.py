@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -112,6 +113,16 @@ def test_the_path_of_a_recording_is_driven_again_within_the_same_error(recorded:
         assert circle.distance_to(Pose(x, y), 0, 0.0) <= 0.03
     outline = path_of(Pattern(), Course(waypoints=tuple(points)), again=False).outline()
     assert max(circle.distance_to(pose, 0, 0.0) for pose in outline) <= 0.04
+
+
+def test_the_path_of_a_motion_in_reverse_is_driven_again_in_reverse(tmp_path: Path) -> None:
+    line, reverse = Pattern(PatternKind.LINE, 0.5), Course(reverse=True)
+    asked = DriveRequested(BEGIN_NS + 100_000_000, 1, line, 1, False, "test", course=reverse)
+    folder = record(tmp_path / "robot_20260101_120000", drive(3.0, requests=[asked]))
+    points = tuple((x, y) for x, y in read_waypoints(str(folder), Frame.START))
+    result = drive_simulated(Pattern(), course=replace(reverse, waypoints=points))
+    assert result.pose.distance(Pose(-0.5, 0.0)) <= 0.05
+    assert max(abs(command.angular) for command in result.commands) <= 0.5
 
 
 def test_a_recording_without_motion_holds_no_path(tmp_path: Path) -> None:

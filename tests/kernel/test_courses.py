@@ -94,16 +94,34 @@ def test_laps_of_waypoints_return_to_the_start() -> None:
     assert driven(Pattern(), Course(waypoints=ZIGZAG), laps=2).pose.distance(ORIGIN) <= 0.03
 
 
-def test_waypoints_in_the_frame_of_odometry_are_driven_there() -> None:
+@pytest.mark.parametrize("reverse", [False, True])
+def test_waypoints_in_the_frame_of_odometry_are_driven_there(reverse: bool) -> None:
     bench = ready()
     bench.odometry(Pose(3.0, 1.0, 1.0))
     points = ((3.0, 1.5), (4.0, 1.5))
-    bench.drive(laps=1, course=Course(waypoints=points, frame=Frame.ODOM))
+    bench.drive(laps=1, course=Course(waypoints=points, frame=Frame.ODOM, reverse=reverse))
     drive = bench.state.drive
     assert drive is not None
     begin, *_, end = [drive.origin.compose(pose) for pose in drive.path.outline()]
     assert begin.distance(Pose(3.0, 1.0)) <= 1e-9
     assert end.distance(Pose(4.0, 1.5)) <= 1e-9
+
+
+@pytest.mark.parametrize("frame", Frame)
+def test_waypoints_are_reached_in_reverse_rear_first(frame: Frame) -> None:
+    points = ((0.3, 0.2), (1.0, 0.5))
+    result = driven(Pattern(), Course(waypoints=points, frame=frame, reverse=True))
+    assert result.pose.distance(Pose(1.0, 0.5)) <= 0.03
+    assert sum(command.linear for command in result.commands) < 0.0
+    assert all(command.linear <= 0.05 for command in result.commands)
+
+
+@pytest.mark.parametrize("frame", Frame)
+def test_a_path_behind_the_robot_is_driven_in_reverse_without_a_turn(frame: Frame) -> None:
+    course = Course(waypoints=((0.0, 0.0), (-1.0, 0.0)), frame=frame, reverse=True)
+    result = driven(Pattern(), course)
+    assert result.pose.distance(Pose(-1.0, 0.0)) <= 0.03
+    assert max(abs(command.angular) for command in result.commands) <= 0.3
 
 
 PLACES = st.lists(
@@ -274,9 +292,11 @@ def test_a_motion_has_a_name() -> None:
     assert named(Pattern(), Course(waypoints=ZIGZAG)) == "a path of 5 points"
 
 
-def test_local_points_are_seen_from_the_robot() -> None:
-    ((x, y),) = local_points(((1.0, 3.0),), Frame.ODOM, Pose(1.0, 1.0, pi / 2))
-    assert x == pytest.approx(2.0)
+@pytest.mark.parametrize("reverse", [False, True])
+def test_local_points_are_seen_from_the_origin_of_the_drive(reverse: bool) -> None:
+    course = Course(waypoints=((1.0, 3.0),), frame=Frame.ODOM, reverse=reverse)
+    ((x, y),) = local_points(course, Pose(1.0, 1.0, pi / 2))
+    assert x == pytest.approx(-2.0 if reverse else 2.0)
     assert y == pytest.approx(0.0)
 
 

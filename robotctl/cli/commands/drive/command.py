@@ -91,7 +91,13 @@ def drive(
             "pattern does not end where it begins].",
         ),
     ] = None,
-    reverse: Annotated[bool, typer.Option("--reverse", help="Drive rear first.")] = False,
+    reverse: Annotated[
+        bool,
+        typer.Option(
+            "--reverse",
+            help="Drive rear first: a pattern lies behind the robot, the points of a path stay.",
+        ),
+    ] = False,
     topic: Annotated[
         str,
         typer.Option(metavar="NAME", help="Of a path: the next nav_msgs/Path on this topic."),
