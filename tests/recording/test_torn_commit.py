@@ -20,7 +20,7 @@ from mcap.records import ChunkIndex, Footer, Message, Statistics, SummaryOffset
 from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
 
-from robotctl.recording import Compression, RecorderOptions, read_messages
+from robotctl.recording import Compression, RecorderOptions, Topic, read_messages
 from robotctl.recording.disk.storage import Buffer, DiskFile
 from robotctl.recording.format.records import MAGIC
 from robotctl.recording.keep.repair import repair
@@ -30,7 +30,7 @@ from robotctl.recording.read.whole_file import FileState, WholeFile, read_whole_
 from robotctl.recording.write.buffer import pack
 from robotctl.recording.write.channel_state import ChannelState
 from robotctl.recording.write.recording_file import RecordingFile
-from robotctl.testing.drives import ODOMETRY, TWIST
+from robotctl.testing.drives import QOS
 from robotctl.testing.faults import PAGE, FailingFile
 from tests.support.recordings import numbered, read_strictly
 from tests.support.sealed import keyring
@@ -60,6 +60,11 @@ class LoggedFile(DiskFile):
     def truncate(self, size: int) -> None:
         self.writes.append(Write(size, b""))
         super().truncate(size)
+
+
+# Their definitions are short: the room for a new topic depends on the length.
+TWIST = Topic("/cmd_vel", "geometry_msgs/msg/Twist", "Vector3 linear\n", "RIHS01_ab", QOS)
+ODOMETRY = Topic("/odom", "nav_msgs/msg/Odometry", "Header header\n", "RIHS01_cd", QOS)
 
 
 class Recorded(NamedTuple):
