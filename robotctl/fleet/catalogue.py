@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -34,6 +34,7 @@ CATALOGUE_NAME: Final = INDEX_FILE
 
 GOING_ON: Final = "it is being recorded"
 NOT_TEXT: Final = "its name is no UTF-8"
+NOT_ALLOWED: Final = "this user may not read it"
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +128,7 @@ def _stamps(folder: Path, known: Stamps) -> tuple[Stamps, list[str]]:
         if not _is_text(name):
             left_out.append(_left_out(name, NOT_TEXT))
             continue
-        with suppress(OSError):  # removed meanwhile, or of another user
+        try:
             files = files_of(path)
             if not files:
                 continue
@@ -135,6 +136,12 @@ def _stamps(folder: Path, known: Stamps) -> tuple[Stamps, list[str]]:
             if known.get(name) == stamps[name]:
                 continue
             closed = closed_files(files)
+        except PermissionError:
+            stamps.pop(name, None)
+            left_out.append(_left_out(name, NOT_ALLOWED))
+        except OSError:  # it was removed meanwhile
+            stamps.pop(name, None)
+        else:
             if not closed:
                 del stamps[name]
                 left_out.append(_left_out(name, GOING_ON))

@@ -153,5 +153,6 @@ class FolderStore:
 
 
 def _described(key: str, status: os.stat_result) -> StoredObject:
-    etag = f"{status.st_ino}-{status.st_mtime_ns}-{status.st_size}"
+    # The time of change as well: that of modification can be set to any value.
+    etag = f"{status.st_ino}-{status.st_mtime_ns}-{status.st_ctime_ns}-{status.st_size}"
     return StoredObject(key, status.st_size, etag, status.st_mtime)

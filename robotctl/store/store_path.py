@@ -45,6 +45,10 @@ def path_of(text: str) -> Path:
         url = parse_url(text)
         if url.scheme != "file":
             return StorePath(str(url))
+        if url.host not in ("", "localhost"):  # RFC 8089
+            raise UsageError(
+                f"{text} is a file of the computer {url.host!r}, which is not this one"
+            )
         path = Path("/", url.path)
     return StorePath(f"{_HERE}{path.resolve()}") if has_hash_folders(path) else path
 

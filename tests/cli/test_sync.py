@@ -100,6 +100,18 @@ def test_what_was_copied_is_read_as_the_recording_is(
     assert (checked.exit_code, checked.out.split()[0]) == (0, "same")
 
 
+def test_the_files_of_a_copy_are_recovered_one_by_one(
+    cli: Cli, recording: Path, tmp_path: Path
+) -> None:
+    usb = tmp_path / "usb"
+    assert cli("sync", str(usb)).exit_code == 0
+    copy = stored(usb, f"{NAME}_0.mcap")
+    refused = cli("recover", str(usb / NAME))
+    assert refused.exit_code == 2
+    assert f"robotctl recover {copy} -o OUT.mcap" in refused.err
+    assert cli("recover", str(copy), "-o", str(tmp_path / "out.mcap")).exit_code == 0
+
+
 def test_an_object_that_was_changed_is_told_with_exit_code_7(
     cli: Cli, recording: Path, tmp_path: Path
 ) -> None:

@@ -12,7 +12,7 @@ from robotctl.processes import Child
 
 async def test_a_child_that_lives_on_after_a_report_does_not_hold_up_the_loop() -> None:
     reading, writing = os.pipe()
-    closed_by = []
+    closed_by: list[str] = []
 
     def close(by: str) -> None:
         if not closed_by:

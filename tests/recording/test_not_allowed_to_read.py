@@ -47,3 +47,39 @@ def test_who_may_not_read_a_recording_is_told_the_cure(closed: str) -> None:
         f"{file} cannot be read: {why}",
         f"{file} cannot be read: {why}",
     ], err
+
+
+IMPORTS_OF_A_FOLDER = """
+from pathlib import Path
+from robotctl.cli.commands.replay.select_recordings import select_recordings
+from robotctl.fleet.catalogue import _stamps
+from robotctl.recording.keep.listing import list_recordings
+"""
+
+LISTED = """
+folder = Path({folder!r})
+print([path.name for path in select_recordings([folder], None)[0]])
+print([path.name for path in select_recordings(sorted(folder.iterdir()), None)[0]])
+print([(each.path.name, each.readable, each.damage) for each in list_recordings(folder)])
+print(_stamps(folder, {{}})[1])
+"""
+
+
+@as_root
+def test_a_recording_that_may_not_be_listed_is_not_left_out_in_silence() -> None:
+    with tempfile.TemporaryDirectory() as made:
+        folder = Path(made)
+        folder.chmod(0o755)
+        (folder / "closed").mkdir(0o700)
+        (folder / "closed" / "robot_0.mcap").touch()
+        (folder / "notes").mkdir(0o755)
+        code = LISTED.format(folder=made)
+        process = process_of(MEMBER, [100], IMPORTS_OF_A_FOLDER, code, os.environ)
+        out, err = process.communicate(timeout=DEADLINE_S)
+    why = "Permission denied (run this as its owner, or record with recording.group_readable: true)"
+    assert out.splitlines() == [
+        "['closed']",
+        "['closed']",
+        f"[('closed', False, ('{why}',))]",
+        "['closed is left out: this user may not read it']",
+    ], err

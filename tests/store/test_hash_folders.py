@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from robotctl.errors import UsageError
 from robotctl.store import open_store
 from robotctl.store.store_path import StorePath, path_of
 
@@ -39,12 +40,26 @@ def test_what_needs_a_file_gets_the_copy_itself(copies: Path) -> None:
     assert os.fspath(path_of(str(copies)) / "run" / "run_0.mcap") == f"{copies}/{KEY}"
 
 
+def test_a_file_that_was_changed_is_another_one_also_with_its_old_time(copies: Path) -> None:
+    before = open_store(str(copies)).head(KEY)
+    data, times = (copies / KEY).read_bytes(), (copies / KEY).stat()
+    (copies / KEY).write_bytes(data[::-1])
+    os.utime(copies / KEY, ns=(times.st_atime_ns, times.st_mtime_ns))
+    assert open_store(str(copies)).head(KEY).etag != before.etag
+
+
 def test_a_file_beside_another_is_stored_where_that_is(copies: Path) -> None:
     path = path_of(str(copies)) / "run" / "run_0.mcap"
     assert isinstance(path, StorePath)
     beside = path.described().key.replace("run_0.mcap", "index.parquet")
     open_store(path.store_root).put(beside, [b"index"])
     assert (copies / "run" / SHA / "index.parquet").read_bytes() == b"index"
+
+
+def test_a_file_of_another_computer_is_not_looked_for_here(copies: Path) -> None:
+    assert str(path_of(f"file://localhost{copies}")) == str(copies)
+    with pytest.raises(UsageError, match="file of the computer 'elsewhere'"):
+        path_of(f"file://elsewhere{copies}")
 
 
 def test_a_folder_of_recordings_stays_a_folder(tmp_path: Path) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -13,7 +15,8 @@ from robotctl.cli.support.answer import print_answer
 from robotctl.cli.support.recording_paths import RecordedBy, RecordingsFolder, find_local_recording
 from robotctl.cli.terminal.progress import progress_bar
 from robotctl.cli.terminal.text import short_path
-from robotctl.errors import RecoveredWithLoss
+from robotctl.errors import RecoveredWithLoss, UsageError
+from robotctl.store.store_path import StorePath
 
 if TYPE_CHECKING:
     from robotctl.recording.keep.recover import RecoveryReport
@@ -50,6 +53,12 @@ def recover(
     from robotctl.recording.keep.recover_folder import recover_folder
 
     source = find_local_recording(file, robot, folder)
+    if isinstance(source, StorePath):
+        copied = next(map(os.fspath, source.glob("*.mcap")), str(source))
+        raise UsageError(
+            f"{source} is a copy by robotctl sync, which keeps each file in a folder of its own",
+            f"recover its files one by one: robotctl recover {quote(copied)} -o OUT.mcap",
+        )
     target = output or _beside(source)
     with progress_bar("recovering", quiet=as_json) as on_progress:
         work = recover_folder if source.is_dir() else recover_file

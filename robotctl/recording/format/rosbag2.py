@@ -85,11 +85,27 @@ def write_metadata(folder: Path, topics: Iterable[Topic], files: Sequence[BagFil
 def metadata_text(path: Path) -> str:
     """Return the `metadata.yaml` of a recording (a folder or one of its files), or ""."""
     try:
-        folder = path if path.is_dir() else path.parent
-        with TextIOWrapper(open_file(folder / METADATA_FILE), encoding="utf-8") as stream:
-            return stream.read(_MAX_METADATA_CHARACTERS)
+        return read_metadata(path)
     except (OSError, ValueError):
         return ""
+
+
+def read_metadata(path: Path) -> str:
+    """Return the `metadata.yaml` of a recording (a folder or one of its files), "" if it has none.
+
+    Raises:
+        OSError: It cannot be read.
+        ValueError: It is no text, or too long.
+    """
+    folder = path if path.is_dir() else path.parent
+    try:
+        with TextIOWrapper(open_file(folder / METADATA_FILE), encoding="utf-8") as stream:
+            text = stream.read(_MAX_METADATA_CHARACTERS + 1)
+    except FileNotFoundError:
+        return ""
+    if len(text) > _MAX_METADATA_CHARACTERS:
+        raise ValueError(f"it has more than {_MAX_METADATA_CHARACTERS} characters")
+    return text
 
 
 def files_in(text: str) -> list[str]:

@@ -18,7 +18,7 @@ from robotctl.recording.format.rosbag2 import metadata_text
 from robotctl.recording.keep.catalog import CLIPS_FOLDER, KEEP_FILE
 from robotctl.recording.read.count_check import find_shortfalls
 from robotctl.recording.read.damage import Damaged
-from robotctl.recording.read.files import files_of_bag
+from robotctl.recording.read.files import files_of_bag, may_not_be_listed, reason_of
 from robotctl.recording.read.indexing import index_of
 from robotctl.recording.read.mcap_input import InputFile
 from robotctl.recording.read.messages import OpenFile
@@ -104,7 +104,11 @@ def recordings_in(folder: Path) -> list[Path]:
     Raises:
         OSError: `folder` cannot be listed.
     """
-    return [path for path in sorted(folder.iterdir()) if _files(path)]
+    return [path for path in sorted(folder.iterdir()) if _files(path) or _is_closed_to_us(path)]
+
+
+def _is_closed_to_us(path: Path) -> bool:
+    return not (path.is_symlink() or path.name.startswith(".")) and may_not_be_listed(path)
 
 
 def _files(path: Path) -> list[Path]:
@@ -132,11 +136,14 @@ def list_recording(path: Path) -> ListedRecording:
         OSError: It does not exist.
     """
     text = metadata_text(path)
-    files = _files(path) or _packed_files(path)
-    if not files:
+    files, damage = _files(path), []
+    try:
+        files = files or _packed_files(path)
+    except PermissionError as error:
+        damage.append(reason_of(error))
+    if not (files or damage):
         raise FileNotFoundError(ENOENT, os.strerror(ENOENT), str(path))
     opened: list[OpenFile] = []
-    damage: list[str] = []
     live = False
     for each in files:
         prefix = "" if each == path else f"{each.name}: "
@@ -153,7 +160,8 @@ def list_recording(path: Path) -> ListedRecording:
     with_messages = [index for index in indexes if index.message_count]
     metadata = [record for index in indexes for record in index.metadata]
     info = next((record.metadata for record in metadata if record.name == INFO_RECORD), {})
-    stats = [each.stat() for each in files]
+    stats = [each.stat() for each in files or [path]]
+    clips = path / CLIPS_FOLDER
     return ListedRecording(
         path=path,
         robot=info.get("robot", ""),
@@ -162,10 +170,10 @@ def list_recording(path: Path) -> ListedRecording:
         modified_s=max(stat.st_mtime for stat in stats),
         size_bytes=sum(stat.st_size for stat in stats),
         files=len(files),
-        clips=tuple(sorted((path / CLIPS_FOLDER).glob("*.mcap"))) if path.is_dir() else (),
+        clips=tuple(sorted(clips.glob("*.mcap"))) if os.path.isdir(clips) else (),
         events=tuple(events_in(metadata)),
         readable=bool(indexes),
         damage=tuple(damage),
         live=live,
-        kept=path.is_dir() and (path / KEEP_FILE).exists(),
+        kept=os.path.exists(path / KEEP_FILE),
     )

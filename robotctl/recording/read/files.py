@@ -9,7 +9,7 @@ from stat import S_ISDIR, S_ISREG
 from robotctl.errors import UnreadableFile
 from robotctl.recording.format.natural_order import natural_order
 from robotctl.recording.format.records import MAGIC
-from robotctl.recording.format.rosbag2 import METADATA_FILE, files_in
+from robotctl.recording.format.rosbag2 import METADATA_FILE, files_in, read_metadata
 from robotctl.recording.read.zstd_file import SUFFIX
 from robotctl.store.store_path import open_file
 
@@ -54,6 +54,28 @@ def reason_of(error: OSError | ValueError) -> str:
     return f"{reason} ({DENIED_CURE})" if isinstance(error, PermissionError) else reason
 
 
+def metadata_of_folder(folder: Path) -> tuple[str, list[str]]:
+    """Return the text of `metadata.yaml`, "" without one, and a sentence if it cannot be read."""
+    try:
+        return read_metadata(folder), []
+    except (OSError, ValueError) as error:
+        return "", [f"{METADATA_FILE} cannot be read: {reason_of(error)}"]
+
+
+def may_not_be_listed(path: Path) -> bool:
+    """Return whether a path is a folder whose files this user may not see.
+
+    `Path.glob` finds nothing in it. A file system keeps `lost+found` for itself.
+    """
+    try:
+        next(path.iterdir(), None)
+    except PermissionError:
+        return path.name != "lost+found"
+    except OSError:
+        pass
+    return False
+
+
 def is_recording(path: Path) -> bool:
     """Return whether a path is a recording, or a folder of recordings, by names and first bytes.
 
@@ -63,7 +85,8 @@ def is_recording(path: Path) -> bool:
     try:
         mode = path.stat().st_mode
         if S_ISDIR(mode):
-            return any(next(path.glob(pattern), None) for pattern in _FILES_OF_RECORDINGS)
+            found = any(next(path.glob(pattern), None) for pattern in _FILES_OF_RECORDINGS)
+            return found or may_not_be_listed(path)
         if path.suffix in (".mcap", SQLITE_SUFFIX) or path.name.endswith(f".mcap{SUFFIX}"):
             return True
         if not S_ISREG(mode):

@@ -15,12 +15,16 @@ from mcap.records import Channel, Metadata, Schema
 
 from robotctl.errors import UnreadableFile
 from robotctl.recording.format.metadata_names import CLIP_RECORD, LEDGER_RECORD
-from robotctl.recording.format.rosbag2 import metadata_text
 from robotctl.recording.format.type_names import type_name_of
 from robotctl.recording.read.count_check import find_shortfalls
 from robotctl.recording.read.damage import Damaged
 from robotctl.recording.read.file_index import note_missing
-from robotctl.recording.read.files import absent_files, reason_of, recording_files
+from robotctl.recording.read.files import (
+    absent_files,
+    metadata_of_folder,
+    reason_of,
+    recording_files,
+)
 from robotctl.recording.read.indexing import index_of
 from robotctl.recording.read.info import RecordingInfo, describe, metadata_in
 from robotctl.recording.read.lookback import last_before
@@ -87,13 +91,13 @@ class Recording:
         self._source = source
         self._files: list[OpenFile] = []
         self.missing: list[str] = []
-        text = "" if source else metadata_text(path)
+        text, problems = ("", []) if source else metadata_of_folder(path)
         paths = [path] if source else list(files) or recording_files(path)
         all_files = False
         if paths != [path]:
             absent = absent_files(text, paths)
             all_files = not absent
-            for sentence in absent:
+            for sentence in problems + absent:
                 note_missing(self.missing, sentence)
         try:
             for each in paths:

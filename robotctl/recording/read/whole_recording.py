@@ -17,13 +17,12 @@ from robotctl.recording.format.metadata_names import INFO_RECORD, LEDGER_RECORD,
 from robotctl.recording.format.rosbag2 import (
     METADATA_RECORD,
     message_counts_in,
-    metadata_text,
     topic_counts_in,
     total_count_in,
 )
 from robotctl.recording.format.topics import LATCHED_QOS
 from robotctl.recording.read.damage import Damaged
-from robotctl.recording.read.files import absent_files, recording_files
+from robotctl.recording.read.files import absent_files, metadata_of_folder, recording_files
 from robotctl.recording.read.whole_data import WholeData
 from robotctl.recording.read.whole_file import (
     FileState,
@@ -68,10 +67,10 @@ def read_whole_recording(
     Raises:
         UnreadableFile: `path` holds no MCAP file.
     """
-    text = metadata_text(path)
+    text, problems = metadata_of_folder(path)
     paths = recording_files(path)
     whole_folder = paths != [path]
-    unreadable = absent_files(text, paths) if whole_folder else []
+    unreadable = problems + absent_files(text, paths) if whole_folder else []
     sizes = [_size(each) for each in paths]
     files: list[WholeFile] = []
     for number, each in enumerate(paths):

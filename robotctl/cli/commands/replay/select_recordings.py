@@ -7,7 +7,7 @@ from pathlib import Path
 
 from robotctl.cli.support.recording_paths import find_recording
 from robotctl.cli.terminal.text import short_path
-from robotctl.recording.read.files import is_recording
+from robotctl.recording.read.files import is_recording, may_not_be_listed
 
 LABEL_WIDTH = 12
 """Width of the column before a path: a verdict or `skipped`."""
@@ -38,7 +38,8 @@ def _recordings_at(path: Path) -> list[Path]:
     """Return the recording at `path`, or those in it if it is a folder of recordings."""
     try:
         if path.is_dir() and not any(path.glob("*.mcap")):
-            return sorted({file.parent for file in path.glob("*/*.mcap")}) or [path]
+            closed = {each for each in path.iterdir() if may_not_be_listed(each)}
+            return sorted(closed | {file.parent for file in path.glob("*/*.mcap")}) or [path]
     except OSError:
         pass  # the reader of the recording reports why
     return [path]
