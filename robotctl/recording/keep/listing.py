@@ -161,7 +161,7 @@ def list_recording(path: Path) -> ListedRecording:
     metadata = [record for index in indexes for record in index.metadata]
     info = next((record.metadata for record in metadata if record.name == INFO_RECORD), {})
     stats = [each.stat() for each in files or [path]]
-    clips = path / CLIPS_FOLDER
+    is_open = path.is_dir() and not may_not_be_listed(path)
     return ListedRecording(
         path=path,
         robot=info.get("robot", ""),
@@ -170,10 +170,10 @@ def list_recording(path: Path) -> ListedRecording:
         modified_s=max(stat.st_mtime for stat in stats),
         size_bytes=sum(stat.st_size for stat in stats),
         files=len(files),
-        clips=tuple(sorted(clips.glob("*.mcap"))) if os.path.isdir(clips) else (),
+        clips=tuple(sorted((path / CLIPS_FOLDER).glob("*.mcap"))) if is_open else (),
         events=tuple(events_in(metadata)),
         readable=bool(indexes),
         damage=tuple(damage),
         live=live,
-        kept=os.path.exists(path / KEEP_FILE),
+        kept=is_open and (path / KEEP_FILE).exists(),
     )
