@@ -12,11 +12,7 @@ from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recording, RecordingInfo
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.format.metadata_names import INFO_RECORD, OWN_LIBRARY
-from robotctl.recording.read.journal_reader import (
-    journal_topic,
-    journal_topics,
-    own_journal_topic,
-)
+from robotctl.recording.read.journal_reader import journal_topic, journal_topics
 from robotctl.recording.read.messages import Message
 from robotctl.recording.read.shadow_record import shadow_sentence
 from robotctl.recording.read.source import Source
@@ -32,6 +28,7 @@ from robotctl.rerun.divergence import Divergence
 from robotctl.rerun.entry_order import Gap
 from robotctl.rerun.gc_pacing import rare_collections
 from robotctl.rerun.journal_format import JournalFormat
+from robotctl.rerun.journal_origin import JournalOrigin
 from robotctl.rerun.journal_steps import Step
 from robotctl.rerun.journal_values import read_effect, read_event, read_snapshot
 from robotctl.rerun.measured import MeasuredState
@@ -138,8 +135,7 @@ class _Check:
             report.notes.append(f"the journal {other} of another robot was not checked")
         if shadow := shadow_sentence(info):
             report.notes.append(f"{shadow}: not checked")
-        is_own = topic == own_journal_topic(info)
-        self._ends = RecordingEnds(self._recording, info, report, is_own=is_own)
+        self._ends = RecordingEnds(self._recording, info, report, JournalOrigin(info, topic))
         self._compared = Comparisons(report, info, topic)
         self._reading = CheckReading(
             self._recording,

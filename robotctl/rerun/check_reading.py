@@ -93,7 +93,7 @@ class CheckReading:
         blocks = self._recording.blocks_in_order_written(
             {topic, *readers}, self._report.miss, self._on_progress, self._enter
         )
-        for message in chain.from_iterable(blocks):
+        for message in chain.from_iterable(self._ends.origin.watch(blocks)):
             name, _, data, log_ns, _, _ = message
             if name != topic:
                 if not self._has_begun:
@@ -169,7 +169,7 @@ class CheckReading:
             return
         self._note_row()
         if not self._report.begin_log_ns:
-            self._ends.first_message(message)
+            self._ends.origin.first(message)
             self._report.begin_ns, self._report.begin_log_ns = entry.t_ns, message.log_ns
 
     def _find_following(self) -> None:

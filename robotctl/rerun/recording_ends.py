@@ -3,36 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Final
 
 from robotctl.kernel.snapshot import Proof, Snapshot
 from robotctl.recording import Recording, RecordingInfo
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.format.ledger_record import read_ledger
 from robotctl.recording.format.metadata_names import CLIP_RECORD, INFO_RECORD
-from robotctl.recording.read.messages import Message
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.ending import Ending
 from robotctl.rerun.input_check import is_filtered
 from robotctl.rerun.invariants import Invariants, unbalanced
+from robotctl.rerun.journal_origin import JournalOrigin
 from robotctl.rerun.journal_values import read_snapshot
 from robotctl.rerun.recorded_parameters import differing_parameters
 from robotctl.rerun.schema_check import check_schemas
-
-OBSERVING: Final = "observing"
-"""The mode of a recorder that drives nothing. It may observe a robot with its own name."""
 
 
 class RecordingEnds:
     """The numbers of the first and the last journal entry, and the ledger of the last file."""
 
     def __init__(
-        self, recording: Recording, info: RecordingInfo, report: Report, *, is_own: bool
+        self, recording: Recording, info: RecordingInfo, report: Report, origin: JournalOrigin
     ) -> None:
-        """`is_own`: the journal is that of the robot that recorded."""
-        self.is_own = is_own
-        """Whether the recorder wrote the journal itself, and not what it received of it."""
-
+        self.origin = origin
         self._recording = recording
         self._info = info
         self._report = report
@@ -45,12 +38,6 @@ class RecordingEnds:
         """Whether all files are there."""
         return self._recording.path.is_dir()
 
-    def first_message(self, message: Message) -> None:
-        """Take the first message of the journal: the recorder stamps its own ones itself."""
-        noted = self._info.metadata.get(INFO_RECORD, {})
-        was_received = message.log_ns != message.publish_ns
-        self.is_own = self.is_own and not (was_received and noted.get("mode") == OBSERVING)
-
     def entries(self, first: int, last: int) -> None:
         """Take the numbers of the next entries, which are in a row."""
         if self._first_seq < 0:
@@ -60,7 +47,7 @@ class RecordingEnds:
     def begin(self, entry: JournalEntry) -> None:
         """Compare the first snapshot with what a kernel begins with."""
         report = self._report
-        if entry.seq or not report.same_version or not self.is_own:
+        if entry.seq or not report.same_version or not self.origin.is_own:
             return
         snapshot = read_snapshot(entry)
         if not _is_beginning(snapshot):
@@ -76,9 +63,10 @@ class RecordingEnds:
         return before
 
     def check(self, events_before_snapshot: int) -> None:
-        """Check that the journal of a whole recording begins and ends with a snapshot."""
-        report = self._report
-        if not (self.is_own and self.is_whole) or self._last_snapshot < 0:
+        """Check who wrote the journal, and that a whole one begins and ends with a snapshot."""
+        report, origin = self._report, self.origin
+        origin.check(report)
+        if not (origin.is_own and self.is_whole) or self._last_snapshot < 0:
             return
         if self._first_seq and self._info.files[0].name == f"{self._recording.path.name}_0.mcap":
             report.miss(f"its journal begins with entry {self._first_seq}: the first are missing")
@@ -106,7 +94,7 @@ class RecordingEnds:
         return Ending(
             None if self._ledger is None else self._ledger.get(topic or "", {}),
             is_clip=CLIP_RECORD in self._info.metadata,
-            is_own=self.is_own,
+            is_own=self.origin.is_own,
             is_whole=self.is_whole,
             has_begin=self._first_seq == 0,
             is_filtered=is_filtered(self._info),

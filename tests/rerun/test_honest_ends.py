@@ -8,14 +8,16 @@ from random import Random
 
 import pytest
 
-from robotctl.recording.format.metadata_names import INFO_RECORD, LEDGER_RECORD
+from robotctl.recording.format.metadata_names import LEDGER_RECORD
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Report, Verdict
+from robotctl.rerun.journal_origin import NOT_COMPARED
 from robotctl.testing.hearing import BATTERY, ODOMETRY
 from tests.support.edited_recordings import Contents, write_contents
-from tests.support.heard_drives import COMMANDS, JOURNAL, STATUS, heard_drive
+from tests.support.heard_drives import COMMANDS, STATUS, heard_drive
 from tests.tampering.edits import MOTION, Kind, still
 from tests.tampering.end_kinds import appended, repeated_at_the_end
+from tests.tampering.pretended_kinds import OBSERVED, UNNAMED
 
 
 @pytest.fixture(scope="module")
@@ -90,16 +92,8 @@ def test_what_others_send_after_the_observed_daemon_died_is_held_against_nobody(
     tmp_path: Path, closed: Contents
 ) -> None:
     """An observer receives the journal, and outlives it."""
-    observed = closed.copy()
-    observed.metadata = [
-        (name, values | {"mode": "observing"} if name == INFO_RECORD else values)
-        for name, values in closed.metadata
-        if name != LEDGER_RECORD
-    ]
-    observed.messages = [
-        replace(each, publish_ns=each.publish_ns - 1000) if each.topic == JOURNAL else each
-        for each in closed.messages
-    ]
+    observed = UNNAMED(OBSERVED(closed, Random(1)), Random(1))
+    observed.metadata = [each for each in observed.metadata if each[0] != LEDGER_RECORD]
     later = [
         appended(topic, (100, 100), first=10, every_s=0.1, after_s=1.0)
         for topic in (ODOMETRY, BATTERY)
@@ -110,6 +104,7 @@ def test_what_others_send_after_the_observed_daemon_died_is_held_against_nobody(
     report = checked(tmp_path / "observed", observed, *later, teleop)
     assert (report.verdict, report.missing) == (Verdict.SAME, []), report
     assert any("100 commands are later than the journal" in note for note in report.notes)
+    assert NOT_COMPARED in report.notes
     assert checked(tmp_path / "own", closed, *later, teleop).verdict is Verdict.BROKEN
 
 

@@ -22,6 +22,7 @@ from tests.tampering.edits import (
 )
 from tests.tampering.end_kinds import appended, repeated_at_the_end
 from tests.tampering.message_changes import last_number
+from tests.tampering.pretended_kinds import OBSERVED, UNNAMED, together
 from tests.tampering.schema_kinds import READ, commented, described
 from tests.tampering.stretches import stretch_removed
 
@@ -105,6 +106,10 @@ ACCEPTED: Mapping[str, tuple[Kind, str]] = {
     "schema: a comment changed": (
         described(commented, *READ),
         "the fields are the same, and a comment changes no value",
+    ),
+    "metadata: only observed, the journal received, no names of its own": (
+        together(OBSERVED, UNNAMED),
+        "an observer receives the journal; a note tells what is not compared then",
     ),
     "metadata: the mode at the start changed": (
         metadata("robotctl", "mode", "MOVING"),

@@ -1,4 +1,4 @@
-"""Edits that pretend another version."""
+"""Edits that pretend another version or another recorder."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 from random import Random
 
-from tests.support.edited_recordings import Contents
-from tests.tampering.edits import Kind, journal, metadata, rewritten
+from tests.support.edited_recordings import Contents, edit
+from tests.support.heard_drives import COMMANDS, JOURNAL
+from tests.tampering.edits import MOTION, Kind, all_changed, journal, metadata, rewritten
+from tests.tampering.end_kinds import appended
 
 _PROOF = r'"proof":\{[^}]*\}'
 
@@ -36,6 +38,32 @@ def without_proofs(version: str) -> Kind:
     return together(removed, named)
 
 
+def _first_received(contents: Contents, random: Random) -> Contents:
+    return edit(
+        contents,
+        JOURNAL,
+        lambda at, each: each if at else replace(each, publish_ns=each.publish_ns - 1000),
+    )
+
+
+OBSERVED = together(
+    metadata("robotctl", "mode", "observing"),
+    all_changed(JOURNAL, lambda each: replace(each, publish_ns=each.publish_ns - 1000)),
+)
+"""Pretend that the recorder received the journal."""
+
+UNNAMED = together(
+    *(
+        metadata("robotctl", key, None)
+        for key in ("topic.robot_status", "service.set_mode", "service.estop")
+    )
+)
+"""Remove the names of topics and services, which an observer does not note."""
+
+_DRIVEN_ON = appended(
+    COMMANDS, (500, 500), lambda each: replace(each, data=MOTION), every_s=0.02, after_s=0.02
+)
+
 PRETENDED: Mapping[str, Kind] = {
     "journal: the proofs of all snapshots set to null": journal(
         rewritten("Snapshot", _PROOF, '"proof":null', everywhere=True)
@@ -46,5 +74,21 @@ PRETENDED: Mapping[str, Kind] = {
     "metadata: version 0.1.0, all proofs removed": without_proofs("0.1.0"),
     "metadata: a version to come, all proofs removed": without_proofs("9.9.9"),
     "metadata: no version, all proofs removed": without_proofs(""),
+    "metadata: the robot renamed": metadata("robotctl", "robot", "other"),
+    "metadata: the robot renamed, motion added for 10 s": together(
+        metadata("robotctl", "robot", "other"), _DRIVEN_ON
+    ),
+    "metadata: the robot renamed, its journal received": together(
+        metadata("robotctl", "robot", "other"),
+        UNNAMED,
+        OBSERVED,
+        metadata("robotctl", "mode", "IDLE"),
+    ),
+    "metadata: only observed, the journal received, motion added for 10 s": together(
+        OBSERVED, _DRIVEN_ON
+    ),
+    "metadata: only observed, the first entry received": together(
+        UNNAMED, metadata("robotctl", "mode", "observing"), _first_received
+    ),
 }
 """Edits that a check finds."""

@@ -31,16 +31,24 @@ FLOOD = 30_000
 """In quadratic time it would take 20 s."""
 
 
-def each_alone(batch: Batch, agreed: Iterable[Agreed]) -> Iterator[Single]:
-    following, times, log_times = iter(agreed), iter(batch.log_times), batch.end_log_times
-    for item in batch.items:
-        if isinstance(item, Step):
-            log_times = next(times)
-            yield item, log_times, next(following, None)
-        else:
-            yield item, log_times, None
-    if batch.end is not None:
-        yield batch.end, batch.end_log_times, None
+class EachAlone:
+    """Yields what is read one by one, each with the log times of what was read before it."""
+
+    def __init__(self) -> None:
+        self._log_times = (0, 0)
+
+    def __call__(self, batch: Batch, agreed: Iterable[Agreed]) -> Iterator[Single]:
+        """Yield the items of a batch, and its end."""
+        following, times = iter(agreed), iter(batch.log_times)
+        for item in batch.items:
+            if isinstance(item, Step):
+                self._log_times = next(times)
+                yield item, self._log_times, next(following, None)
+            else:
+                yield item, self._log_times, None
+        if batch.end is not None:
+            self._log_times = batch.end_log_times
+            yield batch.end, self._log_times, None
 
 
 def reported(path: Path) -> Report:
@@ -65,7 +73,7 @@ def differing(
         path = write_contents(folder / str(number) / "run", edited)
         together = shown(path)
         with monkeypatch.context() as patched:
-            patched.setattr(check, "ordinary_runs", each_alone)
+            patched.setattr(check, "ordinary_runs", EachAlone())
             patched.setattr(check, "bytes_beside", lambda *_, **__: None)
             alone = shown(path)
         if together != alone:
