@@ -105,7 +105,7 @@ def rule_of(incident: Incident) -> Rule | None:
 
 def _what(incident: Incident) -> str:
     if incident.kind is IncidentKind.KILL:
-        return "the daemon was killed while MOVING: the recording ends there, without a stop"
+        return "the recording ends while MOVING: the daemon was killed, or could write no more"
     for effect in incident.effects:
         if isinstance(effect, ModeChanged):
             return f"{effect.previous.name} -> {effect.mode.name}: {effect.reason}"
@@ -251,7 +251,7 @@ def _asked(incident: Incident) -> str:
 
 def _went_out(incident: Incident) -> Iterator[str]:
     if incident.kind is IncidentKind.KILL:
-        yield "no zero velocity: the robot stops by its own command timeout"
+        yield "no recorded zero velocity: after a kill, the robot stops by its own command timeout"
         return
     for effect in incident.effects:
         match effect:
