@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
+from contextlib import suppress
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,9 @@ import pytest
 from robotctl.decision_log.entries import DecisionKind
 from robotctl.decision_log.folder import log_folder
 from robotctl.decision_log.log import DecisionLog
+from robotctl.errors import UnreadableFile
 from robotctl.paths import make_private, seal_folder
-from robotctl.recording import Recorder, RecorderOptions
+from robotctl.recording import Recorder, RecorderOptions, read_info
 from robotctl.recording.keep.recover import recover
 from robotctl.recording.seal.keyring import Keyring
 from robotctl.testing.drives import drive, record
@@ -30,8 +32,8 @@ FIRST, SECOND = "robot_20260101_120000", "robot_20260102_120000"
 
 @pytest.fixture
 def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Two sealed recordings that a journal of decisions names; `early` holds an early copy of the
-    first.
+    """Two sealed recordings that a journal of decisions names; `early.mcap` is an early copy
+    of the first.
     """
     monkeypatch.setattr("robotctl.decision_log.log.END_S", 30.0)
     monkeypatch.setattr(  # it takes seconds, and tells nothing of the seal
@@ -45,10 +47,16 @@ def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     written = drive(0.5)
     numbers = count()
 
+    def copied() -> int:
+        shutil.copy(file_of(folder), tmp_path / "early.mcap")
+        with suppress(UnreadableFile):  # it is being written
+            return read_info(tmp_path / "early.mcap").message_count
+        return 0
+
     def copy_early(recorder: Recorder, _: int) -> None:
-        if next(numbers) == len(written) // 2:
-            until(lambda: recorder.stats().queued == 0)
-            shutil.copytree(folder / FIRST, tmp_path / "early")
+        half = len(written) // 2
+        if next(numbers) == half:
+            until(lambda: copied() == half)
 
     for name in (FIRST, SECOND):
         log.add(DecisionKind.START, by="ada", version="1", recording=str(folder / name))
@@ -63,8 +71,8 @@ def file_of(runs: Path, name: str = FIRST) -> Path:
 
 
 def early(runs: Path) -> None:
-    shutil.rmtree(runs / FIRST)
-    (runs.parent / "early").rename(runs / FIRST)
+    (runs / FIRST / "metadata.yaml").unlink()
+    (runs.parent / "early.mcap").replace(file_of(runs))
 
 
 def another(runs: Path) -> None:
