@@ -10,6 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
+from robotctl.kernel.units import DAY_S
 from robotctl.paths import make_private, robot_state_folder
 from robotctl.regular_file import open_folder, open_regular
 
@@ -18,6 +19,12 @@ FILE_BYTES: Final = 1_000_000
 
 MAX_FILE_BYTES: Final = 2 * FILE_BYTES
 """Of a larger file, which robotctl did not write, only this much is read."""
+
+YEAR_S: Final = 365.25 * DAY_S
+"""The unit of `decisions.keep_years` in seconds."""
+
+KEPT_FILES: Final = 2
+"""The last files, which are never removed."""
 
 _NAME: Final = re.compile(r"decisions-(\d{6})\.jsonl")
 
@@ -32,6 +39,13 @@ def files_of(folder: Path) -> list[Path]:
     with suppress(OSError):
         return sorted(path for path in folder.iterdir() if _NAME.fullmatch(path.name))
     return []
+
+
+def number_of(path: Path) -> int:
+    """Return the number of a file of the log; the first one that a robot writes has 1."""
+    match = _NAME.fullmatch(path.name)
+    assert match is not None, path
+    return int(match[1])
 
 
 def content_of(path: Path) -> bytes:
@@ -76,7 +90,7 @@ def remove_oldest(folder: Path, keep_s: float, now_s: float) -> Path | None:
         OSError: It cannot be removed.
     """
     files = files_of(folder)
-    if len(files) < 3 or not keep_s or now_s - files[0].lstat().st_mtime <= keep_s:
+    if len(files) <= KEPT_FILES or not keep_s or now_s - files[0].lstat().st_mtime <= keep_s:
         return None
     files[0].unlink()
     return files[0]
@@ -92,6 +106,4 @@ def _name(number: int) -> str:
 
 
 def _next(path: Path) -> Path:
-    match = _NAME.fullmatch(path.name)
-    assert match is not None, path
-    return path.with_name(_name(int(match[1]) + 1))
+    return path.with_name(_name(number_of(path) + 1))

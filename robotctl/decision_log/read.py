@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from robotctl.decision_log.entries import Entry, hash_of, parse
-from robotctl.decision_log.folder import content_of, files_of
+from robotctl.decision_log.folder import KEPT_FILES, content_of, files_of, number_of
 
 
 @dataclass(slots=True)
@@ -21,6 +21,11 @@ class LogContent:
     notes: list[str] = field(default_factory=list)
     heads: set[str] = field(default_factory=set)
     """The hash of each entry, and of the one before the first."""
+
+    @property
+    def begins_later(self) -> bool:
+        """Whether whole files before those that are there were removed, as the log does itself."""
+        return bool(self.files) and number_of(self.files[0]) > 1
 
 
 def read_log(folder: Path) -> LogContent:
@@ -39,9 +44,9 @@ def read_log(folder: Path) -> LogContent:
             except ValueError:
                 log.notes.append(f"{path.name}: line {number} is torn, or no entry")
                 continue
-            if prev is None and told:
-                log.notes.append(f"{path.name}: the entries before it are removed")
-            elif prev is not None and told != prev:
+            if prev is None:
+                _note_begin(log, told)
+            elif told != prev:
                 log.broken.append(
                     f"{path.name}: line {number} does not follow the entry before it: "
                     "something was changed, removed or added"
@@ -52,6 +57,18 @@ def read_log(folder: Path) -> LogContent:
             log.heads.add(prev)
             log.entries.append(entry)
     return log
+
+
+def _note_begin(log: LogContent, told: str) -> None:
+    """Say whether entries were removed before the first one, which holds the hash `told`.
+
+    The log removes whole files, the oldest first, and never the last ones.
+    """
+    name = log.files[0].name
+    if bool(told) != log.begins_later or (log.begins_later and len(log.files) < KEPT_FILES):
+        log.broken.append(f"{name}: entries before its first one were removed, not by robotctl")
+    elif told:
+        log.notes.append(f"{name}: the entries before it are removed")
 
 
 def head_of(folder: Path) -> str:

@@ -51,6 +51,9 @@ def journal(state: Path, recorded: Path) -> Path:
 
     start("/nowhere/robot_20251230_120000", "1", 0.6)
     log.add(DecisionKind.REFUSED, asked="MOVING", by="a node", answer="no odometry")
+    log.add(
+        DecisionKind.REMOVED, file="/nowhere/robot_20251230_120000/robot_20251230_120000_0.mcap"
+    )
     now.ns += DAY_NS  # the first daemon is killed
     start("/nowhere/robot_20251231_120000", "2", 0.6)
     log.add(DecisionKind.END)
@@ -114,7 +117,10 @@ def test_recordings_that_are_there_get_their_verdicts(
 ) -> None:
     found = report(cli)
     *gone, there = found["recordings"]
-    assert [(each["state"], each["check"]) for each in gone] == [("removed", None)] * 2
+    assert [(each["state"], each["check"]) for each in gone] == [
+        ("removed", None),
+        ("missing", None),
+    ]
     assert (there["path"], there["check"]) == (str(recorded), "same")
     assert there["verify"] in ("whole", "sealed")
 
@@ -203,5 +209,5 @@ def test_entries_that_are_cut_off_the_end_are_missed_by_the_next_recording(
     (path,) = files_of(state)
     path.write_bytes(path.read_bytes().splitlines(keepends=True)[0])
     told = report(cli, "--no-check", exit_code=7)["journal"]
-    assert "the end of the journal was cut off" in told["broken"][0]
+    assert "knows an entry that is not there: the journal was cut off" in told["broken"][0]
     assert told["notes"][-1].startswith("no entry names robot_20270116_080000")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,6 +12,7 @@ import typer
 from robotctl.cli.commands.verify.verified import verify_together
 from robotctl.cli.options import Json, Robot, new_app
 from robotctl.cli.support.answer import print_answer
+from robotctl.cli.support.recording_paths import noted_folders
 from robotctl.cli.support.time_argument import parse_since
 from robotctl.cli.terminal.evidence_lines import evidence_lines
 from robotctl.cli.terminal.progress import progress_bar
@@ -23,12 +23,9 @@ from robotctl.paths import DEFAULT_ROBOT, check_robot_name
 if TYPE_CHECKING:
     from robotctl.decision_log.read import LogContent
     from robotctl.evidence.collected import Evidence
+    from robotctl.evidence.recordings import EvidenceRecording
 
 app = new_app()
-
-LIVE = "live"
-GONE = "removed"
-"""The state of a recording that is not where it was made: retention or a person removed it."""
 
 
 @app.command()
@@ -68,6 +65,9 @@ def evidence(
     from robotctl.decision_log.folder import log_folder
     from robotctl.decision_log.read import read_log
     from robotctl.evidence.collected import KILLED, RUNS, collect
+    from robotctl.evidence.missing_entries import missing_entries
+    from robotctl.evidence.recordings import RecordingSearch, RecordingState
+    from robotctl.recording.read.known_heads import KnownHeads
 
     folder = log_folder(check_robot_name(robot))
     since_ns = 0 if since is None else parse_since(since, time.time_ns())
@@ -75,62 +75,61 @@ def evidence(
     if not log.files:
         start = command_for(robot, "start")
         raise Refused(f"robot {robot!r} has no journal of decisions in {folder}", f"begin: {start}")
-    found = collect(log.entries, since_ns)
-    proof, together = _proof(found, recordings, check=check, quiet=as_json)
-    known = [Path(item["path"]) for item in proof]
-    later = _later(known, robot)
-    for path in (*known, *later):
-        log.broken += _cut_tail(path, log)
-    log.notes += (
-        f"no entry names {path.name}: its daemon was killed at its start, or the end was cut off"
-        for path in later
-        if not found.unwritten
+    told, found = collect(log.entries), collect(log.entries, since_ns)
+    search = RecordingSearch(
+        robot, list(noted_folders(robot)), recordings, since_ns, KnownHeads().of_robot(robot)
     )
+    there = list(search.find(told, found))
+    missing = missing_entries(log, [file for each in there for file in each.files], time.time_ns())
+    log.broken += missing.broken
+    log.notes += _unnamed(there, told)
+    proof, together = _proof(there, check=check, quiet=as_json)
     if found.daemons and found.daemons[-1]["end_ns"] is None:
         runs = any(
-            item["path"] == found.daemons[-1]["recording"] and item["state"] == LIVE
+            item["path"] == found.daemons[-1]["recording"] and item["state"] == RecordingState.LIVE
             for item in proof
         )
         found.daemons[-1]["ended"] = RUNS if runs else KILLED
-    answer = _as_object(robot, since_ns, folder, log, found) | {
+    answer = _as_object(robot, since_ns, folder, log, missing.gaps, found) | {
         "recordings": proof,
         "verify": together,
     }
-    error = _gravest(log, proof, together)
+    error = _gravest(log, missing.gaps, proof, together)
     print_answer(answer, evidence_lines(answer), as_json=as_json, error=error)
 
 
 def _proof(
-    found: Evidence, elsewhere: Path | None, *, check: bool, quiet: bool
+    there: Sequence[EvidenceRecording], *, check: bool, quiet: bool
 ) -> tuple[list[dict[str, Any]], dict[str, Any] | None]:
     """Return each recording with what it is, and its verdicts if it is to be checked.
 
     The second object is what `verify` says of all that were checked together, None without a check.
     """
-    from robotctl.recording.keep.listing import list_recording
+    from robotctl.evidence.recordings import RecordingState
     from robotctl.rerun.check_many import check_recordings
 
     proof: list[dict[str, Any]] = []
     finished: list[tuple[Path, dict[str, Any]]] = []
-    for name in found.recordings():
-        path = Path(name)
-        if elsewhere is not None and not path.exists():
-            path = elsewhere / path.name
-        item: dict[str, Any] = {"path": str(path), "state": GONE, "verify": None, "check": None}
-        item |= {"wrong": [], "unproved": []}
+    for each in there:
+        item: dict[str, Any] = {
+            "path": str(each.path),
+            "state": each.state.value,
+            "named": each.named,
+            "verify": None,
+            "check": None,
+            "wrong": [],
+            "unproved": [],
+        }
         proof.append(item)
-        try:
-            listed = list_recording(path)
-        except OSError:
+        if each.listed is None:
             continue
         item |= {
-            "state": LIVE if listed.live else "kept" if listed.kept else "there",
-            "start_ns": listed.start_ns,
-            "end_ns": listed.end_ns,
-            "size_bytes": listed.size_bytes,
+            "start_ns": each.listed.start_ns,
+            "end_ns": each.listed.end_ns,
+            "size_bytes": each.listed.size_bytes,
         }
-        if check and not listed.live:
-            finished.append((path, item))
+        if check and each.state is not RecordingState.LIVE:
+            finished.append((each.path, item))
     if not finished:
         return proof, None
     paths = [path for path, _ in finished]
@@ -160,37 +159,16 @@ def _of_other_recordings(recording: Path, verify: dict[str, Any]) -> Iterator[st
             )
 
 
-def _later(known: Sequence[Path], robot: str) -> list[Path]:
-    """Return the robot's recordings beside the known ones that are later than all of them."""
-    newest = max((path.name for path in known), default="")
-    return [
-        path
-        for folder in sorted({path.parent for path in known})
-        for path in sorted(folder.glob(f"{robot}_*"))
-        if path.name > newest and path.is_dir()
-    ]
-
-
-def _cut_tail(recording: Path, log: LogContent) -> Iterator[str]:
-    """Yield a sentence for each file that knows an entry of the journal that is not there."""
-    from robotctl.recording import read_info
-    from robotctl.recording.format.metadata_names import INFO_RECORD
-    from robotctl.recording.read.files import recording_files
-
-    begin_ns = log.entries[0].time_ns if log.entries else 0
-    try:
-        files = recording_files(recording)
-    except UnreadableFile:
-        return  # its verdict tells why
-    for file in files:
-        with suppress(UnreadableFile):
-            info = read_info(file)
-            head = info.metadata.get(INFO_RECORD, {}).get("decisions", "")
-            if head and head not in log.heads and info.start_ns >= begin_ns:
-                yield (
-                    f"{file.name} knows an entry that is not there: the end of the journal was cut "
-                    "off, or it was rewritten"
-                )
+def _unnamed(there: Sequence[EvidenceRecording], told: Evidence) -> Iterator[str]:
+    """Yield a sentence for each recording that no entry names."""
+    if any(item.get("counts", {}).get("start") for item in told.unwritten):
+        return
+    for each in there:
+        if not each.named:
+            yield (
+                f"no entry names {each.path.name}: its daemon was killed at its start, or entries "
+                "were cut off"
+            )
 
 
 def _as_object(
@@ -198,6 +176,7 @@ def _as_object(
     since_ns: int,
     folder: Path,
     log: LogContent,
+    gaps: Sequence[str],
     found: Evidence,
 ) -> dict[str, Any]:
     times = [entry.time_ns for entry in log.entries]
@@ -211,6 +190,7 @@ def _as_object(
             "first_ns": times[0] if times else None,
             "last_ns": times[-1] if times else None,
             "broken": log.broken,
+            "gaps": list(gaps),
             "notes": log.notes,
         },
         "software": dict(found.software),
@@ -228,7 +208,10 @@ def _as_object(
 
 
 def _gravest(
-    log: LogContent, proof: Sequence[dict[str, Any]], together: dict[str, Any] | None
+    log: LogContent,
+    gaps: Sequence[str],
+    proof: Sequence[dict[str, Any]],
+    together: dict[str, Any] | None,
 ) -> RobotctlError | None:
     wrong = list(_wrong(proof, ("broken",), ("diverged", "broken")))
     if log.broken:
@@ -237,6 +220,8 @@ def _gravest(
         return Divergence(f"{len(wrong)} recordings are not as they were written: {wrong[0]}")
     if together is not None and together["wrong"]:
         return Divergence(f"the chain of the recordings is broken: {together['wrong'][0]}")
+    if gaps:
+        return UnreadableFile(f"the journal of decisions is not complete: {gaps[0]}")
     partly = list(_wrong(proof, ("unreadable",), ("incomplete",)))
     if partly:
         return UnreadableFile(f"{len(partly)} recordings could not be checked: {partly[0]}")

@@ -69,7 +69,7 @@ def recordings_folder(robot: str | None, given: Path | None) -> Path:
         return given
     here = Path("recordings")
     if not recordings_of(robot, here):
-        for noted in _noted_folders(robot):
+        for noted in noted_folders(robot):
             if noted.is_dir():
                 return noted
     return here.absolute()
@@ -156,10 +156,11 @@ def robot_of(recording: Path) -> str | None:
     return match[1] if match else None
 
 
-def _noted_folders(robot: str | None) -> Iterator[Path]:
+def noted_folders(robot: str | None) -> Iterator[Path]:
     """Yield the folders that the daemons of `robot`, or of any robot, recorded to, latest first.
 
-    Raises UsageError if another user could have changed a note that names one of them.
+    Raises:
+        UsageError: Another user could have changed a note that names one of them.
     """
     note = recordings_note_path(robot or DEFAULT_ROBOT)
     notes = [note]

@@ -8,7 +8,7 @@ from typing import Any, Final
 from robotctl.cli.terminal.text import moment, printable, row, short_path, size
 
 MOST_SHOWN: Final = 50
-"""Of each list, the last ones; `--json` has all."""
+"""Of each list, the last ones, and of sentences on the journal the first; `--json` has all."""
 
 _INDENT = "  "
 
@@ -22,9 +22,13 @@ def evidence_lines(answer: Mapping[str, Any]) -> Iterator[str]:
     if journal["first_ns"] is not None:
         yield from _field("from", moment(journal["first_ns"]))
         yield from _field("to", moment(journal["last_ns"]))
-    yield from _field("appended to", "and never changed" if not journal["broken"] else "NO")
-    for sentence in (*journal["broken"], *journal["notes"]):
-        yield from _field("", sentence)
+    whole = "with gaps" if journal["gaps"] else "and never changed"
+    yield from _field("appended to", "NO" if journal["broken"] else whole)
+    for sentences in (journal["broken"], journal["gaps"], journal["notes"]):
+        for sentence in sentences[:MOST_SHOWN]:
+            yield from _field("", sentence)
+        if len(sentences) > MOST_SHOWN:
+            yield from _field("", f"and {len(sentences) - MOST_SHOWN} more: --json")
     yield from _software(answer["software"])
     yield from _section("changes of software", answer["software_changes"], _changed)
     yield from _section("changes of settings", answer["configuration_changes"], _changed)
