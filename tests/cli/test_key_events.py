@@ -7,29 +7,31 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robotctl.cli.commands.teleop.held_keys import (
+    MAX_AT_ONCE,
     STAND,
     STEERING,
     HandsWithoutReleases,
     HandsWithReleases,
     Wish,
+    typed,
 )
-from robotctl.cli.terminal.key_events import Key, KeyEvent, KeyParser
+from robotctl.cli.terminal.key_events import MAX_STRING, Key, KeyEvent, KeyParser
 
 PRESSED, REPEATED, RELEASED = KeyEvent.PRESSED, KeyEvent.REPEATED, KeyEvent.RELEASED
 FORWARD = STEERING["w"]
 
 
 def keys(text: str) -> list[Key]:
-    return list(KeyParser().feed(text))
+    return list(KeyParser().feed(text, 0.0))
 
 
 @pytest.mark.parametrize(
     ("text", "key"),
     [
-        ("w", Key("w")),
-        ("W", Key("w")),
-        ("\x1b[A", Key("up")),
-        ("\x1bOD", Key("left")),
+        ("w", Key("w", is_text=True)),
+        ("W", Key("w", is_text=True)),
+        ("\x1b[A", Key("up")),  # so kitty tells a press, also where it tells releases
+        ("\x1bOD", Key("left", is_text=True)),
         ("\x1b[119u", Key("w")),
         ("\x1b[119;1:1u", Key("w")),
         ("\x1b[119;1:2u", Key("w", REPEATED)),
@@ -47,24 +49,43 @@ def test_a_key_is_read_in_the_forms_of_xterm_and_kitty(text: str, key: Key) -> N
 
 
 @pytest.mark.parametrize(
-    "text", ["\x1b[?0u", "\x1b[?62;4c", "\x1b[57441;2u", "\x1b[3~", "\x1b[u", "\x1b[200~"]
+    "text",
+    [
+        "\x1b[?62;4c",
+        "\x1b[57441;2u",
+        "\x1b[3~",
+        "\x1b[u",
+        "\x1b]52;c;abcwasd\x07",
+        "\x1b]11;rgb:ffff/0000/dddd\x1b\\",
+        "\x1bP>|a terminal we saw\x1b\\",
+        "\x1b[200~w a s d\x1b[119;1:1u e\x1b[201~",
+    ],
 )
-def test_answers_of_the_terminal_and_other_keys_are_no_keys(text: str) -> None:
+def test_answers_of_the_terminal_pastes_and_other_keys_are_no_keys(text: str) -> None:
     assert keys(text) == []
+    parser = KeyParser()
+    assert [key for each in f"{text}q" for key in parser.feed(each, 0.0)] == keys("q")
+
+
+def test_what_only_begins_like_a_string_of_the_terminal_swallows_no_stop() -> None:
+    parser = KeyParser()
+    assert list(parser.feed("\x1b]", 1.0)) == [], "Alt-], or an answer"
+    assert " " in [key.name for key in parser.feed(" ", 1.5)]
+    assert "e" in [key.name for key in KeyParser().feed("\x1b]" + "x" * MAX_STRING + "e", 1.0)]
 
 
 def test_a_sequence_may_come_in_parts() -> None:
     parser = KeyParser()
-    got = [key for part in "a\x1b[119;1:3ub" for key in parser.feed(part)]
-    assert got == [Key("a"), Key("w", RELEASED), Key("b")]
+    got = [key for part in "a\x1b[119;1:3ub" for key in parser.feed(part, 0.0)]
+    assert got == [*keys("a"), Key("w", RELEASED), *keys("b")]
 
 
-@given(st.lists(st.text(st.sampled_from("\x1b[O?;:0123456789uAcw~ \x00"), max_size=60)))
+@given(st.lists(st.text(st.sampled_from("\x1b[O]?;:0123456789uAcw~ \x00\x07"), max_size=60)))
 def test_no_text_of_a_terminal_is_too_odd(parts: list[str]) -> None:
     parser = KeyParser()
     for part in parts:
-        list(parser.feed(part))
-    assert [key.name for key in parser.feed("0~w")][-1:] == ["w"]
+        list(parser.feed(part, 0.0))
+    assert [key.name for key in parser.feed("0~\x07\x1b[201~w", 1.0)][-1:] == ["w"]
 
 
 def test_a_key_with_releases_is_held_until_its_release() -> None:
@@ -76,6 +97,22 @@ def test_a_key_with_releases_is_held_until_its_release() -> None:
     assert hands.take(keys("\x1b[1;1:1A"), 100.0) == Wish(1.0, 1.0), "never more than all"
     assert hands.take(keys("\x1b[119;1:3u\x1b[1;1:3A"), 100.0) == Wish(0.0, 1.0)
     assert hands.take(keys("\x1b[97;1:3u"), 100.0) == STAND
+
+
+def test_text_holds_no_key_where_the_terminal_tells_releases() -> None:
+    hands = HandsWithReleases()
+    assert hands.take(keys("forward wasd\x1bOA"), 0.0) == STAND
+    assert hands.take(keys("\x1b[A"), 0.0) == FORWARD
+
+
+def test_only_stops_are_taken_from_text_that_no_hand_typed() -> None:
+    def names(text: str, *, tells_releases: bool) -> str:
+        return "".join(key.name for key in typed(keys(text), tells_releases=tells_releases))
+
+    assert names("+-w qe", tells_releases=True) == " qe"
+    assert names("\x1b[43u", tells_releases=True) == "+"
+    assert names("+-w qe", tells_releases=False) == "+-w qe"
+    assert names("+" * MAX_AT_ONCE + "e", tells_releases=False) == "e"
 
 
 def test_a_forgotten_key_with_releases_must_be_pressed_again() -> None:
@@ -101,6 +138,16 @@ def test_a_key_without_releases_moves_only_when_it_repeats() -> None:
 def test_keys_that_waited_are_no_repeats() -> None:
     hands = HandsWithoutReleases()
     assert hands.take(keys("wwwwwwww"), 1.0) is None
+
+
+@pytest.mark.parametrize("text", ["w" * 20_000, "w" * 65, "forward " * 100, "x" * 130 + "ww"])
+def test_what_is_pasted_moves_nothing_where_the_terminal_tells_no_releases(text: str) -> None:
+    hands = HandsWithoutReleases()
+    pieces = [text[at : at + 64] for at in range(0, len(text), 64)]
+    wishes = [hands.take(keys(piece), n * 0.001) for n, piece in enumerate([*pieces, "w"])]
+    assert wishes == [None] * len(wishes)
+    hands.take(keys("w"), 100.0)
+    assert hands.take(keys("w"), 100.03) == FORWARD
 
 
 def test_a_forgotten_key_without_releases_must_rest_first() -> None:

@@ -148,6 +148,19 @@ def test_without_releases_nothing_moves_until_the_key_repeats(
     assert terminal.end() == 0
 
 
+@pytest.mark.parametrize("tells_releases", [True, False])
+def test_what_is_pasted_moves_nothing(
+    world: World, sit: Callable[..., Terminal], tells_releases: bool
+) -> None:
+    terminal = sit(tells_releases=tells_releases)
+    for pasted in (W_DOWN + "forward wasd", "w" * 30):
+        terminal.press(f"\x1b[200~{pasted}\x1b[201~")
+    terminal.press("\x1b]52;c;wasd\x07" + ("forward wasd " if tells_releases else "w" * 3000))
+    terminal.press("\x1b[43;1:1u")
+    terminal.until(r"speed 0\.33 m/s")
+    assert not moves(world)
+
+
 def test_a_frozen_command_moves_nothing_and_goes_on_only_with_a_new_press(
     world: World, sit: Callable[..., Terminal]
 ) -> None:
@@ -175,7 +188,7 @@ def test_a_command_that_ends_lets_go_and_returns_the_lease(
     if number != signal.SIGKILL:
         assert code == 130
         assert terminal.is_cooked()
-        assert "\x1b[<u" in terminal.seen
+        assert "\x1b[<u\x1b[?2004l" in terminal.seen
 
 
 def test_a_terminal_that_closes_lets_go(world: World, sit: Callable[..., Terminal]) -> None:

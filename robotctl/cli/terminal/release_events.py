@@ -1,4 +1,4 @@
-"""Asks a terminal for the releases of keys (kitty keyboard protocol), and gives them back."""
+"""Asks a terminal to mark pastes, and for the releases of keys (kitty keyboard protocol)."""
 
 from __future__ import annotations
 
@@ -20,6 +20,10 @@ _BEGIN: Final = b"\x1b[>11u"
 
 _END: Final = b"\x1b[<u"
 
+_MARK_PASTES: Final = b"\x1b[?2004h"
+_MARK_NO_PASTES: Final = b"\x1b[?2004l"
+"""A terminal that cannot mark them ignores both."""
+
 _IS_KNOWN: Final = re.compile(rb"\x1b\[\?\d+u")
 _IS_ANSWERED: Final = re.compile(rb"\x1b\[\?[\d;]*c")
 
@@ -27,8 +31,8 @@ _IS_ANSWERED: Final = re.compile(rb"\x1b\[\?[\d;]*c")
 class ReleaseEvents:
     """A context in which the terminal tells releases of keys, if it can: then `told` is true.
 
-    Keys must arrive one by one (`Keyboard`). `suspend` and `resume` enclose the time in which
-    another program uses the terminal.
+    It also marks what is pasted, if it can. Keys must arrive one by one (`Keyboard`). `suspend` and
+    `resume` enclose the time in which another program uses the terminal.
     """
 
     def __init__(self, keys_from: int, drawn_on: int) -> None:
@@ -49,14 +53,14 @@ class ReleaseEvents:
         self.suspend()
 
     def suspend(self) -> None:
-        """Let the terminal send keys as before."""
-        if self.told:
-            self._write(_END)
+        """Let the terminal send keys and pastes as before."""
+        if self._keys_from >= 0:
+            self._write((_END if self.told else b"") + _MARK_NO_PASTES)
 
     def resume(self) -> None:
-        """Let the terminal tell releases again."""
-        if self.told:
-            self._write(_BEGIN)
+        """Let the terminal tell releases and mark pastes again."""
+        if self._keys_from >= 0:
+            self._write((_BEGIN if self.told else b"") + _MARK_PASTES)
 
     def _can_tell(self) -> bool:
         self._write(_ASK)

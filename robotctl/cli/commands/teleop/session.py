@@ -15,6 +15,7 @@ from robotctl.cli.commands.teleop.held_keys import (
     Hands,
     HandsWithoutReleases,
     HandsWithReleases,
+    typed,
 )
 from robotctl.cli.commands.teleop.holding import STEP, Holding, Speeds
 from robotctl.cli.terminal.key_events import Key, KeyEvent, KeyParser
@@ -103,7 +104,7 @@ class TeleopSession:
             self._forget_the_past(keyboard)
             return
         keys = list(self._keys(keyboard, ready))
-        for key in keys:
+        for key in typed(keys, tells_releases=isinstance(self._hands, HandsWithReleases)):
             if key.event is not KeyEvent.RELEASED:
                 self._press(key)
         if self._gamepad is None:
@@ -122,7 +123,7 @@ class TeleopSession:
             raise Quit from None
         if not text and keyboard.has_ended(ready):
             raise Quit
-        yield from self._parser.feed(text)
+        yield from self._parser.feed(text, self._woke_s)
 
     def _forget(self) -> None:
         self._hands.forget()
@@ -133,6 +134,7 @@ class TeleopSession:
         """Forget what was pressed before this process was stopped or slow."""
         self._forget()
         keyboard.flush()
+        self._parser = KeyParser()
         self._holding.message = "this command was stopped or slow: let go, then hold again"
 
     def _press(self, key: Key) -> None:
