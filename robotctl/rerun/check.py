@@ -277,6 +277,7 @@ class _Check:
             invariants.end(kernel.state.waiting)
         ends.read_ledger(invariants)
         self._compared.end(ends.ending, self._reading.end_ns, self._log_ns[1])
+        self._compared.tell_times(self._reading.log_order, is_own=ends.origin.is_own)
         report.violations, report.violation_count = invariants.violations, invariants.count
 
 

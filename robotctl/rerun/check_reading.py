@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterator, Mapping
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from itertools import chain
 
 from robotctl.errors import UnreadableFile
@@ -16,6 +16,7 @@ from robotctl.rerun.check_report import Report
 from robotctl.rerun.entry_order import EntryOrder, Gap
 from robotctl.rerun.journal_chain import JournalChain
 from robotctl.rerun.journal_steps import LogTimes, Step
+from robotctl.rerun.log_order import LogOrder
 from robotctl.rerun.reading_position import ReadingPosition
 from robotctl.rerun.recording_ends import RecordingEnds
 
@@ -53,6 +54,7 @@ class CheckReading:
         self._decoder = EntryDecoder(recording)
         self.chain = JournalChain()
         self.position = ReadingPosition()
+        self.log_order = LogOrder()
         self.end_ns = 0
         self._row: list[bytes] = []
         """The last entries as they are recorded, if they are not noted yet."""
@@ -93,7 +95,7 @@ class CheckReading:
         blocks = self._recording.blocks_in_order_written(
             {topic, *readers}, self._report.miss, self._on_progress, self._enter
         )
-        for message in chain.from_iterable(self._ends.origin.watch(blocks)):
+        for message in chain.from_iterable(self._ends.origin.watch(self._timed(blocks))):
             name, _, data, log_ns, _, _ = message
             if name != topic:
                 if not self._has_begun:
@@ -133,6 +135,11 @@ class CheckReading:
             if (batch := self._take(item)) is not None:
                 yield batch
         self._end_step(is_cut=True)
+
+    def _timed(self, blocks: Iterable[list[Message]]) -> Iterator[list[Message]]:
+        for block in blocks:
+            self.log_order.take(block)
+            yield block
 
     def _take(self, item: JournalEntry | Gap) -> Batch | None:
         """Take the next item of the journal; return the batch that ends with it, if one does."""

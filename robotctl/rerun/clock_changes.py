@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from robotctl.kernel.units import NS_PER_S
 
 CLOCK_NS = NS_PER_S // 4
@@ -9,6 +11,13 @@ CLOCK_NS = NS_PER_S // 4
 
 EXCUSES_NS = 2 * NS_PER_S
 """How near to such a change wall-clock times are not compared."""
+
+
+class _ClockStep(NamedTuple):
+    """A change of the wall clock by `by_ns`, of the moment that was taken with this number."""
+
+    moment: int
+    by_ns: int
 
 
 class ClockChanges:
@@ -19,18 +28,40 @@ class ClockChanges:
         """Wall clock - steady clock at the last moment."""
 
         self._changed_ns: list[int] = []
+        self._set: list[_ClockStep] = []
+        self._moments = 0
+        self._wall_ns = 0
 
     @property
     def has_changed(self) -> bool:
         """Whether there was a change at all."""
         return bool(self._changed_ns)
 
+    @property
+    def set_by_ns(self) -> list[int]:
+        """By how much the clock was set, each time."""
+        return [change.by_ns for change in self._set]
+
     def look(self, steady_ns: int, wall_ns: int) -> None:
         """Take one moment by both clocks."""
         offset_ns = wall_ns - steady_ns
         before_ns, self.offset_ns = self.offset_ns, offset_ns
+        self._moments += 1
         if before_ns is not None and abs(offset_ns - before_ns) > CLOCK_NS:
             self._changed_ns.append(steady_ns)
+            self._take(offset_ns - before_ns, wall_ns)
+        self._wall_ns = wall_ns
+
+    def _take(self, by_ns: int, wall_ns: int) -> None:
+        """Take a change, unless a step stalled between its two times: then the next one undoes it,
+        and the wall clock never goes back.
+        """
+        last = self._set[-1] if self._set else None
+        is_undone = last is not None and last.moment == self._moments - 1 and last.by_ns > 0
+        if is_undone and by_ns < 0 and wall_ns >= self._wall_ns:
+            self._set.pop()
+        else:
+            self._set.append(_ClockStep(self._moments, by_ns))
 
     def is_near(self, steady_ns: int) -> bool:
         """Return whether a change was near to this moment."""

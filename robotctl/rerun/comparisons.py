@@ -16,9 +16,11 @@ from robotctl.rerun.ending import Ending, JournalEnd
 from robotctl.rerun.input_check import input_checks
 from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.journal_steps import Moments
+from robotctl.rerun.log_order import LogOrder
 from robotctl.rerun.measured import MeasuredState
 from robotctl.rerun.measurement_order import MeasurementOrder
 from robotctl.rerun.ordinary_run import OrdinaryRun
+from robotctl.rerun.recorded_times import tell_times
 from robotctl.rerun.safety_input_check import SafetyInputChecks
 from robotctl.rerun.service_check import ServiceChecks
 from robotctl.rerun.stalls import RecordedStalls
@@ -30,6 +32,7 @@ class Comparisons:
     """The invariants, and the comparisons of commands, inputs, services and statuses."""
 
     def __init__(self, report: Report, info: RecordingInfo, journal_topic: str) -> None:
+        self._report = report
         clock = self._clock = ClockChanges()
         self.invariants = Invariants()
         self._ticks = TickSchedule()
@@ -143,3 +146,8 @@ class Comparisons:
         self._safety_inputs.end(self.invariants, ending, moment)
         self._services.end(self.invariants, ending, end_ns, log_ns)
         self._status.end(self.invariants, ending(self._status.topic), log_ns)
+
+    def tell_times(self, order: LogOrder, *, is_own: bool) -> None:
+        """Report what the log times tell; those of a journal that is not own are of its arrival."""
+        if is_own:
+            tell_times(self._clock, order, self._report)

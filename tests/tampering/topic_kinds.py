@@ -45,9 +45,11 @@ from tests.tampering.message_changes import (
     with_mode,
 )
 from tests.tampering.schema_kinds import IN_SCHEMAS
+from tests.tampering.time_kinds import IN_TIMES
 
 IN_TOPICS: Mapping[str, Kind] = {
     **IN_SCHEMAS,
+    **IN_TIMES,
     "commands: one that moves dropped": dropped(COMMANDS, 1, moves),
     "commands: any dropped": dropped(COMMANDS),
     "commands: many dropped": dropped(COMMANDS, 30, moves),

@@ -1,0 +1,48 @@
+"""Edits of the times at which messages were recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from random import Random
+
+from robotctl.kernel.units import NS_PER_S
+from robotctl.testing.hearing import BATTERY, ODOMETRY
+from tests.support.edited_recordings import Contents, Stored, edit
+from tests.support.heard_drives import COMMANDS, JOURNAL, STATUS
+from tests.tampering.edits import Kind, anywhere, changed
+
+HOUR_S = 3600.0
+
+
+def recorded_later(message: Stored, by_s: float) -> Stored:
+    """Move the time at which a message was recorded."""
+    return replace(message, log_ns=message.log_ns + round(by_s * NS_PER_S))
+
+
+def all_later(by_s: Callable[[int], float], *topics: str) -> Kind:
+    """Move the times of all messages of one of these topics, each by its position."""
+
+    def make(contents: Contents, random: Random) -> Contents:
+        chosen = random.choice(topics)
+        return edit(contents, chosen, lambda at, each: recorded_later(each, by_s(at)))
+
+    return make
+
+
+OTHERS = (COMMANDS, ODOMETRY, BATTERY, STATUS)
+
+IN_TIMES: Mapping[str, Kind] = {
+    "journal: each second entry recorded later": all_later(lambda at: at % 2 * 0.3, JOURNAL),
+    "journal: some entries recorded later": all_later(lambda at: at // 50 % 2 * 0.3, JOURNAL),
+    "journal: recorded ever later": all_later(float, JOURNAL),
+    "journal: one entry recorded an hour later": changed(
+        JOURNAL, lambda each, _: recorded_later(each, HOUR_S), lambda each: each.sequence < 400
+    ),
+    "a topic: recorded an hour later": all_later(lambda at: HOUR_S, *OTHERS),
+    "a topic: recorded an hour earlier": all_later(lambda at: -HOUR_S, *OTHERS),
+    "odometry: one recorded a minute earlier": changed(
+        ODOMETRY, lambda each, _: recorded_later(each, -60.0), anywhere
+    ),
+}
+"""Edits that a check finds."""
