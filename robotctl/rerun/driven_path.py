@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from math import hypot
 from pathlib import Path
 
@@ -16,7 +17,9 @@ from robotctl.kernel.odometry import is_finite
 from robotctl.kernel.types import ModeChanged, OdomReceived
 from robotctl.recording import Recording
 from robotctl.recording.format.journal import EntryKind, JournalEntry
-from robotctl.recording.read.journal_reader import read_journal
+from robotctl.recording.read.file_index import note_missing
+from robotctl.recording.read.journal_reader import journal_topic, read_journal
+from robotctl.rerun.entry_order import Gap, in_sequence
 from robotctl.rerun.journal_values import read_effect, read_event, read_snapshot
 
 SPACING_M = 0.03
@@ -26,17 +29,31 @@ TOLERANCE_M = 0.005
 """How far a place may be beside the waypoints."""
 
 
-def driven_path(path: Path, frame: Frame) -> tuple[Point, ...]:
+def driven_path(path: Path, frame: Frame, on_missing: Callable[[str], None]) -> tuple[Point, ...]:
     """Return waypoints of the last motion in a recording, or of all odometry without a journal.
 
+    They are () if its robot did not drive. `on_missing` gets a sentence about each part of the
+    recording that cannot be read: a later motion may be missing.
+
     Raises:
-        UnreadableFile: The recording cannot be read, or its robot did not drive.
+        UnreadableFile: The recording cannot be read, or a part of the motion is missing.
     """
     with Recording(path) as recording:
-        poses = _last_motion(recording) or _all_odometry(recording)
+        missing = list(recording.missing)
+        if journal_topic(recording.info()) is None:
+            poses = _all_odometry(recording, missing)
+            is_whole = not missing
+        else:
+            motion = _last_motion(recording, missing)
+            poses, is_whole = motion.poses, motion.is_whole
     places = _spaced(poses)
+    if len(places) > 1 and not is_whole:
+        told = "; ".join(missing) or "it ends while the robot is MOVING"
+        raise UnreadableFile(f"{path} holds only a part of its last motion: {told}")
+    for sentence in missing:
+        on_missing(sentence)
     if len(places) < 2:
-        raise UnreadableFile(f"{path} holds no path: its robot did not drive")
+        return ()
     if frame is Frame.START:
         begin = poses[0]
         local = [begin.express(Pose(x, y)) for x, y in places]
@@ -87,25 +104,52 @@ def _spaced(poses: Sequence[Pose]) -> list[Point]:
     return places
 
 
-def _last_motion(recording: Recording) -> list[Pose]:
-    """Return the poses of the last motion that went anywhere, [] without a journal."""
-    best: list[Pose] = []
-    present: list[Pose] = []
+@dataclass(slots=True)
+class _Motion:
+    """The poses while the robot is MOVING, and whether its start and its end are recorded."""
+
+    poses: list[Pose] = field(default_factory=list)
+    begins: bool = False
+    ends: bool = False
+
+    @property
+    def is_whole(self) -> bool:
+        return self.begins and self.ends
+
+    @property
+    def goes_anywhere(self) -> bool:
+        return len(_spaced(self.poses)) > 1
+
+
+def _last_motion(recording: Recording, missing: list[str]) -> _Motion:
+    """Return the last motion that went anywhere, one without poses if there is none."""
+    last = present = _Motion()
     moving = False
+    for entry in in_sequence(_entries(recording, missing)):
+        if isinstance(entry, Gap):
+            note_missing(missing, entry.text)
+            present.begins = False
+            continue
+        was_moving, moving = moving, _moves(entry, moving)
+        if moving and not was_moving:
+            present = _Motion(begins=entry.kind is EntryKind.EFFECT)
+        elif was_moving and not moving:
+            present.ends = True
+            last = present if present.goes_anywhere else last
+        elif moving and entry.name == OdomReceived.__name__:
+            event = read_event(entry)
+            if isinstance(event, OdomReceived) and is_finite(event.odometry):
+                present.poses.append(event.odometry.pose)
+    return present if moving and present.goes_anywhere else last
+
+
+def _entries(recording: Recording, missing: list[str]) -> Iterator[JournalEntry]:
+    """Yield the entries of the journal as far as they can be read."""
     try:
-        for _, entry in read_journal(recording, lambda text: None):
-            was_moving, moving = moving, _moves(entry, moving)
-            if moving and not was_moving:
-                present = []
-            elif entry.kind is EntryKind.EVENT and entry.name == OdomReceived.__name__ and moving:
-                event = read_event(entry)
-                if isinstance(event, OdomReceived) and is_finite(event.odometry):
-                    present.append(event.odometry.pose)
-            if was_moving and not moving and len(_spaced(present)) > 1:
-                best = present
-    except UnreadableFile:
-        return best
-    return present if moving and len(_spaced(present)) > 1 else best
+        for _, entry in read_journal(recording, lambda text: note_missing(missing, text)):
+            yield entry
+    except UnreadableFile as error:
+        note_missing(missing, str(error))
 
 
 def _moves(entry: JournalEntry, moving: bool) -> bool:
@@ -118,14 +162,14 @@ def _moves(entry: JournalEntry, moving: bool) -> bool:
     return moving
 
 
-def _all_odometry(recording: Recording) -> list[Pose]:
+def _all_odometry(recording: Recording, missing: list[str]) -> list[Pose]:
     topics = recording.info().topics
     name = next((topic.name for topic in topics if topic.type_name == ODOMETRY), None)
-    return [] if name is None else list(_poses(recording, name))
+    return [] if name is None else list(_poses(recording, name, missing))
 
 
-def _poses(recording: Recording, topic: str) -> Iterator[Pose]:
-    for message in recording.messages({topic}, lambda text: None):
+def _poses(recording: Recording, topic: str, missing: list[str]) -> Iterator[Pose]:
+    for message in recording.messages({topic}, lambda text: note_missing(missing, text)):
         odometry = read_odometry(message.data)
         if is_finite(odometry):
             yield odometry.pose

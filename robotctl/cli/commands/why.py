@@ -12,23 +12,20 @@ import typer
 
 from robotctl.cli.options import Json, new_app
 from robotctl.cli.support.answer import print_answer
+from robotctl.cli.support.last_recordings import committed_recording, with_earlier
 from robotctl.cli.support.recording_paths import (
     LAST,
     RecordedBy,
     RecordingsFolder,
     find_recording,
     recording_path,
-    recordings_of,
     robot_of,
 )
 from robotctl.cli.support.time_argument import is_offset, parse_moment
 from robotctl.cli.terminal.progress import Progress, progress_bar
 from robotctl.cli.terminal.text import row, short_path
-from robotctl.errors import NoDaemon, Refused, RobotctlError, UnreadableFile, UsageError
+from robotctl.errors import Refused, UnreadableFile
 from robotctl.ipc.advice import advice, cure_of, for_robot
-from robotctl.ipc.answers import Committed
-from robotctl.ipc.client import Client
-from robotctl.ipc.method_names import RECORD_COMMIT
 from robotctl.kernel.units import NS_PER_S
 from robotctl.paths import DEFAULT_ROBOT
 
@@ -36,12 +33,6 @@ if TYPE_CHECKING:
     from robotctl.rerun.incident import Incident
 
 app = new_app()
-
-MAX_RECORDINGS = 20
-"""How many recordings are searched; reading a journal takes seconds per recorded hour."""
-
-COMMIT_DEADLINE_S = 8.0
-"""Longer than the daemon's own deadline, so that its answer names what was not written."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,45 +98,18 @@ def _recordings_to_search(
     newest = asked = None
     if file is None and folder is None:
         asked = robot or DEFAULT_ROBOT
-        newest = _committed(asked, missing)
+        newest = committed_recording(asked, missing)
     if newest is None:
         newest = find_recording(file or LAST, robot, folder)
         recorded_by = robot_of(newest)
         if recorded_by not in (None, asked):
-            _committed(recorded_by, missing)
-    if file not in (None, LAST):
-        return [newest]
-    paths = recordings_of(robot_of(newest), newest.parent)
-    if newest not in paths:
-        return [newest]
-    return paths[paths.index(newest) :][:MAX_RECORDINGS]
+            committed_recording(recorded_by, missing)
+    return with_earlier(newest) if file in (None, LAST) else [newest]
 
 
 def _holds_recordings(path: Path) -> bool:
     """Return whether a path is a folder of recordings, and not a recording."""
     return not any(path.glob("*.mcap")) and any(path.glob("*/*.mcap"))
-
-
-def _committed(robot: str, missing: list[str]) -> Path | None:
-    """Let the robot's daemon commit its recording, and return the folder; None without a daemon."""
-    try:
-        with Client(robot) as client:
-            answer = _commit(client, missing)
-    except (NoDaemon, Refused, UsageError):  # no daemon, or not a valid robot name
-        return None
-    return None if answer is None else Path(answer["file"]).parent
-
-
-def _commit(client: Client, missing: list[str]) -> Committed | None:
-    try:
-        answer = client.call(RECORD_COMMIT, deadline_s=COMMIT_DEADLINE_S)
-    except RobotctlError as error:  # busy, stuck, ending, or of another version
-        missing.append(f"the messages that the daemon has not written yet: {error}")
-        return None
-    if answer["uncommitted"]:
-        reason = answer["failure"] or "the disk is too slow"
-        missing.append(f"{answer['uncommitted']} messages that are not written yet: {reason}")
-    return answer
 
 
 def _at(paths: Sequence[Path], at: str, missing: list[str]) -> tuple[Path, int]:

@@ -1,7 +1,7 @@
 """drive: drive a pattern, or a path from a file or a recording.
 
 - `command`: declares the options and makes the request.
-- `waypoint_file`: reads the points of a path.
+- `waypoint_file`: reads the points of a path; `recorded_path` those of a recording.
 - `running`: waits for the end of a drive.
 """
 

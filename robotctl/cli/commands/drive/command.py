@@ -54,8 +54,9 @@ def drive(
         list[str] | None,
         typer.Argument(
             metavar="[FILE | V W]",
-            help="Of a path: CSV with the header x,y, YAML, or a recording; last: the newest one. "
-            "Of a velocity: forward in m/s, to the left in rad/s.",
+            help="Of a path: CSV with the header x,y, YAML, or a recording by its path or name; "
+            "last: the newest one in which the robot drove. Of a velocity: forward in m/s, to the "
+            "left in rad/s.",
         ),
     ] = None,
     duration: Annotated[
@@ -180,7 +181,7 @@ def drive(
         own = {"corner", "topic"} if topic else {"corner", "frame"}
         refuse_options("a path", options, allowed=FOLLOWED | own)
         _check("--corner", corner, 0.0, MAX_CORNER_M, " m")
-        path = topic_params(robot, topic, reason) if topic else path_params(values, frame)
+        path = topic_params(robot, topic, reason) if topic else path_params(robot, values, frame)
         method, params = DRIVE_PATH, params | followed | path
     else:
         pattern = PatternKind(motion)

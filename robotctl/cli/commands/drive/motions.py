@@ -42,9 +42,9 @@ def checked_values(motion: str, given: Sequence[str] | None, topic: str = "") ->
     elif motion == PATH and topic:
         if values:
             raise UsageError("a path has one FILE or one --topic, not both")
-    elif motion == PATH and len(values) != 1:
+    elif motion == PATH and (len(values) != 1 or not values[0]):
         cure = "use CSV with the header x,y, YAML, or a recording"
-        raise UsageError("a path needs a FILE" if not values else "a path has one FILE", cure)
+        raise UsageError("a path has one FILE" if any(values) else "a path needs a FILE", cure)
     elif motion != PATH and values:
         raise UsageError(f"a {motion} has no file", "use robotctl drive path FILE")
     return values
@@ -77,14 +77,15 @@ def refuse_options(
             raise UsageError(f"{what} has no {_SHOWN.get(name, name)}", cure)
 
 
-def path_params(values: Sequence[str], frame: Frame) -> dict[str, Any]:
+def path_params(robot: str, values: Sequence[str], frame: Frame) -> dict[str, Any]:
     """Return what a path takes beyond every drive.
 
     Raises:
         UsageError: There is no such file.
+        Refused: It is `last`, and the robot has no recording.
         UnreadableFile: The file holds no path.
     """
-    return {"points": read_waypoints(values[0], frame), "frame": frame.value}
+    return {"points": read_waypoints(values[0], frame, robot), "frame": frame.value}
 
 
 def topic_params(robot: str, topic: str, reason: str) -> dict[str, Any]:
