@@ -15,10 +15,12 @@ from robotctl.cli.commands.teleop.held_keys import (
     Wish,
     typed,
 )
-from robotctl.cli.terminal.key_events import MAX_STRING, Key, KeyEvent, KeyParser
+from robotctl.cli.terminal.key_events import ANSWER, MAX_STRING, Key, KeyEvent, KeyParser
 
 PRESSED, REPEATED, RELEASED = KeyEvent.PRESSED, KeyEvent.REPEATED, KeyEvent.RELEASED
 FORWARD = STEERING["w"]
+ANSWERED = "\x1b[?11u"
+"""A sign of life of a terminal that tells releases."""
 
 
 def keys(text: str) -> list[Key]:
@@ -40,6 +42,7 @@ def keys(text: str) -> list[Key]:
         ("\x1b[1;1:3B", Key("down", RELEASED)),
         ("\x1b[1;65:2C", Key("right", REPEATED)),  # with Caps Lock
         ("\x1b[61:43;2:1u", Key("=")),
+        ("\x1b[?11u", Key(ANSWER)),
         ("\x1b[99;5u", Key("c", with_control=True)),
         ("\x1b[122;5:3u", Key("z", RELEASED, with_control=True)),
     ],
@@ -90,18 +93,57 @@ def test_no_text_of_a_terminal_is_too_odd(parts: list[str]) -> None:
 
 def test_a_key_with_releases_is_held_until_its_release() -> None:
     hands = HandsWithReleases()
-    assert hands.take([], 0.0) == STAND
     assert hands.take(keys("\x1b[119;1:1u"), 0.0) == FORWARD
-    assert hands.take([], 100.0) == FORWARD
-    assert hands.take(keys("\x1b[97;1:1u"), 100.0) == Wish(1.0, 1.0)
-    assert hands.take(keys("\x1b[1;1:1A"), 100.0) == Wish(1.0, 1.0), "never more than all"
-    assert hands.take(keys("\x1b[119;1:3u\x1b[1;1:3A"), 100.0) == Wish(0.0, 1.0)
-    assert hands.take(keys("\x1b[97;1:3u"), 100.0) == STAND
+    assert hands.take(keys(ANSWERED), 0.1) == FORWARD
+    assert hands.take(keys("\x1b[97;1:1u"), 0.1) == Wish(1.0, 1.0)
+    assert hands.take(keys("\x1b[1;1:1A" + ANSWERED), 0.1) == Wish(1.0, 1.0), "no more than all"
+    assert hands.take(keys("\x1b[119;1:3u\x1b[1;1:3A"), 0.1) == Wish(0.0, 1.0)
+    assert hands.take(keys("\x1b[97;1:3u"), 0.1) == STAND
+
+
+def test_a_held_key_is_asked_for_again_only_when_the_terminal_answers() -> None:
+    hands = HandsWithReleases()
+    assert hands.take(keys("\x1b[119;1:1u"), 0.0) == FORWARD
+    assert hands.take([], 0.1) is None, "the connection may be lost"
+    assert hands.take(keys("\x1b[119;1:2u"), 0.2) is None
+    assert hands.take(keys(ANSWERED), 0.2) == FORWARD
+
+
+def held_at(seconds: float, *told: tuple[float, str]) -> bool:
+    """Return whether something is held at that time, after what a living terminal told."""
+    hands = HandsWithReleases()
+    last: Wish | None = STAND
+    waiting = list(told)
+    for now_s in (n / 100 for n in range(round(seconds * 100) + 1)):
+        text = "".join(text for at_s, text in waiting if at_s <= now_s)
+        waiting = [each for each in waiting if each[0] > now_s]
+        last = hands.take(keys(text + ANSWERED), now_s)
+    assert (hands.problem == "") or last == STAND
+    return last != STAND
+
+
+def test_a_key_that_never_repeats_or_stops_repeating_is_let_go() -> None:
+    press, repeat = "\x1b[119;1:1u", "\x1b[119;1:2u"
+    slow = [(0.66 + n * 0.05, repeat) for n in range(200)]
+    assert held_at(0.7, (0.0, press)), "the delay before the first repeat"
+    assert not held_at(0.9, (0.0, press))
+    assert held_at(10.0, (0.0, press), *slow)
+    assert held_at(0.9, (0.0, press), *slow[:1])
+    assert not held_at(1.0, (0.0, press), *slow[:1])
+
+
+def test_a_key_stays_held_while_another_one_is_tapped_and_a_while_after() -> None:
+    press, tap, release = "\x1b[119;1:1u", "\x1b[97;1:1u", "\x1b[97;1:3u"
+    taps = [(1.0 + n * 2.5, tap) for n in range(4)] + [(1.1 + n * 2.5, release) for n in range(4)]
+    repeats = [(0.5 + n * 0.03, "\x1b[119;1:2u") for n in range(17)]
+    assert held_at(11.0, (0.0, press), *repeats, *taps)
+    assert not held_at(12.0, (0.0, press), *repeats, *taps)
+    assert held_at(3.0, (0.0, press), (0.3, "\x1b[43u"), (0.4, "\x1b[43;1:3u")), "of any name"
 
 
 def test_text_holds_no_key_where_the_terminal_tells_releases() -> None:
     hands = HandsWithReleases()
-    assert hands.take(keys("forward wasd\x1bOA"), 0.0) == STAND
+    assert hands.take(keys("forward wasd\x1bOA" + ANSWERED), 0.0) == STAND
     assert hands.take(keys("\x1b[A"), 0.0) == FORWARD
 
 
@@ -119,7 +161,7 @@ def test_a_forgotten_key_with_releases_must_be_pressed_again() -> None:
     hands = HandsWithReleases()
     hands.take(keys("\x1b[119;1:1u"), 0.0)
     hands.forget()
-    assert hands.take(keys("\x1b[119;1:2u"), 0.0) == STAND
+    assert hands.take(keys("\x1b[119;1:2u" + ANSWERED), 0.0) == STAND
     assert hands.take(keys("\x1b[119;1:3u\x1b[119;1:1u"), 0.0) == FORWARD
 
 

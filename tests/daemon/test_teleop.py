@@ -16,12 +16,10 @@ from robotctl.ipc.client import Client
 from robotctl.ipc.method_names import HOLD
 from robotctl.kernel.types import DriveRequested, HoldReceived, PublishTwist
 from robotctl.rerun.journal_values import read_effect, read_event
+from tests.support.answering_terminal import AnsweringTerminal
 from tests.support.terminals import Terminal
 from tests.support.waiting import until
 from tests.support.world import Peer, World, entries_of, new_world
-
-ANSWERS = {True: "\x1b[?0u\x1b[?62c", False: "\x1b[?62c"}
-"""What a terminal answers that tells releases, and one that does not."""
 
 W_DOWN, W_AGAIN, W_UP = (f"\x1b[119;1:{event}u" for event in (1, 2, 3))
 
@@ -63,10 +61,10 @@ def sit(world: World) -> Iterator[Callable[..., Terminal]]:
     started: list[Terminal] = []
 
     def start(*arguments: str, tells_releases: bool = True) -> Terminal:
-        terminal = Terminal("teleop", *arguments, environment=world.environment)
+        terminal = AnsweringTerminal(
+            "teleop", *arguments, tells_releases=tells_releases, environment=world.environment
+        )
         started.append(terminal)
-        terminal.until(r"\x1b\[c")
-        terminal.press(ANSWERS[tells_releases])
         terminal.until("q quit")
         return terminal
 
@@ -159,6 +157,33 @@ def test_what_is_pasted_moves_nothing(
     terminal.press("\x1b[43;1:1u")
     terminal.until(r"speed 0\.33 m/s")
     assert not moves(world)
+
+
+def test_a_terminal_that_falls_silent_while_a_key_is_held_is_zero(
+    world: World, sit: Callable[..., AnsweringTerminal]
+) -> None:
+    terminal = sit()
+    terminal.until("a terminal that is silent for 125 ms is zero")
+    with repeating(terminal, W_AGAIN):
+        until_fast(world, lambda: terminal.press(W_UP + W_DOWN))
+        terminal.is_silent = True
+        until(lambda: not moves(world))
+    assert world.status()["mode_reason"] == "not held for 125 ms"
+    terminal.is_silent = False
+    terminal.press(W_AGAIN)
+    terminal.until(r"rad/s\s+not held for")
+    assert not moves(world), "it must be pressed again"
+    until_fast(world, lambda: terminal.press(W_UP + W_DOWN))
+
+
+def test_a_key_that_does_not_repeat_is_let_go(
+    world: World, sit: Callable[..., AnsweringTerminal]
+) -> None:
+    terminal = sit()
+    until_fast(world, lambda: terminal.press(W_UP + W_DOWN))
+    until(lambda: not moves(world))
+    assert world.status()["mode_reason"] == "let go"
+    terminal.until("let go: no key repeated")
 
 
 def test_a_frozen_command_moves_nothing_and_goes_on_only_with_a_new_press(

@@ -42,8 +42,7 @@ class Terminal:
         end = time.monotonic() + DEADLINE_S
         while not (found := re.search(text, self.seen)):
             assert time.monotonic() < end, self.seen[-2000:]
-            if select.select([self._file], [], [], 0.1)[0]:
-                self.seen += os.read(self._file, 65536).decode(errors="replace")
+            self._read(0.1)
         before, self.seen = self.seen[: found.start()], self.seen[found.end() :]
         return before
 

@@ -21,6 +21,7 @@ from robotctl.cli.support.ros_view import ros_view
 from robotctl.cli.support.signals import interrupted_by
 from robotctl.cli.terminal.keyboard import Keyboard
 from robotctl.cli.terminal.release_events import ReleaseEvents
+from robotctl.cli.terminal.terminal_answers import TerminalAnswers
 from robotctl.cli.terminal.text import is_terminal
 from robotctl.errors import RobotctlError, UsageError
 from robotctl.ipc.client import Client
@@ -55,9 +56,9 @@ def teleop(
     """Drive by hand: the robot moves while a key or a button of a gamepad is held.
 
     Where the terminal tells the release of a key, as kitty, foot, WezTerm and Ghostty do, the robot
-    ramps down with it. Elsewhere nothing moves until the key repeats, and 125 ms after the last
-    repeat the velocity is zero. So it is if this command hangs, ends, or loses its connection. It
-    holds the lease meanwhile.
+    ramps down with it, and 125 ms after the last sign of life of the terminal the velocity is zero.
+    Elsewhere nothing moves until the key repeats, and 125 ms after the last repeat the velocity is
+    zero. So it is if this command hangs, ends, or loses its connection. It holds the lease.
 
     \b
     Examples:
@@ -116,8 +117,9 @@ def _run(
     screen = TeleopScreen(robot, session.lines)
     with Keyboard(suspend, resume) as keyboard:
         releases = ReleaseEvents(keyboard.keys_from, sys.stdout.fileno())
-        with releases, screen if has_terminal else nullcontext():
-            session.begin(with_releases=releases.told)
+        with releases, ExitStack() as stack:
+            session.begin(stack.enter_context(TerminalAnswers()) if releases.told else None)
+            stack.enter_context(screen if has_terminal else nullcontext())
             while lease is None or not lease.is_over:
                 session.turn(keyboard)
     if lease is not None:

@@ -6,11 +6,21 @@ from collections.abc import Sequence
 from types import MappingProxyType
 from typing import Final, NamedTuple, Protocol
 
-from robotctl.cli.terminal.key_events import Key, KeyEvent
+from robotctl.cli.terminal.key_events import ANSWER, Key, KeyEvent
 from robotctl.kernel.course import MAX_SILENCE_S
 
 REPEAT_S: Final = MAX_SILENCE_S
 """Without releases, a key that comes again within this time is held; no person types that fast."""
+
+FIRST_REPEAT_S: Final = 0.8
+"""With releases, a key that does not repeat is let go. The longest usual delay is that of X11:
+660 ms; 600 ms with KDE, 500 ms with GNOME and Windows, 250 to 375 ms with macOS."""
+
+NEXT_REPEAT_S: Final = 0.25
+"""So is one whose repeats stop: they come each 25 to 50 ms, 90 ms with macOS."""
+
+AFTER_OTHER_S: Final = 3.0
+"""How long a key is held after the release of another: X11, Wayland and macOS repeat neither."""
 
 MAX_AT_ONCE: Final = 8
 """More keys at once are no hand: the fastest repeat brings 5 in the longest silence."""
@@ -50,7 +60,9 @@ def typed(keys: list[Key], *, tells_releases: bool) -> list[Key]:
 
 
 class Hands(Protocol):
-    """Hands on the keys of a terminal."""
+    """Hands on the keys of a terminal; `problem` says why keys were let go, "" for none."""
+
+    problem: str
 
     def take(self, keys: Sequence[Key], now_s: float) -> Wish | None:
         """Take the keys of this moment; return what they ask for, None without any key."""
@@ -62,26 +74,51 @@ class Hands(Protocol):
 class HandsWithReleases:
     """The hands on a terminal that tells releases: a key is held from its press to its release.
 
-    Text presses nothing: its release would never come.
+    It is let go earlier if it does not repeat: then its release may be lost, with the focus of the
+    window or in a multiplexer. Only the key that was pressed last repeats, so after another key
+    nothing does. Text presses nothing: its release would never come.
+
+    Each answer of the terminal asks for the held keys once more. Without any, the robot stops.
     """
 
     def __init__(self) -> None:
+        self.problem = ""
         self._held: set[str] = set()
+        self._wish = STAND
+        self._heard_s = float("-inf")
+        self._patience_s = 0.0
 
     def take(self, keys: Sequence[Key], now_s: float) -> Wish | None:
-        """Return the sum of the held keys; STAND when all are released."""
+        """Return the sum of the held keys when it changes and with each answer, else None."""
         for key in keys:
-            if key.event is KeyEvent.RELEASED:
-                self._held.discard(key.name)
-            elif key.event is KeyEvent.PRESSED and _steers(key):
-                self._held.add(key.name)
+            if key.name != ANSWER and not key.is_text:
+                self._hear(key, now_s)
+        if self._held and now_s - self._heard_s > self._patience_s:
+            self._held.clear()
+            self.problem = "let go: no key repeated. Press it again"
         wishes = [STAND, *(STEERING[name] for name in self._held)]
         forward, left = map(sum, zip(*wishes, strict=True))
-        return Wish(max(-1.0, min(forward, 1.0)), max(-1.0, min(left, 1.0)))
+        wish = Wish(max(-1.0, min(forward, 1.0)), max(-1.0, min(left, 1.0)))
+        changes, self._wish = wish != self._wish, wish
+        return wish if changes or any(key.name == ANSWER for key in keys) else None
 
     def forget(self) -> None:
         """Let go of every key; a repeat of one that is still down counts for nothing."""
         self._held.clear()
+        self._wish = STAND
+
+    def _hear(self, key: Key, now_s: float) -> None:
+        self._heard_s = now_s
+        if key.event is KeyEvent.RELEASED:
+            self._held.discard(key.name)
+            self._patience_s = AFTER_OTHER_S
+        elif key.event is KeyEvent.REPEATED:
+            self._patience_s = NEXT_REPEAT_S
+        else:
+            self._patience_s = FIRST_REPEAT_S
+            if _steers(key):
+                self._held.add(key.name)
+                self.problem = ""
 
 
 def _steers(key: Key) -> bool:
@@ -96,6 +133,7 @@ class HandsWithoutReleases:
     """
 
     def __init__(self) -> None:
+        self.problem = ""
         self._last = ""
         self._last_s = float("-inf")
         self._is_forgotten = False

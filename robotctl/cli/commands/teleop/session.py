@@ -20,18 +20,27 @@ from robotctl.cli.commands.teleop.held_keys import (
 from robotctl.cli.commands.teleop.holding import STEP, Holding, Speeds
 from robotctl.cli.terminal.key_events import Key, KeyEvent, KeyParser
 from robotctl.cli.terminal.keyboard import Keyboard
+from robotctl.cli.terminal.terminal_answers import ASK_EACH_S, TerminalAnswers
 from robotctl.cli.terminal.text import printable
 from robotctl.ipc.client import Client, command_for
 from robotctl.ipc.method_names import SET_MODE
 from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
 from robotctl.kernel.course import MAX_SILENCE_S
 
-PERIOD_S: Final = 0.025
-"""How often a held velocity is asked for again: five times in the longest silence."""
+PERIOD_S: Final = ASK_EACH_S
+"""How often the hands are looked at while something is held."""
 
 IDLE_S: Final = 0.1
 """How often the rest is looked at while nothing is held."""
 
+WITH_RELEASES: Final = (
+    "hold w a s d or the arrows; a terminal that is silent for 125 ms is zero",
+    "a key that stops repeating is let go in 0.8 s, after another key in 3 s",
+)
+WITHOUT_RELEASES: Final = (
+    "hold w a s d or the arrows; nothing moves until the key repeats",
+    "this terminal tells no releases: zero 125 ms after the last repeat",
+)
 KEYS: Final = "+ - speed   space let go   e emergency stop   q quit"
 _FASTER, _SLOWER, _LET_GO, _STOP, _QUIT = "+=", "-", " ", "e", "q"
 
@@ -59,29 +68,29 @@ class TeleopSession:
         self._gamepad = gamepad
         self._hands: Hands = HandsWithoutReleases()
         self._parser = KeyParser()
+        self._answers: TerminalAnswers | None = None
         self._woke_s = time.monotonic()
 
     def lines(self) -> list[str]:
         """Return the keys, the speeds and what was refused, for the screen."""
-        message = self._holding.message
+        messages = (self._holding.message, self._hands.problem)
         return [
-            self._how_to_move(),
+            *self._how_to_move(),
             KEYS,
             f"speed {self._speeds}",
-            *([printable(message)] if message else []),
+            *(printable(message) for message in messages if message),
         ]
 
-    def _how_to_move(self) -> str:
+    def _how_to_move(self) -> tuple[str, ...]:
         if self._gamepad is not None:
-            return str(self._gamepad)
-        if isinstance(self._hands, HandsWithReleases):
-            return "hold w a s d or the arrows"
-        return "hold w a s d or the arrows; nothing moves until the key repeats"
+            return (str(self._gamepad),)
+        return WITHOUT_RELEASES if self._answers is None else WITH_RELEASES
 
-    def begin(self, *, with_releases: bool) -> None:
-        """Take a terminal that tells releases, or one that does not."""
-        self._hands = HandsWithReleases() if with_releases else HandsWithoutReleases()
-        self._holding.silence_lets_go = not with_releases and self._gamepad is None
+    def begin(self, answers: TerminalAnswers | None) -> None:
+        """Take a terminal that tells releases, of which `answers` are asked, or another (None)."""
+        self._answers = answers
+        self._hands = HandsWithoutReleases() if answers is None else HandsWithReleases()
+        self._holding.silence_lets_go = answers is None and self._gamepad is None
 
     def let_go(self) -> None:
         """Hold nothing any more; the robot ramps down."""
@@ -94,7 +103,9 @@ class TeleopSession:
         Raises:
             Quit: The operator ended the session, or the terminal is gone.
         """
-        period_s = PERIOD_S if self._holding.is_held else IDLE_S
+        period_s = PERIOD_S if self._holding.is_held or self._answers else IDLE_S
+        if self._answers is not None:
+            self._answers.ask()
         sources: list[Any] = (
             keyboard.sources if self._gamepad is None else [*keyboard.sources, self._gamepad]
         )
@@ -104,7 +115,7 @@ class TeleopSession:
             self._forget_the_past(keyboard)
             return
         keys = list(self._keys(keyboard, ready))
-        for key in typed(keys, tells_releases=isinstance(self._hands, HandsWithReleases)):
+        for key in typed(keys, tells_releases=self._answers is not None):
             if key.event is not KeyEvent.RELEASED:
                 self._press(key)
         if self._gamepad is None:
