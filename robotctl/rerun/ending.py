@@ -31,9 +31,6 @@ class Ending:
     has_begin: bool
     """Whether the journal is there from its first entry on."""
 
-    is_filtered: bool
-    """Whether the configuration leaves topics out."""
-
     @property
     def lost(self) -> int:
         """The number of messages that were counted as not recorded."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from math import nan
 from typing import Any
 
@@ -24,14 +24,13 @@ from robotctl.rerun.ending import Ending, JournalEnd
 from robotctl.rerun.input_kinds import BATTERY, ODOMETRY, SCAN, WANTED, InputKind, sequence_of
 from robotctl.rerun.input_pairs import Input, InputPairs
 from robotctl.rerun.input_report import report_inputs, report_last
+from robotctl.rerun.input_topics import InputTopic, InputTopics
 from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.ordinary_run import OrdinaryRun
-from robotctl.rerun.own_topics import full_name
 from robotctl.rerun.repeated_latched import RepeatedLatched
 from robotctl.rerun.sequence_overlap import lockstep
 
-_NOTHING = "[]"
-"""An empty list of topics in the metadata."""
+_OFF = Use.OFF.value
 
 
 class InputCheck:
@@ -41,21 +40,20 @@ class InputCheck:
         self,
         report: Report,
         kind: InputKind,
-        topic: str | None,
+        topic: InputTopic,
         read: Callable[[bytes], Any],
         info: RecordingInfo,
         *,
         is_always_heard: bool = True,
     ) -> None:
-        """`topic` is that of the input, None if it is not recorded.
-
-        `read(data)` returns the value of a message. What is not always heard becomes an input in
+        """`read(data)` returns the value of a message. What is not always heard becomes an input in
         some modes only.
         """
-        self.topic = topic
+        self.topic = topic.name
+        self._is_left_out = topic.is_left_out
         self._is_always_heard = is_always_heard
         self._is_latched = any(
-            each.name == topic and LATCHED_QOS in each.offered_qos for each in info.topics
+            each.name == topic.name and LATCHED_QOS in each.offered_qos for each in info.topics
         )
         self._repeats = RepeatedLatched(info)
         self.is_on = False
@@ -135,8 +133,8 @@ class InputCheck:
         pairs, report = self._pairs, self._report
         pairs.end(moment.t_ns, moment.stalled_ns)
         pairs.repeated += self._repeats.excess
-        is_recorded = self.topic is not None
-        report_inputs(report, invariants, self._name, pairs, ending, is_recorded=is_recorded)
+        is_left_out = self._is_left_out
+        report_inputs(report, invariants, self._name, pairs, ending, is_left_out=is_left_out)
         if not self._is_always_heard:
             return
         last = report_last(report, self._name, pairs, ending, moment, moment.stalled_ns)
@@ -148,27 +146,23 @@ class InputCheck:
 
 def input_checks(report: Report, info: RecordingInfo, journal_topic: str) -> RecordedInputs:
     """Return the checks of the inputs of a recording."""
+    topics = InputTopics(info, journal_topic)
+    odometry = topics.of("odometry.topic", "odom", known_types.ODOMETRY)
+    battery = topics.of("battery.topic", "battery_state", "sensor_msgs/msg/BatteryState")
+    scan = InputTopic()
+    if info.metadata.get(INFO_RECORD, {}).get("parameter.scan.use", _OFF) != _OFF:
+        scan = topics.of("scan.topic", "scan", "sensor_msgs/msg/LaserScan")  # it takes time
+    wanted = topics.of("guard_topic", "cmd_vel_nav", *COMMAND_TYPES)
+    is_stamped = wanted.type_name == TWIST_STAMPED
     return RecordedInputs(
-        InputCheck(
-            report,
-            ODOMETRY,
-            _topic(info, journal_topic, "odometry", "odom"),
-            read_sample,
-            info,
-        ),
-        InputCheck(
-            report,
-            BATTERY,
-            _topic(info, journal_topic, "battery", "battery_state"),
-            read_battery_level,
-            info,
-        ),
-        InputCheck(report, SCAN, _scan_topic(info, journal_topic), _read_sectors, info),
+        InputCheck(report, ODOMETRY, odometry, read_sample, info),
+        InputCheck(report, BATTERY, battery, read_battery_level, info),
+        InputCheck(report, SCAN, scan, _read_sectors, info),
         InputCheck(
             report,
             WANTED,
-            _guard_topic(info, journal_topic),
-            _read_wanted(info, journal_topic),
+            wanted,
+            _read_wanted(decode_twist_stamped if is_stamped else decode_twist),
             info,
             is_always_heard=False,
         ),
@@ -218,37 +212,14 @@ class RecordedInputs:
             each.end(invariants, ending(each.topic), moment)
 
 
-_TYPES: Mapping[str, str] = {
-    "odometry": known_types.ODOMETRY,
-    "battery": "sensor_msgs/msg/BatteryState",
-    "scan": "sensor_msgs/msg/LaserScan",
-}
-
-
 def _read_sectors(data: bytes) -> Any:
     from robotctl.cdr.scan import read_sectors  # here: it loads numpy
 
     return read_sectors(data)
 
 
-def _scan_topic(info: RecordingInfo, journal_topic: str) -> str | None:
-    """Return the topic of the scan where the kernel takes it: reading each scan costs time."""
-    use = info.metadata.get(INFO_RECORD, {}).get("parameter.scan.use", Use.OFF.value)
-    return None if use == Use.OFF.value else _topic(info, journal_topic, "scan", "scan")
-
-
-def _guard_topic(info: RecordingInfo, journal_topic: str) -> str | None:
-    """Return the topic of the wanted velocities, None if it is not recorded."""
-    name = full_name(info, journal_topic, "guard_topic", "cmd_vel_nav")
-    types = (topic.type_name for topic in info.topics if topic.name == name)
-    return name if COMMAND_TYPES.intersection(types) else None
-
-
-def _read_wanted(info: RecordingInfo, journal_topic: str) -> Callable[[bytes], Twist]:
-    """Return what reads a wanted velocity, of either type; NaN for an unreadable one."""
-    name = _guard_topic(info, journal_topic)
-    is_stamped = any(each.name == name and each.type_name == TWIST_STAMPED for each in info.topics)
-    decode = decode_twist_stamped if is_stamped else decode_twist
+def _read_wanted(decode: Callable[[bytes], Twist]) -> Callable[[bytes], Twist]:
+    """Return what reads a wanted velocity; NaN for an unreadable one."""
 
     def read(data: bytes) -> Twist:
         try:
@@ -257,20 +228,3 @@ def _read_wanted(info: RecordingInfo, journal_topic: str) -> Callable[[bytes], T
             return Twist(nan, nan)
 
     return read
-
-
-def _topic(info: RecordingInfo, journal_topic: str, kind: str, default: str) -> str | None:
-    name = full_name(info, journal_topic, f"{kind}.topic", default)
-    is_recorded = any(
-        topic.name == name and topic.type_name == _TYPES[kind] for topic in info.topics
-    )
-    return name if is_recorded else None
-
-
-def is_filtered(info: RecordingInfo) -> bool:
-    """Return whether the configuration leaves topics out of the recording."""
-    values = info.metadata.get(INFO_RECORD, {})
-    return any(
-        values.get(f"parameter.recording.{key}", _NOTHING) != _NOTHING
-        for key in ("include", "exclude")
-    )

@@ -18,11 +18,11 @@ def report_inputs(
     pairs: InputPairs,
     ending: Ending,
     *,
-    is_recorded: bool,
+    is_left_out: bool,
 ) -> None:
     """Report values that differ, missing and repeated messages of the input `name`.
 
-    `pairs` have ended. `is_recorded` tells whether the recording has the topic of the input.
+    `pairs` have ended. `is_left_out` tells that the configuration leaves the topic out.
     """
     if pairs.differing:
         text = f"{pairs.differing} messages are not what the control loop received as"
@@ -31,7 +31,7 @@ def report_inputs(
             ending.accuse(report, invariants, text)
         else:
             report.notes.append(text)
-    _report_lacking(report, invariants, name, pairs, ending, is_recorded=is_recorded)
+    _report_lacking(report, invariants, name, pairs, ending, is_left_out=is_left_out)
     if pairs.repeated and pairs.has_one_publisher:
         report.miss(f"{pairs.repeated} messages of {name} are repeated or out of order")
 
@@ -43,7 +43,7 @@ def _report_lacking(
     pairs: InputPairs,
     ending: Ending,
     *,
-    is_recorded: bool,
+    is_left_out: bool,
 ) -> None:
     count = pairs.lacking + (0 if ending.is_clip else pairs.before_first)
     if not (ending.is_clip or ending.has_begin) and pairs.at_begin:
@@ -64,7 +64,7 @@ def _report_lacking(
         text += f", the first is of {pairs.lacking_example}"
     if count <= ending.lost:
         report.notes.append(f"{text}: {ending.lost} were counted as lost")
-    elif ending.is_filtered and not is_recorded:
+    elif is_left_out:
         report.notes.append(f"the topic of {name} was not recorded, as configured")
     elif ending.ledger is None:
         report.miss(f"{text}; {ending.unknown_losses}")

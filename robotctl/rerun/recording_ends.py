@@ -11,7 +11,6 @@ from robotctl.recording.format.ledger_record import read_ledger
 from robotctl.recording.format.metadata_names import CLIP_RECORD, INFO_RECORD
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.ending import Ending
-from robotctl.rerun.input_check import is_filtered
 from robotctl.rerun.invariants import Invariants, unbalanced
 from robotctl.rerun.journal_origin import JournalOrigin
 from robotctl.rerun.journal_values import read_snapshot
@@ -97,7 +96,6 @@ class RecordingEnds:
             is_own=self.origin.is_own,
             is_whole=self.is_whole,
             has_begin=self._first_seq == 0,
-            is_filtered=is_filtered(self._info),
         )
 
 

@@ -24,9 +24,9 @@ from robotctl.rerun.check_report import Report
 from robotctl.rerun.ending import Ending, JournalEnd
 from robotctl.rerun.input_pairs import Input, InputPairs
 from robotctl.rerun.input_report import report_inputs, report_last
+from robotctl.rerun.input_topics import InputTopic, InputTopics
 from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.ordinary_run import OrdinaryRun
-from robotctl.rerun.own_topics import full_name
 from robotctl.rerun.repeated_latched import RepeatedLatched
 from robotctl.rerun.said_diagnoses import SaidDiagnoses
 from robotctl.rerun.stalls import RecordedStalls
@@ -45,17 +45,17 @@ class SafetyInputCheck:
     """The comparison of one safety input, from the first snapshot with a proof on."""
 
     def __init__(
-        self, report: Report, info: RecordingInfo, kind: SafetyInput, topic: str | None
+        self, report: Report, info: RecordingInfo, kind: SafetyInput, topic: InputTopic
     ) -> None:
-        """`topic` is None if it is not recorded."""
         values = info.metadata.get(INFO_RECORD, {})
         robot = values.get("robot", "")
         button = int(_number(values, "parameter.inputs.joy.button", 0.0))
         default_s = SafetyInputParams().of(kind).timeout_s
         timeout_s = _number(values, f"parameter.inputs.{kind.value}.timeout_s", default_s)
-        self.topic = topic
+        self.topic = topic.name
+        self._is_left_out = topic.is_left_out
         self._is_latched = any(
-            each.name == topic and LATCHED_QOS in each.offered_qos for each in info.topics
+            each.name == topic.name and LATCHED_QOS in each.offered_qos for each in info.topics
         )
         self._report = report
         self._name = NAMES[kind]
@@ -117,8 +117,8 @@ class SafetyInputCheck:
         else:
             pairs.repeated += self._repeats.excess
         pairs.end(moment.t_ns, moment.stalled_ns)
-        is_recorded = self.topic is not None
-        report_inputs(report, invariants, self._name, pairs, ending, is_recorded=is_recorded)
+        is_left_out = self._is_left_out
+        report_inputs(report, invariants, self._name, pairs, ending, is_left_out=is_left_out)
         self._unheard.end(moment.log_ns, longest_ns)
         if self._unheard.example and pairs.has_one_publisher:
             report.miss(f"the journal does not hold {self._unheard.example} of {self._name}")
@@ -126,7 +126,7 @@ class SafetyInputCheck:
             waited_ns = longest_ns + self._repeat_ns
             report_last(report, self._name, pairs, ending, moment, waited_ns, is_rare=True)
         unsaid = [] if self._diagnoses is None else self._diagnoses.unsaid()
-        if unsaid and is_recorded and ending.has_begin and ending.lost == 0:
+        if unsaid and self.topic is not None and ending.has_begin and ending.lost == 0:
             text = f"{len(unsaid)} diagnoses in the journal are in no message: {unsaid[0]}"
             ending.accuse(report, invariants, text)
 
@@ -139,8 +139,9 @@ class SafetyInputChecks:
     ) -> None:
         """Take the configuration from the metadata; `stalls` are those of the journal."""
         self._stalls = stalls
+        topics = InputTopics(info, journal_topic)
         self._checks = {
-            kind: SafetyInputCheck(report, info, kind, _topic(info, journal_topic, kind))
+            kind: SafetyInputCheck(report, info, kind, _topic(topics, kind))
             for kind in SafetyInput
             if _is_used(info, kind)
         }
@@ -204,11 +205,6 @@ def _is_used(info: RecordingInfo, kind: SafetyInput) -> bool:
     return values.get(f"parameter.inputs.{kind.value}.use", Use.OFF.value) != Use.OFF.value
 
 
-def _topic(info: RecordingInfo, journal_topic: str, kind: SafetyInput) -> str | None:
-    """Return the full name of the topic of an input, None if it is not recorded."""
+def _topic(topics: InputTopics, kind: SafetyInput) -> InputTopic:
     default = SafetyInputParams().of(kind).topic
-    name = full_name(info, journal_topic, f"inputs.{kind.value}.topic", default)
-    is_recorded = any(
-        each.name == name and each.type_name == MESSAGE_TYPES[kind] for each in info.topics
-    )
-    return name if is_recorded else None
+    return topics.of(f"inputs.{kind.value}.topic", default, MESSAGE_TYPES[kind])

@@ -22,6 +22,7 @@ from robotctl.rerun.ending import Ending
 from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.journal_steps import Moments
 from robotctl.rerun.own_topics import own_name
+from robotctl.rerun.recorded_filter import RecordedFilter
 from robotctl.rerun.service_events import SERVICES, Service, read_service_event
 from robotctl.rerun.service_pairs import Asked, Call, ServicePairs
 from robotctl.rerun.unheard_end import AFTER_NS
@@ -114,6 +115,9 @@ class _ServiceCheck:
             for topic in info.topics
             if topic.type_name == service.type_name and topic.name != self.topic
         )
+        self._is_left_out = not self.is_recorded and RecordedFilter(info, journal_topic).leaves_out(
+            self.topic, service.type_name
+        )
         self._report = report
         self._service = service
         self._clock = clock
@@ -194,7 +198,7 @@ class _ServiceCheck:
         )
         if len(unheard) <= ending.lost:
             report.notes.append(f"{text}: {ending.lost} were counted as lost")
-        elif not self.is_recorded and ending.is_filtered:
+        elif self._is_left_out:
             report.notes.append(f"{self.topic} was not recorded, as configured")
         elif not pairs.calls and self._others and not self._is_told:
             report.notes.append(f"{text}: its name may be remapped, as {self._others[0]} is of it")

@@ -29,7 +29,7 @@ from tests.tampering.end_kinds import AT_THE_END, BUTTON, THOUSANDS_OF_THE_BUTTO
 from tests.tampering.journal_changes import last_dropped
 from tests.tampering.journal_kinds import IN_JOURNAL
 from tests.tampering.message_changes import numbered
-from tests.tampering.pretended_kinds import PRETENDED
+from tests.tampering.pretended_kinds import PRETENDED, excluding, together
 from tests.tampering.topic_kinds import IN_TOPICS
 
 FOUND: Mapping[str, Kind] = {**IN_TOPICS, **IN_JOURNAL, **AT_THE_END, **PRETENDED}
@@ -52,6 +52,9 @@ ON_A_BUTTON: Mapping[str, Kind] = {
     "button: two swapped": swapped(BUTTON, anywhere),
     "button: all released": all_changed(BUTTON, lambda m: replace(m, data=m.data[:4] + b"\0")),
     "button: topic removed": removed(BUTTON),
+    "metadata: the cameras left out, the button removed": together(
+        excluding("/camera/*"), removed(BUTTON)
+    ),
     "journal: a message of the button dropped": journal(without("SafetyInputReceived")),
     "journal: the press set to released, chained anew": journal(
         rewritten("SafetyInputReceived", r'"value":1\.0', '"value":0.0'), careful=True
@@ -83,6 +86,9 @@ ONLY_IF_CLOSED: Mapping[str, Kind] = {
     "service: all calls removed": all_changed(SET_MODE, lambda m: None),
     "service: topic removed": removed(ESTOP),
     "service: topic renamed": renamed(ESTOP),
+    "metadata: the cameras left out, a service removed": together(
+        excluding("/camera/*"), removed(ESTOP)
+    ),
     "service: a response removed": all_changed(SET_MODE, lambda m: None if m.sequence == 2 else m),
     "ledger: a command more received": counted(COMMANDS, "received", 1),
     "ledger: a command more written": counted(COMMANDS, "written", 1),

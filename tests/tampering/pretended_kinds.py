@@ -1,4 +1,4 @@
-"""Edits that pretend another version or another recorder."""
+"""Edits that pretend another version, another recorder, or another configuration."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 from random import Random
 
+from robotctl.testing.hearing import BATTERY, ODOMETRY
 from tests.support.edited_recordings import Contents, edit
 from tests.support.heard_drives import COMMANDS, JOURNAL
-from tests.tampering.edits import MOTION, Kind, all_changed, journal, metadata, rewritten
+from tests.tampering.edits import MOTION, Kind, all_changed, journal, metadata, removed, rewritten
 from tests.tampering.end_kinds import appended
 
 _PROOF = r'"proof":\{[^}]*\}'
@@ -64,6 +65,12 @@ _DRIVEN_ON = appended(
     COMMANDS, (500, 500), lambda each: replace(each, data=MOTION), every_s=0.02, after_s=0.02
 )
 
+
+def excluding(pattern: str) -> Kind:
+    """Pretend that the configuration leaves topics out."""
+    return metadata("robotctl", "parameter.recording.exclude", f"[{pattern!r}]")
+
+
 PRETENDED: Mapping[str, Kind] = {
     "journal: the proofs of all snapshots set to null": journal(
         rewritten("Snapshot", _PROOF, '"proof":null', everywhere=True)
@@ -89,6 +96,15 @@ PRETENDED: Mapping[str, Kind] = {
     ),
     "metadata: only observed, the first entry received": together(
         UNNAMED, metadata("robotctl", "mode", "observing"), _first_received
+    ),
+    "metadata: the cameras left out, odometry removed": together(
+        excluding("/camera/*"), removed(ODOMETRY)
+    ),
+    "metadata: the cameras left out, battery removed": together(
+        excluding("/camera/*"), removed(BATTERY)
+    ),
+    "metadata: odometry left out, which is always recorded, and removed": together(
+        excluding("/odom"), removed(ODOMETRY)
     ),
 }
 """Edits that a check finds."""
