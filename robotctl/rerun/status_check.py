@@ -26,6 +26,8 @@ from robotctl.rerun.status_times import RecordedStatus, StatusTimes
 UNDER_WAY_NS = 2 * NS_PER_S
 """How long before the end a change of the mode may lack its status."""
 
+_OTHER_REPEAT = "one that was recorded before it was sent differs from the one that was sent"
+
 
 class StatusCheck:
     """The comparison of the statuses with the modes of the journal, from its first snapshot on."""
@@ -47,7 +49,7 @@ class StatusCheck:
         self._gaps = 0
         self._seen = 0
         self._repeats = RepeatedLatched(info)
-        self._ahead: set[int] = set()
+        self._ahead: dict[int, bytes] = {}
         """Statuses that were recorded as repeats and have not arrived in order yet, by number."""
 
         self._unordered = 0
@@ -61,10 +63,12 @@ class StatusCheck:
         Where the recorder lags, the one it repeats is sent later, and comes again in the file.
         """
         if message.log_ns < message.publish_ns:
-            self._ahead.add(message.sequence)
+            if self._ahead.setdefault(message.sequence, message.data) != message.data:
+                self._blame(_OTHER_REPEAT)
             self._repeats.count()
             return
-        self._ahead.discard(message.sequence)
+        if self._ahead.pop(message.sequence, message.data) != message.data:
+            self._blame(_OTHER_REPEAT)
         if self._repeats.take(message):
             return
         try:

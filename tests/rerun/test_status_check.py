@@ -57,14 +57,17 @@ def test_a_wall_clock_that_is_set_is_held_against_no_status(
     assert (report.verdict, report.missing) == (Verdict.SAME, [])
 
 
-def test_a_status_that_a_file_repeats_before_it_was_sent_is_not_compared(
-    tmp_path: Path, heard: Contents
+@pytest.mark.parametrize(("mode", "verdict"), [(0, Verdict.SAME), (1, Verdict.BROKEN)])
+def test_a_status_that_a_file_repeats_before_it_was_sent_says_the_same(
+    tmp_path: Path, heard: Contents, mode: int, verdict: Verdict
 ) -> None:
+    """The first status shows that the robot is IDLE."""
     edited = heard.copy()
-    last = [each for each in heard.messages if each.topic == STATUS][-1]
-    edited.messages.insert(0, replace(last, log_ns=heard.messages[0].log_ns))
+    first = next(each for each in heard.messages if each.topic == STATUS)
+    early = replace(first, log_ns=first.log_ns - 1, data=with_mode(first, mode))
+    edited.messages.insert(0, early)
     report = check_recording(write_contents(tmp_path / "run", edited))
-    assert (report.verdict, report.missing) == (Verdict.SAME, [])
+    assert (report.verdict, report.missing) == (verdict, [])
 
 
 def renamed(contents: Contents, topic: str) -> Contents:

@@ -6,11 +6,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from random import Random
 
+from robotctl.kernel.modes import Mode
 from robotctl.kernel.units import NS_PER_S
 from robotctl.testing.hearing import BATTERY, ODOMETRY
 from tests.support.edited_recordings import Contents, Stored, edit
 from tests.support.heard_drives import COMMANDS, JOURNAL, STATUS
 from tests.tampering.edits import Kind, anywhere, changed
+from tests.tampering.message_changes import with_mode
 
 HOUR_S = 3600.0
 
@@ -30,6 +32,18 @@ def all_later(by_s: Callable[[int], float], *topics: str) -> Kind:
     return make
 
 
+def another_ahead(contents: Contents, random: Random) -> Contents:
+    """Add a status of another mode, recorded before the one with its number was sent."""
+    places = [at for at, each in enumerate(contents.messages) if each.topic == STATUS]
+    at = random.choice(places)
+    real = contents.messages[at]
+    mode = random.choice([each for each in Mode if with_mode(real, each) != real])
+    edited = contents.copy()
+    early = replace(with_mode(real, mode), log_ns=real.publish_ns - 1)
+    edited.messages.insert(at, early)
+    return edited
+
+
 OTHERS = (COMMANDS, ODOMETRY, BATTERY, STATUS)
 
 IN_TIMES: Mapping[str, Kind] = {
@@ -41,6 +55,7 @@ IN_TIMES: Mapping[str, Kind] = {
     ),
     "a topic: recorded an hour later": all_later(lambda at: HOUR_S, *OTHERS),
     "a topic: recorded an hour earlier": all_later(lambda at: -HOUR_S, *OTHERS),
+    "status: another one recorded before it was sent": another_ahead,
     "odometry: one recorded a minute earlier": changed(
         ODOMETRY, lambda each, _: recorded_later(each, -60.0), anywhere
     ),
