@@ -40,6 +40,8 @@ class Listener:
         self._group = group
         self._id = (0, 0)
         self._sock: socket.socket
+        self._spare: int | None = None
+        """A descriptor for a client when no other is free, since it may stop the robot."""
 
     def open(self) -> None:
         """Bind and listen; from now on the connect of a client succeeds.
@@ -66,6 +68,7 @@ class Listener:
                 open_socket(self._path, self._group)
             self._sock.listen(BACKLOG)
             self._sock.setblocking(False)
+            self._keep_spare()
         except BaseException:
             self._sock.close()
             raise
@@ -73,15 +76,18 @@ class Listener:
     def close(self) -> None:
         """Stop listening, and remove the socket file."""
         self._sock.close()
+        self._give_up_spare()
         if self._is_in_place():
             self._path.unlink(missing_ok=True)
 
     async def accept(self, make_room: Callable[[], bool]) -> socket.socket:
         """Wait for the next client and return its socket.
 
-        Where the process has no free descriptor, `make_room` is called to close a connection. It
-        returns whether it did; otherwise this waits until a descriptor is free.
+        Where the process has no free descriptor, one that was kept for this is used. If that is in
+        use, `make_room` is called to close a connection. It returns whether it did; otherwise this
+        waits until a descriptor is free.
         """
+        self._keep_spare()
         while True:
             try:
                 client = self._sock.accept()[0]
@@ -92,7 +98,8 @@ class Listener:
             except OSError as error:
                 if error.errno in _OUT_OF_RESOURCES:
                     _log.warning("no connection can be accepted: %s", error)
-                    await asyncio.sleep(0.0 if make_room() else _RETRY_ACCEPT_S)
+                    has_room = self._give_up_spare() or make_room()
+                    await asyncio.sleep(0.0 if has_room else _RETRY_ACCEPT_S)
                 elif error.errno != errno.ECONNABORTED:
                     raise
 
@@ -118,6 +125,19 @@ class Listener:
                     _log.error("no client can reach this daemon: %s", said)
                     on_failure(f"no client can reach this daemon: {said}")
             await asyncio.sleep(LOOK_S)
+
+    def _keep_spare(self) -> None:
+        if self._spare is None:
+            with suppress(OSError):
+                self._spare = os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)
+
+    def _give_up_spare(self) -> bool:
+        """Close the descriptor that is kept; return whether there was one."""
+        if self._spare is None:
+            return False
+        os.close(self._spare)
+        self._spare = None
+        return True
 
     def _is_in_place(self) -> bool:
         with suppress(OSError, UsageError):

@@ -6,6 +6,7 @@ import asyncio
 import errno
 import logging
 import os
+import resource
 import socket
 import stat
 from contextlib import suppress
@@ -17,6 +18,7 @@ import pytest
 
 from robotctl.errors import AlreadyRunning, UsageError
 from robotctl.ipc import listener
+from robotctl.ipc.protocol import encode_request
 from robotctl.ipc.request_handler import Identity
 from robotctl.ipc.server import ControlServer
 from tests.support.waiting import loop_until
@@ -177,6 +179,31 @@ async def test_a_replaced_socket_is_created_again_when_its_path_is_free(
             await loop_until(server.warning)
             assert unreachable[1:] == [""]
             assert "result" in await (await connect()).call("status")
+
+
+async def test_without_a_free_descriptor_a_client_can_still_stop_the_robot(
+    serve: Any, connect: Any, path: Path
+) -> None:
+    async with serve():
+        await (await connect()).call("status")
+        loop, (soft, hard) = asyncio.get_running_loop(), resource.getrlimit(resource.RLIMIT_NOFILE)
+        taken: list[int] = []
+        with socket.socket(socket.AF_UNIX) as stopping:
+            stopping.connect(str(path))  # it waits to be accepted
+            stopping.setblocking(False)
+            try:
+                with suppress(OSError):
+                    resource.setrlimit(resource.RLIMIT_NOFILE, (stopping.fileno() + 8, hard))
+                    while True:
+                        taken.append(os.open(os.devnull, os.O_RDONLY))
+                estop = encode_request(7, "set_mode", {"mode": 3, "source": "test"})
+                await loop.sock_sendall(stopping, estop)
+                async with asyncio.timeout(5.0):  # an idle client makes room after 10 s
+                    assert b"result" in await loop.sock_recv(stopping, 1000)
+            finally:
+                resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+                for each in taken:
+                    os.close(each)
 
 
 async def test_running_out_of_descriptors_is_survived(
