@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import re
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from errno import ENOSPC
 from glob import escape
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Final
@@ -84,6 +86,8 @@ def write_parquet(
                     f"(FORMAT parquet, COMPRESSION zstd, USE_TMP_FILE false{options})"
                 )
             except duckdb.Error as error:
+                if not os.fstatvfs(stream.fileno()).f_bavail:
+                    raise OSError(ENOSPC, os.strerror(ENOSPC)) from error
                 raise OSError(" ".join(str(error).split())[:300]) from error
 
 

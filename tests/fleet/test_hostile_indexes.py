@@ -9,6 +9,7 @@ import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -220,3 +221,12 @@ def test_what_a_killed_process_left_is_removed_later(
     monkeypatch.setattr(databases, "ABANDONED_S", -1.0)
     assert index_recording(folder / NAME) == ""
     assert not left.exists()
+
+
+def test_a_full_disk_is_told_in_the_words_of_the_system(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    full = SimpleNamespace(f_bavail=0)
+    monkeypatch.setattr(os, "fstatvfs", lambda descriptor: full)
+    with pytest.raises(OSError, match="No space left on device"):
+        write_parquet(tmp_path / "index.parquet", "SELECT * FROM what_is_cut_short", [])
