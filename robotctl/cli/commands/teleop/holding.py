@@ -7,10 +7,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from robotctl.cli.commands.teleop.held_keys import STAND, Wish
-from robotctl.errors import Refused
+from robotctl.errors import Refused, UsageError
 from robotctl.ipc.client import Client
 from robotctl.ipc.method_names import HOLD, PARAM_LIST
 from robotctl.kernel.course import MAX_SILENCE_S
+from robotctl.kernel.patterns import MIN_SPEED_MPS
 
 FIRST_SHARE, STEP = 0.5, 1.1
 """The share of the limits at the start, and the factor of a step of it."""
@@ -23,17 +24,24 @@ class Speeds:
     """The chosen speeds: the same share of both limits."""
 
     def __init__(self, client: Client, speed_mps: float | None) -> None:
-        """Begin with `speed_mps`, or with FIRST_SHARE of the daemon's limits."""
+        """Begin with `speed_mps`, or with FIRST_SHARE of the daemon's limits.
+
+        Raises:
+            UsageError: The speed is above the limit.
+        """
         listed = client.call(PARAM_LIST)["parameters"]
         limits: dict[str, Any] = {each["key"]: each["value"] for each in listed}
         self._linear_mps: float = limits["limits.linear_mps"]
         self._angular_rps: float = limits["limits.angular_rps"]
+        self._least = min(MIN_SPEED_MPS / self._linear_mps, 1.0)
         self._share = FIRST_SHARE if speed_mps is None else speed_mps / self._linear_mps
-        self.scale(1.0)
+        if self._share > 1.0:
+            cure = f"the limit is {self._linear_mps:g} m/s (limits.linear_mps)"
+            raise UsageError(f"--speed {speed_mps:g}", cure)
 
     def scale(self, factor: float) -> None:
-        """Multiply the speeds, within 5 % and all of the limits."""
-        self._share = min(max(self._share * factor, 0.05), 1.0)
+        """Multiply the speeds, within MIN_SPEED_MPS and the limits."""
+        self._share = min(max(self._share * factor, self._least), 1.0)
 
     def velocity(self, wish: Wish) -> tuple[float, float]:
         """Return what is wanted [m/s, rad/s]; backwards, left and right stay where they are."""
