@@ -12,10 +12,12 @@ from robotctl.ipc.client import Client
 from robotctl.ipc.method_names import STATUS
 
 if TYPE_CHECKING:
+    from rich.console import RenderableType
+
     from robotctl.ipc.answers import Status
 
 MAX_TOPICS: Final = 6
-"""Leaves room for the keys within a terminal of 24 lines."""
+"""They are seen on a terminal of 24 lines; on a smaller one the end of the view is cut off."""
 
 END_S: Final = 1.0
 """How long the terminal may take for the last picture."""
@@ -52,11 +54,7 @@ class TeleopScreen:
             self._drawing.join(END_S)
 
     def _draw(self) -> None:
-        from rich.console import Group
         from rich.live import Live
-        from rich.text import Text
-
-        from robotctl.cli.terminal.status_panel import live_view
 
         # Nothing else prints meanwhile, and a redirected stdout would hide its encoding.
         with (
@@ -64,9 +62,16 @@ class TeleopScreen:
             Live(auto_refresh=False, redirect_stdout=False, redirect_stderr=False) as live,
         ):
             while not self._ended.is_set():
-                status: dict[str, Any] = {**client.call(STATUS)}
-                status["topics"] = status["topics"][:MAX_TOPICS]
-                shown = live_view(cast("Status", status))
-                lines = (Text(line, no_wrap=True, overflow="ellipsis") for line in self._lines())
-                live.update(Group(shown, *lines), refresh=True)
+                live.update(view_below(self._lines(), client.call(STATUS)), refresh=True)
                 self._ended.wait(POLL_S)
+
+
+def view_below(lines: list[str], status: Status) -> RenderableType:
+    """Return whole lines of text, with the live view below them: what is cut off is its end."""
+    from rich.console import Group
+    from rich.text import Text
+
+    from robotctl.cli.terminal.status_panel import live_view
+
+    few: dict[str, Any] = {**status, "topics": status["topics"][:MAX_TOPICS]}
+    return Group(*map(Text, lines), live_view(cast("Status", few)))
