@@ -12,7 +12,7 @@ import pytest
 from robotctl.cdr.definition import parse_definition
 from robotctl.cdr.values import encode
 from robotctl.cli.commands.teleop import gamepad as module
-from robotctl.cli.commands.teleop.gamepad import JOY, Controls, Gamepad
+from robotctl.cli.commands.teleop.gamepad import JOY, SILENT_S, Controls, Gamepad
 from robotctl.cli.commands.teleop.held_keys import STAND, Wish
 from robotctl.cli.support.ros_view import MessageListener
 
@@ -69,12 +69,38 @@ def test_a_button_that_is_down_already_must_be_released_first(now: list[float]) 
     assert hands.say(held=True) == STAND
 
 
+def test_the_screen_says_to_let_go_first_and_then_to_hold(now: list[float]) -> None:
+    hands = Hands()
+    hands.say(held=True)
+    assert str(hands.gamepad) == "let go of button 4 of /joy first"
+    hands.say(held=False)
+    assert str(hands.gamepad) == "hold button 4 of /joy, and steer"
+    hands.say(held=True)
+    hands.gamepad.forget()
+    assert str(hands.gamepad) == "let go of button 4 of /joy first"
+
+
+def test_a_button_that_is_down_counts_no_sooner_for_a_stick_at_rest(now: list[float]) -> None:
+    hands = Hands()
+    assert hands.say(held=True, axes=(0.0, 0.0)) == STAND
+    assert hands.say(held=True) == STAND, "the button was down all the time"
+
+
+def test_a_gamepad_that_is_silent_is_told(now: list[float]) -> None:
+    hands = Hands()
+    assert "nothing is heard on /joy: connect the gamepad" in str(hands.gamepad)
+    hands.say(held=False)
+    now[0] += SILENT_S
+    assert "nothing is heard" not in str(hands.gamepad)
+    now[0] += 0.1
+    assert "nothing is heard on /joy" in str(hands.gamepad)
+
+
 @pytest.mark.parametrize("axes", [(nan, nan), (inf, -inf)])
 def test_an_axis_that_is_no_number_is_at_rest(now: list[float], axes: tuple[float, float]) -> None:
     hands = Hands()
     hands.say(held=False)
     assert hands.say(held=True, axes=axes) == STAND
-    assert hands.say(held=False) == STAND
     assert hands.say(held=True, axes=(-7.0, 7.0)) == Wish(1.0, -1.0)
 
 
@@ -86,9 +112,11 @@ def test_a_gamepad_without_the_button_is_named(now: list[float]) -> None:
 
 def test_a_message_that_is_cut_short_is_named(now: list[float]) -> None:
     hands = Hands()
-    hands.listener.waiting.append({"data": base64.b64encode(b"\0\1").decode(), "publisher": "aa"})
+    cut = {"data": base64.b64encode(b"\0\1").decode(), "publisher": "aa"}
+    hands.listener.waiting.append(cut)
     assert hands.gamepad.take() == STAND
     assert "unreadable messages on /joy" in str(hands.gamepad)
+    assert hands.say(held=True) == STAND, "it said nothing of the button"
 
 
 def test_a_second_gamepad_is_ignored_while_the_first_is_heard(now: list[float]) -> None:

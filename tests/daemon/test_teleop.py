@@ -300,6 +300,7 @@ def test_a_gamepad_steers_while_its_button_is_held_and_its_end_is_zero(
     try:
         peer("hold_gamepad", topic="/joy", pressed=True)
         terminal = sit("--joy", "joy")
+        terminal.until("let go of button 4 of /joy first")
         assert not moves(world), "the button was down before"
         peer("hold_gamepad", topic="/joy", pressed=False)
         terminal.until(r"and steer\s")
@@ -312,6 +313,7 @@ def test_a_gamepad_steers_while_its_button_is_held_and_its_end_is_zero(
         peer.close()
     until(lambda: not moves(world))
     assert world.status()["mode_reason"] == "not held for 125 ms"
+    terminal.until("nothing is heard on /joy")
 
 
 def test_a_speed_or_an_axis_that_cannot_be_is_refused(world: World) -> None:

@@ -17,6 +17,9 @@ from robotctl.kernel.course import MAX_SILENCE_S
 
 JOY: Final = "sensor_msgs/msg/Joy"
 
+SILENT_S: Final = 1.0
+"""After this time without a message the screen says so; the robot stands long before."""
+
 
 class Controls(NamedTuple):
     """The numbers of the button that must be held, and of the axes: forward, to the left."""
@@ -40,10 +43,17 @@ class Gamepad:
         self._is_forgotten = True
         self._publisher = ""
         self._heard_s = float("-inf")
-        self._problem = f"nothing was heard on {topic} yet"
+        self._is_down = True  # as long as nothing else is known
+        self._problem = ""
 
     def __str__(self) -> str:
-        how = f"hold button {self._controls.button} of {self._topic}, and steer"
+        """Say what to do, or why nothing moves."""
+        button = f"button {self._controls.button} of {self._topic}"
+        if time.monotonic() - self._heard_s > SILENT_S:
+            return f"nothing is heard on {self._topic}: connect the gamepad (see autorepeat_rate)"
+        if self._is_forgotten and self._is_down and not self._problem:
+            return f"let go of {button} first"
+        how = f"hold {button}, and steer"
         return f"{how} ({self._problem})" if self._problem else how
 
     def fileno(self) -> int:
@@ -60,7 +70,7 @@ class Gamepad:
         if not ours:
             return None
         wish = self._wish(base64.b64decode(ours[-1]["data"]))
-        if wish == STAND:
+        if not self._is_down:
             self._is_forgotten = False
         return STAND if self._is_forgotten else wish
 
@@ -72,6 +82,7 @@ class Gamepad:
                 self._problem = f"a second node publishes on {self._topic}: it is ignored"
                 return False
             self._publisher = message["publisher"]
+            self._is_down = True
             self.forget()
         self._heard_s = now_s
         return True
@@ -91,7 +102,7 @@ class Gamepad:
                 f"without button {button} or axes {forward}, {left}"
             )
             return STAND
-        self._problem = ""
+        self._problem, self._is_down = "", is_held
         return wish if is_held else STAND
 
 
