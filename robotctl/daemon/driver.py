@@ -118,6 +118,7 @@ class Driver:
                 lambda change: self._parameters.changed(change),
                 decisions.decided,
                 truth.errors,
+                lambda ended: self._robot_report.drive_ended(ended),
             ).carry_out,
             requests,
             host.supervisor.callback_failed,

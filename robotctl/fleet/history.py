@@ -36,6 +36,9 @@ from robotctl.rerun.journal_values import decide, read_effect, read_event, read_
 SAMPLE_PERIOD_NS = NS_PER_S // 10
 """The time between two samples while the robot moves."""
 
+VELOCITY = "velocity"
+"""The pattern of a velocity for a time, which has no path."""
+
 STOPS = (Mode.ERROR, Mode.EMERGENCY_STOP)
 
 _DIGEST = "digest"
@@ -188,7 +191,7 @@ class _History:
                 drive=len(self._drives) + 1,
                 robot=self._robot,
                 start_ns=t_ns + self._offset_ns,
-                pattern="velocity" if drive.course.held else pattern,
+                pattern=VELOCITY if drive.course.held else pattern,
                 wanted_laps=drive.laps,
                 asked_by="" if asked is None else asked.source,
             )
@@ -207,9 +210,10 @@ class _History:
 
     def _end(self, event: Event, ended: DriveEnded) -> None:
         """Complete the row of a drive; one that the kernel could not follow gets it now."""
-        report = ended.report
         asked = self._asked.get(ended.request_id)
         row = self._drives.get(ended.request_id)
+        has_path = row is None or row.pattern != VELOCITY
+        report = ended.report if has_path else ended.report.without_errors()
         begin_ns = event.t_ns if asked is None else asked.t_ns
         self._drives[ended.request_id] = DriveRow(
             drive=len(self._drives) + 1 if row is None else row.drive,

@@ -14,17 +14,18 @@ class DriveFacts(TypedDict):
     """0: until stopped."""
     distance_m: float
     duration_s: float
-    cross_track_m: float
-    cross_track_rms_m: float
-    cross_track_max_m: float
+    cross_track_m: float | None
+    """None where nothing is measured, as are the other errors: a velocity has no path."""
+    cross_track_rms_m: float | None
+    cross_track_max_m: float | None
     true_cross_track_rms_m: float | None
     """By the true pose of a robot that the daemon simulates; None for any other."""
     true_cross_track_max_m: float | None
     true_heading_rms_rad: float | None
     true_heading_max_rad: float | None
     true_closure_m: float | None
-    heading_rms_rad: float
-    heading_max_rad: float
+    heading_rms_rad: float | None
+    heading_max_rad: float | None
     closure_m: float | None
     """At the end of the last lap; None before the first is complete."""
 

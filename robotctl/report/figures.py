@@ -69,7 +69,11 @@ def _distance(traces: Traces) -> float | None:
 
 def _cross_track(traces: Traces) -> tuple[float | None, float | None]:
     """Return the root mean square over all drives, by their duration, and the largest error."""
-    reports = [drive.report for drive in traces.drives if isfinite(drive.report.duration_s)]
+    reports = [
+        report
+        for report in (drive.report for drive in traces.drives)
+        if isfinite(report.duration_s) and isfinite(report.cross_track_rms_m)
+    ]
     time_s = sum(report.duration_s for report in reports)
     rms_m = None
     if time_s > 0.0:

@@ -14,6 +14,7 @@ from robotctl.kernel.parameter_change import ParameterChanged
 from robotctl.kernel.types import (
     BatteryReceived,
     DriveEnded,
+    DriveReport,
     Event,
     FaultReported,
     LoopStalled,
@@ -138,6 +139,12 @@ class JournalTraces:
             outline = map(drive.origin.compose, drive.path.outline())
             self._traces.want([(place.x, place.y) for place in outline])
 
+    def _measured(self, ended: DriveEnded) -> DriveReport:
+        """Return the report of a drive, without errors if it has no path."""
+        followed = self._outlined is not None and self._outlined[0] == ended.request_id
+        known = followed or self._kernel is None
+        return ended.report if known else ended.report.without_errors()
+
     def _effect(self, entry: JournalEntry, t_s: float) -> None:
         traces = self._traces
         match read_effect(entry):
@@ -150,7 +157,7 @@ class JournalTraces:
                     traces.happened(t_s, STOPS[changed.mode].value, changed.reason)
             case DriveEnded() as ended:
                 traces.happened(t_s, EventKind.DRIVE_ENDED.value, ended.reason)
-                traces.drive_ended(EndedDrive(t_s, ended.reason, ended.report))
+                traces.drive_ended(EndedDrive(t_s, ended.reason, self._measured(ended)))
             case Reply(ok=False) as refused:
                 traces.happened(t_s, "refused", refused.message)
             case ParameterChanged() as changed:

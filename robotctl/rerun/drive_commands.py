@@ -24,6 +24,7 @@ class DriveCommands:
     largest_rps: float = 0.0
     end: DriveEnded | None = None
     end_mode: Mode | None = None
+    has_path: bool = True
 
     def as_object(self) -> dict[str, Any]:
         """Return what the kernel decided, as JSON values."""
@@ -44,7 +45,7 @@ class DriveCommands:
         """Return what was measured until the end, as JSON values; None before the end."""
         if self.end is None:
             return None
-        report = self.end.report
+        report = self.end.report if self.has_path else self.end.report.without_errors()
         return {
             "laps": report.laps,
             "distance_m": finite_or_none(report.distance_m),
@@ -74,6 +75,7 @@ class DrivesOfKernel:
             if isinstance(effect, DriveEnded):
                 ended = self._of(effect.request_id, t_ns)
                 ended.end, ended.end_mode = effect, after.mode
+                ended.has_path = drive is None or bool(drive.path.segments)
 
     def _of(self, request_id: int, begin_ns: int) -> DriveCommands:
         found = self.drives.get(request_id)

@@ -94,11 +94,14 @@ class Run:
         elif isinstance(effect, DriveEnded):
             request = self.requests.get(effect.request_id)
             duration_s = (t_ns - request.t_ns) / NS_PER_S if request else None
+            report = effect.report
+            if isinstance(request, DriveRequested) and request.course.held is not None:
+                report = report.without_errors()
             self.drives[effect.request_id] = {
                 "duration_s": duration_s,
                 "completed": effect.completed,
                 "reason": effect.reason,
-                **figures(effect.report),
+                **figures(report),
             }
 
     def refused_drives(self) -> set[int]:
@@ -117,7 +120,7 @@ def figures(report: DriveReport) -> dict[str, Any]:
     return {
         "laps": report.laps,
         "distance_m": report.distance_m,
-        "cross_track_rms_m": report.cross_track_rms_m,
-        "cross_track_max_m": report.cross_track_max_m,
+        "cross_track_rms_m": finite_or_none(report.cross_track_rms_m),
+        "cross_track_max_m": finite_or_none(report.cross_track_max_m),
         "closure_m": finite_or_none(report.closure_m),
     }

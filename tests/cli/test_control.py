@@ -16,6 +16,7 @@ import pytest
 from PIL import Image
 
 from robotctl import processes
+from robotctl.cli.commands.drive import tracking_lines
 from robotctl.cli.support import interrupted_drive, quick_actions
 from robotctl.cli.support.background import Background
 from robotctl.ipc.answers import DriveAnswer, Status
@@ -149,6 +150,11 @@ def test_drive_wait_ends_with_the_tracking_numbers(daemon: None, cli: Callable[.
     answer = json.loads(cli("drive", "square", "--wait", "--json").out)
     numbers = {"laps", "distance_m", "cross_track_rms_m", "cross_track_max_m", "closure_m"}
     assert answer.keys() >= numbers
+
+
+def test_errors_that_are_not_known_have_no_line() -> None:
+    stopped = {"laps": 0, "distance_m": 0.3, "duration_s": 1.5, "cross_track_rms_m": None}
+    assert tracking_lines(stopped) == ["  driven      0 laps, 0.300 m in 1.5 s"]
 
 
 def test_a_drive_that_is_waited_for_leaves_its_picture_beside_the_recording(

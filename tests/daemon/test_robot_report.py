@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from typing import Any
 
 import pytest
 
 from robotctl.daemon.control import robot_report
 from robotctl.daemon.control.robot_report import MIN_STEP_M, RobotReport
-from robotctl.kernel.geometry import Pose
+from robotctl.kernel.course import PLAIN, Course, Held
+from robotctl.kernel.geometry import ORIGIN, Pose
+from robotctl.kernel.modes import Mode
 from robotctl.kernel.patterns import Pattern, PatternKind
+from robotctl.kernel.types import DriveEnded
 from robotctl.testing.kernels import Bench, moving
 
 
@@ -65,6 +69,39 @@ def test_the_closure_is_told_from_the_end_of_the_first_lap_on() -> None:
     assert later
     assert all(closure is not None and closure <= 0.02 for closure in later)
     assert {true for _, _, true in closures} == {None}
+
+
+ERRORS = ("cross_track_rms_m", "cross_track_max_m", "heading_rms_rad", "heading_max_rad")
+
+
+@pytest.mark.parametrize("has_path", [True, False])
+def test_errors_are_told_of_a_drive_that_has_a_path(has_path: bool) -> None:
+    bench = moving(ticks=0)
+    bench.params = bench.kernel.params  # type: ignore[attr-defined]
+    course = PLAIN if has_path else Course(held=Held(0.2, 0.1, 5.0))
+    bench.drive(Pattern(PatternKind.CIRCLE, 0.5), replacing=True, course=course)
+    seen = of(bench)
+    for _ in range(20):
+        bench.odometry(ORIGIN)
+        seen.drove_to(ORIGIN)
+        bench.tick()
+    facts: Any = seen.facts()["drive"]
+    told = [facts["cross_track_m"], *(facts[name] for name in ERRORS)]
+    assert [each is not None for each in told] == [has_path] * 5
+    bench.request(Mode.EMERGENCY_STOP)
+    *_, ended = (each for each in bench.effects if isinstance(each, DriveEnded))
+    assert ended.report.cross_track_rms_m >= 0.0  # what is journaled, as by earlier versions
+    report = seen.drive_ended(ended).report
+    assert [isfinite(getattr(report, name)) for name in ERRORS] == [has_path] * 4
+    assert report.duration_s == ended.report.duration_s
+
+
+def test_of_a_drive_that_ends_before_the_first_sample_no_errors_are_told() -> None:
+    bench = moving(ticks=0)
+    bench.drive(replacing=True)
+    bench.request(Mode.EMERGENCY_STOP)
+    *_, ended = (each for each in bench.effects if isinstance(each, DriveEnded))
+    assert not isfinite(of(bench).drive_ended(ended).report.cross_track_max_m)
 
 
 @pytest.mark.parametrize(("level", "is_told"), [(0.31, False), (0.29, True)])

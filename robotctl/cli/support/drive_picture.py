@@ -45,6 +45,7 @@ def write_picture(
         number(drive.get(key), ".3f") for key in ("cross_track_rms_m", "cross_track_max_m")
     )
     picture = folder / PICTURE_FILE
-    title = f"{robot}: off track {rms} m RMS, {worst} m at most"
+    known = drive.get("cross_track_rms_m") is not None
+    title = f"{robot}: off track {rms} m RMS, {worst} m at most" if known else robot
     write_png(picture, reference, driven, title)
     return picture

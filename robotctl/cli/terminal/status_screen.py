@@ -94,7 +94,10 @@ def pose_text(status: Mapping[str, Any]) -> str:
 
 
 def drive_lines(drive: Mapping[str, Any]) -> Iterator[str]:
-    """Yield what is driven, and how far off its path the robot is; a lap closes where it ends."""
+    """Yield what is driven, and how far off its path the robot is, if that is measured.
+
+    A lap closes where it ends.
+    """
     now, rms, worst, true_m, heading, most, closure = (
         number(drive.get(key), ".3f")
         for key in (
@@ -106,9 +109,11 @@ def drive_lines(drive: Mapping[str, Any]) -> Iterator[str]:
     seconds = number(drive.get("duration_s"), ".1f")
     yield f"{printable(drive.get('what'))}, lap {drive.get('lap')}{laps}, for {seconds} s"
     in_truth = "" if drive.get("true_cross_track_max_m") is None else f" ({true_m} m in truth)"
-    yield f"off track {now} m, {rms} m RMS, {worst} m at most{in_truth}"
+    if drive.get("cross_track_rms_m") is not None:
+        yield f"off track {now} m, {rms} m RMS, {worst} m at most{in_truth}"
     closed = "" if drive.get("closure_m") is None else f", closure {closure} m"
-    yield f"heading {heading} rad RMS, {most} rad at most{closed}"
+    if drive.get("heading_rms_rad") is not None:
+        yield f"heading {heading} rad RMS, {most} rad at most{closed}"
 
 
 def shadow_text(shadow: Mapping[str, Any]) -> str:

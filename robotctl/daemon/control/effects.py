@@ -50,11 +50,14 @@ class Effects:
         change: Callable[[ParameterChanged], None] = lambda change: None,
         decided: Callable[[Effect], None] = lambda effect: None,
         true_errors: Callable[[int], TrueErrors | None] = lambda request_id: None,
+        measured: Callable[[DriveEnded], DriveEnded] = lambda ended: ended,
     ) -> None:
         """`decided(effect)` is called for each effect but velocity commands.
 
-        `true_errors(request_id)` returns those of a drive with a simulated robot.
+        `measured(ended)` returns the end of a drive without the errors that were not measured.
+        Then `true_errors(request_id)` returns those of a drive with a simulated robot.
         """
+        self._measured = measured
         self._true_errors = true_errors
         self._publish_twist = publish_twist
         self._show_mode = show_mode
@@ -90,8 +93,9 @@ class Effects:
                     self._latch.when_settled(partial(self._answer, effect))
             case DriveEnded():
                 _log.info("drive ended: %s", self._with_cure(effect))
-                self._note(self._as_event(effect))
-                self._requests.end_drive(effect)
+                measured = self._measured(effect)
+                self._note(self._as_event(measured))
+                self._requests.end_drive(measured)
             case _:
                 assert_never(effect)
 

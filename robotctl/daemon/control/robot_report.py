@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 
 from robotctl.daemon.control.dispatcher import Control
 from robotctl.daemon.control.ground_truth import GroundTruth
@@ -21,7 +22,7 @@ from robotctl.kernel.patterns import named
 from robotctl.kernel.remedies import Remedy
 from robotctl.kernel.safety import RULE_OF, remedies_for, start_conditions
 from robotctl.kernel.state import State
-from robotctl.kernel.types import Cause
+from robotctl.kernel.types import Cause, DriveEnded
 from robotctl.kernel.units import NS_PER_S
 
 MAX_DRIVEN_POSES = 20_000
@@ -84,12 +85,15 @@ class RobotReport:
         self._driven: list[Pose] = []
         self._wanted: list[Pose] = []
         self._drive_id: int | None = None
+        self._measured_id: int | None = None
 
     def drove_to(self, pose: Pose) -> None:
         """Add a pose to the driven path of the present drive."""
         drive = self._control.state.drive
         assert drive is not None
         self.ground_truth.follow(drive, pose)
+        if drive.score.samples:
+            self._measured_id = drive.request_id
         if drive.request_id != self._drive_id:
             self._drive_id = drive.request_id
             self._driven = [drive.origin]
@@ -98,6 +102,12 @@ class RobotReport:
             self._driven.append(pose)
             if len(self._driven) > MAX_DRIVEN_POSES:
                 del self._driven[1::2]
+
+    def drive_ended(self, ended: DriveEnded) -> DriveEnded:
+        """Take the end of a drive, and return it without errors if none was measured."""
+        if ended.request_id == self._measured_id:
+            return ended
+        return replace(ended, report=ended.report.without_errors())
 
     def path(self) -> DrivenPath:
         """Return the wanted and the driven path of the present or last drive [m, odom frame]."""
@@ -201,6 +211,8 @@ def _drive_facts(state: State, truth: GroundTruth) -> DriveFacts | None:
     if drive is None or odometry is None:
         return None
     report = drive.report(state.tick_t_ns or drive.begin_t_ns)
+    if not drive.score.samples:
+        report = report.without_errors()
     true = truth.errors(drive.request_id)
     return {
         "what": named(drive.pattern, drive.course),
@@ -208,16 +220,16 @@ def _drive_facts(state: State, truth: GroundTruth) -> DriveFacts | None:
         "laps": drive.laps,
         "distance_m": report.distance_m,
         "duration_s": report.duration_s,
-        "cross_track_m": drive.cross_track_m(odometry.pose),
-        "cross_track_rms_m": report.cross_track_rms_m,
-        "cross_track_max_m": report.cross_track_max_m,
+        "cross_track_m": drive.cross_track_m(odometry.pose) if drive.path.segments else None,
+        "cross_track_rms_m": finite_or_none(report.cross_track_rms_m),
+        "cross_track_max_m": finite_or_none(report.cross_track_max_m),
         "true_cross_track_rms_m": None if true is None else true.cross_track_rms_m,
         "true_cross_track_max_m": None if true is None else true.cross_track_max_m,
         "true_heading_rms_rad": None if true is None else true.heading_rms_rad,
         "true_heading_max_rad": None if true is None else true.heading_max_rad,
         "true_closure_m": None if true is None else finite_or_none(true.closure_m),
-        "heading_rms_rad": report.heading_rms_rad,
-        "heading_max_rad": report.heading_max_rad,
+        "heading_rms_rad": finite_or_none(report.heading_rms_rad),
+        "heading_max_rad": finite_or_none(report.heading_max_rad),
         "closure_m": finite_or_none(report.closure_m),
     }
 

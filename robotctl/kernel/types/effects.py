@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import nan
 
 from robotctl.kernel.modes import Mode
@@ -60,7 +60,8 @@ class DriveReport:
 
     `closure_m` is the distance between the end of the path and the robot at the end of its last
     complete lap, NaN before one is complete. The heading is held against that of the reference.
-    Older versions did not tell the last three, NaN.
+    Older versions did not tell the last three, NaN. The four errors are 0 where nothing was
+    measured, as of a held velocity, which has no path; see `without_errors`.
     """
 
     laps: int
@@ -71,6 +72,16 @@ class DriveReport:
     heading_rms_rad: float = nan
     heading_max_rad: float = nan
     duration_s: float = nan
+
+    def without_errors(self) -> DriveReport:
+        """Return the report of a drive whose errors were not measured: NaN instead of the zeros."""
+        return replace(
+            self,
+            cross_track_rms_m=nan,
+            cross_track_max_m=nan,
+            heading_rms_rad=nan,
+            heading_max_rad=nan,
+        )
 
 
 @dataclass(frozen=True, slots=True)

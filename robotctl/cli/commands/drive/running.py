@@ -65,7 +65,7 @@ def _with_picture(robot: str, answer: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def tracking_lines(result: Mapping[str, Any]) -> list[str]:
-    """Return the lines on distance, tracking error and picture of a finished drive."""
+    """Return the lines on distance, picture, and the errors that were measured, of a drive."""
     rms, worst, closure, distance = (
         number(result.get(key), ".3f")
         for key in ("cross_track_rms_m", "cross_track_max_m", "closure_m", "distance_m")
@@ -79,11 +79,11 @@ def tracking_lines(result: Mapping[str, Any]) -> list[str]:
             ("duration_s", ".1f"),
         )
     )
-    lines = [
-        f"  driven      {laps} {'lap' if laps == 1 else 'laps'}, {distance} m in {seconds} s",
-        f"  off track   {rms} m RMS, {worst} m at most",
-        f"  heading     {heading_rms} rad RMS, {heading_worst} rad at most",
-    ]
+    lines = [f"  driven      {laps} {'lap' if laps == 1 else 'laps'}, {distance} m in {seconds} s"]
+    if result.get("cross_track_rms_m") is not None:
+        lines.append(f"  off track   {rms} m RMS, {worst} m at most")
+    if result.get("heading_rms_rad") is not None:
+        lines.append(f"  heading     {heading_rms} rad RMS, {heading_worst} rad at most")
     if result.get("true_cross_track_rms_m") is not None:
         lines.append(_true_line(result))
     if laps:  # no closure before the first lap is complete
