@@ -17,20 +17,12 @@ from robotctl.recording.disk.access import share_like
 from robotctl.recording.disk.new_file import new_file
 from robotctl.recording.format.compression import Compression
 from robotctl.recording.format.event_kind import EventKind
-from robotctl.recording.format.metadata_names import (
-    CLIP_RECORD,
-    EVENT_RECORD,
-    FOXGLOVE_RECORD,
-    INFO_RECORD,
-    LEDGER_RECORD,
-    LIBRARY,
-    RECOVERY_RECORD,
-    SOFTWARE_RECORD,
-)
-from robotctl.recording.format.recorded_events import RecordedEvent, events_in
+from robotctl.recording.format.metadata_names import CLIP_RECORD, LIBRARY
+from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.recording.format.records import PlainMessage
 from robotctl.recording.format.rosbag2 import METADATA_RECORD, BagFile, serialized_metadata
 from robotctl.recording.format.topics import Topic
+from robotctl.recording.keep.clip_records import records_of_clip
 from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.journal_reader import since_snapshot
 from robotctl.recording.read.messages import Message, Window
@@ -41,12 +33,6 @@ from robotctl.recording.write.chunk_encoder import ChunkEncoder
 from robotctl.recording.write.mcap_writer import McapFile
 
 CHUNK_BYTES = 1 << 20
-
-_OF_THE_WHOLE = (METADATA_RECORD, LEDGER_RECORD, RECOVERY_RECORD, EVENT_RECORD, CLIP_RECORD)
-"""Metadata that is not true for a part of the recording."""
-
-_OF_EACH_FILE = (INFO_RECORD, SOFTWARE_RECORD, FOXGLOVE_RECORD)
-"""Metadata that each file of the recording repeats."""
 
 Lose = Callable[[str], None]
 """Gets a sentence about what cannot be read."""
@@ -121,7 +107,7 @@ def clip_messages(recording: Recording, window: Window, lose: Lose) -> Iterator[
 def _before(recording: Recording, start_ns: int, lose: Lose) -> Iterator[Message]:
     """Yield the journal since its last snapshot, then latched messages with the start time."""
     yield from since_snapshot(recording, start_ns, lose)
-    topics = [_topic(*each) for each in recording.channels().items()]
+    topics = [topic_of(*each) for each in recording.channels().items()]
     latched = {topic.name: MAX_LATCHED for topic in topics if topic.latched}
     found: dict[tuple[str, bytes, int, int], Message] = {}
     for message in recording.last_before(start_ns, latched, lose):
@@ -135,7 +121,8 @@ def _within(recording: Recording, window: Window, lose: Lose) -> Iterator[Messag
     return recording.messages(None, lose, window)
 
 
-def _topic(key: tuple[str, str], found: tuple[Channel, Schema | None]) -> Topic:
+def topic_of(key: tuple[str, str], found: tuple[Channel, Schema | None]) -> Topic:
+    """Return the topic of a channel; `key` is its name and type name."""
     channel, _ = found
     return Topic(
         name=channel.topic,
@@ -167,13 +154,8 @@ class _ClipWriter:
             OSError: The disk is full or fails.
             Refused: The clip would be empty.
         """
-        for record in self._recording.metadata():
-            if record.name not in (*_OF_THE_WHOLE, *_OF_EACH_FILE):
-                mcap.add_metadata(record.name, record.metadata)
-        self._add_provenance(mcap)
-        for event in events_in(self._recording.metadata()):
-            if self._window[0] <= event.log_ns <= self._window[1]:
-                mcap.add_metadata(EVENT_RECORD, event.values())
+        for record, values in records_of_clip(self._recording.metadata(), self._window):
+            mcap.add_metadata(record, values)
         self._add_channels(mcap)
         self._write(mcap, _before(self._recording, self._window[0], self._lose))
         before = self.message_count
@@ -188,14 +170,6 @@ class _ClipWriter:
         mcap.commit()
         mcap.sync()
 
-    def _add_provenance(self, mcap: McapFile) -> None:
-        """Copy once what made the recording, without the mode, which is that of its start."""
-        found = self._recording.info().metadata
-        for name in _OF_EACH_FILE:
-            if name in found:
-                values = {key: value for key, value in found[name].items() if key != "mode"}
-                mcap.add_metadata(name, values)
-
     def _add_channels(self, mcap: McapFile) -> None:
         for key, (channel, schema) in self._recording.channels().items():
             number = len(self._channels)
@@ -204,7 +178,7 @@ class _ClipWriter:
                 mcap.add_schema(replace(schema, id=number + 1))
             schema_id = 0 if schema is None else number + 1
             mcap.add_channel(replace(channel, id=number, schema_id=schema_id))
-            self._topics.append(_topic(key, (channel, schema)))
+            self._topics.append(topic_of(key, (channel, schema)))
 
     def _told(self, messages: Iterable[Message]) -> Iterator[Message]:
         start_ns, end_ns = self._window

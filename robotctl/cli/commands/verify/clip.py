@@ -46,12 +46,19 @@ def verify_clip(clip: Path, source: Path, *, as_json: bool) -> None:
         "messages": origin.messages,
         "links": links,
         "wrong": wrong,
+        "not_proved": origin.not_proved,
     }
     lines = [
         f"{answer['verdict']:12}{short_path(str(clip))}",
-        *row("            ", f"{origin.messages} messages are those of {short_path(str(source))}"),
+        *row(
+            "            ",
+            f"{origin.messages} messages"
+            + ("" if wrong else ", their types and channels, and the metadata")
+            + f" are those of {short_path(str(source))}",
+        ),
         *(line for each in links for line in row("            ", _link_line(each))),
         *(line for sentence in wrong for line in row("            ", f"wrong: {sentence}")),
+        *(line for each in origin.not_proved for line in row("", f"not proved: {each}")),
     ]
     error: RobotctlError | None = None
     if wrong:

@@ -38,7 +38,7 @@ def verify(
         typer.Option(
             metavar="FILE",
             parser=recording_path,
-            help="The recording that a clip was cut from: the clip must hold the same messages.",
+            help="The recording that a clip was cut from: all that it took from there is compared.",
         ),
     ] = None,
     robot: RecordedBy = None,
