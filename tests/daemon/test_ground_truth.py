@@ -11,21 +11,30 @@ from robotctl.daemon.control.ground_truth import GroundTruth, TrueErrors
 from robotctl.kernel.course import PLAIN, Course, Held
 from robotctl.kernel.geometry import ORIGIN, Pose
 from robotctl.kernel.patterns import Pattern, PatternKind
-from robotctl.kernel.types import ZERO, DriveReport, Odometry, OdomReceived, PublishTwist
+from robotctl.kernel.types import (
+    ZERO,
+    DriveEnded,
+    DriveReport,
+    Odometry,
+    OdomReceived,
+    PublishTwist,
+)
 from robotctl.sim.robot import Robot, SimParams
 from robotctl.testing.kernels import ready
 
 EXACT = SimParams(odometry_linear_factor=1.0, odometry_angular_factor=1.0, odometry_noise=0.0)
 PERIOD_S = 0.02
+CIRCLE, ARC = Pattern(PatternKind.CIRCLE, 0.5), Pattern(PatternKind.ARC, 0.5)
 
 
 def driven(
-    sim: SimParams, moved: Pose = ORIGIN, course: Course = PLAIN
+    sim: SimParams, moved: Pose = ORIGIN, course: Course = PLAIN, pattern: Pattern = CIRCLE
 ) -> tuple[DriveReport, TrueErrors | None]:
-    """Drive a circle; return its report, and its errors in a world that is `moved`."""
+    """Drive a lap; return its report, and its errors in a world that is `moved`."""
     bench, robot, truth = ready(), Robot(sim), GroundTruth()
+    report: DriveReport | None = None
     truth.truth = lambda: moved.compose(robot.truth)
-    bench.drive(Pattern(PatternKind.CIRCLE, 0.5), laps=1, course=course)
+    bench.drive(pattern, laps=1, course=course)
     drive = bench.state.drive
     assert drive is not None
     while bench.state.drive is not None:
@@ -38,16 +47,21 @@ def driven(
         for effect in bench.tick():
             if isinstance(effect, PublishTwist):
                 robot.command(effect.twist)
+            elif isinstance(effect, DriveEnded):
+                truth.end(effect)
+                report = effect.report
     assert truth.errors(drive.request_id + 1) is None
-    return drive.report(bench.t_ns), truth.errors(drive.request_id)
+    assert report is not None
+    return report, truth.errors(drive.request_id)
 
 
 @pytest.mark.parametrize("moved", [Pose(), Pose(3.0, -2.0, 2.5), Pose(0.0, 0.0, pi)])
-@pytest.mark.parametrize("course", [Course(), Course(reverse=True)])
+@pytest.mark.parametrize("course", [Course(), Course(reverse=True), Course(open_loop=True)])
+@pytest.mark.parametrize("pattern", [CIRCLE, ARC])
 def test_with_exact_odometry_the_true_errors_are_those_of_odometry(
-    moved: Pose, course: Course
+    moved: Pose, course: Course, pattern: Pattern
 ) -> None:
-    report, true = driven(EXACT, moved, course)
+    report, true = driven(EXACT, moved, course, pattern)
     assert true is not None
     assert tuple(true) == pytest.approx(
         (

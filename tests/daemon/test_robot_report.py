@@ -14,7 +14,7 @@ from robotctl.kernel.geometry import ORIGIN, Pose
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.patterns import Pattern, PatternKind
 from robotctl.kernel.types import DriveEnded
-from robotctl.testing.kernels import Bench, moving
+from robotctl.testing.kernels import Bench, moving, while_moving
 
 
 def of(bench: Bench) -> RobotReport:
@@ -94,6 +94,24 @@ def test_errors_are_told_of_a_drive_that_has_a_path(has_path: bool) -> None:
     report = seen.drive_ended(ended).report
     assert [isfinite(getattr(report, name)) for name in ERRORS] == [has_path] * 4
     assert report.duration_s == ended.report.duration_s
+
+
+def test_the_true_closure_is_that_of_the_moment_at_which_the_last_lap_ends() -> None:
+    bench = moving(ticks=0)
+    seen = of(bench)
+    seen.ground_truth.truth = lambda: ORIGIN  # the robot stands: it misses the end by the line
+    bench.drive(Pattern(PatternKind.LINE, 0.2), 1, replacing=True, course=Course(open_loop=True))
+    for _ in while_moving(bench):
+        bench.odometry(ORIGIN)
+        seen.drove_to(ORIGIN)
+        bench.battery(1.0)
+        bench.tick()
+    *_, ended = (each for each in bench.effects if isinstance(each, DriveEnded))
+    assert ended.completed
+    seen.drive_ended(ended)
+    true = seen.ground_truth.errors(ended.request_id)
+    assert true is not None
+    assert true.closure_m == pytest.approx(0.2)
 
 
 def test_of_a_drive_that_ends_before_the_first_sample_no_errors_are_told() -> None:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from robotctl.kernel.drive import Drive, Score
 from robotctl.kernel.geometry import Pose
+from robotctl.kernel.types import DriveEnded
 
 
 class TrueErrors(NamedTuple):
@@ -32,7 +33,7 @@ class GroundTruth:
 
     def __init__(self) -> None:
         self.truth: Callable[[], Pose | None] = lambda: None
-        self._drive_id: int | None = None
+        self._drive: Drive | None = None
         self._measured_start = Pose()
         self._true_start = Pose()
         self._score = Score()
@@ -44,11 +45,11 @@ class GroundTruth:
         true = self.truth()
         if true is None or not drive.path.segments:
             return
-        if drive.request_id != self._drive_id:
-            self._drive_id = drive.request_id
+        if self._drive is None or drive.request_id != self._drive.request_id:
             self._measured_start, self._true_start = measured, true
             self._score, self._laps, self._closure_m = Score(), 0, nan
-        pose = self._measured_start.compose(self._true_start.express(true))
+        self._drive = drive
+        pose = self._seen_from_odometry(true)
         self._score = replace(drive, score=self._score).measured(pose, 0.0).score
         if drive.progress.laps != self._laps:
             self._laps = drive.progress.laps
@@ -56,9 +57,22 @@ class GroundTruth:
             end = drive.origin.compose(drive.path.end) if is_at_end else drive.origin
             self._closure_m = end.distance(pose)
 
+    def end(self, ended: DriveEnded) -> None:
+        """Take the true pose of the moment at which a drive ends.
+
+        Its last lap may end with it, so that no other sample is followed.
+        """
+        true, drive = self.truth(), self._drive
+        if true is None or drive is None or drive.request_id != ended.request_id:
+            return
+        if ended.report.laps != self._laps:
+            self._laps = ended.report.laps
+            end = drive.origin if drive.path.closed else drive.origin.compose(drive.path.end)
+            self._closure_m = end.distance(self._seen_from_odometry(true))
+
     def errors(self, request_id: int) -> TrueErrors | None:
         """Return the errors of the drive that this request began, None if they are not known."""
-        if request_id != self._drive_id:
+        if self._drive is None or request_id != self._drive.request_id:
             return None
         score = self._score
         return TrueErrors(
@@ -68,3 +82,6 @@ class GroundTruth:
             score.max_heading_rad,
             self._closure_m,
         )
+
+    def _seen_from_odometry(self, true: Pose) -> Pose:
+        return self._measured_start.compose(self._true_start.express(true))

@@ -105,6 +105,7 @@ class RobotReport:
 
     def drive_ended(self, ended: DriveEnded) -> DriveEnded:
         """Take the end of a drive, and return it without errors if none was measured."""
+        self.ground_truth.end(ended)
         if ended.request_id == self._measured_id:
             return ended
         return replace(ended, report=ended.report.without_errors())
