@@ -138,6 +138,14 @@ def test_two_copies_of_a_file_break_the_chain_of_both(runs: Path, cli: Cli) -> N
     assert "have the same place in the chain" in json.loads(ran.out)["verify"]["wrong"][0]
 
 
+def test_recordings_may_be_verified_together_with_a_copy_of_them(
+    runs: Path, cli: Cli, tmp_path: Path
+) -> None:
+    shutil.copytree(runs, tmp_path / "copy")
+    ran = cli("verify", str(runs), str(tmp_path / "copy"))
+    assert ran.exit_code == 0, ran
+
+
 def test_evidence_names_a_file_of_another_recording_also_without_a_list(
     runs: Path, cli: Cli
 ) -> None:

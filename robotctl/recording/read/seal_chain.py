@@ -66,6 +66,8 @@ def _without_copies(
 def _compare(pairs: Sequence[tuple[Opening, SealedFile]], chain: Chain) -> None:
     for (opening, file), (following, next_file) in pairwise(pairs):
         name, next_name = file.path.name, next_file.path.name
+        if following == opening and _are_alike(file, next_file):
+            continue
         if following.number == opening.number:
             chain.wrong.append(f"{name} and {next_name} have the same place in the chain")
         elif following.number > opening.number + 1:
@@ -85,6 +87,12 @@ def _compare(pairs: Sequence[tuple[Opening, SealedFile]], chain: Chain) -> None:
                 f"{next_name} continues another end of {name}: "
                 "that file was changed, or its tail was cut"
             )
+
+
+def _are_alike(file: SealedFile, other: SealedFile) -> bool:
+    """Return whether two files are one and its copy in another folder, as of `sync`."""
+    same_links = bool(file.seal.links) and file.seal.links == other.seal.links
+    return same_links and file.path.name == other.path.name
 
 
 def find_head(files: Iterable[SealedFile], digest: str) -> SealedFile | None:
