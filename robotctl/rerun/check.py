@@ -127,7 +127,7 @@ class _Check:
         report, info = self._report, self._info
         self._pool = pool
         for sentence in self._recording.missing:
-            report.miss(sentence)
+            report.miss(sentence, is_beside=not self._recording.lacks_parts)
         topic = journal_topic(info)
         if topic is None:
             raise UnreadableFile("it holds no journal of robotctl: there are no decisions to check")

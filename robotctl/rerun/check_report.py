@@ -83,6 +83,9 @@ class Report:
     has_other_format: bool = False
     """Whether its journal has other fields than those of the version that it names."""
 
+    has_gaps: bool = field(default=False, init=False)
+    """Whether something is missing that may explain a difference."""
+
     _other_rules: bool = field(default=False, init=False)
 
     @property
@@ -109,9 +112,13 @@ class Report:
         self.divergences += 1
         self.divergences_crc = crc32(rounded(found.sentence()).encode(), self.divergences_crc)
 
-    def miss(self, sentence: str) -> None:
-        """Note what could not be checked."""
+    def miss(self, sentence: str, *, is_beside: bool = False) -> None:
+        """Note what could not be checked.
+
+        What lies beside that which was checked explains no difference in it.
+        """
         note_missing(self.missing, sentence)
+        self.has_gaps |= not is_beside
 
     def miss_other_rules(self, difference: str) -> None:
         """Note a decision by the rules of another version; the first note names both versions."""

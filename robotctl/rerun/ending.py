@@ -26,7 +26,7 @@ class Ending:
     """Whether the recorder wrote the journal itself: one that it received may come late."""
 
     is_whole: bool
-    """Whether all files are there: the messages after the last decision may be in the next file."""
+    """Whether the last file is there, in a folder: no message is in a file after it."""
 
     has_begin: bool
     """Whether the journal is there from its first entry on."""
@@ -43,8 +43,8 @@ class Ending:
         return IN_SOURCE if self.is_clip else "it was not closed, so its losses are not known"
 
     def accuse(self, report: Report, invariants: Invariants, text: str) -> None:
-        """Report a broken promise; only a note where not all decisions are known."""
-        if report.missing or report.divergence is not None:
+        """Report a broken promise; only a note where what is missing may explain it."""
+        if report.has_gaps or report.divergence is not None:
             report.notes.append(text)
         else:
             invariants.violate(text)

@@ -186,11 +186,11 @@ class Invariants:
         for request_id in sorted(self._open_requests.difference(waiting)):
             self.violate(f"request {request_id} has no reply")
 
-    def violate(self, text: str) -> None:
-        """Count and keep a violation."""
+    def violate(self, text: str, at: tuple[int, int] | None = None) -> None:
+        """Count and keep a violation, at the number and time of an entry if not of the last one."""
         self.count += 1
         if len(self.violations) < MAX_VIOLATIONS:
-            self.violations.append(Violation(*self._at, text))
+            self.violations.append(Violation(*(at or self._at), text))
 
     def _check_command(self, event: Event, twist: Twist) -> None:
         limits, previous = self._params.limits, self._command

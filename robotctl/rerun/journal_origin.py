@@ -67,9 +67,9 @@ class JournalOrigin:
             return
         report.notes.append(NOT_COMPARED)
         if not self._observes:
-            report.miss("the journal of the robot that recorded is not there")
+            report.miss("the journal of the robot that recorded is not there", is_beside=True)
         elif difference := self._contradiction():
-            report.miss(f"it says that it only observed, and {difference}")
+            report.miss(f"it says that it only observed, and {difference}", is_beside=True)
 
     def _contradiction(self) -> str:
         """Return what an observer's recording does not hold, "" if it holds no such thing."""

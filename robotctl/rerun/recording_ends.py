@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 
 from robotctl.kernel.snapshot import Proof, Snapshot
 from robotctl.recording import Recording, RecordingInfo
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.format.ledger_record import read_ledger
 from robotctl.recording.format.metadata_names import CLIP_RECORD, INFO_RECORD
+from robotctl.recording.format.natural_order import natural_order
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.ending import Ending
 from robotctl.rerun.invariants import Invariants, unbalanced
@@ -34,8 +36,12 @@ class RecordingEnds:
 
     @property
     def is_whole(self) -> bool:
-        """Whether all files are there."""
-        return self._recording.path.is_dir()
+        """Whether it is a folder, and the last file is there."""
+        last = natural_order(self._recording.open_files[-1].path)
+        lost = (Path(name) for name in self._recording.lost_files)
+        return self._recording.path.is_dir() and not any(
+            natural_order(each) > last for each in lost
+        )
 
     def entries(self, first: int, last: int) -> None:
         """Take the numbers of the next entries, which are in a row."""
@@ -53,7 +59,7 @@ class RecordingEnds:
             report.miss("its journal begins later than its kernel: the first are missing")
         noted = self._recording.metadata_of_file(0).get(INFO_RECORD, {})
         for sentence in differing_parameters(noted, snapshot.params):
-            report.miss(sentence)
+            report.miss(sentence, is_beside=True)
 
     def snapshot(self, entry: JournalEntry, proof: Proof | None) -> int:
         """Take a snapshot; return the number of the one before it, 0 if there is none."""

@@ -66,7 +66,7 @@ class SnapshotProofs:
         does = "tells" if has_proof else "does not tell"
         text = f"the snapshot in entry {entry.seq} {does} what was sent and written before it"
         if self._report.same_version:
-            self._invariants.violate(text)
+            self._invariants.violate(text, (entry.seq, entry.t_ns))
         else:
             who = "those" if has_proof else "only those"
             self._report.miss(f"{text}: {who} of version {WITHOUT_PROOF} do not")

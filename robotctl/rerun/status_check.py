@@ -130,7 +130,7 @@ class StatusCheck:
 
     def end(self, invariants: Invariants, ending: Ending, end_ns: int) -> None:
         """Report what differs; the journal ends at `end_ns` since the epoch."""
-        if not self.is_on or not ending.is_own or self._report.missing:
+        if not self.is_on or not ending.is_own or self._report.has_gaps:
             return
         if self.topic is None:
             self._tell_unrecorded(ending)

@@ -91,12 +91,16 @@ class Recording:
         self._source = source
         self._files: list[OpenFile] = []
         self.missing: list[str] = []
+        self.lost_files: list[str] = []
+        """The names of the files that are not there or cannot be read."""
+
         text, problems = ("", []) if source else metadata_of_folder(path)
         paths = [path] if source else list(files) or recording_files(path)
         all_files = False
         if paths != [path]:
             absent = absent_files(text, paths)
             all_files = not absent
+            self.lost_files = [sentence.partition(": ")[0] for sentence in absent]
             for sentence in problems + absent:
                 note_missing(self.missing, sentence)
         try:
@@ -107,8 +111,11 @@ class Recording:
             raise
         if not self._files:
             raise UnreadableFile(f"{path} cannot be read: {'; '.join(self.missing)}")
-        for sentence in find_shortfalls(text, self._files, all_files=all_files):
+        shortfalls = [*find_shortfalls(text, self._files, all_files=all_files)]
+        for sentence in shortfalls:
             note_missing(self.missing, sentence)
+        self.lacks_parts = bool(shortfalls) or any(each.index.missing for each in self._files)
+        """Whether a part of the files that can be read is missing."""
 
     def close(self) -> None:
         """Close the files."""
@@ -253,4 +260,5 @@ class Recording:
             note_missing(self.missing, prefix + sentence)
 
     def _give_up(self, path: Path, reason: str, *, only: bool) -> None:
+        self.lost_files.append(path.name)
         note_missing(self.missing, reason if only else f"{path.name}: {reason}")

@@ -1,0 +1,81 @@
+"""What lies beside the checked part of a recording excuses nothing in it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from random import Random
+
+import pytest
+
+from robotctl.rerun.check import check_recording
+from robotctl.rerun.check_report import Verdict
+from tests.support.edited_recordings import Contents, write_contents
+from tests.support.heard_drives import COMMANDS, heard_drive
+from tests.support.split_recordings import halves, write_files
+from tests.tampering.edits import MOTION, changed, metadata, moves
+
+
+@pytest.fixture(scope="module")
+def honest(tmp_path_factory: pytest.TempPathFactory) -> Contents:
+    return heard_drive(tmp_path_factory.mktemp("heard") / "run", 3.6, snapshots_s=(0.0, 2.0))
+
+
+@pytest.fixture(scope="module")
+def forged(honest: Contents) -> Contents:
+    change = changed(COMMANDS, lambda each, _: replace(each, data=MOTION), moves)
+    return change(honest, Random(1))
+
+
+def names_another_file(folder: Path) -> None:
+    text = (
+        "rosbag2_bagfile_information:\n  relative_file_paths:\n    - run_0.mcap\n    - run_1.mcap\n"
+    )
+    (folder / "metadata.yaml").write_text(text)
+
+
+BESIDE: dict[str, Callable[[Path], object]] = {
+    "a file of one byte after the others": lambda folder: (folder / "zz.mcap").write_bytes(b"x"),
+    "a file of one byte before the others": lambda folder: (folder / "aa.mcap").write_bytes(b"x"),
+    "a next file of one byte": lambda folder: (folder / "run_1.mcap").write_bytes(b"x"),
+    "a next file that is named and not there": names_another_file,
+}
+
+
+@pytest.mark.parametrize("name", BESIDE)
+def test_a_file_beside_excuses_no_forged_command(
+    tmp_path: Path, honest: Contents, forged: Contents, name: str
+) -> None:
+    for folder, contents, verdict in (
+        (tmp_path / "honest" / "run", honest, Verdict.INCOMPLETE),
+        (tmp_path / "forged" / "run", forged, Verdict.BROKEN),
+    ):
+        BESIDE[name](write_contents(folder, contents))
+        report = check_recording(folder)
+        assert report.verdict is verdict
+        assert report.missing
+
+
+def test_a_parameter_that_the_journal_contradicts_excuses_no_forged_command(
+    tmp_path: Path, forged: Contents
+) -> None:
+    edit = metadata("robotctl", "parameter.limits.linear_mps", "0.59")
+    report = check_recording(write_contents(tmp_path / "run", edit(forged, Random(1))))
+    assert report.verdict is Verdict.BROKEN
+    assert any("the metadata says 0.59" in sentence for sentence in report.missing)
+
+
+def test_files_of_one_recording_are_checked_together(tmp_path: Path, honest: Contents) -> None:
+    report = check_recording(write_files(tmp_path / "run", *halves(honest)))
+    assert (report.verdict, report.missing, report.notes) == (Verdict.SAME, [], [])
+
+
+@pytest.mark.parametrize("lost", [0, 1])
+def test_a_file_that_is_lost_makes_nothing_broken(
+    tmp_path: Path, honest: Contents, lost: int
+) -> None:
+    folder = write_files(tmp_path / "run", *halves(honest))
+    (folder / f"run_{lost}.mcap").write_bytes(b"x")
+    report = check_recording(folder)
+    assert (report.verdict, report.violations) == (Verdict.INCOMPLETE, [])
