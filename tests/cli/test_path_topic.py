@@ -73,7 +73,7 @@ def test_the_points_are_those_of_the_poses_in_their_frame(frame: str, meant: Fra
 @pytest.mark.parametrize(
     ("data", "said"),
     [
-        (message([(0.0, 0.0)]), "has 1 points: a path has 2 to 2000"),
+        (message([(0.0, 0.0)]), "has 1 point: a path has 2 to 2000"),
         (message([]), "has 0 points"),
         (message([(float(n), 0.0) for n in range(MAX_POINTS + 1)]), "has 2001 points"),
         (bytes(1_000_000 * 100), "too large: it has at most 2000 points"),

@@ -111,6 +111,8 @@ async def test_a_speed_above_the_configured_limit_is_refused_by_name() -> None:
     drive = DrivingMethods(control, nobody).table()["drive"].handler
     with pytest.raises(UsageError, match=r"5 m/s is above limits.linear_mps, 0.6 m/s: use at most"):
         await drive(DriveParams(pattern=PatternKind.CIRCLE, source="test", speed_mps=5.0))
+    with pytest.raises(UsageError, match=r"0\.6000001 m/s is above limits.linear_mps, 0.6 m/s"):
+        await drive(DriveParams(pattern=PatternKind.CIRCLE, source="test", speed_mps=0.6000001))
     with pytest.raises(AttributeError):  # the kernel would get the request
         await drive(DriveParams(pattern=PatternKind.CIRCLE, source="test", speed_mps=0.6))
 

@@ -25,7 +25,7 @@ def test_the_path_of_a_node_is_driven_or_refused_by_name(
     both = world.here("drive", "path", "points.csv", "--topic", "plan")
     assert (both.exit_code, "not both" in both.err) == (2, True)
     other = world.here("drive", "square", "--topic", "plan")
-    assert (other.exit_code, "a square has no topic" in other.err) == (2, True)
+    assert (other.exit_code, "a square has no --topic" in other.err) == (2, True)
     world.ok("stop")
     (file,) = world.recordings.glob("*/*.mcap")
     (asked,) = (each for each in entries_of(file) if each.name == "DriveRequested")

@@ -159,7 +159,7 @@ class DrivingMethods:
         self._check_speed(abs(params.linear_mps))
         if abs(params.angular_rps) > limit_rps:
             raise UsageError(
-                f"{params.angular_rps:g} rad/s is above limits.angular_rps, {limit_rps:g} rad/s",
+                f"{params.angular_rps:.12g} rad/s is above limits.angular_rps, {limit_rps:g} rad/s",
                 f"use at most {limit_rps:g}",
             )
         held = Held(params.linear_mps, params.angular_rps, params.for_s, quiet_s=params.quiet_s)
@@ -236,7 +236,7 @@ class DrivingMethods:
         limit_mps = self._control.params.limits.linear_mps
         if speed_mps is not None and speed_mps > limit_mps:
             raise UsageError(
-                f"a speed of {speed_mps:g} m/s is above limits.linear_mps, {limit_mps:g} m/s",
+                f"a speed of {speed_mps:.12g} m/s is above limits.linear_mps, {limit_mps:g} m/s",
                 f"use at most {limit_mps:g}, or change it: robotctl param set limits.linear_mps",
             )
 

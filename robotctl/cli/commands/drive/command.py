@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import degrees, radians
+from math import ceil, degrees, radians
 from typing import Annotated, Any
 
 import typer
@@ -28,7 +28,7 @@ from robotctl.cli.terminal.text import number, printable
 from robotctl.errors import UsageError
 from robotctl.ipc.client import call
 from robotctl.ipc.method_names import DRIVE, DRIVE_PATH, DRIVE_VELOCITY
-from robotctl.kernel.course import MAX_ANGLE_RAD, MAX_CORNER_M, MIN_CORNER_M, Frame
+from robotctl.kernel.course import MAX_ANGLE_RAD, MAX_CORNER_M, MIN_ANGLE_RAD, MIN_CORNER_M, Frame
 from robotctl.kernel.drive import MAX_LAPS
 from robotctl.kernel.patterns import (
     MAX_SIZE_M,
@@ -42,6 +42,7 @@ from robotctl.paths import DEFAULT_ROBOT
 
 app = new_app()
 
+MIN_ANGLE_DEG = ceil(100.0 * degrees(MIN_ANGLE_RAD)) / 100.0
 MAX_ANGLE_DEG = float(int(degrees(MAX_ANGLE_RAD)))
 
 
@@ -179,7 +180,8 @@ def drive(
         method, params = DRIVE_VELOCITY, params | velocity_params(values, duration)
     elif motion == PATH:
         own = {"corner", "topic"} if topic else {"corner", "frame"}
-        refuse_options("a path", options, allowed=FOLLOWED | own)
+        what = "a path of a topic" if topic else "a path"
+        refuse_options(what, options, allowed=FOLLOWED | own)
         _check("--corner", corner, 0.0, MAX_CORNER_M, " m")
         path = topic_params(robot, topic, reason) if topic else path_params(robot, values, frame)
         method, params = DRIVE_PATH, params | followed | path
@@ -189,7 +191,9 @@ def drive(
         for name, size in sizes.items():
             _check(f"--{name.value}", size, MIN_SIZE_M, MAX_SIZE_M, " m")
         _check("--corner", corner, MIN_CORNER_M, MAX_CORNER_M, " m")
-        _check("--angle", angle, -MAX_ANGLE_DEG, MAX_ANGLE_DEG, " degrees")
+        if angle is not None and not MIN_ANGLE_DEG <= abs(angle) <= MAX_ANGLE_DEG:
+            cure = f"use {MIN_ANGLE_DEG:g} to {MAX_ANGLE_DEG:g} degrees, with a minus to the right"
+            raise UsageError(f"--angle {angle:g}", cure)
         params |= followed
         params |= {"pattern": motion, "side_m": side, "radius_m": radius, "length_m": length}
         params["angle_rad"] = None if angle is None else radians(angle)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from math import isfinite
 from typing import Any
 
 from robotctl.cli.commands.drive.waypoint_file import read_waypoints
@@ -19,7 +20,14 @@ MOTIONS = [*(kind.value for kind in PatternKind), PATH, VELOCITY]
 FOLLOWED = frozenset({"laps", "speed", "reverse", "open-loop"})
 """The options of every motion that follows a path."""
 
-_SHOWN = {"corner": "rounded corner"}
+_OWNERS = {
+    "frame": "the path of a file",
+    "topic": "a path",
+    "for": "a velocity",
+    "corner": "a rounded-square or a path",
+    "angle": "an arc or a turn",
+}
+"""The motions that have an option which others lack."""
 
 
 def checked_values(motion: str, given: Sequence[str] | None, topic: str = "") -> list[str]:
@@ -28,14 +36,14 @@ def checked_values(motion: str, given: Sequence[str] | None, topic: str = "") ->
     Raises:
         UsageError: There is no such motion, or too much or too little is given.
     """
+    values = list(given or ())
+    for value in (motion, *values):
+        if value.startswith("-") and not _is_float(value):
+            raise UsageError(f"No such option: {printable(value)}")
     if motion not in MOTIONS:
         shown = f"{printable(motion)!r} is not one of"
         wrong = shown if motion else "Missing argument 'PATTERN'. Choose from:"
         raise UsageError(f"{wrong} {', '.join(MOTIONS)}")
-    values = list(given or ())
-    for value in values:
-        if value.startswith("-") and not _is_number(value):
-            raise UsageError(f"No such option: {printable(value)}")
     if motion == VELOCITY:
         if len(values) != 2 or not all(map(_is_number, values)):
             raise UsageError("a velocity is two numbers", "such as robotctl drive velocity 0.2 0")
@@ -67,14 +75,18 @@ def cure_of(pattern: PatternKind) -> str:
 def refuse_options(
     what: str, options: Mapping[str, object], *, allowed: Collection[str], cure: str = ""
 ) -> None:
-    """Check which options are given.
+    """Check which options are given; `cure` says which size to use instead of another.
 
     Raises:
         UsageError: One of them does not fit.
     """
     for name, value in options.items():
         if value is not None and name not in allowed:
-            raise UsageError(f"{what} has no {_SHOWN.get(name, name)}", cure)
+            if name in _OWNERS:
+                cure = f"it is for {_OWNERS[name]}"
+            elif name in FOLLOWED:
+                cure = ""
+            raise UsageError(f"{what} has no --{name}", cure)
 
 
 def path_params(robot: str, values: Sequence[str], frame: Frame) -> dict[str, Any]:
@@ -117,7 +129,12 @@ def velocity_params(values: Sequence[str], duration: str | None) -> dict[str, An
 
 
 def _is_number(text: str) -> bool:
+    return _is_float(text) and isfinite(float(text))
+
+
+def _is_float(text: str) -> bool:
     try:
-        return abs(float(text)) < float("inf")
+        float(text)
     except ValueError:
         return False
+    return True

@@ -69,7 +69,8 @@ def path_in(
         raise Refused(f"the message on {shown} cannot be read") from None
     poses = message["poses"]
     if not 2 <= len(poses) <= MAX_POINTS:
-        problem = f"the path on {shown} has {len(poses)} points"
+        told = f"{len(poses)} point{'' if len(poses) == 1 else 's'}"
+        problem = f"the path on {shown} has {told}"
         raise Refused(problem, f"a path has 2 to {MAX_POINTS}")
     frame_id = message["header"]["frame_id"]
     named = {frame_id, *(pose["header"]["frame_id"] or frame_id for pose in poses)}
