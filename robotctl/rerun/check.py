@@ -271,11 +271,10 @@ class _Check:
             return
         if self._before_snapshot:
             report.notes.append(f"{self._before_snapshot} events before the first snapshot")
-        ends.check(self._before_snapshot)
+        ends.check(self._before_snapshot, invariants)
         kernel = self._rerun.kernel
         if kernel is not None:
             invariants.end(kernel.state.waiting)
-        ends.read_ledger(invariants)
         self._compared.end(ends.ending, self._reading.end_ns, self._log_ns[1])
         self._compared.tell_times(self._reading.log_order, is_own=ends.origin.is_own)
         report.violations, report.violation_count = invariants.violations, invariants.count

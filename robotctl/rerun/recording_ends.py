@@ -33,15 +33,14 @@ class RecordingEnds:
         self._first_seq = self._last_seq = -1
         self._last_snapshot = -1
         self._ledger: Mapping[str, Mapping[str, int]] | None = None
+        last = natural_order(recording.open_files[-1].path)
+        self._goes_on = any(natural_order(Path(name)) > last for name in recording.lost_files)
+        """Whether a later file is not here, or the end is cut off."""
 
     @property
     def is_whole(self) -> bool:
         """Whether it is a folder, and the last file is there."""
-        last = natural_order(self._recording.open_files[-1].path)
-        lost = (Path(name) for name in self._recording.lost_files)
-        return self._recording.path.is_dir() and not any(
-            natural_order(each) > last for each in lost
-        )
+        return self._recording.path.is_dir() and not self._goes_on
 
     def entries(self, first: int, last: int) -> None:
         """Take the numbers of the next entries, which are in a row."""
@@ -67,32 +66,49 @@ class RecordingEnds:
         self._last_snapshot = entry.seq if proof is not None else -1
         return before
 
-    def check(self, events_before_snapshot: int) -> None:
-        """Check who wrote the journal, and that a whole one begins and ends with a snapshot."""
-        report, origin = self._report, self.origin
-        origin.check(report)
-        if not (origin.is_own and self.is_whole) or self._last_snapshot < 0:
-            return
+    def check(self, events_before_snapshot: int, invariants: Invariants) -> None:
+        """Check who wrote the journal, how it begins and ends, and the ledger of the last file.
+
+        There is no ledger if the recording was not closed.
+        """
+        ledger = read_ledger(self._recording.metadata_of_file(-1))
+        self.origin.check(self._report)
+        is_folder = self._recording.path.is_dir()
+        if is_folder and self.origin.is_own and self._last_snapshot >= 0:
+            self._check_begin(events_before_snapshot)
+            self._check_end(ledger)
+        check_schemas(self._recording, self._report, invariants)
+        self._check_ledger(ledger, invariants)
+
+    def _check_begin(self, events_before_snapshot: int) -> None:
+        report = self._report
         if self._first_seq and self._info.files[0].name == f"{self._recording.path.name}_0.mcap":
             report.miss(f"its journal begins with entry {self._first_seq}: the first are missing")
         elif events_before_snapshot and not self._first_seq:
             report.miss("its journal does not begin with a snapshot")
-        was_closed = not (self._recording.is_cut_off or self._recording.is_live)
-        if was_closed and self._last_snapshot != self._last_seq:
-            report.miss("it was closed, but its journal does not end with a snapshot")
 
-    def read_ledger(self, invariants: Invariants) -> None:
-        """Check the loss ledger in the last file; there is none if it was not closed."""
-        check_schemas(self._recording, self._report, invariants)
-        ledger = read_ledger(self._recording.metadata_of_file(-1))
-        if not ledger and CLIP_RECORD in self._info.metadata:
-            return  # a clip has no ledger: its source has it
-        if not ledger:
-            self._report.notes.append("it was not closed: it has no loss ledger to check")
+    def _check_end(self, ledger: Mapping[str, Mapping[str, int]]) -> None:
+        """Look whether the last file is the one with which the recording was closed."""
+        if self._recording.is_cut_off or self._recording.is_live or self._goes_on:
             return
-        for sentence in unbalanced(ledger, finished=self.is_whole):
-            invariants.violate(sentence)
-        self._ledger = ledger
+        is_queued = any(counts.get("queued") for counts in ledger.values())
+        if is_queued or self._last_snapshot != self._last_seq:
+            self._goes_on = True
+            why = "messages were still to be written" if is_queued else "its journal ends before"
+            self._report.miss(
+                f"the file with which it was closed is not here, or not whole: {why}",
+                is_beside=True,
+            )
+
+    def _check_ledger(
+        self, ledger: Mapping[str, Mapping[str, int]], invariants: Invariants
+    ) -> None:
+        if ledger:
+            for sentence in unbalanced(ledger, finished=self.is_whole):
+                invariants.violate(sentence)
+            self._ledger = ledger
+        elif CLIP_RECORD not in self._info.metadata:  # the source of a clip has it
+            self._report.notes.append("it was not closed: it has no loss ledger to check")
 
     def ending(self, topic: str | None) -> Ending:
         """Return how the recording ends for a topic."""

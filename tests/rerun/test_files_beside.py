@@ -79,3 +79,23 @@ def test_a_file_that_is_lost_makes_nothing_broken(
     (folder / f"run_{lost}.mcap").write_bytes(b"x")
     report = check_recording(folder)
     assert (report.verdict, report.violations) == (Verdict.INCOMPLETE, [])
+
+
+@pytest.mark.parametrize("queued", [0, 1])
+def test_the_finished_files_of_a_recording_that_goes_on_are_not_broken(
+    tmp_path: Path, honest: Contents, queued: int
+) -> None:
+    """A message that arrives at a split is counted, and written to the next file."""
+    first, _ = halves(honest, queued=queued)
+    report = check_recording(write_files(tmp_path / "run", first))
+    assert (report.verdict, report.violations) == (Verdict.INCOMPLETE, [])
+    assert len(report.missing) == 1
+    assert "the file with which it was closed is not here" in report.missing[0]
+
+
+@pytest.mark.parametrize("queued", [0, 1])
+def test_a_file_that_is_not_the_last_excuses_no_forged_command(
+    tmp_path: Path, forged: Contents, queued: int
+) -> None:
+    first, _ = halves(forged, queued=queued)
+    assert check_recording(write_files(tmp_path / "run", first)).verdict is Verdict.BROKEN
