@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Final
 
 from robotctl.kernel.snapshot import Proof, Snapshot
 from robotctl.recording import Recording, RecordingInfo
@@ -19,6 +20,11 @@ from robotctl.rerun.journal_values import read_snapshot
 from robotctl.rerun.recorded_parameters import differing_parameters
 from robotctl.rerun.schema_check import check_schemas
 
+SINGLE_FILE: Final = (
+    "it is a single file without the end of the journal: check the folder to find whether that was "
+    "cut off"
+)
+
 
 class RecordingEnds:
     """The numbers of the first and the last journal entry, and the ledger of the last file."""
@@ -30,6 +36,7 @@ class RecordingEnds:
         self._recording = recording
         self._info = info
         self._report = report
+        self._is_clip = CLIP_RECORD in info.metadata
         self._first_seq = self._last_seq = -1
         self._last_snapshot = -1
         self._ledger: Mapping[str, Mapping[str, int]] | None = None
@@ -73,9 +80,9 @@ class RecordingEnds:
         """
         ledger = read_ledger(self._recording.metadata_of_file(-1))
         self.origin.check(self._report)
-        is_folder = self._recording.path.is_dir()
-        if is_folder and self.origin.is_own and self._last_snapshot >= 0:
-            self._check_begin(events_before_snapshot)
+        if self.origin.is_own and self._last_snapshot >= 0:
+            if self._recording.path.is_dir():
+                self._check_begin(events_before_snapshot)
             self._check_end(ledger)
         check_schemas(self._recording, self._report, invariants)
         self._check_ledger(ledger, invariants)
@@ -89,16 +96,21 @@ class RecordingEnds:
 
     def _check_end(self, ledger: Mapping[str, Mapping[str, int]]) -> None:
         """Look whether the last file is the one with which the recording was closed."""
-        if self._recording.is_cut_off or self._recording.is_live or self._goes_on:
+        recording = self._recording
+        if recording.is_cut_off or recording.is_live or self._goes_on:
             return
         is_queued = any(counts.get("queued") for counts in ledger.values())
-        if is_queued or self._last_snapshot != self._last_seq:
-            self._goes_on = True
-            why = "messages were still to be written" if is_queued else "its journal ends before"
-            self._report.miss(
-                f"the file with which it was closed is not here, or not whole: {why}",
-                is_beside=True,
-            )
+        if not is_queued and self._last_snapshot == self._last_seq:
+            return
+        self._goes_on = True
+        if not recording.path.is_dir():
+            if not self._is_clip:
+                self._report.notes.append(SINGLE_FILE)
+            return
+        why = "messages were still to be written" if is_queued else "its journal ends before"
+        self._report.miss(
+            f"the file with which it was closed is not here, or not whole: {why}", is_beside=True
+        )
 
     def _check_ledger(
         self, ledger: Mapping[str, Mapping[str, int]], invariants: Invariants
@@ -107,14 +119,14 @@ class RecordingEnds:
             for sentence in unbalanced(ledger, finished=self.is_whole):
                 invariants.violate(sentence)
             self._ledger = ledger
-        elif CLIP_RECORD not in self._info.metadata:  # the source of a clip has it
+        elif not self._is_clip:  # the source of a clip has it
             self._report.notes.append("it was not closed: it has no loss ledger to check")
 
     def ending(self, topic: str | None) -> Ending:
         """Return how the recording ends for a topic."""
         return Ending(
             None if self._ledger is None else self._ledger.get(topic or "", {}),
-            is_clip=CLIP_RECORD in self._info.metadata,
+            is_clip=self._is_clip,
             is_own=self.origin.is_own,
             is_whole=self.is_whole,
             has_begin=self._first_seq == 0,

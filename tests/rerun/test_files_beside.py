@@ -11,6 +11,7 @@ import pytest
 
 from robotctl.rerun.check import check_recording
 from robotctl.rerun.check_report import Verdict
+from robotctl.rerun.recording_ends import SINGLE_FILE
 from tests.support.edited_recordings import Contents, write_contents
 from tests.support.heard_drives import COMMANDS, heard_drive
 from tests.support.split_recordings import halves, write_files
@@ -99,3 +100,22 @@ def test_a_file_that_is_not_the_last_excuses_no_forged_command(
 ) -> None:
     first, _ = halves(forged, queued=queued)
     assert check_recording(write_files(tmp_path / "run", first)).verdict is Verdict.BROKEN
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_a_note_tells_that_the_end_of_a_single_file_may_be_cut_off(
+    tmp_path: Path, honest: Contents, number: int
+) -> None:
+    folder = write_files(tmp_path / "run", *halves(honest))
+    report = check_recording(folder / f"run_{number}.mcap")
+    assert report.verdict is Verdict.SAME
+    assert (SINGLE_FILE in report.notes) is (number == 0)
+
+
+def test_a_note_tells_of_a_single_file_that_was_cut_off(tmp_path: Path, honest: Contents) -> None:
+    cut = honest.copy()
+    last = [at for at, each in enumerate(honest.messages) if each.topic == COMMANDS][-40]
+    del cut.messages[last + 1 :]
+    folder = write_contents(tmp_path / "run", cut)
+    assert check_recording(folder).verdict is Verdict.INCOMPLETE
+    assert SINGLE_FILE in check_recording(folder / "run_0.mcap").notes
