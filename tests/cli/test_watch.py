@@ -160,6 +160,18 @@ def test_a_sparkline_shows_amounts() -> None:
     assert sparkline([]) == ""
 
 
+def test_an_error_is_drawn_only_while_it_is_measured() -> None:
+    path: DrivenPath = {"reference": [], "driven": [[0.0, 0.0], [1.0, 1.0]]}
+    history, drawn = History(), []
+    for drive in ({"cross_track_m": 0.1}, {"cross_track_m": None}, None):
+        history.add({"velocity": {"linear": 0.2}, "drive": drive})
+        output = StringIO()
+        Console(width=38, file=output).print(drive_map(path, history, 24))
+        assert "speed" in output.getvalue()
+        drawn.append("error" in output.getvalue())
+    assert drawn == [True, False, False]
+
+
 @pytest.mark.parametrize("lines", [10, 24, 80])
 def test_the_map_fits_beside_the_topics(lines: int) -> None:
     history = History()

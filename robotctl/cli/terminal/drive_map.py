@@ -32,9 +32,13 @@ class History:
         self.errors: deque[float] = deque(maxlen=HISTORY)
 
     def add(self, status: Mapping[str, Any]) -> None:
-        """Keep the speed and the error of this status."""
+        """Keep the speed and the error of this status; without an error the earlier ones go."""
         self.speeds.append(_finite((status.get("velocity") or {}).get("linear")))
-        self.errors.append(_finite((status.get("drive") or {}).get("cross_track_m")))
+        error_m = (status.get("drive") or {}).get("cross_track_m")
+        if error_m is None:
+            self.errors.clear()
+        else:
+            self.errors.append(_finite(error_m))
 
 
 def drive_map(path: DrivenPath, history: History, lines: int) -> RenderableType:
