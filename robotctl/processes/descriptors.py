@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import os
 import select
@@ -18,15 +19,24 @@ def open_pipe() -> tuple[int, int]:
     """Return the read and write ends of a pipe that other children do not inherit."""
     ends = os.pipe()
     try:
-        reading = fcntl.fcntl(ends[0], fcntl.F_DUPFD_CLOEXEC, _FIRST_FREE_FD)
+        reading = _moved(ends[0])
         try:
-            return reading, fcntl.fcntl(ends[1], fcntl.F_DUPFD_CLOEXEC, _FIRST_FREE_FD)
+            return reading, _moved(ends[1])
         except BaseException:
             os.close(reading)
             raise
     finally:
         for end in ends:
             os.close(end)
+
+
+def _moved(end: int) -> int:
+    try:
+        return fcntl.fcntl(end, fcntl.F_DUPFD_CLOEXEC, _FIRST_FREE_FD)
+    except OSError as error:
+        if error.errno == errno.EINVAL:  # the limit of open files is below _FIRST_FREE_FD
+            raise OSError(errno.EMFILE, os.strerror(errno.EMFILE)) from None
+        raise
 
 
 def write_whole(descriptor: int, line: bytes) -> None:

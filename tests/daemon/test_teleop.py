@@ -17,7 +17,7 @@ from robotctl.ipc.method_names import HOLD
 from robotctl.kernel.types import DriveRequested, HoldReceived, PublishTwist
 from robotctl.rerun.journal_values import read_effect, read_event
 from tests.support.answering_terminal import AnsweringTerminal
-from tests.support.terminals import Terminal
+from tests.support.terminals import CODE, Terminal
 from tests.support.waiting import until
 from tests.support.world import Peer, World, entries_of, new_world
 
@@ -314,6 +314,23 @@ def test_a_gamepad_steers_while_its_button_is_held_and_its_end_is_zero(
     until(lambda: not moves(world))
     assert world.status()["mode_reason"] == "not held for 125 ms"
     terminal.until("nothing is heard on /joy")
+
+
+@pytest.mark.parametrize(
+    ("limit", "hands"), [(5, ()), (7, ()), (9, ()), (9, ("--joy", "joy")), (12, ("--joy", "joy"))]
+)
+def test_too_few_open_files_end_it_with_one_sentence(
+    world: World, limit: int, hands: tuple[str, ...]
+) -> None:
+    code = f"import resource as r; r.setrlimit(r.RLIMIT_NOFILE, ({limit}, {limit})); {CODE}"
+    terminal = AnsweringTerminal(
+        *("teleop", *hands), tells_releases=True, program=(code,), environment=world.environment
+    )
+    try:
+        terminal.until(r"robotctl: too many open files: raise the limit \(ulimit -n\)\s")
+        assert terminal.end() == 1
+    finally:
+        terminal.close()
 
 
 def test_a_speed_or_an_axis_that_cannot_be_is_refused(world: World) -> None:

@@ -9,7 +9,7 @@ import threading
 from collections.abc import Mapping
 from contextlib import suppress
 
-from tests.support.terminals import Terminal
+from tests.support.terminals import CODE, Terminal
 
 TELLS_RELEASES, IDENTIFY = b"\x1b[?u", b"\x1b[c"
 ANSWERS = {TELLS_RELEASES: b"\x1b[?11u", IDENTIFY: b"\x1b[?62c"}
@@ -22,9 +22,13 @@ class AnsweringTerminal(Terminal):
     """
 
     def __init__(
-        self, *arguments: object, tells_releases: bool, environment: Mapping[str, str] = os.environ
+        self,
+        *arguments: object,
+        tells_releases: bool,
+        program: tuple[str, ...] = (CODE,),
+        environment: Mapping[str, str] = os.environ,
     ) -> None:
-        super().__init__(*arguments, environment=environment)
+        super().__init__(*arguments, program=program, environment=environment)
         self.is_silent = False
         self._known = {TELLS_RELEASES, IDENTIFY} if tells_releases else {IDENTIFY}
         self._drawn: queue.Queue[bytes] = queue.Queue()

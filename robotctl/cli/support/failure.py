@@ -50,6 +50,8 @@ def _as_robotctl_error(error: BaseException) -> RobotctlError:
         return RobotctlError(
             f"no space left on the disk for {error.filename or 'the output'}", "free some"
         )
+    if isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE):
+        return RobotctlError("too many open files", "raise the limit (ulimit -n)")
     if isinstance(error, OSError) and error.errno == errno.ENOENT and _is_working_folder_gone():
         return UsageError("the working folder was removed", "cd to a folder that exists")
     if isinstance(error, OSError) and error.filename is not None and error.strerror:

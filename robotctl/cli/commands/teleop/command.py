@@ -122,6 +122,7 @@ def _run(
             stack.enter_context(screen if has_terminal else nullcontext())
             while lease is None or not lease.is_over:
                 session.turn(keyboard)
+                screen.check()
     if lease is not None:
         lease.result()
 

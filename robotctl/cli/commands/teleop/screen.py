@@ -53,6 +53,16 @@ class TeleopScreen:
         if self._drawing is not None:
             self._drawing.join(END_S)
 
+    def check(self) -> None:
+        """Notice that nothing is drawn any more.
+
+        Raises:
+            RobotctlError: The status cannot be asked for.
+            OSError: The terminal is gone, or there are too many open files.
+        """
+        if self._drawing is not None and self._drawing.is_done and not self._ended.is_set():
+            self._drawing.result()
+
     def _draw(self) -> None:
         from rich.live import Live
 
