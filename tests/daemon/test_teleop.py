@@ -341,3 +341,10 @@ def test_a_speed_or_an_axis_that_cannot_be_is_refused(world: World) -> None:
         ("--button", "64"),
     ):
         assert world.here("teleop", "--joy", "joy", option, value).exit_code == 2
+
+
+@pytest.mark.parametrize("command", [("teleop", "--joy"), ("drive", "path", "--topic")])
+def test_a_topic_that_cannot_be_is_refused(world: World, command: tuple[str, ...]) -> None:
+    ran = world.here(*command, "a b!")
+    assert (ran.exit_code, ran.err.count("\n")) == (2, 1)
+    assert "'/a b!' is no name of a topic in ROS: use letters" in ran.err

@@ -24,10 +24,14 @@ async def listen(visitor: Visitor, request: dict[str, Any], send: Send) -> None:
     "size", "publisher"}, and "data" in base64 if the request wants it.
 
     Raises:
-        UsageError: The topic is unknown or has several types, of which the request names none.
+        UsageError: The name cannot be a topic's; or the topic is unknown, or has several types, of
+            which the request names none.
         Refused: Its type is not installed here.
     """
     node, topic = visitor.node, request["name"]
+    if not endpoints.is_topic_name(topic):
+        cure = "use letters, digits, _ and /, and no digit after a /"
+        raise UsageError(f"{topic!r} is no name of a topic in ROS", cure)
     known = visitor.discover(
         lambda: bool(endpoints.publishers(node, topic)), expected=request["expected"]
     )
