@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import nan
 
 from robotctl.kernel.battery import FULLEST_LEVEL
+from robotctl.kernel.drive import Drive
 from robotctl.kernel.lease import LeaseLost, LeaseRequested
 from robotctl.kernel.lifecycle import LifecycleChanged
 from robotctl.kernel.modes import Mode
@@ -14,6 +15,7 @@ from robotctl.kernel.types import (
     BatteryReceived,
     CommandListenersSeen,
     CommandPublishersSeen,
+    DriveReport,
     DriveRequested,
     Event,
     FaultCleared,
@@ -101,3 +103,14 @@ def span(duration_ns: int) -> str:
     if abs(seconds) < 1.0:
         return f"{seconds * 1e3:.0f} ms"
     return f"{seconds:.1f} s" if abs(seconds) < 120.0 else f"{seconds / 60.0:.0f} min"
+
+
+def driven(report: DriveReport, drive: Drive | None) -> str:
+    """Describe how far a drive has come, and how near its path; a held velocity has none."""
+    laps = f"{report.laps} lap{'' if report.laps == 1 else 's'} and {report.distance_m:.2f} m"
+    if drive is not None and drive.course.held is not None:
+        return laps
+    return (
+        f"{laps}, off track {report.cross_track_rms_m:.3f} m RMS, "
+        f"at most {report.cross_track_max_m:.3f}"
+    )

@@ -31,7 +31,7 @@ from robotctl.kernel.types import (
     ResetRequested,
 )
 from robotctl.rerun.incident import Incident, IncidentKind
-from robotctl.rerun.sentences import sentence_of, span
+from robotctl.rerun.sentences import driven, sentence_of, span
 from robotctl.rerun.shadow_sentences import shadow_words
 
 _MEASURES: Mapping[Cause, tuple[str, ...]] = MappingProxyType(
@@ -264,12 +264,8 @@ def _went_out(incident: Incident) -> Iterator[str]:
             case ReleaseEmergencyStop():
                 yield "the emergency stop is released"
             case DriveEnded():
-                report = effect.report
-                laps = f"{report.laps} lap{'' if report.laps == 1 else 's'}"
-                yield (
-                    f"the drive ended after {laps} and {report.distance_m:.2f} m, off track "
-                    f"{report.cross_track_rms_m:.3f} m RMS, at most {report.cross_track_max_m:.3f}"
-                )
+                drive = None if incident.before is None else incident.before.drive
+                yield f"the drive ended after {driven(effect.report, drive)}"
             case Reply() if effect.ok:
                 yield f"answered: {effect.message}"
             case Reply() | ModeChanged():

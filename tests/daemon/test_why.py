@@ -67,7 +67,7 @@ def test_why_knows_a_kill_while_moving_after_a_restart(here: World) -> None:
     until(lambda: here.status()["recorder"]["written"] >= received)
     (killed,) = here.recordings.iterdir()
     here.kill(here.status()["pid"])
-    assert "killed while MOVING" in here.ok("why")
+    assert "the recording ends while MOVING: the daemon was killed" in here.ok("why")
     here.ok("start", "--sim")
     found = here.answer("why")
     assert found["kind"] == "kill"
