@@ -13,6 +13,7 @@ from robotctl.rerun.clock_changes import ClockChanges
 from robotctl.rerun.command_bytes import command_topic
 from robotctl.rerun.command_check import CommandCheck
 from robotctl.rerun.ending import Ending, JournalEnd
+from robotctl.rerun.event_records import EventRecords
 from robotctl.rerun.input_check import input_checks
 from robotctl.rerun.invariants import Invariants
 from robotctl.rerun.journal_steps import Moments
@@ -51,6 +52,7 @@ class Comparisons:
 
         self._services = ServiceChecks(report, info, journal_topic, clock)
         self._status = StatusCheck(report, info, journal_topic, clock)
+        self._events = EventRecords(report, info, clock)
 
     def readers(self) -> dict[str, Callable[[Message], None]]:
         """Return for each compared topic what takes its messages."""
@@ -65,6 +67,7 @@ class Comparisons:
     def step_before_snapshot(self, event: Event, effects: tuple[Effect, ...]) -> None:
         """Take a step of a kernel that is not known."""
         self._commands.step(event, effects, (0, 0, 0))
+        self._events.step(effects, (0, 0, 0))
 
     def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
         """Continue from a snapshot, with its time by the steady clock and since the epoch."""
@@ -101,6 +104,7 @@ class Comparisons:
         self._ticks.step(event, seq)
         self._commands.step(event, effects, moments)
         self._services.step(event, seq, effects, moments)
+        self._events.step(effects, moments)
         if was_checked:
             self.invariants.pass_over(seq, event, effects)
         else:
@@ -127,6 +131,7 @@ class Comparisons:
         self._safety_inputs.stop()
         self._services.stop()
         self._status.stop()
+        self._events.stop()
 
     def end(self, ending: Callable[[str | None], Ending], end_ns: int, log_ns: int) -> None:
         """Report what differs; the journal ends at `end_ns`, since the epoch at `log_ns`.
@@ -146,6 +151,7 @@ class Comparisons:
         self._safety_inputs.end(self.invariants, ending, moment)
         self._services.end(self.invariants, ending, end_ns, log_ns)
         self._status.end(self.invariants, ending(self._status.topic), log_ns)
+        self._events.end(self.invariants, ending(None), log_ns)
 
     def tell_times(self, order: LogOrder, *, is_own: bool) -> None:
         """Report what the log times tell; those of a journal that is not own are of its arrival."""

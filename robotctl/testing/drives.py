@@ -14,6 +14,7 @@ from robotctl.cdr.motion import encode_twist
 from robotctl.cdr.type_hash import rihs01_hash
 from robotctl.config import Config, flat
 from robotctl.daemon.control.journal_writer import Journal
+from robotctl.errors import UnreadableFile
 from robotctl.kernel import command_types
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.patterns import Pattern
@@ -29,9 +30,12 @@ from robotctl.kernel.types import (
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recorder, RecorderOptions, Topic
 from robotctl.recording.convert.installed_definition import installed_definition
-from robotctl.recording.format.journal import JournalEntry, decode, encode
+from robotctl.recording.format.journal import EntryKind, JournalEntry, decode, encode
 from robotctl.recording.format.metadata_names import PARAMETER_PREFIX
+from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.rerun.closed_loop import closed_loop
+from robotctl.rerun.event_records import event_of
+from robotctl.rerun.journal_values import read_effect
 
 START_NS = 1_700_000_000_000_000_000
 """Time of the clock at which recordings begin."""
@@ -188,6 +192,8 @@ def record(
             time_ns = max(time_ns, START_NS + each.t_ns)
             now_ns = clock(time_ns)
             recorder.write(journal, encode(each), now_ns, now_ns, each.seq + 1, GID)
+            if (event := _event_of(each, now_ns)) is not None:
+                recorder.add_event(event)
         elif isinstance(each, Twist):
             published += 1
             now_ns = clock(time_ns)
@@ -199,6 +205,16 @@ def record(
             time.sleep(0.001)
     recorder.close()
     return folder
+
+
+def _event_of(entry: JournalEntry, now_ns: int) -> RecordedEvent | None:
+    """Return the event that a daemon notes beside this journal entry, None if it notes none."""
+    if entry.kind is not EntryKind.EFFECT:
+        return None
+    try:
+        return event_of(read_effect(entry), now_ns)
+    except UnreadableFile:  # a test changed the entry
+        return None
 
 
 def _fail(detail: str) -> None:

@@ -105,9 +105,15 @@ def read_by_hand(recording: Path) -> Tables:
             log_ns.append(message.log_time)
             if channel.topic == "/robotctl/journal":
                 journal.append((message.log_time, *entry_of(message.data)))
-        metadata = {each.name: each.metadata for each in reader.iter_metadata()}
+        records = [(each.name, each.metadata) for each in reader.iter_metadata()]
+    metadata = dict(records)
     lost = {topic: json.loads(text) for topic, text in metadata["robotctl.ledger"].items()}
     drives, events = drives_and_events(journal, metadata["robotctl"]["robot"])
+    events += [
+        event(int(values["log_ns"]), values["kind"], None, values["text"], None)
+        for name, values in records
+        if name == "robotctl.event"
+    ]
     seconds = (max(log_ns) - min(log_ns)) / 1e9
     row = {
         "robot": metadata["robotctl"]["robot"],
@@ -206,7 +212,7 @@ REPORTED = {
 END = ("completed", "ended", "cause", *REPORTED)
 
 
-def event(log_ns: int, kind: str, mode: str, text: str, cause: str | None) -> Row:
+def event(log_ns: int, kind: str, mode: str | None, text: str, cause: str | None) -> Row:
     return {"event": kind, "start_ns": log_ns, "mode": mode, "text": text, "cause": cause}
 
 

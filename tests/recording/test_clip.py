@@ -73,7 +73,7 @@ def record(folder: Path, driven: list[Written], *splits_s: float) -> Recorder:
             published += 1
             recorder.write(commands, encode_twist(each), log_ns, log_ns, published, GID)
     for seconds in range(10, 40, 10):
-        recorder.add_event(RecordedEvent(EventKind.ERROR, at_ns(seconds), f"at {seconds}"))
+        recorder.add_event(RecordedEvent(EventKind.MARK, at_ns(seconds), f"at {seconds}"))
     return recorder
 
 
@@ -133,7 +133,7 @@ def test_a_clip_says_of_what_it_is_one(recording: Path, tmp_path: Path) -> None:
     info = read_info(target)
     assert info.metadata["robotctl.clip"] == {
         "of": "run_0.mcap, run_1.mcap, run_2.mcap",
-        "event": "error",
+        "event": "mark",
         "event_ns": str(at_ns(20)),
         "text": "at 20",
         "start_ns": str(at_ns(15)),

@@ -21,6 +21,7 @@ from tests.tampering.edits import (
     still,
 )
 from tests.tampering.end_kinds import appended, repeated_at_the_end
+from tests.tampering.event_kinds import no_events
 from tests.tampering.message_changes import last_number
 from tests.tampering.pretended_kinds import OBSERVED, UNNAMED, together
 from tests.tampering.schema_kinds import READ, commented, described
@@ -107,8 +108,8 @@ ACCEPTED: Mapping[str, tuple[Kind, str]] = {
         described(commented, *READ),
         "the fields are the same, and a comment changes no value",
     ),
-    "metadata: only observed, the journal received, no names of its own": (
-        together(OBSERVED, UNNAMED),
+    "metadata: only observed, the journal received, no names and events of its own": (
+        together(OBSERVED, UNNAMED, no_events),
         "an observer receives the journal; a note tells what is not compared then",
     ),
     "metadata: the mode at the start changed": (

@@ -26,13 +26,20 @@ from tests.tampering.edits import (
     without,
 )
 from tests.tampering.end_kinds import AT_THE_END, BUTTON, THOUSANDS_OF_THE_BUTTON
+from tests.tampering.event_kinds import IN_EVENTS
 from tests.tampering.journal_changes import last_dropped
 from tests.tampering.journal_kinds import IN_JOURNAL
 from tests.tampering.message_changes import numbered
 from tests.tampering.pretended_kinds import PRETENDED, excluding, together
 from tests.tampering.topic_kinds import IN_TOPICS
 
-FOUND: Mapping[str, Kind] = {**IN_TOPICS, **IN_JOURNAL, **AT_THE_END, **PRETENDED}
+FOUND: Mapping[str, Kind] = {
+    **IN_TOPICS,
+    **IN_JOURNAL,
+    **IN_EVENTS,
+    **AT_THE_END,
+    **PRETENDED,
+}
 """Edits that a check finds: its verdict is not `same`."""
 
 ON_A_BUTTON: Mapping[str, Kind] = {
