@@ -141,5 +141,10 @@ def event_of(effect: Effect, log_ns: int) -> RecordedEvent | None:
 def _shown(event: RecordedEvent | None) -> str:
     if event is None:
         return "none"
-    figures = f" of {event.laps} laps" if event.kind is EventKind.DRIVE_ENDED else ""
-    return f"{event.kind.value}{figures} ({event.text[:80]})"
+    figures = ""
+    if event.kind is EventKind.DRIVE_ENDED:
+        known = {name: getattr(event, name) for name in _FIGURES}
+        texts = [f"{name} {value:.4g}" for name, value in known.items() if value is not None]
+        figures = f" of {', '.join([f'{event.laps} laps', *texts])}"
+    seconds = event.log_ns / NS_PER_S
+    return f"{event.kind.value}{figures} at {seconds:.3f} s since the epoch ({event.text[:80]})"
