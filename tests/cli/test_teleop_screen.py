@@ -36,7 +36,7 @@ def test_the_instructions_and_refusals_are_seen_whole(
 ) -> None:
     console = Console(width=columns, height=rows, file=io.StringIO(), force_terminal=True)
     lines = [*instructions, KEYS, "speed 0.30 m/s", REFUSED]
-    with console.capture() as drawn, Live(console=console, auto_refresh=False) as live:
+    with Live(console=console, auto_refresh=False) as live, console.capture() as drawn:
         live.update(view_below(lines, cast("Status", STATUS)), refresh=True)
     seen = " ".join(drawn.get().split())
     for line in lines:

@@ -116,14 +116,9 @@ class HandsWithReleases:
             self._patience_s = NEXT_REPEAT_S
         else:
             self._patience_s = FIRST_REPEAT_S
-            if _steers(key):
+            if key.name in STEERING and not key.with_control:
                 self._held.add(key.name)
                 self.problem = ""
-
-
-def _steers(key: Key) -> bool:
-    """Return whether the key steers and will be released."""
-    return key.name in STEERING and not (key.with_control or key.is_text)
 
 
 class HandsWithoutReleases:
