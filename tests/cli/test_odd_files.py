@@ -69,13 +69,18 @@ def test_a_fifo_is_no_recording(command: str, name: str, run: Callable[..., Any]
     assert name in ran.err + ran.out
 
 
-@pytest.mark.parametrize("command", ["info", "replay --check", "why", "recover"])
-def test_a_list_of_files_that_is_a_fifo_is_left_out(command: str, run: Callable[..., Any]) -> None:
+@pytest.mark.parametrize(
+    ("command", "exit_code"), [("info", 6), ("replay --check", 6), ("why", 4), ("recover", 0)]
+)
+def test_a_list_of_files_that_is_a_fifo_is_told_and_the_files_are_read(
+    command: str, exit_code: int, run: Callable[..., Any]
+) -> None:
     recording = record(Path(RECORDING), drive(1.0))
     (recording / "metadata.yaml").unlink(missing_ok=True)
     os.mkfifo(recording / "metadata.yaml")
     ran = run(*command.split(), RECORDING)
-    assert ran.exit_code == (4 if command == "why" else 0), ran  # it was not stopped
+    assert ran.exit_code == exit_code, ran  # 4: it was not stopped
+    assert ("not a regular file" in ran.out + ran.err) is (command != "recover")
 
 
 def test_a_fifo_among_the_recordings_hides_no_other(run: Callable[..., Any]) -> None:
