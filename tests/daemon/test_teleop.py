@@ -233,7 +233,7 @@ def test_ctrl_c_and_the_emergency_stop_work_where_the_terminal_sends_no_signals(
     until(lambda: world.status()["mode"] == "EMERGENCY_STOP")
     terminal.until("release it with: robotctl reset")
     terminal.press(W_UP + W_DOWN)
-    terminal.until("EMERGENCY_STOP .*by robotctl teleop")
+    terminal.until("EMERGENCY_STOP .*by robotctl teleop", again=W_UP + W_DOWN)
     world.ok("reset")
     assert not moves(world), "the key is still down"
     terminal.press("\x1b[99;5u")

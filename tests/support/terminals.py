@@ -37,11 +37,18 @@ class Terminal:
             os.execve(command[0], command, environment)
         self.seen = ""
 
-    def until(self, text: str) -> str:
-        """Wait until the text is drawn, and return what was drawn before it."""
-        end = time.monotonic() + DEADLINE_S
+    def until(self, text: str, again: str = "") -> str:
+        """Wait until the text is drawn, and return what was drawn before it.
+
+        Keys in `again` are pressed once a second: a busy machine may have been a silence.
+        """
+        begin = pressed = time.monotonic()
         while not (found := re.search(text, self.seen)):
-            assert time.monotonic() < end, self.seen[-2000:]
+            now = time.monotonic()
+            assert now < begin + DEADLINE_S, self.seen[-2000:]
+            if again and now > pressed + 1.0:
+                self.press(again)
+                pressed = now
             self._read(0.1)
         before, self.seen = self.seen[: found.start()], self.seen[found.end() :]
         return before
