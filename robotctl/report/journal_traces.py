@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from types import MappingProxyType
 from typing import Final
 
 from robotctl.errors import UnreadableFile
 from robotctl.kernel.geometry import Pose
 from robotctl.kernel.kernel import Kernel
-from robotctl.kernel.modes import Mode
 from robotctl.kernel.odometry import is_finite
 from robotctl.kernel.parameter_change import ParameterChanged
 from robotctl.kernel.types import (
@@ -28,6 +26,7 @@ from robotctl.kernel.types import (
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording.format.event_kind import EventKind
 from robotctl.recording.format.journal import EntryKind, JournalEntry
+from robotctl.recording.format.noted_events import NOTED_MODES
 from robotctl.report.traces import EndedDrive, Traces
 from robotctl.rerun.journal_values import (
     KERNEL_FAILURES,
@@ -39,10 +38,6 @@ from robotctl.rerun.journal_values import (
 from robotctl.rerun.sentences import sentence_of
 
 MS_PER_NS: Final = 1e-6
-
-STOPS: Final = MappingProxyType(
-    {Mode.EMERGENCY_STOP: EventKind.EMERGENCY_STOP, Mode.ERROR: EventKind.ERROR}
-)
 
 
 class JournalTraces:
@@ -153,8 +148,8 @@ class JournalTraces:
                 traces.commanded_angular.add(t_s, twist.angular)
             case ModeChanged() as changed:
                 traces.enter_mode(t_s, changed.mode.name, changed.reason)
-                if changed.mode in STOPS:
-                    traces.happened(t_s, STOPS[changed.mode].value, changed.reason)
+                if changed.mode in NOTED_MODES:
+                    traces.happened(t_s, NOTED_MODES[changed.mode].value, changed.reason)
             case DriveEnded() as ended:
                 traces.happened(t_s, EventKind.DRIVE_ENDED.value, ended.reason)
                 traces.drive_ended(EndedDrive(t_s, ended.reason, self._measured(ended)))

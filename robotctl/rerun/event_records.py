@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections import deque
 from contextlib import suppress
-from math import inf, isfinite
+from math import inf
 from typing import Final, NamedTuple
 
-from robotctl.kernel.modes import Mode
-from robotctl.kernel.types import DriveEnded, Effect, ModeChanged
+from robotctl.kernel.types import Effect
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import RecordingInfo
 from robotctl.recording.format.event_kind import EventKind
 from robotctl.recording.format.metadata_names import CLIP_RECORD
+from robotctl.recording.format.noted_events import noted_event
 from robotctl.recording.format.recorded_events import ERRORS, RecordedEvent
 from robotctl.rerun.check_report import Report
 from robotctl.rerun.clock_changes import ClockChanges
@@ -26,7 +26,6 @@ APART_NS: Final = 2 * NS_PER_S
 SAME_FIGURE: Final = 1e-9
 """How far figures may be apart: those of the journal are decided again, perhaps by another libc."""
 
-_NOTED: Final = {Mode.EMERGENCY_STOP: EventKind.EMERGENCY_STOP, Mode.ERROR: EventKind.ERROR}
 _FIGURES: Final = (*(name for name in ERRORS if not name.startswith("true_")), "drive_s")
 
 
@@ -56,7 +55,7 @@ class EventRecords:
         """Take the effects of a step, and when it was handled."""
         steady_ns, log_ns, next_log_ns = moments
         for effect in effects:
-            event = event_of(effect, log_ns)
+            event = noted_event(effect, log_ns)
             if event is not None:
                 self._noted.append(_Noted(event, steady_ns, next_log_ns))
 
@@ -117,25 +116,6 @@ class EventRecords:
         if theirs is None:  # an error of 0 was not measured
             return not ours or not self._report.same_version
         return ours is not None and abs(ours - theirs) <= SAME_FIGURE
-
-
-def event_of(effect: Effect, log_ns: int) -> RecordedEvent | None:
-    """Return the event that a recorder notes for an effect, None if it notes none."""
-    if isinstance(effect, ModeChanged) and effect.mode in _NOTED:
-        return RecordedEvent(_NOTED[effect.mode], log_ns, effect.reason)
-    if not isinstance(effect, DriveEnded):
-        return None
-    report = effect.report
-    figures = {
-        "cross_track_max_m": report.cross_track_max_m,
-        "cross_track_rms_m": report.cross_track_rms_m,
-        "heading_rms_rad": report.heading_rms_rad,
-        "heading_max_rad": report.heading_max_rad,
-        "closure_m": report.closure_m,
-        "drive_s": report.duration_s,
-    }
-    known = {name: value for name, value in figures.items() if isfinite(value)}
-    return RecordedEvent(EventKind.DRIVE_ENDED, log_ns, effect.reason, report.laps, **known)
 
 
 def _shown(event: RecordedEvent | None) -> str:

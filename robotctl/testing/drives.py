@@ -32,9 +32,9 @@ from robotctl.recording import Recorder, RecorderOptions, Topic
 from robotctl.recording.convert.installed_definition import installed_definition
 from robotctl.recording.format.journal import EntryKind, JournalEntry, decode, encode
 from robotctl.recording.format.metadata_names import PARAMETER_PREFIX
+from robotctl.recording.format.noted_events import noted_event
 from robotctl.recording.format.recorded_events import RecordedEvent
 from robotctl.rerun.closed_loop import closed_loop
-from robotctl.rerun.event_records import event_of
 from robotctl.rerun.journal_values import read_effect
 
 START_NS = 1_700_000_000_000_000_000
@@ -192,7 +192,7 @@ def record(
             time_ns = max(time_ns, START_NS + each.t_ns)
             now_ns = clock(time_ns)
             recorder.write(journal, encode(each), now_ns, now_ns, each.seq + 1, GID)
-            if (event := _event_of(each, now_ns)) is not None:
+            if (event := _noted_event(each, now_ns)) is not None:
                 recorder.add_event(event)
         elif isinstance(each, Twist):
             published += 1
@@ -207,12 +207,12 @@ def record(
     return folder
 
 
-def _event_of(entry: JournalEntry, now_ns: int) -> RecordedEvent | None:
+def _noted_event(entry: JournalEntry, now_ns: int) -> RecordedEvent | None:
     """Return the event that a daemon notes beside this journal entry, None if it notes none."""
     if entry.kind is not EntryKind.EFFECT:
         return None
     try:
-        return event_of(read_effect(entry), now_ns)
+        return noted_event(read_effect(entry), now_ns)
     except UnreadableFile:  # a test changed the entry
         return None
 

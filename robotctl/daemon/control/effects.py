@@ -6,7 +6,6 @@ import logging
 import time
 from collections.abc import Callable
 from functools import partial
-from math import isfinite
 from typing import assert_never
 
 from robotctl.daemon.control.ground_truth import TrueErrors
@@ -27,13 +26,10 @@ from robotctl.kernel.types import (
     Reply,
     Twist,
 )
-from robotctl.recording.format.event_kind import EventKind
+from robotctl.recording.format.noted_events import noted_event
 from robotctl.recording.format.recorded_events import RecordedEvent
 
 _log = logging.getLogger(__name__)
-
-_NOTED = {Mode.EMERGENCY_STOP: EventKind.EMERGENCY_STOP, Mode.ERROR: EventKind.ERROR}
-"""Modes that are events of the recording."""
 
 
 class Effects:
@@ -79,8 +75,7 @@ class Effects:
                 reason = self._with_cure(effect)
                 _log.info("%s -> %s: %s", effect.previous.name, effect.mode.name, reason)
                 self._show_mode(effect.mode)
-                if effect.mode in _NOTED:
-                    self._note(RecordedEvent(_NOTED[effect.mode], time.time_ns(), effect.reason))
+                self._note_event(effect)
             case LatchEmergencyStop():
                 self._latch.set(effect.reason, effect.cause or Cause.OPERATOR_STOP)
             case ReleaseEmergencyStop():
@@ -94,27 +89,17 @@ class Effects:
             case DriveEnded():
                 _log.info("drive ended: %s", self._with_cure(effect))
                 measured = self._measured(effect)
-                self._note(self._as_event(measured))
+                self._note_event(measured)
                 self._requests.end_drive(measured)
             case _:
                 assert_never(effect)
 
-    def _as_event(self, ended: DriveEnded) -> RecordedEvent:
-        report, true = ended.report, self._true_errors(ended.request_id)
-        figures = {
-            "cross_track_max_m": report.cross_track_max_m,
-            "cross_track_rms_m": report.cross_track_rms_m,
-            "heading_rms_rad": report.heading_rms_rad,
-            "heading_max_rad": report.heading_max_rad,
-            "closure_m": report.closure_m,
-            "drive_s": report.duration_s,
-        }
-        if true is not None:
-            figures |= {f"true_{name}": value for name, value in true._asdict().items()}
-        known = {name: value for name, value in figures.items() if isfinite(value)}
-        return RecordedEvent(
-            EventKind.DRIVE_ENDED, time.time_ns(), ended.reason, report.laps, **known
-        )
+    def _note_event(self, effect: ModeChanged | DriveEnded) -> None:
+        true = self._true_errors(effect.request_id) if isinstance(effect, DriveEnded) else None
+        named = {} if true is None else {f"true_{n}": each for n, each in true._asdict().items()}
+        event = noted_event(effect, time.time_ns(), named)
+        if event is not None:
+            self._note(event)
 
     def _with_cure(self, effect: ModeChanged | DriveEnded) -> str:
         return advice(effect.reason, remedies_for(effect.cause), self._robot).sentence
