@@ -161,7 +161,7 @@ def list_recording(path: Path) -> ListedRecording:
     metadata = [record for index in indexes for record in index.metadata]
     info = next((record.metadata for record in metadata if record.name == INFO_RECORD), {})
     stats = [each.stat() for each in files or [path]]
-    is_open = path.is_dir() and not may_not_be_listed(path)
+    is_open = bool(files) and path.is_dir()
     return ListedRecording(
         path=path,
         robot=info.get("robot", ""),

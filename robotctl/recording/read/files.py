@@ -113,14 +113,18 @@ def files_of_bag(folder: Path) -> list[Path]:
 
 
 def absent_files(text: str, present: list[Path]) -> list[str]:
-    """Return a sentence for each file that `metadata.yaml` lists and that is not in `present`.
+    """Return a sentence for each of the `absent_names`."""
+    return [
+        f"{name}: metadata.yaml names it, but it is not there"
+        for name in absent_names(text, present)
+    ]
+
+
+def absent_names(text: str, present: list[Path]) -> list[str]:
+    """Return the files that `metadata.yaml` lists and that are not in `present`.
 
     A file also counts as present in its compressed or decompressed form. `text` must be read before
     the folder is listed, because a daemon first adds a file and then its name.
     """
     names = {path.name.removesuffix(SUFFIX) for path in present}
-    return [
-        f"{name}: metadata.yaml names it, but it is not there"
-        for name in files_in(text)
-        if name.removesuffix(SUFFIX) not in names
-    ]
+    return [name for name in files_in(text) if name.removesuffix(SUFFIX) not in names]

@@ -21,6 +21,7 @@ from robotctl.recording.read.damage import Damaged
 from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.files import (
     absent_files,
+    absent_names,
     metadata_of_folder,
     reason_of,
     recording_files,
@@ -98,10 +99,9 @@ class Recording:
         paths = [path] if source else list(files) or recording_files(path)
         all_files = False
         if paths != [path]:
-            absent = absent_files(text, paths)
-            all_files = not absent
-            self.lost_files = [sentence.partition(": ")[0] for sentence in absent]
-            for sentence in problems + absent:
+            self.lost_files = absent_names(text, paths)
+            all_files = not self.lost_files
+            for sentence in problems + absent_files(text, paths):
                 note_missing(self.missing, sentence)
         try:
             for each in paths:
