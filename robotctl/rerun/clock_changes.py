@@ -53,8 +53,9 @@ class ClockChanges:
         self._wall_ns = wall_ns
 
     def _take(self, by_ns: int, wall_ns: int) -> None:
-        """Take a change, unless a step stalled between its two times: then the next one undoes it,
-        and the wall clock never goes back.
+        """Note that the clock was set, unless a step only stalled between reading the two clocks.
+
+        Then the next moment undoes the change, and the wall clock does not go back.
         """
         last = self._set[-1] if self._set else None
         is_undone = last is not None and last.moment == self._moments - 1 and last.by_ns > 0

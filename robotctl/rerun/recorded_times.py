@@ -14,8 +14,8 @@ MAX_SET: Final = 5
 """How often the clock may be set in a recording: a machine does so when it finds a time server."""
 
 CHUNKS: Final = 4
-"""How often log times go back in a file where the clock was set once: what was recorded around that
-stands in several chunks, by topics."""
+"""How often log times may go back for each change of the clock: the messages that were recorded
+around it stand in several chunks."""
 
 
 def tell_times(clock: ClockChanges, order: LogOrder, report: Report) -> None:
@@ -25,8 +25,8 @@ def tell_times(clock: ClockChanges, order: LogOrder, report: Report) -> None:
     changes = clock.set_by_ns
     if order.steps_back > CHUNKS * len(changes):
         report.miss(
-            f"log times go back {order.steps_back} times without a clock that was set, first at a "
-            f"message of {order.example}"
+            f"log times go back {order.steps_back} times although the clock was not set then, "
+            f"first at a message of {order.example}"
         )
     if not changes:
         return

@@ -20,10 +20,7 @@ from robotctl.rerun.journal_values import read_snapshot
 from robotctl.rerun.recorded_parameters import differing_parameters
 from robotctl.rerun.schema_check import check_schemas
 
-SINGLE_FILE: Final = (
-    "it is a single file without the end of the journal: check the folder to find whether that was "
-    "cut off"
-)
+SINGLE_FILE: Final = "the journal goes on after this file, or was cut off: check the whole folder"
 
 
 class RecordingEnds:

@@ -131,7 +131,7 @@ class ChannelState:
         its other counts together with `received` or `throttled`.
         """
         self.recounted = False  # first: a change that this copy lacks sets it again
-        self.told = self.received + self.throttled
+        self.told = self.arrived
         return self.new_stats()
 
     def new_stats(self) -> TopicStats:
