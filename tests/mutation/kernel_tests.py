@@ -9,7 +9,8 @@ import resource
 import shutil
 import signal
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 
@@ -24,6 +25,12 @@ RUN_LAST = ("test_codec.py", "test_driving.py", "test_properties.py")
 
 CPU_S, WALL_S, MEMORY_BYTES = 240, 3600, 4 << 30
 """Limits of one run of the tests, which takes 25 to 60 s of CPU: a mutant may never end."""
+
+FIRST_FILES = 2
+"""How many of the files that noticed the last mutants of a module run first."""
+
+FAILED = "failed"
+"""The file in the copy that names the file of tests that failed."""
 
 LIMIT_CODE = 99
 """Exit code of a run that one of the limits ended."""
@@ -67,17 +74,34 @@ def options_of_pytest() -> list[str]:
     return [*options, "-W", "ignore::pytest.PytestAssertRewriteWarning"]  # it is imported above
 
 
-def exit_code_with(path: Path, code: str, folder: Path) -> int:
-    """Run the tests of the kernel with `code` at `path`; return their exit code."""
-    original, status = path.read_text(), path.stat()
-    path.write_text(code)
-    stamp_s = next(_stamps_s)
-    os.utime(path, (stamp_s, stamp_s))
-    try:
-        return _run_tests(folder, path.stem)
-    finally:
-        path.write_text(original)
-        os.utime(path, ns=(status.st_atime_ns, status.st_mtime_ns))
+@dataclass(frozen=True, slots=True)
+class NewProcesses:
+    """Runs the tests of the copy in `folder`, in a new process for each mutant."""
+
+    folder: Path
+    cpu_s: Mapping[str, float]
+    """The CPU time of each test: the quick ones run first."""
+
+    killers: dict[Path, list[Path]] = field(default_factory=dict)
+    """The files of tests that noticed mutants of each module, the last one first."""
+
+    def exit_code_with(self, path: Path, code: str) -> int:
+        """Run the tests of the kernel with `code` at `path`; return their exit code."""
+        original, status = path.read_text(), path.stat()
+        path.write_text(code)
+        stamp_s = next(_stamps_s)
+        os.utime(path, (stamp_s, stamp_s))
+        killers = self.killers.setdefault(path, [])
+        failed = self.folder / FAILED
+        failed.write_text("")
+        try:
+            return _run_tests(self.folder, path.stem, killers[:FIRST_FILES], self.cpu_s)
+        finally:
+            path.write_text(original)
+            os.utime(path, ns=(status.st_atime_ns, status.st_mtime_ns))
+            if name := failed.read_text():
+                file = self.folder / name
+                killers[:] = [file, *(each for each in killers if each != file)]
 
 
 def imports(file: Path, module: str) -> bool:
@@ -90,13 +114,16 @@ def _text_of(file: Path) -> str:
     return file.read_text()
 
 
-def _run_tests(folder: Path, changed: str) -> int:
-    """Run the tests in a process of their own, those that import the module `changed` first."""
+def _run_tests(
+    folder: Path, changed: str, first: Sequence[Path], cpu_s: Mapping[str, float]
+) -> int:
+    """Run the tests in a process of their own: `first`, then those that import `changed`."""
     files = sorted((folder / TESTS).glob("test_*.py"), key=lambda file: file.name in RUN_LAST)
+    files = [file for file in files if file not in first]
     near = [file for file in files if file.name not in RUN_LAST and imports(file, changed)]
-    groups = [near, [file for file in files if file not in near]]
+    groups = [*([file] for file in first), near, [file for file in files if file not in near]]
     fork = multiprocessing.get_context("fork")
-    process = fork.Process(target=_test, args=(folder, groups), daemon=True)
+    process = fork.Process(target=_test, args=(folder, groups, cpu_s), daemon=True)
     process.start()
     process.join(WALL_S)
     process.kill()
@@ -105,19 +132,47 @@ def _run_tests(folder: Path, changed: str) -> int:
     return LIMIT_CODE if code is None or code < 0 else code
 
 
-def _test(folder: Path, groups: Iterable[Sequence[Path]]) -> None:
+def _test(folder: Path, groups: Iterable[Sequence[Path]], cpu_s: Mapping[str, float]) -> None:
     signal.signal(signal.SIGXCPU, _end_tests)
     resource.setrlimit(resource.RLIMIT_CPU, (CPU_S, CPU_S + 10))
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
     prepare(folder)
     code = 0
+    plugins = [_Order(cpu_s), _FirstFailure(folder)]
     for files in filter(None, groups):
-        code = code or pytest.main([*options_of_pytest(), *map(str, files)])
+        code = code or pytest.main([*options_of_pytest(), *map(str, files)], plugins)
     # isort: split
     import robotctl
 
     assert Path(robotctl.__file__ or "").is_relative_to(folder), robotctl.__file__
     os._exit(code)
+
+
+@dataclass(frozen=True, slots=True)
+class _Order:
+    """A plugin of pytest that lets the quick tests run first."""
+
+    cpu_s: Mapping[str, float]
+
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        items.sort(key=lambda item: self.cpu_s.get(item.nodeid, 0.0))
+
+
+@dataclass(frozen=True, slots=True)
+class _FirstFailure:
+    """A plugin of pytest that notes the file of the test that failed, or could not be loaded."""
+
+    folder: Path
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        self._note(report)
+
+    def pytest_collectreport(self, report: pytest.CollectReport) -> None:
+        self._note(report)
+
+    def _note(self, report: pytest.TestReport | pytest.CollectReport) -> None:
+        if report.failed:
+            (self.folder / FAILED).write_text(report.nodeid.partition("::")[0])
 
 
 def _end_tests(*_signal: object) -> None:

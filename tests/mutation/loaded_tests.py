@@ -1,9 +1,9 @@
 """Runs the tests of the kernel again and again without loading them again.
 
-A process loads pytest, the kernel and all tests once, and notes which test calls which function of
-the kernel. For each mutant it forks, gives one function the changed code, and runs the tests that
-call it until one fails: first those that noticed the last mutants of this function, then those that
-import its module, the quick ones first.
+A process loads pytest, the kernel and all tests once, and notes which test runs which lines of the
+kernel. For each mutant it forks, gives one function the changed code, and runs the tests that run
+the changed statement until one fails: first those that noticed the last mutants of this function,
+then the quick ones, those that import its module before the others.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import os
 import resource
 import signal
 import sys
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -39,7 +40,10 @@ from tests.mutation.mutants import KERNEL, Mutant
 FIRST_KILLERS = 8
 """How many of the tests that noticed the last mutants of a function run first."""
 
-LEAST_CPU_S, TIMES_AS_LONG = 5.0, 10.0
+QUICK_S = 0.5
+"""CPU time of a quick test, with that of noting its lines."""
+
+LEAST_CPU_S, TIMES_AS_LONG = 5.0, 4.0
 """A test may take this much CPU time, and so many times what it takes without a mutant."""
 
 
@@ -51,17 +55,26 @@ class Ran(NamedTuple):
 
 
 class Without(NamedTuple):
-    """What a test does without a mutant: its CPU time, and the functions that it calls."""
+    """What a test does without a mutant: the lines that it runs in each file, and its CPU time.
+
+    The CPU time includes that of noting the lines.
+    """
 
     cpu_s: float
-    called: tuple[str, ...]
+    lines: Mapping[str, frozenset[int]]
+
+    def runs(self, mutant: Mutant) -> bool:
+        """Return whether the test runs the statement that a mutant changes."""
+        return not self.lines.get(str(mutant.path), frozenset()).isdisjoint(mutant.lines)
 
 
 class LoadedTests:
     """The process that has loaded the tests."""
 
-    def __init__(self, connection: Connection) -> None:
+    def __init__(self, connection: Connection, cpu_s: Mapping[str, float]) -> None:
+        """`cpu_s` is the CPU time of each test without a mutant."""
         self._connection = connection
+        self.cpu_s = cpu_s
 
     def run(self, mutant: Mutant) -> Ran | None:
         """Run the tests with a mutant.
@@ -69,7 +82,7 @@ class LoadedTests:
         None: it changes more than the code of one function, or what runs only while the kernel is
         loaded, so the kernel must be loaded with it.
         """
-        self._connection.send((mutant.path, mutant.code, mutant.where))
+        self._connection.send(mutant)
         found: Ran | None = self._connection.recv()
         return found
 
@@ -87,22 +100,24 @@ def loaded_tests(folder: Path) -> Iterator[LoadedTests]:
     process.start()
     theirs.close()
     try:
-        if not _received(ours):
+        cpu_s = _received(ours)
+        if not cpu_s:
             raise RuntimeError(
                 f"the tests fail without a mutant:\n{(folder / 'output').read_text()}"
             )
-        yield LoadedTests(ours)
+        yield LoadedTests(ours, cpu_s)
     finally:
         ours.close()
         process.join(10)
         process.kill()
 
 
-def _received(connection: Connection) -> bool:
+def _received(connection: Connection) -> dict[str, float]:
     try:
-        return bool(connection.recv())
+        cpu_s: dict[str, float] = connection.recv()
     except EOFError:
-        return False
+        return {}
+    return cpu_s
 
 
 def _serve(folder: Path, connection: Connection) -> None:
@@ -125,25 +140,28 @@ class _Server:
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
         """Serve, in place of a run of the tests."""
         first, found = _in_a_copy(lambda: _watched(session, self.folder))
-        self.without = {test: Without(*each) for test, each in found.items()}
-        self.connection.send(first.code == 0)
+        for test, (cpu_s, lines) in found.items():
+            ran = {file: frozenset(numbers) for file, numbers in lines.items()}
+            self.without[test] = Without(cpu_s, ran)
+        cpu_s = {test: each.cpu_s for test, each in self.without.items()}
+        self.connection.send({} if first.code else cpu_s)
         while first.code == 0:
             try:
-                path, code, where = self.connection.recv()
+                mutant = self.connection.recv()
             except EOFError:
                 break
-            self.connection.send(self._mutated(session, path, code, where))
+            self.connection.send(self._mutated(session, mutant))
         return True
 
-    def _mutated(self, session: pytest.Session, path: Path, code: str, where: str) -> Ran | None:
-        change = change_of(path.relative_to(self.folder), code, where)
+    def _mutated(self, session: pytest.Session, mutant: Mutant) -> Ran | None:
+        where = mutant.where
+        change = change_of(mutant.path.relative_to(self.folder), mutant.code, where)
         if change is None:
             return None
-        name = name_of(change.function.__code__)
-        calling = [item for item in session.items if name in self.without[item.nodeid].called]
-        if not calling:
+        running = [item for item in session.items if self.without[item.nodeid].runs(mutant)]
+        if not running:
             return None
-        items = self._in_order(calling, path.stem, where)
+        items = self._in_order(running, mutant.path.stem, where)
 
         def run() -> tuple[Ran, Any]:
             change.make()
@@ -161,10 +179,10 @@ class _Server:
     def _in_order(self, items: Sequence[pytest.Item], module: str, where: str) -> list[pytest.Item]:
         killers = self.killers.get(where, [])
 
-        def rank(item: pytest.Item) -> tuple[int, bool, float]:
+        def rank(item: pytest.Item) -> tuple[int, bool, bool, float]:
             known = killers.index(item.nodeid) if item.nodeid in killers else len(killers)
-            is_far = not imports(item.path, module)
-            return known, is_far, self.without[item.nodeid].cpu_s
+            cpu_s = self.without[item.nodeid].cpu_s
+            return known, cpu_s > QUICK_S, not imports(item.path, module), cpu_s
 
         return sorted(items, key=rank)
 
@@ -237,34 +255,38 @@ def _caches() -> list[functools._lru_cache_wrapper[Any]]:
     return [each for each in found if isinstance(each, functools._lru_cache_wrapper)]
 
 
-def name_of(code: CodeType) -> str:
-    """Return a name for a function's code, which its code in a mutant has too."""
-    return f"{code.co_filename}:{code.co_qualname}"
-
-
-def _watched(session: pytest.Session, folder: Path) -> tuple[Ran, dict[str, Without]]:
+def _watched(
+    session: pytest.Session, folder: Path
+) -> tuple[Ran, dict[str, tuple[float, dict[str, list[int]]]]]:
     """Run all tests without a mutant, and return what each one does."""
-    codes: dict[int, CodeType] = {}
+    lines: defaultdict[str, set[int]] = defaultdict(set)
     caches = _caches()
-
-    def note(frame: FrameType, _event: str, _arg: object) -> None:
-        codes.setdefault(id(frame.f_code), frame.f_code)
-
-    found: dict[str, Without] = {}
     kernel = str(folder / KERNEL)
+
+    def note_call(frame: FrameType, _event: str, _arg: object) -> Callable[..., Any] | None:
+        if not frame.f_code.co_filename.startswith(kernel):
+            return None
+        note = lines[frame.f_code.co_filename].add
+
+        def note_line(frame: FrameType, _event: str, _arg: object) -> Callable[..., Any]:
+            note(frame.f_lineno)
+            return note_line
+
+        return note_line(frame, _event, _arg)
+
+    found: dict[str, tuple[float, dict[str, list[int]]]] = {}
     for item, following in _followed(session.items):
-        codes.clear()
+        lines.clear()
         for cache in caches:
             cache.cache_clear()  # a test that uses what another one cached depends on it, too
         begun_s = _cpu_s()
-        sys.settrace(note)
+        sys.settrace(note_call)
         try:
             item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
         finally:
             sys.settrace(None)
-        called = sorted({name_of(each) for each in codes.values()})
-        within = tuple(name for name in called if name.startswith(kernel))
-        found[item.nodeid] = Without(_cpu_s() - begun_s, within)
+        ran = {file: sorted(each) for file, each in lines.items()}
+        found[item.nodeid] = (_cpu_s() - begun_s, ran)
         if session.testsfailed:
             return Ran(1, item.nodeid), found
     return Ran(0), found

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import difflib
+import itertools
 import re
 import tomllib
 from collections.abc import Iterable, Iterator, Sequence
@@ -45,13 +46,17 @@ class Site:
 
 @dataclass(frozen=True, slots=True)
 class Mutant:
-    """The code of the module at `path` with one change: in `where`, `was` became `now`."""
+    """The code of the module at `path` with one change: in `where`, `was` became `now`.
+
+    `lines` are those of the statement, or of its head, that was changed.
+    """
 
     path: Path
     code: str
     where: str
     was: str
     now: str
+    lines: range
 
     @property
     def key(self) -> Key:
@@ -71,7 +76,8 @@ def sites(folder: Path) -> Iterator[Site]:
             operator = plugins.get_operator(name)()
             positions = [begin for node in nodes for begin, _ in operator.mutation_positions(node)]
             for occurrence, begin in enumerate(positions):
-                if not places.is_signature(begin):
+                is_unpacking = "BinaryOperator" in name and not places.has_operand_before(begin)
+                if not places.is_signature(begin) and not is_unpacking:
                     yield Site(path, name, occurrence, places.name_of(begin[0]))
 
 
@@ -84,7 +90,37 @@ def mutant_at(site: Site) -> Mutant:
         " ".join(line[1:].strip() for line in changes if line.startswith(sign)).strip()
         for sign in "-+"
     )
-    return Mutant(site.path, code, site.where, was, now)
+    return Mutant(site.path, code, site.where, was, now, _changed_lines(source, code))
+
+
+def _changed_lines(source: str, code: str) -> range:
+    """Return the lines of the innermost statement, or of its head, that became another one."""
+    before, after = source.splitlines(), code.splitlines()
+    same = _same_at_begin(before, after)
+    begin = same + 1
+    end = len(before) - _same_at_begin(before[same:][::-1], after[same:][::-1])
+    lines = range(begin, max(begin, end) + 1)
+    for node in ast.walk(ast.parse(source)):  # outer statements come before inner ones
+        if isinstance(node, ast.stmt):
+            head = _head(node)
+            if head.start <= lines.start and lines.stop <= head.stop:
+                return head
+    return lines
+
+
+def _head(node: ast.stmt) -> range:
+    """Return the lines of a statement without those of the statements in it."""
+    inner = (each for field in ("body", "cases") for each in getattr(node, field, []))
+    first = next(inner, None)
+    if first is None:
+        return range(node.lineno, (node.end_lineno or node.lineno) + 1)
+    begin = first.pattern.lineno if isinstance(first, ast.match_case) else first.lineno
+    return range(node.lineno, max(begin, node.lineno + 1))
+
+
+def _same_at_begin(one: Sequence[str], other: Sequence[str]) -> int:
+    pairs = itertools.takewhile(lambda pair: pair[0] == pair[1], zip(one, other, strict=False))
+    return sum(1 for _ in pairs)
 
 
 class _Places:
@@ -119,6 +155,11 @@ class _Places:
         """Yield each line that is in a definition, after the definition's name."""
         for number, name in self._names.items():
             yield name, self._lines[number - 1].strip()
+
+    def has_operand_before(self, place: tuple[int, int]) -> bool:
+        """Say whether the operator there has two operands: `**` in `f(**values)` has one."""
+        line, column = place
+        return self._lines[line - 1][:column].rstrip()[-1:] not in ("", *"([{,=:")
 
     def is_signature(self, place: tuple[int, int]) -> bool:
         """Say whether an annotation or a mark of a function is there; mypy holds those."""

@@ -26,7 +26,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from tests.mutation.kernel_tests import LIMIT_CODE, copied, exit_code_with
+from tests.mutation.kernel_tests import LIMIT_CODE, NewProcesses, copied
 from tests.mutation.loaded_tests import LoadedTests, loaded_tests
 from tests.mutation.mutants import (
     Key,
@@ -75,6 +75,7 @@ def report(
     """Run the mutants, print those that survive and the figures; return the exit code."""
     counts: Counter[str] = Counter()
     wrong = 0
+    anew = NewProcesses(folder, tests.cpu_s)
     begin = time.monotonic()
     for number, site in enumerate(drawn, 1):
         mutant = mutant_at(site)
@@ -82,7 +83,7 @@ def report(
         ran = tests.run(mutant)
         if ran is None:
             counts["of these loaded anew"] += 1
-            code = exit_code_with(site.path, mutant.code, folder)
+            code = anew.exit_code_with(site.path, mutant.code)
         else:
             code = ran.code
         survived = code == 0
