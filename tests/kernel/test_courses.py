@@ -10,7 +10,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from robotctl.kernel.course import MAX_POINTS, Course, Frame, Held, Point
+from robotctl.kernel.course import MAX_POINTS, PLAIN, Course, Frame, Held, Point
 from robotctl.kernel.drive import Drive
 from robotctl.kernel.geometry import ORIGIN, Pose, wrap_angle
 from robotctl.kernel.limits import limit
@@ -183,6 +183,13 @@ def test_the_plan_enters_a_segment_as_fast_as_it_can_brake_there() -> None:
     assert legs[1].last_end_speed == 0.0
 
 
+def test_the_plan_brakes_over_more_than_one_segment() -> None:
+    lines = tuple(Line(Pose(0.02 * number, 0.0, 0.0), 0.02) for number in range(3))
+    first, second, _ = speed_plan(Path(lines, 0.06, False), 0.5, LIMITS)
+    assert isclose(second.last_end_speed, sqrt(2.0 * 0.9 * 0.02))
+    assert isclose(first.last_end_speed, sqrt(2.0 * 0.9 * 0.04))
+
+
 def test_the_plan_turns_no_faster_into_a_bend_than_the_turning_rate_may_grow() -> None:
     limits = replace(LIMITS, angular_accel_rps2=0.1)
     path = path_of(Pattern(PatternKind.FIGURE_EIGHT), Course())
@@ -239,6 +246,11 @@ def test_a_rounded_corner_fits_half_a_side(corner_m: float) -> None:
     assert not Pattern(PatternKind.ROUNDED_SQUARE).refusal(Course(corner_m=corner_m))
 
 
+def test_a_rounded_square_without_room_for_sides_is_a_circle() -> None:
+    segments = path_of(Pattern(PatternKind.ROUNDED_SQUARE, 0.15), PLAIN).segments
+    assert [segment.length for segment in segments] == [pytest.approx(0.5 * pi * 0.075)] * 4
+
+
 def test_a_path_of_as_many_points_as_are_allowed_is_driven() -> None:
     points = tuple((0.1 * number, 0.0) for number in range(MAX_POINTS))
     assert not Pattern().refusal(Course(waypoints=points))
@@ -275,6 +287,22 @@ def test_what_cannot_be_driven_is_refused_by_name(
     assert bench.state.mode is Mode.IDLE
 
 
+@pytest.mark.parametrize(
+    "course",
+    [
+        *(Course(angle_rad=side * angle) for side in (-1.0, 1.0) for angle in (0.01, 100.0)),
+        *(Course(corner_m=corner_m, waypoints=ZIGZAG) for corner_m in (0.0, 0.02, 10.0)),
+        Course(waypoints=((1e4, -1e4), (-1e4, 1e4))),
+        Course(waypoints=((0.0, 0.0), (0.001, 0.0))),
+        Course(held=Held(0.1, 0.0, 0.02)),
+        Course(held=Held(0.1, 0.0, 600.0)),
+        Course(held=Held(0.1, 0.0, 0.125, heard_t_ns=0)),
+    ],
+)
+def test_what_lies_at_a_limit_is_driven(course: Course) -> None:
+    assert course.refusal() == ""
+
+
 def test_points_in_one_place_are_one_point() -> None:
     twice = tuple(point for point in ZIGZAG for _ in range(2))
     assert waypoint_path(twice, 0.1, again=False) == waypoint_path(ZIGZAG, 0.1, again=False)
@@ -282,6 +310,8 @@ def test_points_in_one_place_are_one_point() -> None:
 
 def test_a_way_back_from_the_start_has_no_segments() -> None:
     assert waypoint_path(((0.0, 0.0),), 0.1, again=True).segments == ()
+    near = waypoint_path(((1.0, 0.0), (0.0005, 0.0)), 0.1, again=True)
+    assert [segment.length for segment in near.segments] == [1.0, pi, 0.9995, pi]
 
 
 def test_a_motion_has_a_name() -> None:

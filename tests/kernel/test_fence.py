@@ -78,6 +78,10 @@ def test_the_fence_turns_and_moves_with_the_start(
     assert "4.00 m from its start" in left_by(fence, origin, origin.compose(far))
 
 
+def test_the_line_of_a_round_fence_belongs_to_it() -> None:
+    assert left_by(FenceParams(radius_m=5.0), ORIGIN, Pose(3.0, 4.0, 0.0)) == ""
+
+
 @pytest.mark.parametrize("pose", [Pose(nan, 0.0, 0.0), Pose(0.0, inf, 0.0)])
 def test_a_pose_that_is_no_number_is_outside(pose: Pose) -> None:
     assert left_by(FenceParams(radius_m=1.0), ORIGIN, pose)

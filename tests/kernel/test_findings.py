@@ -132,6 +132,16 @@ FINDINGS: list[tuple[Cause, Health, str]] = [
         listeners(0, "a/msg/A", "b/msg/B"),
         "the robot takes a/msg/A, b/msg/B on cmd_vel, not geometry_msgs/msg/Twist",
     ),
+    (
+        Cause.RECORDER_FAILED,
+        replace(HEALTHY, reported=((Cause.RECORDER_FAILED, "the disk is full"),)),
+        "the disk is full",
+    ),
+    (
+        Cause.RECORDER_FAILED,
+        replace(HEALTHY, reported=((Cause.RECORDER_FAILED, ""),)),
+        Cause.RECORDER_FAILED.value,
+    ),
     (Cause.TICK_OVERRUN, replace(HEALTHY, tick_gap_s=0.4), "no control tick for 0.40 s"),
     (
         Cause.TICK_OVERRUN,

@@ -15,6 +15,7 @@ from robotctl.kernel.obstacles import (
     _along_path,
     _side_m,
     distance_ahead,
+    farthest_m,
     free_beside_m,
     is_free,
 )
@@ -71,6 +72,34 @@ def test_only_what_lies_in_the_path_counts(
 
 def test_the_distance_is_that_of_the_front() -> None:
     assert ahead(1.0, 0.0, FORWARD) == pytest.approx(0.75, abs=0.01)
+    assert _along_path(1.0, 1.0, LEFT, PARAMS) == pytest.approx(pi / 2.0 - 0.25)
+    assert _along_path(1.0, -1.0, RIGHT, PARAMS) == pytest.approx(pi / 2.0 - 0.25)
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "command", "distance_m"),
+    [
+        (0.0, 0.0, FORWARD, 0.0),
+        (1.0, 0.25, FORWARD, 0.75),
+        (1.0, -0.25, FORWARD, 0.75),
+        (1.0, 0.26, FORWARD, inf),
+        (0.0, 0.25, LEFT, 0.0),
+        (-0.01, 0.0, LEFT, inf),
+        (0.25, 0.25, Twist(0.0, 1.0), 0.0),
+        (0.25, 0.26, Twist(0.0, 1.0), inf),
+        (0.5, 0.0, Twist(0.001, 0.1), inf),
+        (0.5, 0.0, Twist(0.0009, 0.0), 0.25),
+    ],
+)
+def test_the_edge_of_the_robot_belongs_to_it(
+    x: float, y: float, command: Twist, distance_m: float
+) -> None:
+    assert _along_path(x, y, command, PARAMS) == pytest.approx(distance_m)
+
+
+def test_an_obstacle_counts_as_far_as_it_can_be_on_a_path() -> None:
+    params = replace(PARAMS, x_m=0.5, y_m=-0.125)
+    assert farthest_m(params, 1.0) == 1.0 + 0.25 + 0.25 + 0.5 + 0.125
 
 
 RANGES = st.lists(st.floats(0.05, 2.0), min_size=SECTORS, max_size=SECTORS)

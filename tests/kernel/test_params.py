@@ -18,7 +18,7 @@ DOCUMENTED = dict(re.findall(r"^\| `([\w.]+)` \| (\S* \| [^|]*?) \|", PAGE, re.M
 
 
 def parameters(values: Any, prefix: str = "") -> Iterator[tuple[str, str]]:
-    """Yield the key of every number and topic, and the row that the page must have for it."""
+    """Yield the key of each number, topic and frame, and the row that the page must have for it."""
     for field in fields(values):
         value = getattr(values, field.name)
         if is_dataclass(value):
@@ -30,6 +30,9 @@ def parameters(values: Any, prefix: str = "") -> Iterator[tuple[str, str]]:
         elif field.metadata.get("topic"):
             none = '; "" for none' if field.metadata["optional"] else ""
             yield f"{prefix}{field.name}", f"{value} | a topic{none}"
+        elif field.metadata.get("frame"):
+            none = '; "" for any' if field.metadata["optional"] else ""
+            yield f"{prefix}{field.name}", f"{value} | the name of a frame{none}"
 
 
 PARAMETERS = dict(parameters(KernelParams()))

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from math import nan
 
 import pytest
 
 from robotctl.kernel.course import MAX_QUIET_S, Course, Held
+from robotctl.kernel.drive import Drive
+from robotctl.kernel.geometry import ORIGIN
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.patterns import Pattern, named
+from robotctl.kernel.reference import Progress
 from robotctl.kernel.types import ZERO, PublishTwist, Twist
 from robotctl.testing.kernels import Bench, drive_simulated, ready
 
@@ -79,6 +83,12 @@ def test_what_ends_the_silence_sends_zero_at_once_and_no_ramp(
     bench.tick()
     assert bench.state.mode is not Mode.MOVING
     assert set(bench.commands[before:]) == {ZERO}
+
+
+def test_the_silence_begins_when_the_time_is_over() -> None:
+    drive = Drive(1, Pattern(), 1, ORIGIN, Progress(length=1.0), course=Course(held=HELD))
+    assert drive.is_quiet
+    assert not replace(drive, progress=Progress(length=0.99)).is_quiet
 
 
 def test_in_silence_the_command_counts_as_going_on_so_that_obstacles_still_stop() -> None:

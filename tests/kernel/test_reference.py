@@ -96,6 +96,19 @@ def test_a_circle_brakes_at_the_end_of_the_last_lap_alone() -> None:
     assert isclose(last.speed, braking(0.35, 0.1, 0.01))
 
 
+def test_a_circle_too_small_to_brake_in_brakes_as_the_last_lap_begins() -> None:
+    pattern, limits = Pattern(PatternKind.CIRCLE, 0.1, 0.6), VelocityLimits(1.0, 9.0, 0.4, 9.0)
+    crossing = going(0.6, length=Circle(0.1).length + 0.002)
+
+    def speed(laps: int, at: Progress = crossing) -> float:
+        return drive(pattern, at, laps).advance(0.01, FAR, limits, 1).progress.speed
+
+    assert speed(0) == speed(3) == 0.6
+    assert speed(0, replace(crossing, laps=5)) == 0.6
+    assert speed(2) < 0.6
+    assert speed(3, replace(crossing, laps=1)) == speed(2)
+
+
 def test_what_a_step_has_left_at_a_flowing_end_is_driven_on_the_next_lap() -> None:
     ended = drive(CIRCLE, going(0.45, length=Circle(0.4).length - 0.001), laps=2)
     at = after(ended, 0.01, Pose(0.03, 0.04, 0.0))
