@@ -158,9 +158,13 @@ class Drive:
 
     def measured(self, pose: Pose, moved_m: float) -> Drive:
         """Return the drive with one more sample: the robot moved by `moved_m` and is at `pose`."""
-        at, so_far, path = self.progress, self.score, self.path
+        return self._scored(self.score_after(self.score, pose, moved_m))
+
+    def score_after(self, so_far: Score, pose: Pose, moved_m: float) -> Score:
+        """Return the score `so_far` with one more sample; that of the drive does not count."""
+        at, path = self.progress, self.path
         if not path.segments:
-            return self._scored(replace(so_far, distance_m=so_far.distance_m + moved_m))
+            return replace(so_far, distance_m=so_far.distance_m + moved_m)
         local = self.origin.express(self._heading_of_travel(pose))
         cross_m = path.distance_to(local, at.segment, at.length)
         segment = path.segments[at.segment]
@@ -168,7 +172,7 @@ class Drive:
         error_m = wanted.distance(local)
         heading_rad = abs(wrap_angle(wanted.theta - local.theta))
         lost = error_m > path.reach_m or (segment.turns and heading_rad > LOST_RAD)
-        score = Score(
+        return Score(
             so_far.samples + 1,
             so_far.squared_error_sum + cross_m * cross_m,
             max(so_far.max_error_m, cross_m),
@@ -177,7 +181,6 @@ class Drive:
             so_far.squared_heading_sum + heading_rad * heading_rad,
             max(so_far.max_heading_rad, heading_rad),
         )
-        return self._scored(score)
 
     def cross_track_m(self, pose: Pose) -> float:
         """Return the distance of a pose from the path, near the reference [m]."""

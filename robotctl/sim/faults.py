@@ -38,7 +38,8 @@ class Faults:
         self._left_s: dict[SimFault, float] = {}
 
     def __contains__(self, fault: SimFault) -> bool:
-        return fault in self._left_s
+        left_s = self._left_s
+        return bool(left_s) and fault in left_s  # nearly always none: no member is hashed then
 
     def begin(self, fault: SimFault, for_s: float) -> None:
         """Begin a fault, or change the rest of its time."""

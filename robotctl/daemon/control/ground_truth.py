@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from math import nan, sqrt
 from typing import NamedTuple
 
@@ -50,7 +49,7 @@ class GroundTruth:
             self._score, self._laps, self._closure_m = Score(), 0, nan
         self._drive = drive
         pose = self._seen_from_odometry(true)
-        self._score = replace(drive, score=self._score).measured(pose, 0.0).score
+        self._score = drive.score_after(self._score, pose, 0.0)
         if drive.progress.laps != self._laps:
             self._laps = drive.progress.laps
             is_at_end = drive.finished and not drive.path.closed
