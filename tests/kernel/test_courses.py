@@ -18,7 +18,7 @@ from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams, VelocityLimits
 from robotctl.kernel.path import Path
 from robotctl.kernel.patterns import SHAPES, Pattern, PatternKind, named, path_of
-from robotctl.kernel.segments import Line
+from robotctl.kernel.segments import Line, Turn
 from robotctl.kernel.speed_plan import speed_plan
 from robotctl.kernel.tracking import Reference
 from robotctl.kernel.types import Cause, Twist
@@ -66,6 +66,23 @@ def test_an_open_pattern_ends_where_it_leads(
     assert result.pose.distance(wanted) <= 0.03
     assert abs(wrap_angle(result.pose.theta - wanted.theta)) <= 0.04
     assert all(side * command.linear >= -0.05 for command in result.commands)
+
+
+@pytest.mark.parametrize("kind", [PatternKind.ARC, PatternKind.TURN])
+def test_a_small_angle_leads_to_its_side_too(kind: PatternKind) -> None:
+    for angle_rad in (0.5, -0.5):
+        end = path_of(Pattern(kind, 1.0), Course(angle_rad=angle_rad)).end
+        assert isclose(end.theta, angle_rad)
+
+
+@pytest.mark.parametrize("kind", PatternKind)
+def test_a_pattern_tells_what_shapes_it(kind: PatternKind) -> None:
+    pattern, shape = Pattern(kind, 1.0), SHAPES[kind]
+    plain = path_of(pattern, PLAIN)
+    assert (path_of(pattern, Course(angle_rad=1.0)) != plain) is shape.has_angle
+    assert (path_of(pattern, Course(corner_m=0.2)) != plain) is shape.has_corner
+    assert plain.closed is shape.closed
+    assert (path_of(Pattern(kind, 2.0), PLAIN) != plain) is (shape.size_name is not None)
 
 
 def test_laps_of_an_open_pattern_begin_where_the_last_one_ended() -> None:
@@ -166,6 +183,17 @@ def test_a_corner_that_is_too_sharp_for_an_arc_is_turned_on_the_spot() -> None:
         assert sum(segment.turns for segment in path.segments) == turns
 
 
+@pytest.mark.parametrize(
+    ("y", "turned_rad"), [(0.5, 0.4636), (-0.5, -0.4636), (0.021, 0.021), (0.0, 0.0), (0.019, 0.0)]
+)
+def test_a_path_that_begins_aside_begins_with_a_turn_on_the_spot(
+    y: float, turned_rad: float
+) -> None:
+    first = waypoint_path(((0.0, 0.0), (1.0, y)), 0.1, again=False).segments[0]
+    turned = first.pose_at(first.length).theta if first.turns else 0.0
+    assert isclose(turned, turned_rad, abs_tol=1e-4)
+
+
 def test_the_plan_slows_down_before_a_bend_and_speeds_up_after_it() -> None:
     legs = speed_plan(path_of(Pattern(PatternKind.ROUNDED_SQUARE), Course()), 0.5, LIMITS)
     side, corner = legs[0], legs[1]
@@ -181,6 +209,14 @@ def test_the_plan_enters_a_segment_as_fast_as_it_can_brake_there() -> None:
     assert isclose(legs[0].last_end_speed, sqrt(2.0 * 0.9 * 0.02))
     assert legs[0].end_speed == legs[1].end_speed == 0.5  # another lap follows
     assert legs[1].last_end_speed == 0.0
+
+
+def test_the_plan_ends_a_lap_as_slowly_as_the_next_one_begins() -> None:
+    begin, end = Line(ORIGIN, 0.02), Line(Pose(0.02, 0.0, 0.0), 1.0)
+    corner = Turn(Pose(0.02, 0.0, 0.0), 0.1)
+    legs = speed_plan(Path((begin, corner, end), 1.0), 0.5, LIMITS)
+    assert isclose(legs[2].end_speed, sqrt(2.0 * 0.9 * 0.02))
+    assert legs[2].last_end_speed == 0.0
 
 
 def test_the_plan_brakes_over_more_than_one_segment() -> None:
@@ -246,6 +282,12 @@ def test_a_rounded_corner_fits_half_a_side(corner_m: float) -> None:
     assert not Pattern(PatternKind.ROUNDED_SQUARE).refusal(Course(corner_m=corner_m))
 
 
+def test_a_corner_that_rounds_no_square_need_not_fit_a_side() -> None:
+    assert not Pattern(PatternKind.SQUARE).refusal(Course(corner_m=0.6))
+    waypoints = Course(corner_m=0.6, waypoints=ZIGZAG)
+    assert not Pattern(PatternKind.ROUNDED_SQUARE).refusal(waypoints)
+
+
 def test_a_rounded_square_without_room_for_sides_is_a_circle() -> None:
     segments = path_of(Pattern(PatternKind.ROUNDED_SQUARE, 0.15), PLAIN).segments
     assert [segment.length for segment in segments] == [pytest.approx(0.5 * pi * 0.075)] * 4
@@ -270,6 +312,7 @@ def test_a_path_of_as_many_points_as_are_allowed_is_driven() -> None:
         (Pattern(), Course(corner_m=10.1, waypoints=ZIGZAG), "0.02 to 10 m"),
         (Pattern(), Course(corner_m=nan), "a corner of nan m"),
         (Pattern(), Course(angle_rad=0.0), "an angle of 0 rad"),
+        (Pattern(), Course(angle_rad=-100.1), "0.01 to 100 rad"),
         (Pattern(PatternKind.ROUNDED_SQUARE), Course(corner_m=0.6), "0.02 to 0.5 m"),
         (Pattern(PatternKind.ROUNDED_SQUARE, 2.0), Course(corner_m=1.1), "0.02 to 1 m"),
         (Pattern(), Course(waypoints=((0.0, 0.0), (0.0009, 0.0))), "the same"),
@@ -294,6 +337,8 @@ def test_what_cannot_be_driven_is_refused_by_name(
         *(Course(corner_m=corner_m, waypoints=ZIGZAG) for corner_m in (0.0, 0.02, 10.0)),
         Course(waypoints=((1e4, -1e4), (-1e4, 1e4))),
         Course(waypoints=((0.0, 0.0), (0.001, 0.0))),
+        Course(waypoints=((0.0, 0.0), (0.0, -0.001))),
+        Course(waypoints=((0.0, 0.0), (0.0, 1.0))),
         Course(held=Held(0.1, 0.0, 0.02)),
         Course(held=Held(0.1, 0.0, 600.0)),
         Course(held=Held(0.1, 0.0, 0.125, heard_t_ns=0)),

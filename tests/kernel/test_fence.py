@@ -67,6 +67,23 @@ def test_a_polygon_may_be_concave(x: float, y: float, inside: bool) -> None:
     assert is_inside(x, y, L_SHAPE[::-1]) is inside
 
 
+@pytest.mark.parametrize(
+    ("x", "y", "inside"),
+    [(1.9, 2.0, True), (1.4, 2.0, False), (4.1, 2.0, True), (4.6, 2.0, False), (3.0, 4.0, True)],
+)
+def test_a_side_of_a_polygon_may_slant(x: float, y: float, inside: bool) -> None:
+    triangle = corners_of("1,1 5,1 3,5")
+    assert is_inside(x, y, triangle) is inside
+    assert is_inside(x, y, triangle[::-1]) is inside
+
+
+@pytest.mark.parametrize(("x", "inside"), [(-2.0, False), (0.0, True), (2.0, False)])
+def test_a_corner_as_far_ahead_as_the_robot_does_not_count_twice(x: float, inside: bool) -> None:
+    diamond = corners_of("0,-1 1,0 0,1 -1,0")
+    assert is_inside(x, 0.0, diamond) is inside
+    assert is_inside(x, 0.0, diamond[::-1]) is inside
+
+
 @given(st.floats(-9, 9), st.floats(-9, 9), st.floats(-pi, pi), st.floats(0.0, 1.9), st.floats(0, 6))
 def test_the_fence_turns_and_moves_with_the_start(
     x: float, y: float, theta: float, distance_m: float, angle: float

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, isclose, isnan, pi, sin
+from math import cos, isclose, isnan, nextafter, pi, sin
 
 import pytest
 from hypothesis import given
@@ -66,6 +66,12 @@ def test_an_orientation_that_is_a_tenth_off_is_still_one(length: float) -> None:
 )
 def test_an_angle_is_wrapped_to_half_a_turn_each_way(angle: float, same: float) -> None:
     assert isclose(wrap_angle(angle), same, abs_tol=1e-12)
+
+
+@pytest.mark.parametrize("angle", [nextafter(pi, 4.0), -1.0 - 2.0**-51, 2.0, 9.0, -pi])
+def test_an_angle_that_was_wrapped_stays_the_same_number(angle: float) -> None:
+    wrapped = wrap_angle(angle)
+    assert wrap_angle(wrapped) == wrapped
 
 
 @given(COORDINATE, COORDINATE, ANGLE, COORDINATE, COORDINATE, ANGLE)

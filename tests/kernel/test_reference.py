@@ -88,6 +88,20 @@ def test_the_reference_brakes_so_that_it_stands_at_the_stop() -> None:
         assert isclose(at.length, length + 0.01 * at.speed)
 
 
+@pytest.mark.parametrize(("early_m", "brakes"), [(1e-6, False), (-1e-6, True)])
+def test_the_reference_brakes_no_tick_earlier_than_it_must(early_m: float, brakes: bool) -> None:
+    left_m = 0.4545 * (0.4545 + 0.45 * 0.01) / (2.0 * 0.45) + early_m
+    at = after(drive(SQUARE, going(0.45, length=1.0 - left_m)), 0.01)
+    assert isclose(at.speed, braking(0.45, left_m, 0.01) if brakes else 0.4545, rel_tol=1e-9)
+
+
+@pytest.mark.parametrize(("ahead_m", "stands"), [(2e-9, False), (1.99e-9, True)])
+def test_less_than_a_nanometre_before_a_stop_is_rounding(ahead_m: float, stands: bool) -> None:
+    """The reference does a nanometre in this tick: one or less is left."""
+    at = Progress(ahead=ahead_m, rates=(2e-9,))
+    assert advanced(at, (Leg(ahead_m, 1.0, 1.0, 0.0, 0.0),), 1, 1.0, 2)[1] is stands
+
+
 def test_a_circle_brakes_at_the_end_of_the_last_lap_alone() -> None:
     near_end = going(0.4, length=Circle(0.4).length - 0.1)
     assert after(drive(CIRCLE, near_end, laps=2), 0.01).speed > 0.4
@@ -157,10 +171,10 @@ def test_a_robot_waits_at_a_stop_for_at_most_0_6_s() -> None:
 
 
 def test_a_lap_of_the_square_has_eight_segments_and_ends_where_the_robot_is() -> None:
-    at = Progress(segment=7, length=pi / 2, closure_m=0.5)
+    at = Progress(segment=7, length=pi / 2, settling_s=0.3, closure_m=0.5)
     origin = Pose(1.0, 2.0, 0.0)
     ended = replace(drive(SQUARE, at), origin=origin).advance(0.02, origin, LIMITS, 1)
-    assert (ended.progress.laps, ended.progress.closure_m) == (1, 0.0)
+    assert ended.progress == replace(at, laps=1, settling_s=0.0, closure_m=0.0)
     assert ended.finished
     assert isnan(Progress().closure_m)
 
@@ -181,7 +195,8 @@ def test_the_figures_of_the_last_lap_stay_during_the_next() -> None:
 
 def test_a_step_of_no_time_changes_nothing() -> None:
     begun = drive(SQUARE, going(0.3, length=0.2))
-    assert begun.advance(0.0, FAR, LIMITS, 4) is begun
+    for dt_s in (0.0, -0.02):
+        assert begun.advance(dt_s, FAR, LIMITS, 4) is begun
 
 
 def test_the_reference_tells_a_speed_ahead_or_a_rate_of_turning() -> None:
@@ -314,6 +329,21 @@ def test_an_open_path_does_not_go_on_at_its_other_end() -> None:
     sides = (Line(ORIGIN, 1.0), Line(Pose(1.0, 0.0, pi / 2), 1.0), Line(Pose(1.0, 1.0, pi), 1.0))
     path = Path(sides, 1.0, closed=False)
     assert isclose(path.distance_to(Pose(-0.3, 1.0, 0.0), 0, 0.02), hypot(0.3, 1.0))
+    path = Path((*sides[:2], Turn(Pose(1.0, 1.0, pi / 2), pi / 2)), 1.0, closed=False)
+    assert isclose(path.distance_to(Pose(0.5, 0.0, 0.0), 2, 0.1), 0.5)
+
+
+def test_the_path_is_searched_for_5_cm_behind_the_reference_and_no_further() -> None:
+    sides = (Line(ORIGIN, 1.0), Line(Pose(1.0, 0.0, pi / 2), 1.0))
+    path, behind = Path(sides, 1.0, closed=False), Pose(0.8, 0.0, 0.0)
+    assert isclose(path.distance_to(behind, 1, 0.049), 0.0, abs_tol=1e-12)
+    assert isclose(path.distance_to(behind, 1, 0.05), 0.2)
+
+
+def test_the_path_behind_the_reference_may_have_short_segments() -> None:
+    steps = (Line(ORIGIN, 0.02), Line(Pose(0.02, 0.0, pi / 2), 0.02), Line(Pose(0.02, 0.02), 1.0))
+    path = Path(steps, 1.0, closed=False)
+    assert isclose(path.distance_to(Pose(0.01, -0.003), 2, 0.01), 0.003)
 
 
 def test_in_a_corner_of_an_open_path_the_side_after_it_counts() -> None:
@@ -338,6 +368,15 @@ def test_the_reference_of_a_slow_base_is_in_the_next_segment_already() -> None:
     assert driven.reference(lag_s=0.04).curvature == arc.curvature_at(0.01) > 0.0
 
 
+def test_the_curvature_for_a_slow_base_is_that_of_the_place_ahead() -> None:
+    parts = lap_of(PatternKind.FIGURE_EIGHT, 0.5).segments
+    driven = drive(
+        Pattern(PatternKind.FIGURE_EIGHT, 0.5), going(0.5, length=parts[0].length - 0.01)
+    )
+    ahead = driven.reference(lag_s=0.06).curvature
+    assert isclose(ahead, parts[1].curvature_at(0.02))
+
+
 def test_a_lead_that_has_arrived_waits_for_the_reference() -> None:
     legs = legs_for(lap_of(PatternKind.SQUARE, 1.0), 0.5, LIMITS)
     at, stands, ticks = going(0.3, length=0.9), False, 0
@@ -354,6 +393,16 @@ def test_a_drive_that_goes_on_begins_within_its_first_segment_or_at_rest() -> No
     short, long = Leg(0.01, 1.0, 1.0, 0.0, 0.0), Leg(1.0, 1.0, 1.0, 0.0, 0.0)
     assert begun(0.5, 5, 0.02, (short, long), turns=False) == Progress()
     assert begun(0.5, 5, 0.02, (long, short), turns=False).speed == 0.5
+    assert begun(0.5, 5, 0.25, (replace(long, length=0.25),), turns=False) == Progress()
+
+
+@pytest.mark.parametrize("ticks", [1, 2, 5])
+def test_a_drive_that_goes_on_moves_as_if_it_had_come_from_before(ticks: int) -> None:
+    leg = Leg(1.0, 0.5, 1.0, 0.0, 0.0)
+    at = begun(0.5, ticks, 0.125, (leg,), turns=False)
+    assert len(at.rates) == ticks - 1, "the next tick makes it as many as an acceleration takes"
+    next_at, _ = advanced(at, (leg,), 0, 0.125, ticks)
+    assert (next_at.speed, next_at.accel, next_at.ahead) == (0.5, 0.0, at.ahead)
 
 
 @pytest.mark.parametrize("open_loop", [True, False])
