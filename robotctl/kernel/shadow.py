@@ -110,9 +110,7 @@ class Shadow:
 
     def _change(self, driving: Sequence[Effect]) -> None:
         for effect in driving:
-            if not isinstance(effect, ParameterChanged) or effect.key in self._own:
-                continue
-            if effect.key in kernel_leaves():
+            if isinstance(effect, ParameterChanged) and self._takes(effect.key):
                 params = with_text(self.params, effect.key, effect.new)
                 if conflict(params) is not None:
                     raise ValueError(f"{effect.key} = {effect.new} does not fit its own parameters")

@@ -51,6 +51,7 @@ class StatusSource:
         self._scheduling = scheduling
         self._parts = parts
         self._socket = str(socket_path(options.robot))
+        self._discovery_range, self._wider_discovery = discovery_range(), wider_discovery()
         self._started = time.monotonic()
 
     def stats(self) -> RecorderStats:
@@ -72,7 +73,7 @@ class StatusSource:
             "warnings": self.warnings(stats),
             "namespace": self._options.namespace,
             "domain_id": self._options.domain_id,
-            "discovery_range": discovery_range(),
+            "discovery_range": self._discovery_range,
             "scheduling": self._scheduling,
             "socket": self._socket,
             "uptime_s": round(time.monotonic() - self._started, 3),
@@ -103,5 +104,5 @@ class StatusSource:
         yield from self._recording.warnings(stats)
         yield from self._robot.warnings()
         yield from filter(None, (part() for part in self._parts))
-        if wider := wider_discovery():
-            yield f"ROS discovery is not limited to this machine: {wider}"
+        if self._wider_discovery:
+            yield f"ROS discovery is not limited to this machine: {self._wider_discovery}"

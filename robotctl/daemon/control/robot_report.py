@@ -28,24 +28,27 @@ from robotctl.kernel.units import NS_PER_S
 MAX_DRIVEN_POSES = 20_000
 """Limit of the driven path; above it every second pose is removed."""
 
-WARNED = (
-    Cause.NOT_ACTIVE,
-    Cause.ESTOP_PRESSED,
-    Cause.ESTOP_SILENT,
-    Cause.FENCE_LEFT,
-    Cause.OBSTACLE_NEAR,
-    Cause.SCAN_LOST,
-    Cause.BUMPER_PRESSED,
-    Cause.TILTED,
-    Cause.BASE_FAULT,
-    Cause.INPUT_LOST,
-    Cause.GATE_LOST,
-    Cause.FOREIGN_PUBLISHER,
-    Cause.SECOND_ODOMETRY,
-    Cause.COMMAND_UNHEARD,
-    Cause.COMMAND_TYPES_MIXED,
+_WARNING_CHECKS = tuple(
+    RULE_OF[cause].check
+    for cause in (
+        Cause.NOT_ACTIVE,
+        Cause.ESTOP_PRESSED,
+        Cause.ESTOP_SILENT,
+        Cause.FENCE_LEFT,
+        Cause.OBSTACLE_NEAR,
+        Cause.SCAN_LOST,
+        Cause.BUMPER_PRESSED,
+        Cause.TILTED,
+        Cause.BASE_FAULT,
+        Cause.INPUT_LOST,
+        Cause.GATE_LOST,
+        Cause.FOREIGN_PUBLISHER,
+        Cause.SECOND_ODOMETRY,
+        Cause.COMMAND_UNHEARD,
+        Cause.COMMAND_TYPES_MIXED,
+    )
 )
-"""Failed start conditions that are warnings even if no motion is requested."""
+"""Those of the start conditions whose failure is a warning even if no motion is requested."""
 
 RECENT_S = 600.0
 """How long `status` mentions a problem that is over."""
@@ -182,11 +185,11 @@ class RobotReport:
     def warnings(self) -> Iterator[str]:
         """Yield what is wrong with the robot, or may be."""
         health, now_ns = self._control.state.health, time.monotonic_ns()
-        for cause in WARNED:
-            problem = RULE_OF[cause].check(health, self._control.params, now_ns)
+        params = self._control.params
+        for check in _WARNING_CHECKS:
+            problem = check(health, params, now_ns)
             if problem:
                 yield problem
-        params = self._control.params
         if params.command.foreign is Foreign.WARN:
             yield from filter(None, [foreign_command(health, params, now_ns)])
         yield from _recent(health, now_ns)
@@ -194,7 +197,7 @@ class RobotReport:
             yield health.odometry_fault
         if health.odometry is not None and not self.is_connected():
             yield "odometry is older than its timeout"
-        if stands_alone(health, self._control.params):
+        if stands_alone(health, params):
             yield ALONE
         yield from _battery_low(health, params)
         if not params.battery.topic:
