@@ -109,11 +109,12 @@ class Shadow:
         return None if found is None else mine
 
     def _change(self, driving: Sequence[Effect]) -> None:
-        for effect in driving:
-            if isinstance(effect, ParameterChanged) and self._takes(effect.key):
-                params = with_text(self.params, effect.key, effect.new)
+        changes = [effect for effect in driving if isinstance(effect, ParameterChanged)]
+        for change in changes:
+            if change.key in kernel_leaves() and change.key not in self._own:
+                params = with_text(self.params, change.key, change.new)
                 if conflict(params) is not None:
-                    raise ValueError(f"{effect.key} = {effect.new} does not fit its own parameters")
+                    raise ValueError(f"{change.key} = {change.new} does not fit its own parameters")
                 self._kernel.params = params
 
     def _disagreement(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from enum import Enum
 from typing import Any, get_args
 
@@ -13,9 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robotctl.kernel.codec import from_json, to_json
+from robotctl.kernel.command_types import TWIST
+from robotctl.kernel.course import PLAIN
 from robotctl.kernel.drive import Drive
 from robotctl.kernel.geometry import ORIGIN
 from robotctl.kernel.kernel import Kernel
+from robotctl.kernel.lease import LeaseLost, LeaseRequested
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.parameter_change import ParameterChanged
 from robotctl.kernel.params import KernelParams
@@ -24,18 +27,26 @@ from robotctl.kernel.state import State
 from robotctl.kernel.types import (
     ZERO,
     BatteryReceived,
+    CommandListenersSeen,
     DriveEnded,
     DriveReport,
+    DriveRequested,
     Effect,
     Event,
+    GuardedCommandReceived,
+    HoldReceived,
     LatchEmergencyStop,
     ModeChanged,
     ModeRequested,
     Odometry,
+    OdometrySourceFound,
     OdomReceived,
     PublishTwist,
     ReleaseEmergencyStop,
     Reply,
+    ResetRequested,
+    SafetyInputReceived,
+    ScanReceived,
     Tick,
 )
 from robotctl.testing.kernels import moving
@@ -218,3 +229,28 @@ def test_what_an_older_version_did_not_write_is_unknown_or_nothing() -> None:
     sample = Odometry(ORIGIN, ZERO, 1)
     text = '{"t_ns":7,"odometry":{"pose":{},"velocity":{},"stamp_ns":1}}'
     assert from_json(OdomReceived, text) == OdomReceived(7, sample, source=0, sequence=0)
+
+
+WITHOUT = {
+    Tick: {"missed": 0},
+    OdomReceived: {"source": 0, "sequence": 0},
+    OdometrySourceFound: {"frame_id": ""},
+    BatteryReceived: {"publisher": "", "sequence": 0},
+    SafetyInputReceived: {"detail": "", "publisher": "", "sequence": 0},
+    ScanReceived: {"publisher": "", "sequence": 0},
+    GuardedCommandReceived: {"publisher": "", "sequence": 0},
+    ModeRequested: {"client": 0, "reason": "", "remote": False},
+    ResetRequested: {"reason": ""},
+    DriveRequested: {"client": 0, "reason": "", "course": PLAIN, "remote": False},
+    HoldReceived: {"client": 0},
+    LeaseRequested: {"reason": ""},
+    LeaseLost: {"how": "its connection closed"},
+    CommandListenersSeen: {"type_name": TWIST},
+}
+"""What the events of a journal hold where a version before a field was added wrote them."""
+
+
+@pytest.mark.parametrize("kind", get_args(Event), ids=lambda kind: kind.__name__)
+def test_an_event_of_an_older_version_comes_from_nobody_in_particular(kind: type) -> None:
+    defaults = {field.name: field.default for field in fields(kind) if field.default is not MISSING}
+    assert defaults == WITHOUT.get(kind, {})

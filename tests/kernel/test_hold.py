@@ -124,7 +124,8 @@ def test_silence_cuts_a_ramp() -> None:
     assert bench.state.reason == "requested by test"
 
 
-def test_nobody_steers_a_hold_but_the_client_that_has_the_lease() -> None:
+@pytest.mark.parametrize("other", [6, 8])
+def test_nobody_steers_a_hold_but_the_client_that_has_the_lease(other: int) -> None:
     bench = ready()
     bench.give(LeaseRequested(bench.t_ns, bench.new_request_id(), True, 7, "holder"))
     number = bench.new_request_id()
@@ -136,20 +137,30 @@ def test_nobody_steers_a_hold_but_the_client_that_has_the_lease() -> None:
     )
     hold(bench, number, 20, client=7)
     assert bench.state.command == FORWARD
-    hold(bench, number, 10, Twist(0.5, 0.0), client=8)
+    hold(bench, number, 10, Twist(0.5, 0.0), client=other)
     assert (bench.state.mode, bench.state.command) == (Mode.IDLE, ZERO), "it is silence"
 
 
-def test_another_number_and_another_motion_are_not_held() -> None:
+@pytest.mark.parametrize("other", [-1, 1])
+def test_another_number_does_not_hold_this_motion(other: int) -> None:
     bench, number = held()
-    hold(bench, number + 1, 10)
+    hold(bench, number + other, 10)
     assert bench.state.mode is Mode.IDLE
+
+
+def test_a_motion_that_is_not_held_to_run_takes_no_other_velocity() -> None:
+    bench = ready()
     bench.drive(course=Course(held=Held(0.1, 0.0, 1.0)))
     drive = bench.state.drive
     assert drive is not None
     bench.give(HoldReceived(bench.t_ns, drive.request_id, FORWARD))
     bench.run(20)
     assert bench.state.command == Twist(0.1, 0.0)
+    bench.drive(replacing=True)
+    before = bench.state
+    assert before.drive is not None
+    assert bench.give(HoldReceived(bench.t_ns, before.drive.request_id, FORWARD)) == ()
+    assert bench.state == before
 
 
 @pytest.mark.parametrize("twist", [Twist(nan, 0.0), Twist(0.1, inf), Twist(-inf, nan)])

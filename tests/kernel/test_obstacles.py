@@ -9,6 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robotctl.kernel.health import Health, Scan
+from robotctl.kernel.input_checks import scan_lost
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.obstacles import (
     ScanParams,
@@ -22,6 +24,7 @@ from robotctl.kernel.obstacles import (
 from robotctl.kernel.params import KernelParams, VelocityLimits
 from robotctl.kernel.safety_inputs import Use
 from robotctl.kernel.types import Cause, ScanReceived, Twist
+from robotctl.kernel.units import NS_PER_S
 from robotctl.testing.kernels import Bench, moving, ready, reset, start, stopped_by
 
 SECTORS = 64
@@ -87,6 +90,8 @@ def test_the_distance_is_that_of_the_front() -> None:
         (-0.01, 0.0, LEFT, inf),
         (0.25, 0.25, Twist(0.0, 1.0), 0.0),
         (0.25, 0.26, Twist(0.0, 1.0), inf),
+        (-0.25, -0.25, Twist(0.0, 1.0), 0.0),
+        (-0.25, -0.26, Twist(0.0, 1.0), inf),
         (0.5, 0.0, Twist(0.001, 0.1), inf),
         (0.5, 0.0, Twist(0.0009, 0.0), 0.25),
     ],
@@ -95,6 +100,11 @@ def test_the_edge_of_the_robot_belongs_to_it(
     x: float, y: float, command: Twist, distance_m: float
 ) -> None:
     assert _along_path(x, y, command, PARAMS) == pytest.approx(distance_m)
+
+
+def test_an_arc_of_a_kilometre_counts_as_straight() -> None:
+    assert _along_path(30.0, 0.26, Twist(1.0, 0.001), PARAMS) == inf
+    assert _along_path(30.0, 0.26, Twist(0.9995, 0.001), PARAMS) < 30.0
 
 
 def test_an_obstacle_counts_as_far_as_it_can_be_on_a_path() -> None:
@@ -260,6 +270,23 @@ def test_a_tick_looks_ahead_with_the_command_of_that_tick(accel_mps2: float) -> 
     )
 
 
+@pytest.mark.parametrize(("x", "is_looked_at"), [(0.8, True), (0.81, False)])
+def test_what_stopped_a_fast_robot_is_looked_at_again_as_far_as_a_standing_one_could_touch_it(
+    x: float, is_looked_at: bool
+) -> None:
+    """It is 0.3 m, with half the length and half the width. The rest counts until a new scan."""
+    limits = VelocityLimits(linear_mps=1.5)
+    bench = moving(replace(KernelParams(), scan=PARAMS, limits=limits))
+    bench.kernel.state = replace(bench.state, command=Twist(1.5, 0.0))
+    bench.give(ScanReceived(bench.t_ns, seen(x, 0.0)))
+    assert stopped_by(bench, Cause.OBSTACLE_NEAR, Mode.ERROR)
+    bench.run(1)
+    assert reset(bench) is is_looked_at
+    bench.give(ScanReceived(bench.t_ns, seen(x, 0.0)))
+    assert is_looked_at or reset(bench)
+    assert not start(bench)
+
+
 def test_an_unreadable_scan_stops() -> None:
     bench = driving()
     bench.give(ScanReceived(bench.t_ns, ()))
@@ -271,6 +298,14 @@ def test_a_required_scan_that_falls_silent_stops(use: Use) -> None:
     bench = driving(use)
     bench.run(21)
     assert stopped_by(bench, Cause.SCAN_LOST, Mode.ERROR) is (use is Use.REQUIRED)
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_a_scan_is_lost_after_half_a_second_whatever_the_clock_shows(way: int) -> None:
+    params, t_ns = KernelParams(scan=ScanParams(use=Use.REQUIRED)), NS_PER_S
+    for age_ns, said in ((500_000_000, ""), (700_000_000, "no scan on scan for 0.70 s")):
+        scan = Scan(t_ns - way * age_ns, FREE)
+        assert scan_lost(Health(scan=scan), params, t_ns) == said
 
 
 def test_a_required_scan_that_was_never_heard_refuses_the_start() -> None:

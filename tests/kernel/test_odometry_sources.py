@@ -29,9 +29,9 @@ def sample(bench: Bench, source: int, pose: Pose) -> None:
     bench.give(OdomReceived(bench.t_ns, Odometry(pose, ZERO, bench.t_ns), source, 1))
 
 
-def bench_of_two(ticks: int = 3) -> Bench:
+def bench_of_two(ticks: int = 3, params: KernelParams | None = None) -> Bench:
     """Return a kernel in IDLE that follows /base and knows /other."""
-    bench = Bench()
+    bench = Bench(params)
     for number, name in ((1, "/base"), (2, "/other")):
         bench.give(OdometrySourceFound(bench.t_ns, number, f"{number:032x}", name))
     go_on(bench, ticks)
@@ -143,10 +143,13 @@ def in_frame(frame: str, wanted: str) -> Bench:
     return bench
 
 
-def test_odometry_of_another_frame_than_the_configured_one_stops_the_robot() -> None:
-    bench = in_frame("map", "odom")
+@pytest.mark.parametrize("frame", ["map", "world"])
+def test_odometry_of_another_frame_than_the_configured_one_stops_the_robot(frame: str) -> None:
+    bench = in_frame(frame, "odom")
     assert stopped_by(bench, Cause.ODOMETRY_WRONG, Mode.ERROR)
-    assert bench.state.reason == "odometry is in the frame map, not in odom (odometry.frame_id)"
+    assert (
+        bench.state.reason == f"odometry is in the frame {frame}, not in odom (odometry.frame_id)"
+    )
     assert not reset(bench)
     bench.give(OdometrySourceFound(bench.t_ns, 0, "", "/base", "odom"))
     assert reset(bench)
@@ -157,11 +160,13 @@ def test_the_configured_frame_and_one_that_is_unknown_stop_nothing(frame: str, w
     assert in_frame(frame, wanted).state.mode is Mode.MOVING
 
 
-def test_only_the_frame_of_the_followed_publisher_counts() -> None:
+@pytest.mark.parametrize("other", [0, 2])
+def test_only_the_frame_of_the_followed_publisher_counts(other: int) -> None:
     odometry = replace(KernelParams().odometry, frame_id="odom")
-    bench = moving(replace(KernelParams(), odometry=odometry))
-    bench.give(OdometrySourceFound(bench.t_ns, 7, "", "/other", "map"))
-    assert bench.state.mode is Mode.MOVING
+    bench = bench_of_two(params=replace(KernelParams(), odometry=odometry))
+    assert bench.state.health.odometry_sources.followed == 1
+    bench.give(OdometrySourceFound(bench.t_ns, other, "", "/other", "map"))
+    assert not start(bench)
 
 
 def test_the_names_and_frames_of_the_last_publishers_are_kept() -> None:
@@ -172,3 +177,24 @@ def test_the_names_and_frames_of_the_last_publishers_are_kept() -> None:
     wanted = range(last - MAX_NAMED_SOURCES + 1, last + 1)
     assert sources.names == tuple((number, f"/n{number}") for number in wanted)
     assert sources.frames == tuple((number, f"f{number}") for number in wanted)
+
+
+def test_a_publisher_that_names_another_frame_is_in_that_one_alone() -> None:
+    bench = moving()
+    for number in (1, 2, 3):
+        bench.give(OdometrySourceFound(bench.t_ns, number, "", f"/n{number}", "odom"))
+    bench.give(OdometrySourceFound(bench.t_ns, 2, "", "/n2", "map"))
+    frames = bench.state.health.odometry_sources.frames
+    assert frames == ((1, "odom"), (3, "odom"), (2, "map"))
+
+
+def test_two_publishers_that_agree_on_a_turned_robot_do_not_contradict_each_other() -> None:
+    bench = Bench()
+    for number in (1, 2):
+        bench.give(OdometrySourceFound(bench.t_ns, number, "", f"/n{number}"))
+    sample(bench, 1, TURNED)
+    sample(bench, 2, replace(TURNED, theta=TURNED.theta - 0.1))
+    second = bench.state.health.odometry_sources.second
+    assert second is not None
+    assert second.distance_m == 0.0
+    assert second.angle_rad == pytest.approx(0.1)

@@ -8,9 +8,10 @@ from typing import Any
 import pytest
 
 from robotctl.kernel.modes import Mode
+from robotctl.kernel.obstacles import ScanParams
 from robotctl.kernel.parameter_change import ParameterChanged, ParameterRequested
 from robotctl.kernel.parameters import Conflict, conflict
-from robotctl.kernel.params import KernelParams
+from robotctl.kernel.params import CommandParams, Foreign, KernelParams, WhenIdle
 from robotctl.kernel.patterns import PatternKind
 from robotctl.kernel.remedies import Remedy
 from robotctl.kernel.safety_inputs import SafetyInput, Use
@@ -79,6 +80,7 @@ def test_the_pattern_of_the_next_drive_changes_while_the_robot_moves() -> None:
         ("rate_hz", "50.0", "100.0", "rate_hz changes at a start only"),
         ("command.topic", "cmd_vel", "other", "command.topic changes at a start only"),
         ("limits.linear_mps", "0.5", "0.4", "limits.linear_mps is 0.6, not 0.5"),
+        ("limits.linear_mps", "0.7", "0.4", "limits.linear_mps is 0.6, not 0.7"),
         ("limits.linear_mps", "0.6", "11.0", "11.0 is not from 0.01 to 10"),
         ("limits.linear_mps", "0.6", "nan", "nan is not from 0.01 to 10"),
         ("limits.linear_mps", "0.6", "fast", "could not convert"),
@@ -97,6 +99,24 @@ def test_what_is_not_allowed_is_refused_and_changes_nothing(
     assert not reply.ok
     assert why in reply.message
     assert bench.kernel.params is before
+
+
+@pytest.mark.parametrize(
+    ("key", "old", "new"),
+    [
+        ("limits.linear_mps", "0.6", "0.01"),
+        ("limits.linear_mps", "0.6", "10.0"),
+        ("battery.stop_level", "0.15", "0.2"),
+        ("battery.clear_level", "0.2", "0.15"),
+        ("max_tick_gap_s", "0.3", "0.05"),
+    ],
+)
+def test_the_limits_of_a_parameter_are_allowed_themselves(key: str, old: str, new: str) -> None:
+    bench = ready(replace(KernelParams(), rate_hz=40.0))
+    changed, reply = change(bench, key, old, new)
+    assert changed == ParameterChanged(key, old, new, "test")
+    assert isinstance(reply, Reply)
+    assert reply.ok
 
 
 def test_the_same_value_is_granted_without_a_change() -> None:
@@ -141,3 +161,35 @@ def test_an_input_on_the_topic_of_another_part_is_a_conflict_if_it_is_used(
     assert found is not None
     assert found.key == f"inputs.{kind.value}.topic"
     assert found_for(Use.OFF) is None
+
+
+SCANNED = ScanParams(use=Use.OPTIONAL, topic="odom")
+LOCKED = CommandParams(lock_topic="/odom")
+
+
+@pytest.mark.parametrize(
+    ("params", "key"),
+    [
+        (KernelParams(scan=SCANNED), "scan.topic"),
+        (KernelParams(scan=replace(SCANNED, use=Use.OFF)), None),
+        (KernelParams(guard=True, guard_topic="odom"), "guard_topic"),
+        (KernelParams(guard=False, guard_topic="odom"), None),
+        (KernelParams(command=LOCKED), "command.lock_topic"),
+    ],
+)
+def test_a_scan_a_guard_and_a_lock_have_a_topic_of_their_own_if_they_are_used(
+    params: KernelParams, key: str | None
+) -> None:
+    found = conflict(params)
+    assert (found and (found.key, found.allowed)) == (
+        key and (key, "odometry.topic is the same topic, use another one")
+    )
+
+
+@pytest.mark.parametrize("when_idle", WhenIdle)
+@pytest.mark.parametrize("foreign", Foreign)
+def test_only_who_is_silent_in_idle_yields_to_others(foreign: Foreign, when_idle: WhenIdle) -> None:
+    found = conflict(KernelParams(command=CommandParams(foreign=foreign, when_idle=when_idle)))
+    is_refused = foreign is Foreign.YIELD and when_idle is not WhenIdle.SILENT
+    assert (found is not None) is is_refused
+    assert found is None or found.key == "command.foreign"

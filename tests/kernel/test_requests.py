@@ -246,6 +246,29 @@ def test_a_finished_drive_says_so_and_leaves_the_robot_in_idle() -> None:
     assert driven.commands[-1] == ZERO
 
 
+def test_the_report_of_a_drive_tells_the_time_from_its_request_to_its_last_tick() -> None:
+    bench = ready()
+    begin_ns = bench.t_ns
+    bench.drive()
+    bench.run(25)
+    assert bench.t_ns - begin_ns == 500_000_000
+    bench.t_ns += 7_000_000
+    bench.request(Mode.ERROR)
+    (ended,) = (effect for effect in bench.effects if isinstance(effect, DriveEnded))
+    assert ended.report.duration_s == 0.5
+
+
+def test_a_drive_that_ends_before_the_first_tick_took_no_time() -> None:
+    bench = Bench()
+    bench.odometry()
+    bench.battery(1.0)
+    bench.drive()
+    bench.t_ns += 7_000_000
+    bench.request(Mode.ERROR)
+    (ended,) = (effect for effect in bench.effects if isinstance(effect, DriveEnded))
+    assert ended.report.duration_s == 0.0
+
+
 def test_zeros_are_published_at_every_tick_while_not_moving() -> None:
     for mode in (Mode.IDLE, Mode.ERROR, Mode.EMERGENCY_STOP):
         bench = in_mode(mode)

@@ -16,9 +16,9 @@ from robotctl.kernel.types import Cause, SafetyInputReceived
 from robotctl.testing.kernels import Bench, moving, ready, reset, start, stopped_by
 
 STOPPED_BY = {
-    SafetyInput.ESTOP: (Cause.ESTOP_PRESSED, Mode.EMERGENCY_STOP, (1.0, nan), (0.0,)),
-    SafetyInput.JOY: (Cause.ESTOP_PRESSED, Mode.EMERGENCY_STOP, (1.0, nan), (0.0,)),
-    SafetyInput.BUMPER: (Cause.BUMPER_PRESSED, Mode.ERROR, (1.0, nan), (0.0,)),
+    SafetyInput.ESTOP: (Cause.ESTOP_PRESSED, Mode.EMERGENCY_STOP, (1.0, -1.0, nan), (0.0,)),
+    SafetyInput.JOY: (Cause.ESTOP_PRESSED, Mode.EMERGENCY_STOP, (1.0, -1.0, nan), (0.0,)),
+    SafetyInput.BUMPER: (Cause.BUMPER_PRESSED, Mode.ERROR, (1.0, -1.0, nan), (0.0,)),
     SafetyInput.TILT: (Cause.TILTED, Mode.ERROR, (0.36, 3.0, inf, nan), (0.0, 0.35)),
     SafetyInput.DIAGNOSTICS: (Cause.BASE_FAULT, Mode.ERROR, (2.0, 3.0, nan), (0.0, 1.0)),
 }
@@ -126,7 +126,23 @@ def test_a_reading_of_the_future_is_as_old_as_one_of_the_past() -> None:
     assert "for 1000.00 s" in estop_silent(health, params(SafetyInput.ESTOP, Use.REQUIRED), 0)
 
 
-def test_the_text_of_the_base_is_the_reason() -> None:
-    bench = driving(SafetyInput.DIAGNOSTICS, Use.OPTIONAL)
-    read(bench, SafetyInput.DIAGNOSTICS, 2.0, "motors: left motor too hot")
-    assert bench.state.reason == "diagnostics report an error: motors: left motor too hot"
+@pytest.mark.parametrize(
+    ("kind", "value", "detail", "reason"),
+    [
+        (SafetyInput.ESTOP, 1.0, "", "the emergency stop on estop_pressed is pressed"),
+        (SafetyInput.ESTOP, nan, "", "the emergency stop on estop_pressed cannot be read"),
+        (SafetyInput.JOY, 1.0, "", "the emergency stop on joy is pressed"),
+        (SafetyInput.BUMPER, 1.0, "", "the bumper on bumper is pressed"),
+        (SafetyInput.BUMPER, nan, "", "the bumper on bumper cannot be read"),
+        (SafetyInput.TILT, 0.5, "", "the robot is tilted by 0.50 rad, more than 0.35 rad"),
+        (SafetyInput.TILT, nan, "", "imu holds no orientation"),
+        (SafetyInput.DIAGNOSTICS, 2.0, "too hot", "diagnostics report an error: too hot"),
+        (SafetyInput.DIAGNOSTICS, 2.0, "", "diagnostics report an error: without a text"),
+    ],
+)
+def test_the_reason_says_what_the_input_told(
+    kind: SafetyInput, value: float, detail: str, reason: str
+) -> None:
+    bench = driving(kind, Use.OPTIONAL)
+    read(bench, kind, value, detail)
+    assert bench.state.reason == reason

@@ -211,6 +211,15 @@ def test_figures_that_are_not_numbers_are_no_difference() -> None:
     assert shadow.differing == 0
 
 
+@pytest.mark.parametrize(("ours", "theirs"), [("yes", "aye"), ("aye", "yes")])
+def test_another_wording_is_a_difference(ours: str, theirs: str) -> None:
+    shadow = Shadow(PARAMS, State(), ())
+    mine = (replace(REPLY, message=theirs),)
+    shadow._kernel.step = lambda event: mine  # type: ignore[method-assign]
+    assert shadow.step(Tick(1), (replace(REPLY, message=ours),), State()) == mine
+    assert shadow.by_aspect[Aspect.WORDING] == shadow.differing == 1
+
+
 def test_a_decision_is_told_in_words() -> None:
     effects = (
         PublishTwist(Twist(0.25, -1.0)),

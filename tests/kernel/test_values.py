@@ -27,6 +27,12 @@ def values() -> list[type]:
     )
 
 
+def test_a_name_of_the_package_is_loaded_on_first_use() -> None:
+    """Otherwise a command that needs no kernel would load all of it."""
+    assert set(kernel.__all__).isdisjoint(vars(kernel))
+    assert all(getattr(kernel, name).__name__ for name in ("Kernel", "Tick", "to_json"))
+
+
 def test_every_value_is_found() -> None:
     names = {kind.__name__ for kind in values()}
     assert names > {"State", "Health", "KernelParams", "Tick", "Reply", "Drive", "Line", "Rule"}
