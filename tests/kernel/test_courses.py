@@ -18,7 +18,8 @@ from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams, VelocityLimits
 from robotctl.kernel.path import Path
 from robotctl.kernel.patterns import SHAPES, Pattern, PatternKind, named, path_of
-from robotctl.kernel.segments import Line, Turn
+from robotctl.kernel.routes import path_for
+from robotctl.kernel.segments import Arc, Line, Turn
 from robotctl.kernel.speed_plan import speed_plan
 from robotctl.kernel.tracking import Reference
 from robotctl.kernel.types import Cause, Twist
@@ -105,6 +106,17 @@ def test_waypoints_are_followed_within_3_cm_and_the_limits(
     assert result.pose.distance(Pose(0.0, 2.0)) <= 0.03
     for before, command in pairwise(result.commands):
         assert limit(before, command, 0.02 + 1e-9, limits) == command
+
+
+@pytest.mark.parametrize(("laps", "returns"), [(0, True), (1, False), (2, True)])
+def test_only_a_single_lap_of_waypoints_ends_elsewhere(laps: int, returns: bool) -> None:
+    assert path_for(Pattern(), Course(waypoints=ZIGZAG), laps).closed is returns
+
+
+def test_the_path_is_that_of_the_present_course() -> None:
+    pattern = Pattern()
+    for course in (PLAIN, Course(waypoints=ZIGZAG), PLAIN, replace(PLAIN, corner_m=0.2)):
+        assert path_for(pattern, course, 1) == path_of(pattern, course, again=False)
 
 
 def test_laps_of_waypoints_return_to_the_start() -> None:
@@ -212,7 +224,7 @@ def test_the_plan_enters_a_segment_as_fast_as_it_can_brake_there() -> None:
 
 
 def test_the_plan_ends_a_lap_as_slowly_as_the_next_one_begins() -> None:
-    begin, end = Line(ORIGIN, 0.02), Line(Pose(0.02, 0.0, 0.0), 1.0)
+    begin, end = Line(ORIGIN, 0.02), Arc(Pose(0.02, 0.0, 0.0), 2.0, 1.0)
     corner = Turn(Pose(0.02, 0.0, 0.0), 0.1)
     legs = speed_plan(Path((begin, corner, end), 1.0), 0.5, LIMITS)
     assert isclose(legs[2].end_speed, sqrt(2.0 * 0.9 * 0.02))
@@ -315,6 +327,7 @@ def test_a_path_of_as_many_points_as_are_allowed_is_driven() -> None:
         (Pattern(), Course(angle_rad=-100.1), "0.01 to 100 rad"),
         (Pattern(PatternKind.ROUNDED_SQUARE), Course(corner_m=0.6), "0.02 to 0.5 m"),
         (Pattern(PatternKind.ROUNDED_SQUARE, 2.0), Course(corner_m=1.1), "0.02 to 1 m"),
+        (Pattern(PatternKind.ROUNDED_SQUARE, 0.12), Course(corner_m=0.08), "0.02 to 0.06 m"),
         (Pattern(), Course(waypoints=((0.0, 0.0), (0.0009, 0.0))), "the same"),
         *((Pattern(kind, 0.09), Course(), "a size of 0.09 m: use 0.1 to") for kind in SIZED),
         *((Pattern(kind, 101.0), Course(), "a size of 101 m: use 0.1 to 100 m") for kind in SIZED),
@@ -399,6 +412,8 @@ def test_the_reference_of_a_held_velocity_stands_at_the_origin() -> None:
     origin = Pose(1.0, 2.0, 3.0)
     drive = Drive(1, Pattern(), 1, origin, course=Course(held=Held(0.3, 0.5, 2.0)))
     assert drive.reference() == Reference(origin, 0.0, 0.0, 0.0)
+    assert drive.cross_track_m(Pose(4.0, 4.0)) == 0.0
+    assert not drive.path.closed
 
 
 def test_a_velocity_above_the_limits_is_bounded_and_one_without_an_end_ends() -> None:

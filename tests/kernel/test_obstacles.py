@@ -87,6 +87,8 @@ def test_the_distance_is_that_of_the_front() -> None:
         (1.0, -0.25, FORWARD, 0.75),
         (1.0, 0.26, FORWARD, inf),
         (0.0, 0.25, LEFT, 0.0),
+        (0.25, -0.25, LEFT, 0.0),
+        (0.25, 0.25, RIGHT, 0.0),
         (-0.01, 0.0, LEFT, inf),
         (0.25, 0.25, Twist(0.0, 1.0), 0.0),
         (0.25, 0.26, Twist(0.0, 1.0), inf),

@@ -95,6 +95,12 @@ def test_the_reference_brakes_no_tick_earlier_than_it_must(early_m: float, brake
     assert isclose(at.speed, braking(0.45, left_m, 0.01) if brakes else 0.4545, rel_tol=1e-9)
 
 
+def test_the_reference_does_not_exceed_its_top_speed_where_it_begins_to_brake() -> None:
+    leg = Leg(0.525, 0.5, 0.25, 0.0, 0.0)  # the whole way is what braking in ticks of 0.1 s takes
+    at, _ = advanced(Progress(lead_speed=0.5), (leg,), 1, 0.1, 1)
+    assert at.lead_speed == 0.5
+
+
 @pytest.mark.parametrize(("ahead_m", "stands"), [(2e-9, False), (1.99e-9, True)])
 def test_less_than_a_nanometre_before_a_stop_is_rounding(ahead_m: float, stands: bool) -> None:
     """The reference does a nanometre in this tick: one or less is left."""
@@ -312,6 +318,12 @@ def test_the_outline_of_a_circle_is_a_pose_every_2_degrees() -> None:
     assert len(outline) == 181
     for number, pose in enumerate(outline):
         assert isclose(pose.theta, number * pi / 90, abs_tol=1e-9)
+
+
+def test_an_outline_begins_where_the_path_begins_and_is_one_place_without_a_path() -> None:
+    begin = Pose(1.0, 2.0, 0.1)
+    assert Path((Line(begin, 1.0),), 1.0).outline()[0] == begin
+    assert Path((), 1.0).outline() == (ORIGIN,)
 
 
 def test_an_outline_leaves_no_curve_out_however_many_there_are() -> None:
