@@ -20,7 +20,7 @@ from robotctl.kernel.units import NS_PER_S
 MAX_LAPS = 100_000
 
 SETTLED_M, SETTLED_RAD = 0.02, 0.03
-"""The largest distance and angle from a stop at which the robot has arrived."""
+"""A robot has arrived at a stop where it is nearer than this distance and this angle."""
 
 LOST_RAD = 1.0
 """A robot whose heading in a turn differs from the reference by more than this does not turn."""

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
-from math import cos, hypot, inf, isclose, nan, pi, sin, sqrt
+from math import cos, hypot, inf, isclose, nan, pi, sin, sqrt, tan
 
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from robotctl.kernel.course import MAX_POINTS, PLAIN, Course, Frame, Held, Point
+from robotctl.kernel.course import PLAIN, Course, Frame, Held, Point
 from robotctl.kernel.drive import Drive
 from robotctl.kernel.geometry import ORIGIN, Pose, wrap_angle
 from robotctl.kernel.limits import limit
@@ -196,7 +196,8 @@ def test_a_corner_that_is_too_sharp_for_an_arc_is_turned_on_the_spot() -> None:
 
 
 @pytest.mark.parametrize(
-    ("y", "turned_rad"), [(0.5, 0.4636), (-0.5, -0.4636), (0.021, 0.021), (0.0, 0.0), (0.019, 0.0)]
+    ("y", "turned_rad"),
+    [(0.5, 0.4636), (-0.5, -0.4636), (0.021, 0.021), (0.0, 0.0), (tan(0.02), 0.0)],
 )
 def test_a_path_that_begins_aside_begins_with_a_turn_on_the_spot(
     y: float, turned_rad: float
@@ -306,7 +307,7 @@ def test_a_rounded_square_without_room_for_sides_is_a_circle() -> None:
 
 
 def test_a_path_of_as_many_points_as_are_allowed_is_driven() -> None:
-    points = tuple((0.1 * number, 0.0) for number in range(MAX_POINTS))
+    points = tuple((0.1 * number, 0.0) for number in range(2000))
     assert not Pattern().refusal(Course(waypoints=points))
 
 
@@ -314,7 +315,7 @@ def test_a_path_of_as_many_points_as_are_allowed_is_driven() -> None:
     ("pattern", "course", "said"),
     [
         (Pattern(), Course(waypoints=((1.0, 1.0),)), "1 points"),
-        (Pattern(), Course(waypoints=((0.0, 0.0),) * (MAX_POINTS + 1)), f"2 to {MAX_POINTS}"),
+        (Pattern(), Course(waypoints=((0.0, 0.0),) * 2001), "2 to 2000"),
         (Pattern(), Course(waypoints=((2.0, 2.0),) * 3), "the same"),
         (Pattern(), Course(waypoints=((0.0, 0.0), (nan, 1.0))), "point 2"),
         (Pattern(), Course(waypoints=((0.0, -inf), (0.0, 1.0))), "point 1"),
@@ -370,6 +371,53 @@ def test_a_way_back_from_the_start_has_no_segments() -> None:
     assert waypoint_path(((0.0, 0.0),), 0.1, again=True).segments == ()
     near = waypoint_path(((1.0, 0.0), (0.0005, 0.0)), 0.1, again=True)
     assert [segment.length for segment in near.segments] == [1.0, pi, 0.9995, pi]
+
+
+def test_points_a_millimetre_apart_are_two_points_and_2_cm_from_the_robot_a_leg_begins() -> None:
+    def lengths(*points: Point, again: bool = False) -> list[float]:
+        return [segment.length for segment in waypoint_path(points, 0.0, again=again).segments]
+
+    assert lengths((0.02, 0.0), (1.0, 0.0)) == [0.02, 0.98]
+    assert lengths((0.0199, 0.0), (1.0, 0.0)) == [1.0]
+    assert lengths((1.0, 0.0), (1.0, 0.001)) == [1.0, pi / 2, 0.001]
+    assert lengths((1.0, 0.0), (0.001, 0.0), again=True) == [1.0, pi, 0.999, 0.001, pi]
+
+
+def test_a_leg_that_its_corners_take_up_has_no_straight_part() -> None:
+    points = ((1.0, 0.0), (1.0, 1.0), (2.0, 1.0))
+    assert [segment.length for segment in waypoint_path(points, 10.0, again=False).segments] == [
+        *(0.5, pytest.approx(pi / 4), pytest.approx(pi / 4), 0.5)
+    ]
+
+
+def test_a_gentle_bend_of_short_legs_is_driven_and_a_sharp_one_turned() -> None:
+    for bend_rad, turns in ((0.34, 0), (0.36, 1)):
+        x, y = 1.0 + 0.004 * cos(bend_rad), 0.004 * sin(bend_rad)
+        path = waypoint_path(((1.0, 0.0), (x, y)), 0.1, again=False)
+        assert sum(segment.turns for segment in path.segments) == turns
+
+
+@pytest.mark.parametrize(
+    ("kind", "size_m", "reach_m"),
+    [
+        (PatternKind.SQUARE, 1.0, 2.0),
+        (PatternKind.CIRCLE, 0.5, 2.0),
+        (PatternKind.FIGURE_EIGHT, 0.5, 2.0),
+        (PatternKind.ROUNDED_SQUARE, 1.0, 1.4),
+        (PatternKind.LINE, 1.0, 2.0),
+        (PatternKind.ARC, 0.5, 2.0),
+        (PatternKind.TURN, 1.0, 0.1),
+    ],
+)
+def test_a_pattern_has_a_default_size_and_is_lost_beyond_its_size(
+    kind: PatternKind, size_m: float, reach_m: float
+) -> None:
+    assert SHAPES[kind].default_size_m == size_m
+    assert isclose(path_of(Pattern(kind, 2.0), PLAIN).reach_m, reach_m)
+
+
+def test_a_path_of_waypoints_is_lost_beyond_its_furthest_point() -> None:
+    assert waypoint_path(ZIGZAG, 0.1, again=False).reach_m == 2.5
 
 
 def test_a_motion_has_a_name() -> None:

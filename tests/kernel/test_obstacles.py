@@ -15,6 +15,7 @@ from robotctl.kernel.modes import Mode
 from robotctl.kernel.obstacles import (
     ScanParams,
     _along_path,
+    _points,
     _side_m,
     distance_ahead,
     farthest_m,
@@ -94,7 +95,8 @@ def test_the_distance_is_that_of_the_front() -> None:
         (0.25, 0.26, Twist(0.0, 1.0), inf),
         (-0.25, -0.25, Twist(0.0, 1.0), 0.0),
         (-0.25, -0.26, Twist(0.0, 1.0), inf),
-        (0.5, 0.0, Twist(0.001, 0.1), inf),
+        (-0.2, 0.0, Twist(0.001, 0.1), inf),
+        (-0.2, 0.0, Twist(0.00099, 0.1), 0.0),
         (0.5, 0.0, Twist(0.0009, 0.0), 0.25),
     ],
 )
@@ -102,6 +104,20 @@ def test_the_edge_of_the_robot_belongs_to_it(
     x: float, y: float, command: Twist, distance_m: float
 ) -> None:
     assert _along_path(x, y, command, PARAMS) == pytest.approx(distance_m)
+
+
+def test_an_obstacle_as_far_away_as_it_may_count_counts() -> None:
+    distance_m = ahead(1.0, 0.0, FORWARD)
+    assert distance_ahead(seen(1.0, 0.0), FORWARD, PARAMS, distance_m) == distance_m
+    assert distance_ahead(seen(1.0, 0.0), FORWARD, PARAMS, distance_m - 1e-9) == inf
+    assert free_beside_m(seen(1.5, 0.0), PARAMS, 1.0) == 0.0
+    assert free_beside_m(seen(1.5001, 0.0), PARAMS, 1.0) == inf
+
+
+def test_an_obstacle_may_be_at_the_edges_and_in_the_middle_of_its_sector() -> None:
+    quarter = _points((inf, inf, 1.0, inf), PARAMS, 2.0)
+    places = [(1.0, 0.0), (sqrt(0.5), sqrt(0.5)), (0.0, 1.0)]
+    assert quarter == [pytest.approx(place) for place in places]
 
 
 def test_an_arc_of_a_kilometre_counts_as_straight() -> None:
@@ -169,6 +185,8 @@ def test_the_side_of_a_path_is_no_wider_than_its_end_needs() -> None:
     assert _side_m(Twist(0.5, 0.0), PARAMS, 0.5) == pytest.approx(0.25, abs=1e-5)
     assert _side_m(Twist(0.5, 0.1), PARAMS, 0.5) == pytest.approx(0.25 + 0.75**2 / 10.0, abs=1e-5)
     assert _side_m(Twist(0.5, 0.66), PARAMS, 0.5) < inf
+    assert _side_m(Twist(0.75, 1.0), PARAMS, 0.5) == pytest.approx(0.25 + 0.75 / 2.0, abs=1e-5)
+    assert _side_m(Twist(0.001, 0.001), PARAMS, 0.5) < inf
     for sharp in (Twist(0.5, 0.67), Twist(-0.5, -0.67), Twist(0.0, 0.1), Twist(0.0005, 0.0001)):
         assert _side_m(sharp, PARAMS, 0.5) == inf
 
@@ -181,6 +199,7 @@ def test_between_walls_a_straight_path_is_free_and_a_sharp_turn_is_looked_at() -
     assert not is_free(free_m, Twist(0.3, 0.6), PARAMS, 0.5)
     assert not is_free(free_m, Twist(0.0, 0.6), PARAMS, 0.5)
     assert not is_free(0.25, Twist(0.3, 0.0), PARAMS, 0.5)
+    assert not is_free(_side_m(FORWARD, PARAMS, 0.5), FORWARD, PARAMS, 0.5)
     assert free_beside_m(FREE, PARAMS, 1.0) == inf
     assert free_beside_m((), PARAMS, 1.0) == inf
 

@@ -12,6 +12,7 @@ from robotctl.kernel.course import MAX_QUIET_S, Course, Held
 from robotctl.kernel.drive import Drive
 from robotctl.kernel.geometry import ORIGIN
 from robotctl.kernel.modes import Mode
+from robotctl.kernel.params import VelocityLimits
 from robotctl.kernel.patterns import Pattern, named
 from robotctl.kernel.reference import Progress
 from robotctl.kernel.types import ZERO, PublishTwist, Twist
@@ -89,6 +90,12 @@ def test_the_silence_begins_when_the_time_is_over() -> None:
     drive = Drive(1, Pattern(), 1, ORIGIN, Progress(length=1.0), course=Course(held=HELD))
     assert drive.is_quiet
     assert not replace(drive, progress=Progress(length=0.99)).is_quiet
+
+
+@pytest.mark.parametrize(("held_s", "is_over"), [(1.25, True), (1.24, False)])
+def test_a_drive_ends_when_the_silence_is_over(held_s: float, is_over: bool) -> None:
+    drive = Drive(1, Pattern(), 1, ORIGIN, Progress(length=held_s), course=Course(held=HELD))
+    assert drive.advance(0.25, ORIGIN, VelocityLimits(), 4).finished is is_over
 
 
 def test_in_silence_the_command_counts_as_going_on_so_that_obstacles_still_stop() -> None:

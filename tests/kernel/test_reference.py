@@ -9,7 +9,7 @@ from math import cos, hypot, inf, isclose, isnan, pi, sin, sqrt
 import pytest
 
 from robotctl.kernel.course import PLAIN
-from robotctl.kernel.drive import LOST_RAD, Drive
+from robotctl.kernel.drive import Drive
 from robotctl.kernel.figure_eight import FigureEight, figure_eight
 from robotctl.kernel.geometry import ORIGIN, Pose
 from robotctl.kernel.params import KernelParams, VelocityLimits
@@ -56,6 +56,8 @@ def test_the_reference_speeds_up_with_90_percent_of_the_limit_and_with_70_in_cur
     line = after(drive(SQUARE, Progress(length=0.1, settling_s=0.2)), 0.1)
     assert line.settling_s == 0.0
     assert isclose(line.speed, 0.9 * 0.5 * 0.1)
+    assert isclose(line.accel, 0.9 * 0.5)
+    assert isclose(after(drive(SQUARE, going(0.2)), 0.1).accel, 0.9 * 0.5)
     assert isclose(line.length, 0.1 + line.speed * 0.1)
     turn = after(drive(SQUARE, Progress(segment=1, length=0.1)), 0.1)
     assert isclose(turn.speed, 0.9 * 4.0 * 0.1)
@@ -170,6 +172,12 @@ def test_a_robot_has_arrived_within_2_cm_and_3_hundredths_of_a_radian(
         assert (at.segment, at.settling_s) == ((1, 0.0) if arrived else (0, 0.02))
 
 
+@pytest.mark.parametrize(("behind_m", "arrived"), [(0.02, False), (0.0199, True)])
+def test_2_cm_before_a_stop_is_too_far(behind_m: float, arrived: bool) -> None:
+    waiting = replace(drive(SQUARE, LINE_END), origin=Pose(-1.0, 0.0, 0.0))
+    assert after(waiting, 0.02, Pose(-behind_m, 0.0, 0.0)).segment == int(arrived)
+
+
 def test_a_robot_waits_at_a_stop_for_at_most_0_6_s() -> None:
     waiting = drive(SQUARE, replace(LINE_END, settling_s=0.57))
     assert after(waiting, 0.02).segment == 0
@@ -183,6 +191,12 @@ def test_a_lap_of_the_square_has_eight_segments_and_ends_where_the_robot_is() ->
     assert ended.progress == replace(at, laps=1, settling_s=0.0, closure_m=0.0)
     assert ended.finished
     assert isnan(Progress().closure_m)
+
+
+def test_a_square_without_an_end_begins_again() -> None:
+    at = Progress(segment=7, length=pi / 2, settling_s=9.0)
+    later = after(drive(SQUARE, at, laps=0), 0.02)
+    assert (later.laps, later.segment, later.length, later.settling_s) == (1, 0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -228,6 +242,7 @@ def test_the_score_sums_up_the_distances_from_the_path() -> None:
     origin = Pose(2.0, 1.0, 0.5)
     scored = replace(drive(SQUARE, Progress(length=0.5)), origin=origin)
     assert scored.report(0).cross_track_rms_m == 0.0
+    assert isclose(scored.measured(Pose(2.0, 1.0, 0.6), 0.0).report(0).heading_rms_rad, 0.1)
     for beside_m, behind_m in ((0.03, 0.0), (-0.04, 0.3), (0.0, 0.0)):
         pose = origin.compose(Pose(0.5 - behind_m, beside_m, 0.0))
         scored = scored.measured(pose, 0.25)
@@ -326,6 +341,10 @@ def test_an_outline_begins_where_the_path_begins_and_is_one_place_without_a_path
     assert Path((), 1.0).outline() == (ORIGIN,)
 
 
+def test_a_wide_curve_is_drawn_as_a_curve() -> None:
+    assert len(Path((Circle(5.0),), 5.0).outline()) == 181
+
+
 def test_an_outline_leaves_no_curve_out_however_many_there_are() -> None:
     assert len(Path((Circle(0.5),) * 400, 0.5).outline()) == 401
 
@@ -343,6 +362,15 @@ def test_an_open_path_does_not_go_on_at_its_other_end() -> None:
     assert isclose(path.distance_to(Pose(-0.3, 1.0, 0.0), 0, 0.02), hypot(0.3, 1.0))
     path = Path((*sides[:2], Turn(Pose(1.0, 1.0, pi / 2), pi / 2)), 1.0, closed=False)
     assert isclose(path.distance_to(Pose(0.5, 0.0, 0.0), 2, 0.1), 0.5)
+
+
+def test_in_a_corner_beside_a_curve_the_curve_counts_from_its_nearer_end() -> None:
+    before, part = lap_of(PatternKind.FIGURE_EIGHT, 0.5).segments[1:3]
+    turn = Turn(part.pose_at(0.0), 0.5)
+    beside = part.pose_at(0.0).compose(Pose(0.0, 0.1, 0.0))
+    for path in (Path((turn, part), 0.5, closed=False), Path((before, turn), 0.5, closed=False)):
+        index = path.segments.index(turn)
+        assert isclose(path.distance_to(beside, index, 0.0), 0.1, abs_tol=1e-9)
 
 
 def test_the_path_is_searched_for_5_cm_behind_the_reference_and_no_further() -> None:
@@ -367,7 +395,7 @@ def test_in_a_corner_of_an_open_path_the_side_after_it_counts() -> None:
 
 def test_a_robot_in_a_corner_is_lost_beyond_one_radian_only() -> None:
     corner = drive(SQUARE, Progress(segment=1))
-    for heading_rad, error_m in ((LOST_RAD, 0.0), (LOST_RAD + 1e-9, inf)):
+    for heading_rad, error_m in ((1.0, 0.0), (1.0 + 1e-9, inf)):
         measured = corner.measured(Pose(1.0, 0.0, heading_rad), 0.0)
         assert measured.score.error_m == error_m
 
@@ -378,6 +406,23 @@ def test_the_reference_of_a_slow_base_is_in_the_next_segment_already() -> None:
     driven = drive(pattern, going(0.5, length=line.length - 0.01))
     assert driven.reference().curvature == 0.0
     assert driven.reference(lag_s=0.04).curvature == arc.curvature_at(0.01) > 0.0
+
+
+def test_the_speed_for_a_slow_base_is_that_of_a_reference_that_goes_on_accelerating() -> None:
+    at = Progress(length=0.2, speed=0.3, accel=0.5)
+    assert isclose(drive(SQUARE, at).reference(lag_s=0.04).linear, 0.32)
+    turn = drive(SQUARE, replace(at, segment=1)).reference(lag_s=0.04)
+    assert (turn.linear, turn.curvature) == (0.0, 0.0)
+    assert isclose(turn.turning, 0.32)
+
+
+def test_a_slow_base_does_not_turn_before_its_corner_nor_straighten_before_its_stop() -> None:
+    near_corner = drive(SQUARE, going(0.5, length=0.99))
+    assert near_corner.reference(lag_s=0.04).curvature == 0.0
+    rounded = Pattern(PatternKind.ROUNDED_SQUARE, 1.0, 0.5)
+    last = lap_of(PatternKind.ROUNDED_SQUARE, 1.0).segments[-1]
+    at_the_end = drive(rounded, going(0.0, 7, last.length))
+    assert isclose(at_the_end.reference(lag_s=0.04).curvature, 10.0)
 
 
 def test_the_curvature_for_a_slow_base_is_that_of_the_place_ahead() -> None:
@@ -415,6 +460,36 @@ def test_a_drive_that_goes_on_moves_as_if_it_had_come_from_before(ticks: int) ->
     assert len(at.rates) == ticks - 1, "the next tick makes it as many as an acceleration takes"
     next_at, _ = advanced(at, (leg,), 0, 0.125, ticks)
     assert (next_at.speed, next_at.accel, next_at.ahead) == (0.5, 0.0, at.ahead)
+
+
+def test_a_drive_that_goes_on_keeps_its_speed_unless_it_begins_with_a_turn() -> None:
+    for pattern, speed in ((SQUARE, 0.3), (CIRCLE, 0.3), (Pattern(PatternKind.TURN), 0.0)):
+        assert drive(pattern).begin_at(0.3, LIMITS, 0.02, 4).progress.speed == speed
+
+
+def test_the_end_of_a_segment_is_the_beginning_of_the_next_one() -> None:
+    slow, fast = Leg(1.0, 0.5, 1.0, 0.5, 0.0), Leg(1.0, 1.0, 1.0, 0.5, 0.0)
+    at, _ = advanced(going(0.5, length=0.875), (slow, fast), 2, 0.25, 1)
+    assert (at.laps, at.segment, at.length, at.speed) == (0, 1, 0.0, 0.5)
+    at, _ = advanced(replace(at, segment=0, length=1.0), (slow, fast), 2, 0.25, 1)
+    assert (at.laps, at.segment, at.length, at.speed) == (0, 1, 0.1875, 0.75)
+
+
+def test_a_lead_beyond_a_stop_comes_back_to_it() -> None:
+    """A plan for other limits may end elsewhere."""
+    stop, beyond = (
+        Leg(1.0, 1.0, 1.0, 0.0, 0.0),
+        Progress(length=0.875, ahead=0.25, rates=(1.0,) * 3),
+    )
+    at, stands = advanced(beyond, (stop, stop), 1, 0.25, 4)
+    assert stands
+    assert (at.segment, at.length) == (0, 1.0)
+
+
+@pytest.mark.parametrize(("left_m", "stands"), [(2e-9, True), (2.1e-9, False)])
+def test_a_lead_within_a_nanometre_of_a_stop_is_there(left_m: float, stands: bool) -> None:
+    leg = Leg(left_m, 1e-9, 1.0, 0.0, 0.0)  # the lead moves by a nanometre
+    assert advanced(Progress(), (leg,), 1, 1.0, 1)[1] is stands
 
 
 @pytest.mark.parametrize("open_loop", [True, False])
@@ -472,6 +547,8 @@ def test_a_path_is_planned_for_the_present_speed_and_limits() -> None:
     path, slow = path_for(Pattern(), PLAIN, 1), replace(LIMITS, linear_accel_mps2=0.2)
     for speed_mps, limits in ((0.2, LIMITS), (0.5, LIMITS), (0.2, LIMITS), (0.2, slow)):
         assert legs_for(path, speed_mps, limits) == speed_plan(path, speed_mps, limits)
+    circle = lap_of(PatternKind.CIRCLE, 0.4)
+    assert legs_for(circle, 0.2, slow) == speed_plan(circle, 0.2, slow)
 
 
 @pytest.mark.parametrize("seed", [4, 7, 64, 79, 149])
