@@ -353,6 +353,8 @@ def test_what_cannot_be_driven_is_refused_by_name(
         Course(waypoints=((0.0, 0.0), (0.001, 0.0))),
         Course(waypoints=((0.0, 0.0), (0.0, -0.001))),
         Course(waypoints=((0.0, 0.0), (0.0, 1.0))),
+        Course(waypoints=((0.0, 0.0), (0.0006, 0.0), (0.0012, 0.0))),
+        Course(waypoints=((0.0, 0.0), (0.0012, 0.0), (0.0006, 0.0))),
         Course(held=Held(0.1, 0.0, 0.02)),
         Course(held=Held(0.1, 0.0, 600.0)),
         Course(held=Held(0.1, 0.0, 0.125, heard_t_ns=0)),
