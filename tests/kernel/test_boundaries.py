@@ -281,6 +281,19 @@ def test_a_drive_begins_without_speed_and_never_backwards() -> None:
 
 
 @pytest.mark.parametrize(
+    ("rise_s", "rate_hz", "ticks"),
+    [(0.0, 50.0, 1), (0.01, 50.0, 1), (0.08, 50.0, 4), (0.08, 100, 8)],
+)
+def test_an_acceleration_builds_up_over_the_ticks_of_its_time_and_over_one_at_least(
+    rise_s: float, rate_hz: float, ticks: int
+) -> None:
+    limits = replace(PARAMS.limits, accel_rise_s=rise_s)
+    drive = moving(replace(PARAMS, limits=limits, rate_hz=rate_hz), ticks=12).state.drive
+    assert drive is not None
+    assert len(drive.progress.rates) == ticks
+
+
+@pytest.mark.parametrize(
     ("mode", "said"),
     [
         (Mode.IDLE, "Nothing to reset: mode is IDLE"),

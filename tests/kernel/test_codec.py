@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass, make_dataclass
 from enum import Enum
 from typing import Any, get_args
 
@@ -149,6 +149,15 @@ def test_the_json_is_strict() -> None:
 def test_what_is_not_a_kernel_value_is_a_value_error(kind: type, text: str) -> None:
     with pytest.raises(ValueError, match=r"."):
         from_json(kind, text)
+
+
+@pytest.mark.parametrize("count", range(4))
+def test_a_value_of_any_number_of_fields_survives(count: int) -> None:
+    numbers = {f"n{each}": each for each in range(count)}
+    kind = make_dataclass("Numbers", [(name, int) for name in numbers])
+    text = to_json(kind(**numbers))
+    assert json.loads(text) == numbers
+    assert from_json(kind, text) == kind(**numbers)
 
 
 @dataclass(frozen=True, slots=True)

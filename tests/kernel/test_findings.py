@@ -7,6 +7,7 @@ from math import inf, nan
 
 import pytest
 
+from robotctl.kernel.checks import reported
 from robotctl.kernel.geometry import ORIGIN
 from robotctl.kernel.health import CommandTopic, Health, OdometrySources, SecondOdometry
 from robotctl.kernel.params import BatteryParams, KernelParams
@@ -174,6 +175,19 @@ def test_a_robot_without_a_battery_topic_has_no_trouble_with_it(cause: Cause) ->
         health = replace(HEALTHY, battery_level=level, battery_t_ns=0)
         assert uncleared(cause, health, params, NOW_NS) is None
         assert not RULE_OF[cause].check(health, params, NOW_NS)
+
+
+def test_what_the_daemon_reports_is_told_by_the_check_of_its_own_cause() -> None:
+    faults = ((Cause.RECORDER_FAILED, "the disk is full"), (Cause.TASK_DIED, ""))
+    health = replace(HEALTHY, reported=faults)
+    for cause, said in (
+        (Cause.RECORDER_FAILED, "the disk is full"),
+        (Cause.TASK_DIED, Cause.TASK_DIED.value),
+        (Cause.GATE_LOST, ""),
+    ):
+        check = reported(cause)
+        assert check(health, PARAMS, NOW_NS) == said
+        assert check(HEALTHY, PARAMS, NOW_NS) == ""
 
 
 def test_a_battery_at_its_stop_level_is_said_with_both_levels() -> None:
