@@ -8,12 +8,14 @@ from math import nan, pi
 import pytest
 
 from robotctl.kernel.battery import full_level
+from robotctl.kernel.course import Course
 from robotctl.kernel.geometry import ORIGIN, Pose
 from robotctl.kernel.health import Health, OdometrySources, SecondOdometry
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.odometry import dropped, is_repeated, may_follow, odometry_fault, source_found
 from robotctl.kernel.params import BatteryParams, BatteryScale, KernelParams, OdometryParams
+from robotctl.kernel.patterns import Pattern, PatternKind
 from robotctl.kernel.reference import Progress
 from robotctl.kernel.safety import uncleared
 from robotctl.kernel.state import State
@@ -261,11 +263,35 @@ def test_a_drive_that_is_replaced_is_not_completed() -> None:
     assert effect.reason == "replaced by another drive"
 
 
-def test_a_request_for_moving_drives_until_it_is_stopped() -> None:
-    drive = moving(ticks=0).state.drive
+@pytest.mark.parametrize("kind", PatternKind)
+def test_a_request_for_moving_drives_until_it_is_stopped_or_to_the_end_of_a_line(
+    kind: PatternKind,
+) -> None:
+    pattern = Pattern(kind)
+    drive = moving(replace(PARAMS, pattern=pattern), ticks=0).state.drive
     assert drive is not None
-    assert drive.laps == 0
-    assert drive.pattern == PARAMS.pattern
+    has_end = kind in (PatternKind.LINE, PatternKind.ARC, PatternKind.TURN)
+    assert drive.laps == (1 if has_end else 0)
+    assert drive.pattern == pattern
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+def test_a_drive_that_replaces_another_one_begins_at_the_speed_in_its_direction(
+    reverse: bool,
+) -> None:
+    bench, line = ready(), Pattern(PatternKind.LINE, 3.0)
+    bench.drive(line, course=Course(reverse=reverse))
+    bench.run(30)
+    command = bench.state.command.linear
+    speed = -command if reverse else command
+    assert speed > 0.3
+    bench.drive(line, course=Course(reverse=reverse), replacing=True)
+    assert bench.state.drive is not None
+    begun = bench.state.drive.progress
+    assert begun.speed == begun.lead_speed == speed
+    assert begun.ahead == pytest.approx(0.5 * speed * 3 * 0.02)
+    bench.drive(line, course=Course(reverse=not reverse), replacing=True)
+    assert bench.state.drive.progress.speed == 0.0
 
 
 def test_a_drive_begins_without_speed_and_never_backwards() -> None:

@@ -121,6 +121,11 @@ def test_one_required_input_is_enough_for_the_rules_about_silence(
     assert is_any_required(params(kind, use)) is (use is Use.REQUIRED)
 
 
+def test_readings_of_other_inputs_than_there_are_now_are_not_taken_for_these() -> None:
+    with pytest.raises(ValueError, match="shorter"):
+        with_reading((None,), Reading(SafetyInput.ESTOP, 0.0, 1))
+
+
 def test_a_reading_of_the_future_is_as_old_as_one_of_the_past() -> None:
     health = Health(inputs=with_reading((), Reading(SafetyInput.ESTOP, 0.0, 10**12)))
     assert "for 1000.00 s" in estop_silent(health, params(SafetyInput.ESTOP, Use.REQUIRED), 0)
