@@ -11,7 +11,13 @@ from robotctl.kernel.checks import reported
 from robotctl.kernel.geometry import ORIGIN
 from robotctl.kernel.health import CommandTopic, Health, OdometrySources, SecondOdometry
 from robotctl.kernel.params import BatteryParams, KernelParams
-from robotctl.kernel.safety import RULE_OF, uncleared
+from robotctl.kernel.safety import (
+    RULE_OF,
+    Finding,
+    failed_start_condition,
+    start_conditions,
+    uncleared,
+)
 from robotctl.kernel.types import ZERO, Cause, Odometry
 
 NOW_NS = 100_000_000_000
@@ -175,6 +181,16 @@ def test_a_robot_without_a_battery_topic_has_no_trouble_with_it(cause: Cause) ->
         health = replace(HEALTHY, battery_level=level, battery_t_ns=0)
         assert uncleared(cause, health, params, NOW_NS) is None
         assert not RULE_OF[cause].check(health, params, NOW_NS)
+
+
+def test_every_start_condition_is_told_with_what_is_wrong_in_the_order_of_the_table() -> None:
+    never_checked = {Cause.OPERATOR_STOP, Cause.OPERATOR_ERROR, Cause.LOOP_STALLED}
+    wanted = [cause for cause in RULE_OF if cause not in never_checked]
+    for health in (HEALTHY, *(health for _, health, _ in FINDINGS)):
+        told = start_conditions(health, PARAMS, NOW_NS)
+        assert [rule.cause for rule, _ in told] == wanted
+        wrong = [Finding(rule, said) for rule, said in told if said]
+        assert failed_start_condition(health, PARAMS, NOW_NS) == (wrong[0] if wrong else None)
 
 
 def test_what_the_daemon_reports_is_told_by_the_check_of_its_own_cause() -> None:
