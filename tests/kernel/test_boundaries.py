@@ -8,7 +8,7 @@ from math import nan, pi
 import pytest
 
 from robotctl.kernel.battery import full_level
-from robotctl.kernel.course import Course
+from robotctl.kernel.course import Course, Held
 from robotctl.kernel.geometry import ORIGIN, Pose
 from robotctl.kernel.health import Health, OdometrySources, SecondOdometry
 from robotctl.kernel.kernel import Kernel
@@ -203,6 +203,24 @@ def test_a_late_tick_changes_the_command_by_what_two_periods_allow() -> None:
     (effect,) = bench.give(Tick(bench.t_ns + 200_000_000))
     assert isinstance(effect, PublishTwist)
     assert effect.twist.linear == pytest.approx(1.0 * 2 / 50)
+
+
+@pytest.mark.parametrize(
+    ("held", "passed_s"), [(None, 2 / 50), (Held(0.3, 0.0, 5.0), 0.2)], ids=["line", "held"]
+)
+def test_a_late_tick_moves_the_reference_by_two_periods_and_a_held_velocity_by_the_clock(
+    held: Held | None, passed_s: float
+) -> None:
+    bench = ready()
+    bench.drive(Pattern(PatternKind.LINE, 3.0), course=Course(held=held))
+    bench.run(20)
+    before = bench.state.drive
+    assert before is not None
+    bench.give(Tick(bench.t_ns + 200_000_000))
+    assert bench.state.drive is not None
+    progress = bench.state.drive.progress
+    per_s = 1.0 if held is not None else progress.speed
+    assert progress.length - before.progress.length == pytest.approx(per_s * passed_s)
 
 
 @pytest.mark.parametrize("back_ns", [0, 100_000_000])
