@@ -77,6 +77,18 @@ def test_a_side_of_a_polygon_may_slant(x: float, y: float, inside: bool) -> None
     assert is_inside(x, y, triangle[::-1]) is inside
 
 
+@pytest.mark.parametrize(
+    ("x", "y", "inside"),
+    [(0.0, 1.0, True), (1.0, 0.0, True), (2.0, 1.0, False), (1.0, 2.0, False)],
+)
+def test_the_left_and_the_lower_side_of_an_area_belong_to_it_alone(
+    x: float, y: float, inside: bool
+) -> None:
+    """So a place on the line between two areas is in one of them."""
+    assert is_inside(x, y, corners_of(SQUARE)) is inside
+    assert is_inside(x, y, corners_of("2,0 4,0 4,2 2,2")) is (x == 2.0)
+
+
 @pytest.mark.parametrize(("x", "inside"), [(-2.0, False), (0.0, True), (2.0, False)])
 def test_a_corner_as_far_ahead_as_the_robot_does_not_count_twice(x: float, inside: bool) -> None:
     diamond = corners_of("0,-1 1,0 0,1 -1,0")

@@ -122,6 +122,7 @@ def test_an_obstacle_may_be_at_the_edges_and_in_the_middle_of_its_sector() -> No
 
 def test_an_arc_of_a_kilometre_counts_as_straight() -> None:
     assert _along_path(30.0, 0.26, Twist(1.0, 0.001), PARAMS) == inf
+    assert _along_path(30.0, 0.26, Twist(1.0, 0.0005), PARAMS) == inf
     assert _along_path(30.0, 0.26, Twist(0.9995, 0.001), PARAMS) < 30.0
 
 

@@ -193,9 +193,10 @@ def test_a_lap_of_the_square_has_eight_segments_and_ends_where_the_robot_is() ->
     assert isnan(Progress().closure_m)
 
 
-def test_a_square_without_an_end_begins_again() -> None:
+@pytest.mark.parametrize("laps", [0, 2, 3])
+def test_a_square_begins_again_until_its_laps_are_driven(laps: int) -> None:
     at = Progress(segment=7, length=pi / 2, settling_s=9.0)
-    later = after(drive(SQUARE, at, laps=0), 0.02)
+    later = after(drive(SQUARE, at, laps=laps), 0.02)
     assert (later.laps, later.segment, later.length, later.settling_s) == (1, 0, 0.0, 0.0)
 
 
@@ -411,6 +412,7 @@ def test_the_reference_of_a_slow_base_is_in_the_next_segment_already() -> None:
 def test_the_speed_for_a_slow_base_is_that_of_a_reference_that_goes_on_accelerating() -> None:
     at = Progress(length=0.2, speed=0.3, accel=0.5)
     assert isclose(drive(SQUARE, at).reference(lag_s=0.04).linear, 0.32)
+    assert drive(SQUARE, at).reference().linear == 0.3
     turn = drive(SQUARE, replace(at, segment=1)).reference(lag_s=0.04)
     assert (turn.linear, turn.curvature) == (0.0, 0.0)
     assert isclose(turn.turning, 0.32)
@@ -442,6 +444,7 @@ def test_a_lead_that_has_arrived_waits_for_the_reference() -> None:
         at, stands = advanced(at, legs, 1, 0.02, 4)
         assert at.lead_speed >= 0.0
         assert at.length >= before.length
+        assert at.lead_speed == 0.0 or at.length + at.ahead < 1.0
     assert stands
     assert (at.segment, at.length) == (0, 1.0)
 
