@@ -5,11 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
+from enum import Enum
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from robotctl.kernel.parameters import kernel_leaves, value_at
 from robotctl.kernel.params import KernelParams
 from robotctl.kernel.patterns import SHAPES, Pattern
 
@@ -43,8 +45,13 @@ def test_a_parameter_is_as_the_page_says(key: str) -> None:
     assert DOCUMENTED[key] == PARAMETERS[key]
 
 
-def test_every_parameter_is_found() -> None:
+def test_every_parameter_is_on_the_page_or_is_a_choice_or_corners() -> None:
     assert {"rate_hz", "command.topic", "inputs.joy.button", "tracking.k_y"} <= set(PARAMETERS)
+    params = KernelParams()
+    others = {key: leaf for key, leaf in kernel_leaves().items() if key not in PARAMETERS}
+    del others["fence.corners_m"]
+    for key, leaf in others.items():
+        assert isinstance(value_at(params, leaf.path), (Enum, bool)), key
 
 
 def test_a_drive_without_a_size_fits_a_room() -> None:

@@ -11,8 +11,8 @@ import pytest
 from robotctl import kernel
 
 
-def values() -> list[type]:
-    """Return every dataclass of the kernel."""
+def classes() -> list[type]:
+    """Return every class of the kernel that declares fields, except tuples and protocols."""
     modules = [
         import_module(f"{kernel.__name__}.{each.name}") for each in iter_modules(kernel.__path__)
     ]
@@ -21,10 +21,22 @@ def values() -> list[type]:
             value
             for module in modules
             for value in vars(module).values()
-            if isinstance(value, type) and is_dataclass(value)
+            if isinstance(value, type)
+            and value.__module__.startswith(kernel.__name__)
+            and "__annotations__" in vars(value)
+            and not issubclass(value, tuple)
         },
         key=lambda kind: kind.__qualname__,
     )
+
+
+def values() -> list[type]:
+    """Return every dataclass of the kernel."""
+    return [each for each in classes() if is_dataclass(each)]
+
+
+def test_whatever_declares_fields_is_a_value() -> None:
+    assert [each.__name__ for each in classes() if not is_dataclass(each)] == []
 
 
 def test_a_name_of_the_package_is_loaded_on_first_use() -> None:
