@@ -4,6 +4,7 @@
     python tests/mutation/run.py                        every mutant
     python tests/mutation/run.py --part 1/2             every second mutant, for two processors
     python tests/mutation/run.py --only drive.Drive     those of one module, class or function
+    python tests/mutation/run.py --again LOG            those that survived a run that printed LOG
 
 cosmic-ray makes the mutants, in a copy of the tree; each one runs `tests/kernel`. A change within a
 function is made in a copy of a process that has loaded the tests; any other change is loaded with
@@ -17,6 +18,7 @@ from __future__ import annotations
 
 import argparse
 import random
+import re
 import sys
 import tempfile
 import time
@@ -47,6 +49,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1, help="of the draw; default: 1")
     parser.add_argument("--part", type=_part, default=slice(None), help="such as 1/2")
     parser.add_argument("--only", default="", help="a name such as drive. or drive.Drive.advance")
+    parser.add_argument("--again", type=Path, help="the output of a run: only what survived it")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="robotctl-mutation-") as name:
         folder = copied(Path(name).resolve())
@@ -55,6 +58,10 @@ def main() -> int:
             print("equivalent.toml lists what is not in the code:", *stale, sep="\n")
             return 1
         drawn = [site for site in every if site.where.startswith(options.only)]
+        if options.again is not None:
+            keys = survivors(options.again.read_text())
+            near = [site for site in drawn if site.where in {where for where, _, _ in keys}]
+            drawn = [site for site in near if mutant_at(site).key in keys]
         print(f"{options.count or 'all'} of {len(drawn)} mutants, seed {options.seed}")
         random.Random(options.seed).shuffle(drawn)
         with loaded_tests(folder) as tests:
@@ -67,6 +74,12 @@ def _part(text: str) -> slice:
     if not 1 <= number <= parts:
         raise ValueError(text)
     return slice(number - 1, None, parts)
+
+
+def survivors(log: str) -> set[Key]:
+    """Return the mutants that survived, by what `report` has printed."""
+    found = re.findall(r"^survived: (.*)\n- ?(.*)\n\+ ?(.*)$", log, re.MULTILINE)
+    return {(where, was, now) for where, was, now in found}
 
 
 def report(
