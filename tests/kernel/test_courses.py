@@ -112,6 +112,7 @@ def test_only_a_single_lap_of_waypoints_ends_elsewhere() -> None:
     pattern, course = Pattern(), Course(waypoints=ZIGZAG)
     for laps, returns in ((0, True), (1, False), (2, True)):
         assert path_for(pattern, course, laps).closed is returns
+    assert path_of(pattern, course).closed
 
 
 def test_the_path_is_that_of_the_present_course() -> None:
@@ -231,6 +232,17 @@ def test_the_plan_ends_a_lap_as_slowly_as_the_next_one_begins() -> None:
     legs = speed_plan(Path((begin, corner, end), 1.0), 0.5, LIMITS)
     assert isclose(legs[2].end_speed, sqrt(2.0 * 0.9 * 0.02))
     assert legs[2].last_end_speed == 0.0
+
+
+def test_the_plan_ends_a_lap_no_faster_than_a_narrower_bend_allows() -> None:
+    narrow, wide = Arc(ORIGIN, 0.25, 1.0), Arc(ORIGIN, 0.3125, 1.0)
+    legs = speed_plan(Path((narrow, wide), 1.0), 0.5, LIMITS)
+    assert legs[1].end_speed == legs[0].top_speed < legs[1].top_speed
+
+
+def test_the_plan_of_a_figure_eight_knows_no_steps_of_the_curvature() -> None:
+    path = path_of(Pattern(PatternKind.FIGURE_EIGHT, 0.5), PLAIN)
+    assert [leg.end_speed for leg in speed_plan(path, 0.5, LIMITS)] == [0.5] * 8
 
 
 def test_the_plan_brakes_over_more_than_one_segment() -> None:
@@ -391,6 +403,18 @@ def test_a_leg_that_its_corners_take_up_has_no_straight_part() -> None:
     assert [segment.length for segment in waypoint_path(points, 10.0, again=False).segments] == [
         *(0.5, pytest.approx(pi / 4), pytest.approx(pi / 4), 0.5)
     ]
+
+
+@pytest.mark.parametrize(
+    ("bend_rad", "corner_m", "turns"),
+    [(0.5, 0.0052, 0), (0.5, 0.005, 1), (pi / 2, 0.02 * tan(pi / 4), 0), (pi / 2, 0.0199, 1)],
+)
+def test_a_bend_is_turned_only_if_its_corner_allows_no_radius_of_2_cm(
+    bend_rad: float, corner_m: float, turns: int
+) -> None:
+    end = (1.0, 1.0) if bend_rad == pi / 2 else (1.0 + cos(bend_rad), sin(bend_rad))
+    path = waypoint_path(((1.0, 0.0), end), corner_m, again=False)
+    assert sum(segment.turns for segment in path.segments) == turns
 
 
 def test_a_gentle_bend_of_short_legs_is_driven_and_a_sharp_one_turned() -> None:

@@ -270,7 +270,8 @@ def test_the_limits_of_a_held_velocity_are_allowed_themselves() -> None:
         assert Held(0.1, 0.0, seconds).refusal() == ""
     for seconds in (0.019, 600.1):
         assert "a velocity for" in Held(0.1, 0.0, seconds).refusal()
-    assert Held(0.1, 0.0, 0.125, 0).refusal() == ""
+    for silence_s in (0.1, 0.125):
+        assert Held(0.1, 0.0, silence_s, 0).refusal() == ""
     assert Held(0.1, 0.0, 0.126).refusal() == "", "it is not held to run"
 
 

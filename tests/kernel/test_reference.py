@@ -434,6 +434,8 @@ def test_the_curvature_for_a_slow_base_is_that_of_the_place_ahead() -> None:
     )
     ahead = driven.reference(lag_s=0.06).curvature
     assert isclose(ahead, parts[1].curvature_at(0.02))
+    far_ahead = driven.reference(lag_s=2.0).curvature
+    assert isclose(far_ahead, parts[1].curvature_at(parts[1].length)), "at most a segment ahead"
 
 
 def test_a_lead_that_has_arrived_waits_for_the_reference() -> None:
@@ -476,15 +478,14 @@ def test_the_end_of_a_segment_is_the_beginning_of_the_next_one() -> None:
     assert (at.laps, at.segment, at.length, at.speed) == (0, 1, 0.0, 0.5)
     at, _ = advanced(replace(at, segment=0, length=1.0), (slow, fast), 2, 0.25, 1)
     assert (at.laps, at.segment, at.length, at.speed) == (0, 1, 0.1875, 0.75)
+    at, _ = advanced(going(0.5, 1, 1.0), (fast, slow), 3, 0.25, 1)
+    assert (at.laps, at.segment, at.length, at.speed) == (1, 0, 0.1875, 0.75)
 
 
-def test_a_lead_beyond_a_stop_comes_back_to_it() -> None:
-    """A plan for other limits may end elsewhere."""
-    stop, beyond = (
-        Leg(1.0, 1.0, 1.0, 0.0, 0.0),
-        Progress(length=0.875, ahead=0.25, rates=(1.0,) * 3),
-    )
-    at, stands = advanced(beyond, (stop, stop), 1, 0.25, 4)
+@pytest.mark.parametrize("ahead_m", [0.25, 2.0])
+def test_a_lead_beyond_a_stop_comes_back_to_it(ahead_m: float) -> None:
+    stop, beyond = Leg(1.0, 1.0, 1.0, 0.0, 0.0), Progress(length=0.875, ahead=ahead_m)
+    at, stands = advanced(replace(beyond, rates=(1.0,) * 3), (stop, stop), 1, 0.25, 4)
     assert stands
     assert (at.segment, at.length) == (0, 1.0)
 
