@@ -5,14 +5,16 @@ from __future__ import annotations
 from dataclasses import FrozenInstanceError, fields, is_dataclass
 from importlib import import_module
 from pkgutil import iter_modules
+from typing import get_args
 
 import pytest
 
 from robotctl import kernel
+from robotctl.kernel.types import Effect, Event
 
 
 def classes() -> list[type]:
-    """Return every class of the kernel that declares fields, except tuples and protocols."""
+    """Return every class of the kernel that is or should be a dataclass: it declares fields."""
     modules = [
         import_module(f"{kernel.__name__}.{each.name}") for each in iter_modules(kernel.__path__)
     ]
@@ -23,8 +25,8 @@ def classes() -> list[type]:
             for value in vars(module).values()
             if isinstance(value, type)
             and value.__module__.startswith(kernel.__name__)
-            and "__annotations__" in vars(value)
             and not issubclass(value, tuple)
+            and (is_dataclass(value) or "__annotations__" in vars(value))
         },
         key=lambda kind: kind.__qualname__,
     )
@@ -35,8 +37,9 @@ def values() -> list[type]:
     return [each for each in classes() if is_dataclass(each)]
 
 
-def test_whatever_declares_fields_is_a_value() -> None:
-    assert [each.__name__ for each in classes() if not is_dataclass(each)] == []
+def test_whatever_declares_fields_and_every_event_and_effect_is_a_value() -> None:
+    wanted = {*classes(), *get_args(Event), *get_args(Effect)}
+    assert sorted(each.__name__ for each in wanted if not is_dataclass(each)) == []
 
 
 def test_a_name_of_the_package_is_loaded_on_first_use() -> None:
@@ -52,6 +55,7 @@ def test_every_value_is_found() -> None:
 
 @pytest.mark.parametrize("kind", values(), ids=lambda kind: kind.__name__)
 def test_a_value_cannot_be_changed(kind: type) -> None:
+    assert vars(kind)["__dataclass_params__"].frozen
     value: object = object.__new__(kind)
     for field in fields(kind):
         with pytest.raises(FrozenInstanceError):
