@@ -204,7 +204,8 @@ class Change(NamedTuple):
 def change_of(path: Path, code: str, where: str) -> Change | None:
     """Return what a mutant changes of a loaded module.
 
-    `where` is module.Class.function. None, if the change is not within one function.
+    `where` is module.Class.function. None, if the change is not within one function, or within a
+    function that another one makes: those that were made already would keep their code.
     """
     name = ".".join(path.with_suffix("").parts)
     module = sys.modules.get(name)
@@ -213,15 +214,18 @@ def change_of(path: Path, code: str, where: str) -> Change | None:
     names = where.split(".")[len(path.relative_to(KERNEL).with_suffix("").parts) :]
     found: Any = module
     compiled: CodeType | None = compile(code, module.__file__ or "", "exec", dont_inherit=True)
-    for each in names:
+    for number, each in enumerate(names, 1):
         found = vars(found).get(each) if hasattr(found, "__dict__") else None
         compiled = _inner(compiled, each)
         function = _function_of(found)
         if function is not None and compiled is not None:
             before = function.__code__
-            if _runs(before) == _runs(compiled) or before.co_freevars != compiled.co_freevars:
+            is_made_by_another = number < len(names)
+            if is_made_by_another or _runs(before) == _runs(compiled):
                 return None
-            return Change(function, compiled)
+            return (
+                None if before.co_freevars != compiled.co_freevars else Change(function, compiled)
+            )
     return None
 
 
