@@ -42,14 +42,12 @@ class Knowledge(ParameterControl):
     def _look_again(self, scan: Scan) -> None:
         """Look at the last scan again: the command has changed."""
         command, params, reach_m = self.state.command, self.params.scan, self._reach_m()
-        if scan.nearest_m > farthest_m(params, reach_m):
-            return
         ahead_m = inf
-        free_m = free_beside_m(
-            scan.sectors, params, self._reach_at_m(self.params.limits.linear_mps)
-        )
-        if not is_free(free_m, command, params, reach_m):
-            ahead_m = distance_ahead(scan.sectors, command, params, reach_m)
+        if not scan.nearest_m > farthest_m(params, reach_m):  # so that NaN is looked at
+            far_m = self._reach_at_m(self.params.limits.linear_mps)
+            free_m = free_beside_m(scan.sectors, params, far_m)
+            if not is_free(free_m, command, params, reach_m):
+                ahead_m = distance_ahead(scan.sectors, command, params, reach_m)
         if ahead_m != scan.ahead_m:
             scan = Scan(scan.t_ns, scan.sectors, scan.nearest_m, ahead_m)
             self.state = replace(self.state, health=replace(self.state.health, scan=scan))

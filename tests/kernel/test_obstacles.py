@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import atan2, cos, hypot, inf, pi, sin, sqrt, tau
+from math import atan2, cos, hypot, inf, nan, pi, sin, sqrt, tau
 
 import pytest
 from hypothesis import given
@@ -292,21 +292,30 @@ def test_a_tick_looks_ahead_with_the_command_of_that_tick(accel_mps2: float) -> 
     )
 
 
-@pytest.mark.parametrize(("x", "is_looked_at"), [(0.8, True), (0.81, False)])
-def test_what_stopped_a_fast_robot_is_looked_at_again_as_far_as_a_standing_one_could_touch_it(
-    x: float, is_looked_at: bool
+@pytest.mark.parametrize(
+    ("x", "is_near"), [(0.54, True), (0.8, False), (0.81, False), (1.3, False)]
+)
+def test_what_stopped_a_fast_robot_is_looked_at_again_when_it_stands(
+    x: float, is_near: bool
 ) -> None:
-    """It is 0.3 m, with half the length and half the width. The rest counts until a new scan."""
+    """A standing robot looks 0.3 m ahead; beyond 0.8 m nothing of the scan can be that near."""
     limits = VelocityLimits(linear_mps=1.5)
     bench = moving(replace(KernelParams(), scan=PARAMS, limits=limits))
     bench.kernel.state = replace(bench.state, command=Twist(1.5, 0.0))
     bench.give(ScanReceived(bench.t_ns, seen(x, 0.0)))
     assert stopped_by(bench, Cause.OBSTACLE_NEAR, Mode.ERROR)
     bench.run(1)
-    assert reset(bench) is is_looked_at
-    bench.give(ScanReceived(bench.t_ns, seen(x, 0.0)))
-    assert is_looked_at or reset(bench)
-    assert not start(bench)
+    assert reset(bench) is not is_near
+
+
+def test_a_sector_that_is_no_number_hides_no_obstacle() -> None:
+    limits = VelocityLimits(linear_mps=1.5)
+    bench = moving(replace(KernelParams(), scan=PARAMS, limits=limits))
+    sectors = (nan, *seen(1.0, 0.0)[1:])
+    bench.give(ScanReceived(bench.t_ns, sectors))
+    bench.kernel.state = replace(bench.state, command=Twist(1.0, 0.0))
+    bench.run(1)
+    assert stopped_by(bench, Cause.OBSTACLE_NEAR, Mode.ERROR)
 
 
 def test_an_unreadable_scan_stops() -> None:
