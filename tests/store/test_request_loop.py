@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import asyncio
 import signal
+import sys
 import threading
 
 import pytest
 
 from robotctl.store.request_loop import RequestLoop
-from tests.support.waiting import until
+from tests.support.waiting import loop_until, until
 
 
 async def _interrupts_the_wait() -> None:
     main = threading.main_thread().ident
     assert main is not None
+    await loop_until(lambda: sys._current_frames()[main].f_code.co_name == "wait")
     signal.pthread_kill(main, signal.SIGINT)
     await asyncio.Event().wait()
 
