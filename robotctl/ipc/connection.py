@@ -116,13 +116,8 @@ class Connection:
 
     async def _send(self, line: bytes) -> None:
         """Send a reply in time; other tasks get no turn if the socket takes it at once."""
-        try:
-            sent = self._sock.send(line)
-        except BlockingIOError:
-            sent = 0
-        if sent < len(line):
-            async with asyncio.timeout(self._limits.write_s):
-                await asyncio.get_running_loop().sock_sendall(self._sock, line[sent:])
+        async with asyncio.timeout(self._limits.write_s):
+            await asyncio.get_running_loop().sock_sendall(self._sock, line)
 
     def _say_last(self, request_id: int | str | None, code: Code, error: RobotctlError) -> None:
         """Send an error without waiting: the connection is closed next."""
