@@ -15,7 +15,7 @@ from robotctl.printable import printable
 from robotctl.store.aws_profile import profile_keys
 from robotctl.store.failed_request import ALLOW_HTTP, changed, error_of, short_answer
 from robotctl.store.object_store import PART_BYTES
-from robotctl.store.request_loop import run_request, start_request
+from robotctl.store.request_loop import requests
 from robotctl.store.store_errors import BrokenAnswer, TooLarge
 from robotctl.store.stored_object import StoredObject, check_key
 from robotctl.store.url import StoreUrl
@@ -104,11 +104,11 @@ class RemoteStore:
 
     def get_range(self, found: StoredObject, begin: int, end: int) -> bytes:
         """Return exactly the bytes from `begin` to before `end` of the object that was found."""
-        return run_request(self._range(found, begin, end))
+        return requests().run(self._range(found, begin, end))
 
     def start_range(self, found: StoredObject, begin: int, end: int) -> Future[bytes]:
         """Start `get_range`, and return its result to come."""
-        return start_request(self._range(found, begin, end))
+        return requests().start(self._range(found, begin, end))
 
     async def _range(self, found: StoredObject, begin: int, end: int) -> bytes:
         if begin >= end:
@@ -176,7 +176,7 @@ class RemoteStore:
         self._run(removed, key)
 
     def _run(self, request: _Request[_Result], key: str) -> _Result:
-        return run_request(self._told(request, key))
+        return requests().run(self._told(request, key))
 
     async def _told(self, request: _Request[_Result], key: str) -> _Result:
         try:

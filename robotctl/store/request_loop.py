@@ -24,7 +24,7 @@ _LIBRARY_LETS_GO_S: Final = 0.5
 
 
 class RequestLoop:
-    """An asyncio loop in a thread of its own; `end` must be called when Python ends."""
+    """An asyncio loop in a thread of its own; call `end` when Python ends."""
 
     def __init__(
         self,
@@ -34,7 +34,7 @@ class RequestLoop:
         self._now_s = now_s
         self._sleep = sleep
         self._cancelled_s = -inf
-        """When a request was cancelled last."""
+        """When a request was last cancelled."""
 
         self.loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self.loop.run_forever, name="store", daemon=True)
@@ -45,7 +45,7 @@ class RequestLoop:
         return asyncio.run_coroutine_threadsafe(request, self.loop)
 
     def run(self, request: Coroutine[Any, Any, _Result]) -> _Result:
-        """Return the result of a request, or raise its error; cancel it if this is interrupted."""
+        """Return the result of a request, or raise its error; cancel it if Ctrl-C comes."""
         started = self.start(request)
         try:
             return started.result()
@@ -72,17 +72,8 @@ class RequestLoop:
 
 
 @cache
-def _requests() -> RequestLoop:
-    requests = RequestLoop()
-    atexit.register(requests.end)
-    return requests
-
-
-def run_request(request: Coroutine[Any, Any, _Result]) -> _Result:
-    """Return the result of a request, or raise its error; cancel it if the wait is interrupted."""
-    return _requests().run(request)
-
-
-def start_request(request: Coroutine[Any, Any, _Result]) -> Future[_Result]:
-    """Start a request, and return its result to come."""
-    return _requests().start(request)
+def requests() -> RequestLoop:
+    """Return the loop of this process; it is made when it is first needed."""
+    loop = RequestLoop()
+    atexit.register(loop.end)
+    return loop
