@@ -161,7 +161,7 @@ class Drive:
         return self._scored(self.score_after(self.score, pose, moved_m))
 
     def score_after(self, so_far: Score, pose: Pose, moved_m: float) -> Score:
-        """Return the score `so_far` with one more sample; that of the drive does not count."""
+        """Return the score `so_far` with one more sample, as `measured` takes it."""
         at, path = self.progress, self.path
         if not path.segments:
             return replace(so_far, distance_m=so_far.distance_m + moved_m)

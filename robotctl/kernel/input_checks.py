@@ -20,7 +20,7 @@ _ESTOP, _JOY, _BUMPER, _TILT, _DIAGNOSTICS = range(len(SafetyInput))
 
 
 _OFF, _REQUIRED = Use.OFF, Use.REQUIRED
-"""What each step compares with; to look up a member of an enum takes six times as long."""
+"""What each step compares with; Python 3.11 takes six times as long for a member of an enum."""
 
 
 def is_any_required(params: KernelParams) -> bool:

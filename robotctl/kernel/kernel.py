@@ -58,7 +58,7 @@ SILENT_AFTER_NS = NS_PER_S
 
 _IDLE, _MOVING = Mode.IDLE, Mode.MOVING
 _DRIVING, _STOPPING = Phase.DRIVING, Phase.STOPPING
-"""What each step compares with; to look up a member of an enum takes six times as long."""
+"""What each step compares with; Python 3.11 takes six times as long for a member of an enum."""
 
 
 class Kernel(Knowledge):

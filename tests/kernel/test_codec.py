@@ -256,10 +256,12 @@ WITHOUT = {
     LeaseLost: {"how": "its connection closed"},
     CommandListenersSeen: {"type_name": TWIST},
 }
-"""What the events of a journal hold where a version before a field was added wrote them."""
+"""The values of the fields that were added after the first version, in events without them."""
 
 
 @pytest.mark.parametrize("kind", get_args(Event), ids=lambda kind: kind.__name__)
-def test_an_event_of_an_older_version_comes_from_nobody_in_particular(kind: type) -> None:
+def test_an_event_of_an_older_version_has_the_default_of_each_field_that_it_lacks(
+    kind: type,
+) -> None:
     defaults = {field.name: field.default for field in fields(kind) if field.default is not MISSING}
     assert defaults == WITHOUT.get(kind, {})

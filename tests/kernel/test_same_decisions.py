@@ -1,4 +1,4 @@
-"""Each kind of drive is decided as in the last version, which recordings were made with.
+"""Each kind of drive gets the commands of the version before, which users have recorded.
 
 `decisions.txt` holds a line for each drive: how many commands there are, and a digest of them. A
 change of the rules, the patterns or the plan that is meant changes lines there: run this file as a
@@ -61,7 +61,9 @@ def _cases() -> Mapping[str, Case]:
             "a long turn to the right": Case(Pattern(PatternKind.TURN), Course(angle_rad=-7.0)),
             "tight corners": Case(Pattern(PatternKind.ROUNDED_SQUARE, 0.5), Course(corner_m=0.03)),
             "waypoints": Case(square, Course(waypoints=BENDS)),
-            "waypoints, two laps in reverse": Case(square, Course(0.05, 1, True, False, BENDS), 2),
+            "waypoints, two laps in reverse": Case(
+                square, Course(corner_m=0.05, reverse=True, waypoints=BENDS), 2
+            ),
             "waypoints with stops": Case(square, Course(corner_m=0.0, waypoints=BENDS), 2),
         }
     )
@@ -72,14 +74,9 @@ CASES = _cases()
 
 def decisions(case: Case) -> str:
     """Drive, and return how many commands there were, with a digest of them to 1e-6."""
-    sim, params = case.sim, case.params
+    pattern, course, laps, params, sim, rate_hz = case
     driven = drive_simulated(
-        case.pattern,
-        laps=case.laps,
-        rate_hz=case.rate_hz,
-        sim=sim,
-        course=case.course,
-        params=params,
+        pattern, laps=laps, rate_hz=rate_hz, sim=sim, course=course, params=params
     )
     text = "\n".join(f"{each.linear:.6f} {each.angular:.6f}" for each in driven.commands)
     return f"{len(driven.commands)} commands, {sha256(text.encode()).hexdigest()[:16]}"

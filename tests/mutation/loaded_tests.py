@@ -220,12 +220,11 @@ def change_of(path: Path, code: str, where: str) -> Change | None:
         function = _function_of(found)
         if function is not None and compiled is not None:
             before = function.__code__
-            is_made_by_another = number < len(names)
-            if is_made_by_another or _runs(before) == _runs(compiled):
+            makes_another = number < len(names)
+            is_same = _runs(before) == _runs(compiled)
+            if makes_another or is_same or before.co_freevars != compiled.co_freevars:
                 return None
-            return (
-                None if before.co_freevars != compiled.co_freevars else Change(function, compiled)
-            )
+            return Change(function, compiled)
     return None
 
 
