@@ -27,8 +27,8 @@ class LoopThread:
         with self._lock:
             self._loop, self._thread_id = loop, threading.get_ident()
             waiting, self._waiting = self._waiting, []
-        for callback in waiting:
-            loop.call_soon(callback)
+            for callback in waiting:  # under the lock: later calls of other threads come after them
+                loop.call_soon(callback)
 
     def give_up(self) -> None:
         """Run kept and later calls in the thread of their caller, because no loop will run."""
