@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import importlib
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from robotctl.rerun.check import check_recording
+from robotctl.rerun.check_report import Verdict
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 SCRIPTS = sorted(BENCHMARKS.glob("*.py"))
@@ -41,3 +45,16 @@ def test_the_page_of_the_benchmarks_names_each_script() -> None:
     page = (BENCHMARKS / "README.md").read_text()
 
     assert [script for script in SCRIPTS if f"python benchmarks/{script.name}" not in page] == []
+
+
+@pytest.mark.parametrize("moving", [True, False])
+def test_the_drive_that_the_benchmarks_check_is_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, moving: bool
+) -> None:
+    monkeypatch.syspath_prepend(BENCHMARKS)
+    record_drive = importlib.import_module("recording.heard_drive").record_drive
+    folder = record_drive(tmp_path / "drive", 2.0, rate_hz=50.0, moving=moving)
+
+    report = check_recording(folder)
+
+    assert (report.verdict, report.missing) == (Verdict.SAME, [])

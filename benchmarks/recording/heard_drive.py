@@ -10,7 +10,7 @@ from robotctl.cdr.reader import ENCAPSULATION
 from robotctl.config import Config, with_setting
 from robotctl.kernel.types import Effect, Event
 from robotctl.kernel.units import NS_PER_S
-from robotctl.recording import Compression, Recorder, RecorderOptions, Topic
+from robotctl.recording import Compression, Recorder, RecorderOptions
 from robotctl.recording.seal.keyring import Keyring
 from robotctl.rerun.closed_loop import closed_loop
 from robotctl.testing.drives import (
@@ -19,6 +19,7 @@ from robotctl.testing.drives import (
     ODOMETRY,
     START_NS,
     drive_requested,
+    installed_topic,
     journaled,
     record,
 )
@@ -32,9 +33,9 @@ CHUNK_BYTES = 35_000
 
 _TOPICS = {
     ODOMETRY.name: ODOMETRY,
-    BATTERY: Topic(BATTERY, "sensor_msgs/msg/BatteryState"),
+    BATTERY: installed_topic(BATTERY, "sensor_msgs/msg/BatteryState"),
 }
-_STATUS = Topic("/robot_status", "robot_controller/msg/RobotStatus")
+_STATUS = installed_topic("/robot_status", "robot_controller/msg/RobotStatus")
 _STATUS_PERIOD_NS = NS_PER_S
 
 
