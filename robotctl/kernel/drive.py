@@ -10,10 +10,10 @@ from robotctl.kernel.geometry import Pose, wrap_angle
 from robotctl.kernel.params import TrackingParams, VelocityLimits
 from robotctl.kernel.path import Path
 from robotctl.kernel.patterns import Pattern
-from robotctl.kernel.quick_init import quick_init
+from robotctl.kernel.quick_init import maker, quick_init
 from robotctl.kernel.reference import SETTLE_S, START, Progress, advanced, begun
 from robotctl.kernel.routes import legs_for, path_for
-from robotctl.kernel.tracking import Reference, follow_blindly, track
+from robotctl.kernel.tracking import Reference, follow_blindly, new_reference, track
 from robotctl.kernel.types import DriveReport, Twist
 from robotctl.kernel.units import NS_PER_S
 
@@ -97,12 +97,12 @@ class Drive:
         """
         at, segments = self.progress, self.path.segments
         if not segments:
-            return Reference(self.origin, 0.0, 0.0, 0.0)
+            return new_reference(self.origin, 0.0, 0.0, 0.0)
         segment = segments[at.segment]
         pose = self.origin.compose(segment.pose_at(at.length))
         rate = at.speed + at.accel * lag_s
         if segment.turns:
-            return Reference(pose, 0.0, 0.0, segment.curvature_at(at.length) * rate)
+            return new_reference(pose, 0.0, 0.0, segment.curvature_at(at.length) * rate)
         length = at.length + at.speed * lag_s
         if length > segment.length:
             following = segments[(at.segment + 1) % len(segments)]
@@ -110,7 +110,7 @@ class Drive:
                 length = segment.length
             else:
                 length, segment = min(length - segment.length, following.length), following
-        return Reference(pose, rate, segment.curvature_at(length), 0.0)
+        return new_reference(pose, rate, segment.curvature_at(length), 0.0)
 
     def command(self, pose: Pose, gains: TrackingParams, limits: VelocityLimits) -> Twist:
         """Return the velocity that leads a robot at `pose` to the reference."""
@@ -172,7 +172,7 @@ class Drive:
         error_m = wanted.distance(local)
         heading_rad = abs(wrap_angle(wanted.theta - local.theta))
         lost = error_m > path.reach_m or (segment.turns and heading_rad > LOST_RAD)
-        return Score(
+        return _new_score(
             so_far.samples + 1,
             so_far.squared_error_sum + cross_m * cross_m,
             max(so_far.max_error_m, cross_m),
@@ -214,7 +214,7 @@ class Drive:
         return self._at(replace(self.progress, laps=self.laps))
 
     def _at(self, progress: Progress) -> Drive:
-        return Drive(
+        return _new_drive(
             self.request_id,
             self.pattern,
             self.laps,
@@ -226,7 +226,7 @@ class Drive:
         )
 
     def _scored(self, score: Score) -> Drive:
-        return Drive(
+        return _new_drive(
             self.request_id,
             self.pattern,
             self.laps,
@@ -268,6 +268,9 @@ class Drive:
         end = self.origin if self.path.closed else self.origin.compose(self.path.end)
         drive = self._at(replace(at, closure_m=end.distance(pose)))
         return drive if self.path.closed or drive.finished else replace(drive, origin=end)
+
+
+_new_score, _new_drive = maker(Score), maker(Drive)
 
 
 def origin_of(pose: Pose, course: Course) -> Pose:

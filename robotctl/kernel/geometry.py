@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import atan2, cos, hypot, nan, pi, sin, tau
 
-from robotctl.kernel.quick_init import quick_init
+from robotctl.kernel.quick_init import maker, quick_init
 
 
 def wrap_angle(angle_rad: float) -> float:
@@ -25,7 +25,7 @@ class Pose:
     def compose(self, local: Pose) -> Pose:
         """Return `local`, a pose relative to this one, in the parent frame of this pose."""
         c, s = cos(self.theta), sin(self.theta)
-        return Pose(
+        return new_pose(
             self.x + c * local.x - s * local.y,
             self.y + s * local.x + c * local.y,
             wrap_angle(self.theta + local.theta),
@@ -35,7 +35,7 @@ class Pose:
         """Return `other`, a pose in the same parent frame, relative to this pose."""
         c, s = cos(self.theta), sin(self.theta)
         dx, dy = other.x - self.x, other.y - self.y
-        return Pose(c * dx + s * dy, c * dy - s * dx, wrap_angle(other.theta - self.theta))
+        return new_pose(c * dx + s * dy, c * dy - s * dx, wrap_angle(other.theta - self.theta))
 
     def distance(self, other: Pose) -> float:
         """Return the distance between the two positions [m]."""
@@ -43,6 +43,7 @@ class Pose:
 
 
 ORIGIN = Pose()
+new_pose = maker(Pose)
 
 
 QUATERNION_TOLERANCE = 0.1

@@ -23,6 +23,7 @@ from robotctl.kernel.odometry import (
 )
 from robotctl.kernel.parameter_change import ParameterRequested
 from robotctl.kernel.params import WhenIdle
+from robotctl.kernel.quick_init import maker
 from robotctl.kernel.safety import raised
 from robotctl.kernel.safety_inputs import Reading, with_reading
 from robotctl.kernel.state import State
@@ -55,6 +56,8 @@ from robotctl.kernel.units import NS_PER_S
 SILENT_AFTER_NS = NS_PER_S
 """So long zeros are sent in IDLE before silence, where that is configured."""
 
+
+_new_state, _new_health = maker(State), maker(Health)
 
 _IDLE, _MOVING = Mode.IDLE, Mode.MOVING
 _DRIVING, _STOPPING = Phase.DRIVING, Phase.STOPPING
@@ -162,7 +165,7 @@ class Kernel(Knowledge):
             sources = replace(sources, dropped=sources.dropped + 1)
         is_news = not fault and not is_repeated(health, odometry)
         # Without `replace`, as in `_move`: it would make a step a tenth slower.
-        health = Health(
+        health = _new_health(
             odometry=last if unusable else odometry,
             odometry_t_ns=event.t_ns if is_news else health.odometry_t_ns,
             odometry_stamp_ns=odometry.stamp_ns,
@@ -182,7 +185,7 @@ class Kernel(Knowledge):
             scan=health.scan,
             lifecycle=health.lifecycle,
         )
-        self.state = State(
+        self.state = _new_state(
             mode=state.mode,
             phase=state.phase,
             reason=state.reason,
@@ -277,7 +280,7 @@ class Kernel(Knowledge):
             elif held.is_let_go and command == ZERO and phase is _DRIVING:
                 drive = drive.completed()
                 phase, stop_reason = _STOPPING, drive.ending()
-        self.state = State(
+        self.state = _new_state(
             mode=state.mode,
             phase=phase,
             reason=state.reason,

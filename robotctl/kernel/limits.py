@@ -5,14 +5,16 @@ from __future__ import annotations
 from math import isfinite
 
 from robotctl.kernel.params import VelocityLimits
-from robotctl.kernel.types import Twist
+from robotctl.kernel.types import Twist, new_twist
 
 
 def clamp(value: float, bound: float) -> float:
     """Return `value` limited to [-bound, bound]; nan and inf become 0, never full speed."""
+    if -bound <= value <= bound:
+        return value
     if not isfinite(value):
         return 0.0
-    return min(max(value, -bound), bound)
+    return bound if value > 0.0 else -bound
 
 
 def _approach(current: float, target: float, max_step: float) -> float:
@@ -32,7 +34,7 @@ def limit(current: Twist, target: Twist, dt_s: float, limits: VelocityLimits) ->
     """Return the command nearest to `target` that is allowed `dt_s` seconds after `current`."""
     linear = clamp(target.linear, limits.linear_mps)
     angular = clamp(target.angular, limits.angular_rps)
-    return Twist(
+    return new_twist(
         _approach(current.linear, linear, limits.linear_accel_mps2 * dt_s),
         _approach(current.angular, angular, limits.angular_accel_rps2 * dt_s),
     )

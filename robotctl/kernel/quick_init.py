@@ -1,26 +1,31 @@
 """Makes objects of a frozen, slotted dataclass as fast as those of one that is not frozen.
 
-The `__init__` of a frozen dataclass sets each field with a call of `object.__setattr__`. On a busy
-machine (2026-11-23) an object of 18 fields took 3.7 to 5.9 us, and takes 0.7 to 1.2 us this way.
+The `__init__` of a frozen dataclass sets each field with a call of `object.__setattr__`. An object
+of 18 fields takes 3.6 us that way on a slow machine (2026-11-28), 0.9 us by its class here, and
+0.5 us by its maker.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import MISSING, fields
-from typing import Any, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 T = TypeVar("T")
+P = ParamSpec("P")
+
+_makers: dict[Any, Any] = {}
 
 
 def quick_init(kind: type[T]) -> type[T]:
-    """Replace the `__init__` of a frozen, slotted dataclass by one that does the same, faster.
+    """Replace the `__init__` of a frozen, slotted dataclass by a `__new__` that is faster.
 
     The object is of an equal class that is not frozen while its fields are set. Decorate with it
     above `@dataclass(frozen=True, slots=True)`; defaults are values, not factories.
     """
     names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
     unfrozen = type(kind.__name__, (), {"__slots__": tuple(names)})
-    scope: dict[str, Any] = {"frozen": kind, "unfrozen": unfrozen, "set": object.__setattr__}
+    scope: dict[str, Any] = {"frozen": kind, "unfrozen": unfrozen}
     parameters = []
     for field in fields(kind):  # type: ignore[arg-type]
         assert field.default_factory is MISSING, field
@@ -29,13 +34,27 @@ def quick_init(kind: type[T]) -> type[T]:
         else:
             scope[f"default_{field.name}"] = field.default
             parameters.append(f"{field.name}=default_{field.name}")
-    lines = [
-        f"def __init__(self, {', '.join(parameters)}):",
-        "set(self, '__class__', unfrozen)",
+    body = [
+        "self = unfrozen()",
         *(f"self.{name} = {name}" for name in names),
         "self.__class__ = frozen",
+        "return self",
     ]
-    exec("\n    ".join(lines), scope)
-    scope["__init__"].__qualname__ = f"{kind.__qualname__}.__init__"
-    kind.__init__ = scope["__init__"]  # type: ignore[method-assign]
+    for head in (["make", *parameters], ["__new__", "cls", *parameters]):
+        exec("\n    ".join([f"def {head[0]}({', '.join(head[1:])}):", *body]), scope)
+        scope[head[0]].__qualname__ = f"{kind.__qualname__}.{head[0]}"
+    _makers[kind] = scope["make"]
+    kind.__new__ = scope["__new__"]  # type: ignore[method-assign]
+    kind.__reduce__ = lambda self: (kind, tuple([getattr(self, name) for name in names]))  # type: ignore[method-assign]
+    del kind.__init__
     return kind
+
+
+def maker(kind: Callable[P, T]) -> Callable[P, T]:
+    """Return the function that makes objects of a class which `quick_init` decorates.
+
+    A call of the class goes through a tuple and a dictionary of the arguments; this does not, and
+    takes half of the time.
+    """
+    make: Callable[P, T] = _makers[kind]
+    return make

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import fsum, nan, sqrt
 
-from robotctl.kernel.quick_init import quick_init
+from robotctl.kernel.quick_init import maker, quick_init
 from robotctl.kernel.speed_plan import Leg
 
 SETTLE_S = 0.6
@@ -93,7 +93,7 @@ def advanced(
     part = min(rate * dt_s, ahead)
     ahead -= part
     if stands and (ahead < ARRIVED or rate < ARRIVED):
-        return Progress(lap, index, leg.length, rate, at.settling_s, at.closure_m), True
+        return _new_progress(lap, index, leg.length, rate, at.settling_s, at.closure_m), True
     index, lap, length = at.segment, at.laps, at.length + part
     leg = legs[index]
     while length >= leg.length:
@@ -103,7 +103,9 @@ def advanced(
             index, lap = 0, lap + 1
         leg = legs[index]
     accel = (rate - at.speed) / dt_s
-    return Progress(lap, index, length, rate, 0.0, at.closure_m, ahead, speed, rates, accel), False
+    at = _new_progress(lap, index, length, rate, 0.0, at.closure_m, ahead, speed, rates, accel)
+    return at, False
 
 
 START = Progress()
+_new_progress = maker(Progress)

@@ -37,6 +37,7 @@ from robotctl.kernel.types.values import (
     Odometry,
     Phase,
     Twist,
+    new_twist,
 )
 
 __all__ = [
@@ -72,4 +73,5 @@ __all__ = [
     "ScanReceived",
     "Tick",
     "Twist",
+    "new_twist",
 ]

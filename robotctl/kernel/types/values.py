@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from robotctl.kernel.geometry import Pose
-from robotctl.kernel.quick_init import quick_init
+from robotctl.kernel.quick_init import maker, quick_init
 
 
 @quick_init
@@ -19,6 +19,7 @@ class Twist:
 
 
 ZERO = Twist()
+new_twist = maker(Twist)
 
 
 @quick_init
