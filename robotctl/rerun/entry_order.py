@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from heapq import heappop, heappush
+from typing import final
 
 from robotctl.recording.format.journal import JournalEntry
 
@@ -16,6 +17,7 @@ around a change of the clock.
 """
 
 
+@final
 @dataclass(frozen=True, slots=True)
 class Gap:
     """A place where journal entries are missing or out of order; `text` says which."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Final, NamedTuple
 from zlib import crc32
 
 from robotctl.cdr.reader import ENCAPSULATION, LITTLE_ENDIAN
@@ -52,7 +52,19 @@ _KIND_AT = struct.calcsize("<4sQq")
 _SNAPSHOT = bytes([EntryKind.SNAPSHOT])
 
 _LENGTH = struct.Struct("<I")
-_HEAD_BYTES, _LENGTH_BYTES = _HEAD.size, _LENGTH.size
+_NAME_SIZE_AT = _HEAD.size - _LENGTH.size
+
+MAX_NAME_BYTES = 255
+"""Maximum size of the name of an entry, with the zero at its end."""
+
+
+def _until_data(name_bytes: int) -> struct.Struct:
+    """Return the layout of an entry with a name of this size: up to the length of the data."""
+    padding = -name_bytes % 4
+    return struct.Struct(f"<4sQqBxxxI{name_bytes - 1}sx{padding}xI")
+
+
+_UNTIL_DATA: Final = {size: _until_data(size) for size in range(1, MAX_NAME_BYTES + 1)}
 
 _new = tuple.__new__
 """Makes a named tuple in a third of the time of its class."""
@@ -91,23 +103,20 @@ def decode(serialized: bytes) -> JournalEntry:
         UnreadableFile: The bytes are not a journal entry.
     """
     try:
-        encapsulation, seq, t_ns, kind, name_size = _HEAD.unpack_from(serialized)
+        layout = _UNTIL_DATA[serialized[_NAME_SIZE_AT]]
+        encapsulation, seq, t_ns, kind, name_size, name, data_size = layout.unpack_from(serialized)
         if encapsulation[:2] != LITTLE_ENDIAN:
             raise ValueError("not little-endian CDR")
-        if kind >= len(_KINDS):
-            raise ValueError(f"{kind} is not a kind of entry")
-        name_end = _HEAD_BYTES + name_size
-        start = name_end + -name_size % 4 + _LENGTH_BYTES
-        (data_size,) = _LENGTH.unpack_from(serialized, start - _LENGTH_BYTES)
-        end = start + data_size
-        if name_size > MAX_TEXT_BYTES or data_size > MAX_TEXT_BYTES:
-            raise ValueError(
-                f"its text has {max(name_size, data_size)} bytes, more than {MAX_TEXT_BYTES}"
-            )
+        if name_size > MAX_NAME_BYTES:
+            raise ValueError(f"its name has {name_size} bytes, more than {MAX_NAME_BYTES}")
+        if data_size > MAX_TEXT_BYTES:
+            raise ValueError(f"its text has {data_size} bytes, more than {MAX_TEXT_BYTES}")
+        end = layout.size + data_size
         if len(serialized) < end:
             raise ValueError("cut short")
-        name = serialized[_HEAD_BYTES : name_end - 1].decode()
-        data = serialized[start : end - 1].decode()
-        return _new(JournalEntry, (seq, t_ns, _KINDS[kind], name, data))
+        data = serialized[layout.size : end - 1].decode()
+        return _new(JournalEntry, (seq, t_ns, _KINDS[kind], name.decode(), data))
+    except LookupError:
+        raise UnreadableFile("a journal entry is damaged: it has no name or kind") from None
     except (struct.error, ValueError) as error:
         raise UnreadableFile(f"a journal entry is damaged: {error}") from None

@@ -238,25 +238,23 @@ def head_blocks(data: bytes, most: int = sys.maxsize) -> Iterator[HeadBlock]:
         if most <= 0:
             raise BeyondLimit(TOO_MANY_RECORDS)
         block: HeadBlock = []
-        add, block_end = block.append, position + _BLOCK_BYTES
+        add, block_end = block.append, min(position + _BLOCK_BYTES, size)
+        last_quick = min(last_message, block_end - 1)
         try:
             for _ in range(min(most, _BLOCK_RECORDS)):
-                if position <= last_message:
+                if position <= last_quick:
                     head = unpack(data, position)
-                elif position >= size:
+                elif position >= block_end:
                     break
                 else:
                     head = _short_head(data, position)
-                opcode, length, _, _, _, _ = head
-                end = position + head_bytes + length
-                if end > size or (opcode == message and length < least_bytes):
+                end = position + head_bytes + head[1]
+                if end > size or (head[1] < least_bytes and head[0] == message):
                     raise Damaged("a chunk ends in the middle of a record")
-                if opcode == 0:
+                if head[0] == 0:
                     raise Damaged("a chunk holds zeros in the place of a record")
                 add((position, head))
                 position = end
-                if position >= block_end:
-                    break
         except Damaged:
             yield block
             raise

@@ -18,6 +18,7 @@ from robotctl.recording.read.mcap_input import (
     MESSAGE_FIELDS,
     RECORD_HEAD,
     TOO_MANY_RECORDS,
+    HeadBlock,
     InputFile,
     RecordHead,
 )
@@ -28,7 +29,8 @@ Window = tuple[int, int]
 ALWAYS: Final[Window] = (0, (1 << 64) - 1)
 
 
-_FIELDS_BYTES: Final = MESSAGE_FIELDS.size
+_RECORD_HEAD_BYTES: Final = RECORD_HEAD.size
+_HEAD_BYTES: Final = RECORD_HEAD.size + MESSAGE_FIELDS.size
 
 _new: Final = tuple.__new__
 """Makes a named tuple in a third of the time of its class."""
@@ -80,7 +82,7 @@ class PlaceReader:
         self.file = file
         self.window = window
         self.place = place
-        self.entries: list[tuple[int, int, int]] = []  # log time, start and end of the content
+        self.entries: list[tuple[int, int, int]] = []  # log time, position, length of the content
         self.next = 0
         self.loaded = False
         self.size = 0
@@ -112,8 +114,8 @@ class PlaceReader:
         try:
             for wanted in self._wanted(data):
                 self.entries += [
-                    (log_ns, start, start + length)
-                    for start, (_, length, _, _, log_ns, _) in wanted
+                    (log_ns, position, length)
+                    for position, (_, length, _, _, log_ns, _) in wanted
                     if first_ns <= log_ns <= last_ns
                 ]
         finally:
@@ -125,10 +127,11 @@ class PlaceReader:
         Raises:
             Damaged: It cannot be decompressed; the next call returns the one after it.
         """
-        _, start, end = self.entries[self.next]
+        _, position, length = self.entries[self.next]
         self.next += 1
-        channel, sequence, log_ns, publish_ns = MESSAGE_FIELDS.unpack_from(self._data, start)
-        content = self._data[start + _FIELDS_BYTES : end]
+        begin = position + _RECORD_HEAD_BYTES
+        channel, sequence, log_ns, publish_ns = MESSAGE_FIELDS.unpack_from(self._data, begin)
+        content = self._data[position + _HEAD_BYTES : begin + length]
         if self._decompressor is not None:
             content = self._decompressor.decompress(content)
         return Message(*self._names[channel], content, log_ns, publish_ns, sequence)
@@ -146,7 +149,7 @@ class PlaceReader:
         names, data = self._names, self._read()
         for contents in self._contents(data) if is_wanted(data) else ():
             yield [
-                _new(Message, (*names[channel], content, log_ns, publish_ns, sequence))
+                _new(Message, names[channel] + (content, log_ns, publish_ns, sequence))
                 for (_, _, channel, sequence, log_ns, publish_ns), content in contents
             ]
 
@@ -165,7 +168,8 @@ class PlaceReader:
         failure: Damaged | None = None
         for wanted in self._wanted(data):
             contents = [
-                (head, data[start + _FIELDS_BYTES : start + head[1]]) for start, head in wanted
+                (head, data[position + _HEAD_BYTES : position + _RECORD_HEAD_BYTES + head[1]])
+                for position, head in wanted
             ]
             if self._decompressor is None:
                 yield contents
@@ -194,8 +198,8 @@ class PlaceReader:
         limit = self.file.file.limits.records
         return self.file.index.tally.records_left(self.place.offset, limit)
 
-    def _wanted(self, data: bytes) -> Iterator[list[tuple[int, RecordHead]]]:
-        """Yield where the content begins, and the head, of the messages of selected channels.
+    def _wanted(self, data: bytes) -> Iterator[HeadBlock]:
+        """Yield position and head of the messages of selected channels, many at once.
 
         Raises:
             Damaged: After the last message, if the place is damaged.
@@ -207,9 +211,7 @@ class PlaceReader:
             for block in self.file.file.head_blocks(data, self._records_left()):
                 records += len(block)
                 wanted = [
-                    (position + RECORD_HEAD.size, head)
-                    for position, head in block
-                    if head[0] == message and head[2] in names
+                    each for each in block if (head := each[1])[0] == message and head[2] in names
                 ]
                 for _, head in block if len(wanted) < len(block) else ():
                     if head[0] != message:
