@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from operator import attrgetter
+from operator import itemgetter
 from typing import Final
 
 from robotctl.kernel.units import NS_PER_S
@@ -11,7 +11,8 @@ from robotctl.recording.read.messages import Message
 APART_NS: Final = 5 * NS_PER_S
 """How far log times may go back in a file: it is written at least once a second, by kinds."""
 
-_log_ns = attrgetter("log_ns")
+_log_ns = itemgetter(Message._fields.index("log_ns"))
+"""By its place, which Python 3.11 finds in a third of the time of its name."""
 
 
 class LogOrder:
