@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import gc
 import os
+import re
 import resource
 from collections.abc import Awaitable, Callable, Iterator
+from contextlib import ExitStack, suppress
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -255,14 +257,35 @@ async def test_what_one_publisher_has_latched_is_taken_though_another_latches_no
     assert sorted(taken.values(topic)) == [1, 2, 3]
 
 
+def _open_files() -> set[str]:
+    """Return what each open file of this process is."""
+    found = set()
+    for number in os.listdir("/proc/self/fd"):
+        with suppress(FileNotFoundError):  # the one that lists them
+            told = Path(f"/proc/self/fdinfo/{number}").read_text()
+            identity = "".join(re.findall("eventfd-id.*", told))
+            found.add(f"{os.readlink(f'/proc/self/fd/{number}')} {identity}")
+    return found
+
+
+@pytest.fixture
+def held_files() -> Iterator[None]:
+    """Keep what earlier tests left open: a new file would be taken for one that closes."""
+    with ExitStack() as copies:
+        for number in os.listdir("/proc/self/fd"):
+            with suppress(OSError):  # the one that lists them
+                copies.callback(os.close, os.dup(int(number)))
+        yield
+
+
+@pytest.mark.usefixtures("held_files")
 async def test_hundreds_of_topics_take_one_file_each(
     taken: Any, other: Any, topic: str, until: Until
 ) -> None:
-    gc.collect()  # what earlier tests left would close its files meanwhile
-    files = len(os.listdir("/proc/self/fd"))
+    files = _open_files()
     published = [publisher(other, f"{topic}_{index}") for index in range(MANY)]
     await until(lambda: all(each.get_subscription_count() for each in published))
-    taken_files = len(os.listdir("/proc/self/fd")) - files
+    taken_files = len(_open_files() - files)
     for index, each in enumerate(published):
         each.publish(number(index))
     await until(lambda: all(taken.values(f"{topic}_{index}") == [index] for index in range(MANY)))
