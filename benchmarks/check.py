@@ -20,10 +20,10 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from multiprocessing import get_context
 from pathlib import Path
 
 from recording.figures import Figure, Round, table
-from recording.heard_drive import record_drive
 
 from robotctl.recording import Compression, Recording
 from robotctl.recording.format.journal import EntryKind
@@ -53,8 +53,24 @@ print(int(status.split("VmHWM:")[1].split()[0]) / 1024)
 def make(
     folder: Path, seconds: float, *, moving: bool, compression: Compression = Compression.ZSTD
 ) -> Path:
-    """A recording of that length, in one file."""
-    return record_drive(folder, seconds, rate_hz=RATE_HZ, moving=moving, compression=compression)
+    """A recording of that length, in one file.
+
+    Another process makes it: numpy, which it loads, has a thread, and only a process with one
+    thread is copied to check in pieces.
+    """
+    making = get_context("fork").Process(
+        target=_record, args=(folder, seconds, moving, compression)
+    )
+    making.start()
+    making.join()
+    assert making.exitcode == 0, making
+    return folder
+
+
+def _record(folder: Path, seconds: float, moving: bool, compression: Compression) -> None:
+    from recording.heard_drive import record_drive
+
+    record_drive(folder, seconds, rate_hz=RATE_HZ, moving=moving, compression=compression)
 
 
 def times_real_time(path: Path) -> float:
