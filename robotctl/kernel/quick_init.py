@@ -35,17 +35,21 @@ def quick_init(kind: type[T]) -> type[T]:
             scope[f"default_{field.name}"] = field.default
             parameters.append(f"{field.name}=default_{field.name}")
     body = [
-        "self = unfrozen()",
-        *(f"self.{name} = {name}" for name in names),
-        "self.__class__ = frozen",
-        "return self",
+        "made = unfrozen()",
+        *(f"made.{name} = {name}" for name in names),
+        "made.__class__ = frozen",
+        "return made",
     ]
-    for head in (["make", *parameters], ["__new__", "cls", *parameters]):
-        exec("\n    ".join([f"def {head[0]}({', '.join(head[1:])}):", *body]), scope)
-        scope[head[0]].__qualname__ = f"{kind.__qualname__}.{head[0]}"
+    for function, taken in (("make", parameters), ("__new__", ["cls", *parameters])):
+        exec("\n    ".join([f"def {function}({', '.join(taken)}):", *body]), scope)
+        scope[function].__qualname__ = f"{kind.__qualname__}.{function}"
     _makers[kind] = scope["make"]
+
+    def reduce(self: T) -> tuple[type[T], tuple[object, ...]]:
+        return kind, tuple([getattr(self, name) for name in names])
+
     kind.__new__ = scope["__new__"]  # type: ignore[method-assign]
-    kind.__reduce__ = lambda self: (kind, tuple([getattr(self, name) for name in names]))  # type: ignore[method-assign]
+    kind.__reduce__ = reduce  # type: ignore[method-assign]
     del kind.__init__
     return kind
 

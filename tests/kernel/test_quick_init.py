@@ -8,7 +8,7 @@ from dataclasses import FrozenInstanceError, asdict, dataclass, fields, replace
 
 import pytest
 
-from robotctl.kernel.quick_init import quick_init
+from robotctl.kernel.quick_init import maker, quick_init
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,3 +61,11 @@ def test_a_wrong_argument_is_refused() -> None:
         _Quick()  # type: ignore[call-arg]
     with pytest.raises(TypeError, match="fourth"):
         _Quick(1.0, fourth=2)  # type: ignore[call-arg]
+
+
+def test_its_maker_makes_the_same_object_and_refuses_the_same_arguments() -> None:
+    make = maker(_Quick)
+    assert make(1.0, third=(2,)) == _Quick(1.0, third=(2,))
+    assert type(make(1.0)) is _Quick
+    with pytest.raises(TypeError, match="first"):
+        make()  # type: ignore[call-arg]
