@@ -49,7 +49,7 @@ def quick_init(kind: type[T]) -> type[T]:
         return kind, tuple([getattr(self, name) for name in names])
 
     kind.__new__ = scope["__new__"]  # type: ignore[method-assign]
-    kind.__reduce__ = reduce  # type: ignore[method-assign]
+    kind.__reduce__ = reduce  # type: ignore[method-assign, assignment]
     del kind.__init__
     return kind
 
