@@ -18,7 +18,7 @@ def clamp(value: float, bound: float) -> float:
 
 
 def _approach(current: float, target: float, max_step: float) -> float:
-    if abs(target - current) <= max_step:
+    if -max_step <= target - current <= max_step:
         return target
     return current + max_step if target > current else current - max_step
 
@@ -42,4 +42,8 @@ def limit(current: Twist, target: Twist, dt_s: float, limits: VelocityLimits) ->
 
 def within(command: Twist, limits: VelocityLimits) -> bool:
     """Return whether the command is finite and within the velocity limits."""
-    return abs(command.linear) <= limits.linear_mps and abs(command.angular) <= limits.angular_rps
+    linear_mps, angular_rps = limits.linear_mps, limits.angular_rps
+    return (
+        -linear_mps <= command.linear <= linear_mps
+        and -angular_rps <= command.angular <= angular_rps
+    )

@@ -44,7 +44,7 @@ class ModeControl:
 
     def _rise_ticks(self) -> int:
         """Return over how many ticks an acceleration builds up."""
-        return max(1, round(self.params.limits.accel_rise_s * self.params.rate_hz))
+        return round(self.params.limits.accel_rise_s * self.params.rate_hz) or 1
 
     def _notice_gap(self, t_ns: int) -> None:
         """Record a gap between ticks before anything else is checked.
