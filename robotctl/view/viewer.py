@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Final, Protocol, cast
 
 from websockets.frames import Frame, Opcode
-from websockets.http11 import Request
+from websockets.http11 import Request, Response
 from websockets.protocol import State
 from websockets.server import ServerProtocol
 from websockets.typing import Subprotocol
@@ -88,8 +88,13 @@ class Viewer(asyncio.Protocol):
             max_size=MAX_REQUEST_BYTES,
             logger=_LOGGER,
         )
-        self._fragments: list[Frame] = []
+        self._kind = Opcode.TEXT
+        self._message = bytearray()
+        """What has come of a message; empty pieces of it, without number, hold no memory."""
+
         self._full = False
+        self._ends = False
+        """Whether the connection is closed when everything that waits has been sent."""
 
     @property
     def is_stalled(self) -> bool:
@@ -150,10 +155,14 @@ class Viewer(asyncio.Protocol):
         self.flush()
 
     def flush(self) -> None:
-        """Give the socket what waits, until it takes no more."""
+        """Give the socket what waits, until it takes no more, or the peer has reset it."""
         transport = self._transport
-        while transport is not None and not self._full and (piece := self.outbox.take()):
+        if transport is None:
+            return
+        while not (self._full or transport.is_closing()) and (piece := self.outbox.take()):
             transport.write(piece)
+        if self._ends and not self.outbox:
+            transport.close()
 
     def close(self, code: int, reason: str) -> None:
         """End the connection with a close frame."""
@@ -177,31 +186,44 @@ class Viewer(asyncio.Protocol):
         self._send_protocol_bytes()
 
     def _shake_hands(self, request: Request) -> None:
-        headers = request.headers
-        refusal = self._admission.refusal(
-            request.path, headers.get_all("Host"), headers.get_all("Origin")
-        )
-        if refusal:
-            response = self._websocket.reject(http.HTTPStatus.FORBIDDEN, f"{refusal}\n")
-        else:
-            response = self._websocket.accept(request)
+        try:
+            response = self._answer(request)
+        except UnicodeEncodeError:  # some versions of websockets keep bytes that are no ASCII
+            text = "the request is not in ASCII\n"
+            response = self._websocket.reject(http.HTTPStatus.BAD_REQUEST, text)
         self._websocket.send_response(response)
         self._send_protocol_bytes()
         if self._websocket.state is State.OPEN:
             self.admitted = True
             self._host.admit(self)
 
+    def _answer(self, request: Request) -> Response:
+        """Return the answer to a handshake.
+
+        Raises:
+            UnicodeEncodeError: The request is not in ASCII.
+        """
+        headers = request.headers
+        refusal = self._admission.refusal(
+            request.path, headers.get_all("Host"), headers.get_all("Origin")
+        )
+        if refusal:
+            return self._websocket.reject(http.HTTPStatus.FORBIDDEN, f"{refusal}\n")
+        return self._websocket.accept(request)
+
     def _take_frame(self, frame: Frame) -> None:
-        if frame.opcode not in (Opcode.TEXT, Opcode.BINARY, Opcode.CONT):
+        if frame.opcode in (Opcode.TEXT, Opcode.BINARY):
+            self._kind = frame.opcode
+        elif frame.opcode is not Opcode.CONT:
             return
-        self._fragments.append(frame)
+        self._message += frame.data
         if not frame.fin:
             return
-        whole = b"".join(bytes(each.data) for each in self._fragments)
+        whole = bytes(self._message)
+        self._message.clear()
         decode: Callable[[bytes], ViewRequest] = (
-            text_request if self._fragments[0].opcode is Opcode.TEXT else binary_request
+            text_request if self._kind is Opcode.TEXT else binary_request
         )
-        self._fragments.clear()
         try:
             self._host.request(self, decode(whole))
         except WrongRequest as error:
@@ -213,8 +235,7 @@ class Viewer(asyncio.Protocol):
             if self._transport is None:
                 return
             if not data:  # it wants the stream to end
-                self.flush()
-                self._transport.close()
+                self._ends = True
             elif not self.admitted:
                 self._transport.write(data)
             else:  # never into the middle of a frame

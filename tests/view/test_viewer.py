@@ -1,0 +1,97 @@
+"""One connection against peers that leave in the middle, send pieces, or no ASCII."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import json
+import logging
+import socket
+import struct
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+import pytest
+from websockets.datastructures import Headers
+from websockets.frames import Frame, Opcode
+from websockets.http11 import Request
+
+from robotctl.view.admission import Admission
+from robotctl.view.outbox import PIECE_BYTES
+from robotctl.view.view_server import ViewServer
+from robotctl.view.viewer import Viewer
+from tests.support.served_view import STRING, TOKEN, Served, served
+from tests.support.waiting import loop_until
+from tests.view.test_view_server import handshake_request
+
+RESET = struct.pack("ii", 1, 0)
+"""SO_LINGER, with which a close sends a reset."""
+
+
+@asynccontextmanager
+async def raw_client(view: Served) -> AsyncIterator[socket.socket]:
+    """Connect a socket whose handshake is done."""
+    loop = asyncio.get_running_loop()
+    with socket.create_connection(("127.0.0.1", view.port)) as sock:
+        sock.setblocking(False)
+        await loop.sock_sendall(sock, handshake_request(f"127.0.0.1:{view.port}", None, TOKEN))
+        await loop.sock_recv(sock, 4096)
+        yield sock
+
+
+def frame(opcode: Opcode, data: bytes, *, fin: bool = True) -> bytes:
+    """Return a frame of a client."""
+    return Frame(opcode, data, fin).serialize(mask=True)
+
+
+async def test_a_reset_in_the_middle_of_a_message_is_no_line_in_the_terminal(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """asyncio warns of each further write to a socket that the peer has reset."""
+    async with served() as view:
+        subscribed: list[int] = []
+        view.server.on_subscribed = subscribed.append
+        channel = view.server.offer("/a", *STRING)
+        wanted = {"op": "subscribe", "subscriptions": [{"id": 1, "channelId": channel}]}
+        async with raw_client(view) as sock:
+            sock.send(frame(Opcode.TEXT, json.dumps(wanted).encode()))
+            await loop_until(lambda: subscribed)
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET)
+        view.server.publish(channel, 1, bytes(50 * PIECE_BYTES))
+        await loop_until(lambda: not view.server._viewers)
+    assert [each for each in caplog.records if each.levelno >= logging.WARNING] == []
+
+
+async def test_the_pieces_of_a_message_hold_no_more_than_their_bytes() -> None:
+    async with served() as view, raw_client(view) as sock:
+        loop = asyncio.get_running_loop()
+        pieces = frame(Opcode.TEXT, b"{", fin=False) + 5_000 * frame(Opcode.CONT, b"", fin=False)
+        await loop.sock_sendall(sock, pieces + frame(Opcode.PING, b"all is sent"))
+        answer = b""
+        while b"all is sent" not in answer:
+            answer += await loop.sock_recv(sock, 4096)
+        assert sum(isinstance(each, Frame) for each in gc.get_objects()) < 100
+        await loop.sock_sendall(sock, frame(Opcode.CONT, b"}"))
+        while b"a message without an operation" not in answer:
+            answer += await loop.sock_recv(sock, 4096)
+
+
+async def test_a_request_that_is_no_ascii_is_refused() -> None:
+    """Some versions of websockets keep such bytes as surrogates."""
+    sent = bytearray()
+
+    class Transport(asyncio.Transport):
+        def write(self, data: bytes | bytearray | memoryview) -> None:
+            sent.extend(data)
+
+        def close(self) -> None:
+            sent.extend(b"END")
+
+        def is_closing(self) -> bool:
+            return False
+
+    viewer = Viewer(ViewServer("test", Admission(TOKEN)), Admission(TOKEN))
+    viewer._transport = Transport()
+    viewer._shake_hands(Request("/?token=\udcff", Headers(Host="127.0.0.1")))
+    assert sent.startswith(b"HTTP/1.1 400 ")
+    assert sent.endswith(b"the request is not in ASCII\nEND")
