@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hmac
 import ipaddress
+import re
 import secrets
 import socket
 from collections.abc import Iterable, Sequence
@@ -26,6 +27,14 @@ KNOWN_ORIGINS: Final = (
 
 _TOKEN_BYTES: Final = 24
 
+_ORIGIN: Final = re.compile(r"[a-z][a-z0-9+.-]*://[^\sA-Z/?#@*]+|file://|null")
+"""What browsers send: a scheme and a host, in small letters, without a path."""
+
+
+def is_origin(text: str) -> bool:
+    """Return whether a page can have this origin; any other text would admit nobody."""
+    return _ORIGIN.fullmatch(text) is not None
+
 
 def new_token() -> str:
     """Return a token that cannot be guessed."""
@@ -35,9 +44,13 @@ def new_token() -> str:
 class Admission:
     """Checks the first request of a connection."""
 
-    def __init__(self, token: str, origins: Iterable[str] = ()) -> None:
-        """Admit requests with this token from KNOWN_ORIGINS, from `origins` and from no page."""
+    def __init__(self, token: str, origins: Iterable[str] = (), host: str = "localhost") -> None:
+        """Admit requests with this token from KNOWN_ORIGINS, from `origins` and from no page.
+
+        `host` is a name of this computer, by which viewers may call it, too.
+        """
         self._token = token.encode()
+        self._own_names = {"localhost", socket.gethostname().lower(), host.lower()}
         self._origins = {*KNOWN_ORIGINS, *origins}
 
     def refusal(self, target: str, hosts: Sequence[str], origins: Sequence[str]) -> str:
@@ -45,7 +58,7 @@ class Admission:
 
         `target` is its path with the query; `hosts` and `origins` are all headers of these names.
         """
-        if len(hosts) != 1 or not _is_own_host(hosts[0]):
+        if len(hosts) != 1 or not self._is_own_host(hosts[0]):
             return "the Host header names no address of this computer"
         if len(origins) > 1 or not self._origins.issuperset(origins):
             return "pages of this origin may not connect (robotctl view --origin allows one)"
@@ -54,17 +67,16 @@ class Admission:
             return "the URL does not have the token of this run: copy it from robotctl view"
         return ""
 
-
-def _is_own_host(header: str) -> bool:
-    """Return whether a Host header holds an address, or a name that only this machine gives."""
-    try:
-        host = urlsplit(f"//{header}").hostname
-    except ValueError:
-        return False
-    if not host:
-        return False
-    try:
-        ipaddress.ip_address(host)
-    except ValueError:
-        return host in ("localhost", socket.gethostname().lower())
-    return True
+    def _is_own_host(self, header: str) -> bool:
+        """Return whether a Host header holds an address, or a name that only this machine gives."""
+        try:
+            host = urlsplit(f"//{header}").hostname
+        except ValueError:
+            return False
+        if not host:
+            return False
+        try:
+            ipaddress.ip_address(host)
+        except ValueError:
+            return host in self._own_names
+        return True

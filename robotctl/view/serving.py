@@ -49,7 +49,7 @@ class Serving:
         self._job = job
         self._report = report
         self._token = new_token()
-        self._admission = Admission(self._token, job.origins)
+        self._admission = Admission(self._token, job.origins, job.host)
         self._ended = end_signals()
         if not job.outlives_stdin:
             asyncio.get_running_loop().add_reader(_STDIN, self._end_with_stdin)

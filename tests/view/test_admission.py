@@ -6,7 +6,9 @@ import socket
 
 import pytest
 
-from robotctl.view.admission import KNOWN_ORIGINS, Admission
+from robotctl.cli.commands.view import view
+from robotctl.errors import UsageError
+from robotctl.view.admission import KNOWN_ORIGINS, Admission, is_origin
 
 TOKEN = "T0ken_of-this-run"
 TARGET = f"/?token={TOKEN}"
@@ -61,6 +63,38 @@ def test_pages_of_other_origins_are_refused(origins: list[str]) -> None:
 def test_an_origin_of_the_user_is_admitted() -> None:
     own = Admission(TOKEN, ["https://lichtblick.example.org"])
     assert own.refusal(TARGET, [HOST], ["https://lichtblick.example.org"]) == ""
+
+
+@pytest.mark.parametrize("host", ["127.1", "Robot.lan"])
+def test_the_name_that_the_view_was_told_to_listen_on_is_admitted(host: str) -> None:
+    """The URL that is printed has this name."""
+    own = Admission(TOKEN, host=host)
+    assert own.refusal(TARGET, [f"{host}:8765"], []) == ""
+    assert "Host" in own.refusal(TARGET, [f"{host}.evil.example:8765"], [])
+
+
+@pytest.mark.parametrize("origin", [*KNOWN_ORIGINS, "null", "app://x", "http://[::1]:8080"])
+def test_what_a_browser_can_send_is_an_origin(origin: str) -> None:
+    assert is_origin(origin)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "*",
+        "x.org",
+        "https://x.org/",
+        "https://X.org",
+        "https://*.org",
+        "https://",
+        "https://a b",
+    ],
+)
+def test_what_no_browser_sends_is_no_origin_and_refused_by_the_command(text: str) -> None:
+    assert not is_origin(text)
+    with pytest.raises(UsageError, match=r"--origin .* such as https://"):
+        view(origin=["https://x.org", text])
 
 
 @pytest.mark.parametrize(

@@ -76,6 +76,13 @@ def view(
         raise UsageError("--control with a recording", "leave one of them out")
     if at is not None and not file:
         raise UsageError("--at without a recording", "name one, or `last`")
+    from robotctl.view.admission import is_origin
+
+    if wrong := [each for each in origin or () if not is_origin(each)]:
+        raise UsageError(
+            f"--origin {wrong[0]} is no origin",
+            "use a scheme and a host without a path, such as https://lichtblick.example.org",
+        )
     from robotctl.cli.support.lease_token import own_token
     from robotctl.cli.support.recording_paths import find_local_recording
     from robotctl.cli.support.view_process import check_view_installed, live_target, show_view
