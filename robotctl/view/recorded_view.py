@@ -8,7 +8,6 @@ from collections import deque
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 from typing import Final
 
 from robotctl.kernel.units import NS_PER_S
@@ -57,7 +56,6 @@ class RecordedView:
         self._missing: list[str] = []
         """Sentences about what cannot be shown, bounded in number."""
 
-        self._miss = partial(note_missing, self._missing)
         self._shown = 0
         """How many of them the viewers have been told."""
 
@@ -221,6 +219,11 @@ class RecordedView:
         self._server.tell_playback(
             playback_state(self._status(), at_ns, rate, did_seek=did_seek, request_id=request_id)
         )
+
+    def _miss(self, sentence: str) -> None:
+        """Note what cannot be shown; a part that is read again after a seek is the same loss."""
+        if sentence not in self._missing:
+            note_missing(self._missing, sentence)
 
     def _show_missing(self) -> None:
         for sentence in self._missing[self._shown :]:

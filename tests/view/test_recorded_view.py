@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import os
+import shutil
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -150,6 +152,28 @@ async def test_an_older_client_gets_messages_but_no_playback_states(file: Path) 
         await new.until(lambda: new.playback)
         await old.until(lambda: len(old.of("/a")) > 3)
         assert old.playback == []
+
+
+async def test_each_lost_part_is_named_however_often_it_is_read(file: Path, tmp_path: Path) -> None:
+    """The file is truncated while it plays, and again after 30 seeks."""
+    copy = shutil.copytree(file, tmp_path / "run")
+    (mcap,) = copy.glob("*.mcap")
+    with Recording(copy) as recording:
+        chunk = recording.open_files[0].index.places[0]
+    async with playing(copy) as view, view_client(view.url) as client:
+        await client.subscribe("/a", "/b")
+        await client.until(lambda: client.of("/b"))
+        for left in (chunk.offset + chunk.length - 1, chunk.offset + 1):
+            os.truncate(mcap, left)
+            for number in range(30):
+                await client.control(play=False, seek_ns=END_NS, request_id=f"{left} {number}")
+                await client.until(
+                    lambda: client.playback[-1].request_id == f"{left} {number}"  # noqa: B023
+                )
+                await client.receive_for(0.02)
+            told = [each["message"] for each in client.op("status")]
+            assert any(f"truncated at byte {left}" in each for each in told), told
+        assert "and more" not in told
 
 
 async def test_a_topic_whose_type_is_not_recorded_is_named(file: Path) -> None:
