@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import resource
 import time
@@ -13,10 +14,11 @@ from robotctl.doctor.finding import Finding, fault, ok, warning
 from robotctl.errors import RobotctlError
 from robotctl.paths import chain_to
 
-SCARCE_BYTES: Final = 1_000_000_000
-"""Less room than an hour with a camera may need."""
+SCARCE_BYTES: Final = 2_000_000_000
+"""The recorder warns when less is free (`warn_free_bytes`)."""
 
-FULL_BYTES: Final = 50_000_000
+FULL_BYTES: Final = 500_000_000
+"""The recorder does not begin when less is free (`stop_free_bytes`)."""
 
 BUILT_S: Final = 1_735_689_600.0
 """2025-01-01: a clock before that was never set."""
@@ -28,13 +30,17 @@ AHEAD_S: Final = 60.0
 def check_disk(folder: Path) -> Iterator[Finding]:
     """Tell how much room recordings have in a folder, or in the one where it will be made."""
     check = "disk"
-    existing = next(path for path in (folder, *folder.parents) if path.exists())
+    existing = _existing(folder)
+    other = "choose another with --recordings"
+    if not os.path.isdir(existing):
+        yield fault(check, f"{existing} is not a folder, nor a link to one", other)
+        return
     found = os.statvfs(existing)
     free = found.f_bavail * found.f_frsize
     told = f"{free / 1e9:.1f} GB free for recordings in {folder}"
     cure = "remove old recordings, or set recording.max_total_gb"
     if not os.access(existing, os.W_OK | os.X_OK):
-        yield fault(check, f"you may not write in {existing}", "choose another with --recordings")
+        yield fault(check, f"you may not write in {existing}", other)
     elif free < FULL_BYTES or (found.f_files and not found.f_favail):
         yield fault(check, told if free < FULL_BYTES else f"no inode is left in {existing}", cure)
     elif free < SCARCE_BYTES:
@@ -62,14 +68,18 @@ def check_clock(now_s: float, state: Path) -> Iterator[Finding]:
 
 
 def check_folders(*folders: Path) -> Iterator[Finding]:
-    """Tell whether sockets, latches and keys are safe from other users."""
+    """Tell whether sockets, latches and keys have a place, and are safe there from other users."""
     wrong = []
     for folder in folders:
         chain = chain_to(folder).for_client()
         try:
             chain.check()
+            _check_place(folder)
         except RobotctlError as error:
             wrong.append(fault("permissions", error.cause, error.cure))
+        except OSError as error:
+            cure = f"set {chain.variable} to a folder of yours"
+            wrong.append(fault("permissions", f"{error.filename}: {error.strerror}", cure))
         else:
             cure = "take the right of the group away: chmod g-w FOLDER"
             wrong += [warning("permissions", each, cure) for each in chain.group_writable()]
@@ -91,3 +101,26 @@ def check_priority(fifo_priority: int) -> Iterator[Finding]:
         yield ok(check, f"fifo_priority {fifo_priority} is allowed")
     else:
         yield ok(check, f"not asked for (fifo_priority); up to {allowed} is allowed")
+
+
+def _check_place(folder: Path) -> None:
+    """Check that the folder exists or can be created, on a disk that can be written.
+
+    Whether we may write in a folder that exists does not matter: it may be that of another user's
+    daemon, whose client we are.
+
+    Raises:
+        OSError: It cannot.
+    """
+    existing = _existing(folder)
+    if not os.path.isdir(existing):
+        raise OSError(errno.ENOTDIR, "is not a folder, nor a link to one", str(existing))
+    if os.statvfs(existing).f_flag & os.ST_RDONLY:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(existing))
+    if existing != folder and not os.access(existing, os.W_OK | os.X_OK):
+        raise PermissionError(errno.EACCES, "you may not write there", str(existing))
+
+
+def _existing(path: Path) -> Path:
+    """Return the path, or the nearest one above it that exists; a link to nothing exists."""
+    return next(each for each in (path, *path.parents) if os.path.lexists(each))

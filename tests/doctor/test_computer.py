@@ -7,13 +7,15 @@ import mmap
 import os
 import resource
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 from robotctl.doctor import machine, python_installation, shared_memory
 from robotctl.doctor.finding import Finding, Level
+from robotctl.paths import runtime_folder, state_folder
+from robotctl.recording.write.recorder_options import RecorderOptions
 
 MEMORY = "fastrtps_0123456789abcdef"
 PORT = "fastrtps_port7411"
@@ -126,6 +128,27 @@ def test_a_disk_that_is_full_is_a_fault(tmp_path: Path, monkeypatch: pytest.Monk
     assert levels(machine.check_disk(folder)) == [("disk", Level.FAULT)]
 
 
+def test_the_disk_is_judged_by_the_limits_of_the_recorder() -> None:
+    options = RecorderOptions()
+    limits = (options.warn_free_bytes, options.stop_free_bytes)
+    assert limits == (machine.SCARCE_BYTES, machine.FULL_BYTES)
+
+
+@pytest.mark.parametrize("kind", ["file", "FIFO", "link to nothing", "link to itself"])
+def test_a_place_for_recordings_that_is_no_folder_is_a_fault(kind: str, tmp_path: Path) -> None:
+    folder = tmp_path / "recordings"
+    make: dict[str, Callable[[], None]] = {
+        "file": folder.touch,
+        "FIFO": lambda: os.mkfifo(folder),
+        "link to nothing": lambda: folder.symlink_to(tmp_path / "nowhere"),
+        "link to itself": lambda: folder.symlink_to(folder),
+    }
+    make[kind]()
+    (found,) = machine.check_disk(folder)
+    assert found.level is Level.FAULT
+    assert found.text == f"{folder} is not a folder, nor a link to one"
+
+
 def test_a_clock_that_was_never_set_or_set_back_is_named(tmp_path: Path) -> None:
     (tmp_path / "latch").touch()
     now_s = (tmp_path / "latch").stat().st_mtime
@@ -146,6 +169,32 @@ def test_a_folder_that_others_can_change_is_a_fault(
     assert found.level is Level.FAULT
     assert found.cure == f"chmod o-w {folder}"
     shutil.rmtree(folder)
+
+
+@pytest.mark.parametrize("variable", ["XDG_RUNTIME_DIR", "XDG_STATE_HOME"])
+@pytest.mark.parametrize("place", ["file/below", "nothing", "locked/below"])
+def test_a_folder_that_cannot_be_created_is_a_fault(
+    place: str, variable: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    (tmp_path / "file").touch()
+    (tmp_path / "nothing").symlink_to(tmp_path / "nowhere")
+    (tmp_path / "locked").mkdir()
+    real = os.access  # root may write everywhere
+    monkeypatch.setattr(os, "access", lambda path, mode: path.name != "locked" and real(path, mode))
+    monkeypatch.setenv(variable, str(tmp_path / place))
+    (found,) = machine.check_folders(runtime_folder(), state_folder())
+    assert found.level is Level.FAULT
+    assert str(tmp_path / place.partition("/")[0]) in found.text
+    assert found.cure == f"set {variable} to a folder of yours"
+
+
+def test_folders_that_a_start_will_create_are_in_order(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "not" / "yet"))
+    assert levels(machine.check_folders(state_folder())) == [("permissions", Level.OK)]
 
 
 def test_a_priority_beyond_the_limit_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
