@@ -32,6 +32,9 @@ BATCH_BYTES: Final = 4 << 20
 PERIOD_S: Final = 0.02
 """How long due messages are collected, and how often viewers are told the time."""
 
+MAX_LOG_NS: Final = (1 << 64) - 1
+"""The last time that a file and the protocol can tell."""
+
 _SCHEMAS: Final = ("ros2msg", "ros2idl")
 
 
@@ -244,6 +247,7 @@ def _next_batch(messages: Iterator[Message]) -> list[Message]:
 
 
 def span_of_recording(recording: Recording) -> tuple[int, int]:
-    """Return the first and last time [ns], and at least a second."""
+    """Return the first and last time [ns], and at least a second, which ends by MAX_LOG_NS."""
     info = recording.info()
-    return info.start_ns, max(info.end_ns, info.start_ns + NS_PER_S)
+    start_ns = min(info.start_ns, MAX_LOG_NS - NS_PER_S)
+    return start_ns, max(info.end_ns, start_ns + NS_PER_S)

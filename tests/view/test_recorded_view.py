@@ -14,7 +14,12 @@ import pytest
 from robotctl.kernel.units import NS_PER_S
 from robotctl.recording import Recorder, RecorderOptions, Recording, Topic
 from robotctl.testing.drives import GID, START_NS
-from robotctl.view.recorded_view import CAPABILITIES, RecordedView, span_of_recording
+from robotctl.view.recorded_view import (
+    CAPABILITIES,
+    MAX_LOG_NS,
+    RecordedView,
+    span_of_recording,
+)
 from tests.support.served_view import STRING, Served, served
 from tests.support.view_client import ViewClient, view_client
 
@@ -152,6 +157,17 @@ async def test_an_older_client_gets_messages_but_no_playback_states(file: Path) 
         await new.until(lambda: new.playback)
         await old.until(lambda: len(old.of("/a")) > 3)
         assert old.playback == []
+
+
+async def test_a_recording_at_the_last_time_that_a_file_can_hold_plays(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "run", RecorderOptions(), on_failure=pytest.fail)
+    recorder.write(recorder.add_topic(Topic("/a", *STRING)), b"1", MAX_LOG_NS, 0, 1, GID)
+    assert not recorder.close().failure
+    async with playing(tmp_path / "run") as view, view_client(view.url) as client:
+        await client.subscribe("/a")
+        await client.control(play=True)
+        await client.until(lambda: client.playback and client.of("/a"))
+        assert client.playback[-1].at_ns == MAX_LOG_NS
 
 
 async def test_each_lost_part_is_named_however_often_it_is_read(file: Path, tmp_path: Path) -> None:
