@@ -45,6 +45,9 @@ MAX_VIEWERS: Final = 128
 MAX_CONNECTIONS: Final = 2 * MAX_VIEWERS
 """Limit on connections; further ones are closed at once, before any byte of theirs is read."""
 
+MAX_OFFERS: Final = 1_000
+"""Limit on the channels that a viewer offers; Foxglove offers one for each panel that publishes."""
+
 HANDSHAKE_S: Final = 5.0
 """How long a handshake may take."""
 
@@ -243,6 +246,8 @@ class ViewServer:
             case ClientOffers() if self.on_offer is not None:
                 for offer in request.offers:
                     self.on_offer(offer)
+                    if len(viewer.offers) >= MAX_OFFERS:
+                        raise WrongRequest(f"a viewer may offer {MAX_OFFERS} channels")
                     viewer.offers.add(offer.id)
             case ClientWithdrawal():
                 viewer.offers.difference_update(request.ids)

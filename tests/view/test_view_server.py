@@ -16,9 +16,9 @@ from robotctl.errors import Refused
 from robotctl.view import listening, view_server
 from robotctl.view.admission import Admission, new_token
 from robotctl.view.foxglove_messages import StatusLevel
-from robotctl.view.foxglove_requests import PlaybackRequest
+from robotctl.view.foxglove_requests import Offer, PlaybackRequest
 from robotctl.view.outbox import MAX_MESSAGES
-from robotctl.view.view_server import ViewServer
+from robotctl.view.view_server import MAX_OFFERS, ViewServer
 from robotctl.view.viewer import MAX_REQUEST_BYTES
 from tests.support.served_view import STRING, TOKEN, Served, served
 from tests.support.view_client import ViewClient, view_client
@@ -290,6 +290,19 @@ async def test_playback_requests_reach_the_source() -> None:
             await client.control(play=True, rate=2.0, seek_ns=7, request_id="q")
             await loop_until(lambda: asked)
     assert asked == [PlaybackRequest(True, 2.0, 7, "q")]
+
+
+async def test_the_channels_that_a_viewer_offers_are_bounded() -> None:
+    async with served() as view, view_client(view.url) as client:
+        offered: list[Offer] = []
+        view.server.on_offer = offered.append
+        channel = {"topic": "/x", "encoding": "json", "schemaName": "x"}
+        channels = [{"id": number, **channel} for number in range(MAX_OFFERS + 1)]
+        await client.ask(op="advertise", channels=channels)
+        await client.until(lambda: client.op("status"))
+        assert f"{MAX_OFFERS} channels" in client.op("status")[0]["message"]
+        (viewer,) = view.server._viewers
+        assert len(viewer.offers) == MAX_OFFERS
 
 
 async def test_a_port_that_is_taken_is_named_and_the_usual_one_replaced(
