@@ -165,9 +165,10 @@ async def test_a_recording_at_the_last_time_that_a_file_can_hold_plays(tmp_path:
     assert not recorder.close().failure
     async with playing(tmp_path / "run") as view, view_client(view.url) as client:
         await client.subscribe("/a")
-        await client.control(play=True)
-        await client.until(lambda: client.playback and client.of("/a"))
+        await client.control(play=True, rate=10.0)
+        await client.until(lambda: client.playback and client.playback[-1].status == ENDED)
         assert client.playback[-1].at_ns == MAX_LOG_NS
+        await client.until(lambda: client.of("/a"))
 
 
 async def test_each_lost_part_is_named_however_often_it_is_read(file: Path, tmp_path: Path) -> None:
