@@ -8,6 +8,7 @@ import sysconfig
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
+from itertools import starmap
 from pathlib import Path
 
 from robotctl.cli.support import dead_daemons, robots
@@ -15,12 +16,12 @@ from robotctl.cli.support.query_process import query_processes
 from robotctl.cli.support.ros_view import RosView, ros_view
 from robotctl.config import Config, load
 from robotctl.doctor import graph_checks, machine, python_installation, shared_memory
-from robotctl.doctor.finding import Finding, fault, ok, warning
+from robotctl.doctor.finding import Finding, Level, fault, ok, warning
 from robotctl.domains import requested_domain, wider_discovery
 from robotctl.environment import RANGE
 from robotctl.errors import RobotctlError, UsageError
 from robotctl.ipc.graph_answers import GraphTopic
-from robotctl.paths import runtime_folder, state_folder
+from robotctl.paths import check_robot_name, runtime_folder, socket_path, state_folder
 
 DEFINITIONS = {"msg": ("msg", "idl"), "srv": ("srv", "idl"), "action": ("action", "idl")}
 """The files that define a type, by its kind."""
@@ -32,16 +33,36 @@ def diagnose(
     """Return the files that were removed, and all findings.
 
     Raises:
-        UsageError: The configuration or the domain is wrong.
+        UsageError: The name of the robot, the configuration or the domain is wrong.
     """
+    check_robot_name(robot)
     chosen = Config() if config is None else load(config)
-    removed = [*shared_memory.clean(), *dead_daemons.remove_sockets()] if clean else []
-    silent = _silent_of(_silent_of(robots.names()))  # a busy machine gets a second chance
-    if domain_id is None and robot in silent:
-        domain_id = requested_domain(None) or 0  # it cannot tell its own
-    hanging = [_hangs(each, problem) for each, problem in silent.items()]
-    found = [*_computer(chosen), *hanging, *_ros(robot, chosen, domain_id)]
+    sockets = (*_check_socket(robot), *machine.check_folders(runtime_folder()))
+    usable = all(each.level is not Level.FAULT for each in sockets)
+    removed = shared_memory.clean() if clean else []
+    if clean and usable:
+        removed += dead_daemons.remove_sockets()
+    asked = _robots() if usable else ()
+    silent = _silent_of(_silent_of(asked))  # a busy machine gets a second chance
+    if domain_id is None and (not usable or robot in silent):
+        domain_id = requested_domain(None) or 0  # no daemon tells its own
+    daemons = [*_killed(), *starmap(_hangs, silent.items())] if usable else []
+    found = [*_computer(robot, chosen), *daemons, *_ros(robot, chosen, domain_id)]
     return [str(path) for path in removed], found
+
+
+def _check_socket(robot: str) -> Iterator[Finding]:
+    try:
+        socket_path(robot)
+    except UsageError as error:  # too long
+        yield fault("socket", error.cause, error.cure)
+
+
+def _robots() -> Iterator[str]:
+    """Yield the robots that have a socket; other files in the folder are not of robotctl."""
+    for name in robots.names():
+        with suppress(UsageError):
+            yield check_robot_name(name)
 
 
 def _silent_of(names: Iterable[str]) -> dict[str, str]:
@@ -54,19 +75,23 @@ def _hangs(robot: str, problem: str) -> Finding:
     return fault("daemon", problem, cure)
 
 
-def _computer(config: Config) -> Iterator[Finding]:
+def _killed() -> Iterator[Finding]:
+    for robot in dead_daemons.killed():
+        text = f"the daemon of robot {robot} was killed, and its socket is left"
+        cure = f"robotctl start --robot {robot} cleans up, and repairs the recording"
+        yield warning("dead processes", text, cure)
+
+
+def _computer(robot: str, config: Config) -> Iterator[Finding]:
     prefix, base = Path(sys.prefix), Path(sys.base_prefix)
     yield from python_installation.check_wheels()
     yield from python_installation.check_shell(os.environ, prefix)
     yield from python_installation.check_two_rclpys(sys.path)
     yield from python_installation.check_pip(prefix, base, Path(sysconfig.get_path("stdlib")))
     yield from shared_memory.check_memory()
-    for robot in dead_daemons.killed():
-        text = f"the daemon of robot {robot} was killed, and its socket is left"
-        cure = f"robotctl start --robot {robot} cleans up, and repairs the recording"
-        yield warning("dead processes", text, cure)
     yield from machine.check_disk(Path("recordings").absolute())
     yield from machine.check_clock(time.time(), state_folder())
+    yield from _check_socket(robot)
     yield from machine.check_folders(runtime_folder(), state_folder())
     yield from machine.check_priority(config.fifo_priority)
 
