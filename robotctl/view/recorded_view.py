@@ -72,6 +72,9 @@ class RecordedView:
         self._is_read = False
         """Whether everything from the position to the end has been read."""
 
+        self._unsent_ns = self._schedule.at_ns
+        """What is watched and has an earlier log time has been sent."""
+
         self._reread = False
         """Whether the position or the watched topics have changed since the last read."""
 
@@ -117,6 +120,7 @@ class RecordedView:
         if seek_ns is not None:
             at_ns = self._within(seek_ns)
             self._schedule = replace(self._schedule, moment_ns=now_ns, at_ns=at_ns)
+            self._unsent_ns = at_ns
             self._restart()
         rate = min(max(request.rate, MIN_RATE), MAX_RATE)
         self._schedule = self._schedule.with_rate(now_ns, rate)
@@ -159,9 +163,9 @@ class RecordedView:
         self._changed.set()
 
     async def _look_back(self) -> None:
-        """Send the last message of each watched topic before the position, and read on there."""
+        """Send the last message of each watched topic before what is unsent, and read on there."""
         self._reread = self._is_read = False
-        at_ns = self._position_ns()
+        at_ns = self._unsent_ns
         self._read.clear()
         self._unread = iter(())
         topics = set(self._watched.values())
@@ -174,7 +178,7 @@ class RecordedView:
         window = (at_ns, self._end_ns)
         if topics:
             self._unread = self._recording.messages(topics, self._miss, window)
-        self._server.tell_time(at_ns)
+        self._server.tell_time(self._position_ns())
         self._show_missing()
         self._changed.set()
 
@@ -189,7 +193,10 @@ class RecordedView:
             self._show_missing()
         at_ns = self._position_ns()
         while self._read and self._read[0].log_ns <= at_ns:
+            self._unsent_ns = self._read[0].log_ns
             self._publish(self._read.popleft())
+        if self._read or self._is_read:
+            self._unsent_ns = at_ns + 1
         self._server.tell_time(at_ns)
         if not (self._read or self._is_read):
             self._changed.set()  # more may be due

@@ -109,6 +109,18 @@ async def test_a_seek_shows_the_state_there_and_goes_on_from_there(file: Path) -
         assert numbers(client)[1:] == list(range(100, numbers(client)[-1] + 1))
 
 
+async def test_no_message_is_lost_while_another_viewer_subscribes(file: Path) -> None:
+    async with playing(file) as view, view_client(view.url) as one, view_client(view.url) as two:
+        await one.subscribe("/a")
+        await one.control(play=True, rate=10.0, seek_ns=START_NS)
+        while not (one.playback and one.playback[-1].status == ENDED):
+            await two.subscribe("/b")
+            await one.receive_for(0.05)
+            await two.unsubscribe("/b")
+            await one.receive_for(0.05)
+        assert set(numbers(one)) == set(range(LENGTH_S * 10 + 1))
+
+
 async def test_it_begins_at_a_given_moment(file: Path) -> None:
     at_ns = START_NS + 10 * NS_PER_S
     async with playing(file, at_ns) as view, view_client(view.url) as client:
