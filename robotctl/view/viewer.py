@@ -128,9 +128,9 @@ class Viewer(asyncio.Protocol):
         self.since_s = time.monotonic()
 
     def resume_writing(self) -> None:
-        """Send what waits."""
+        """Send what waits, later: a transport that is closed in this call ends twice."""
         self._full = False
-        self.flush()
+        asyncio.get_running_loop().call_soon(self.flush)
 
     def data_received(self, data: bytes) -> None:
         """Take bytes of the handshake, or of messages."""

@@ -13,7 +13,7 @@ from contextlib import asynccontextmanager
 
 import pytest
 from websockets.datastructures import Headers
-from websockets.frames import Frame, Opcode
+from websockets.frames import Close, Frame, Opcode
 from websockets.http11 import Request
 
 from robotctl.view.admission import Admission
@@ -58,6 +58,26 @@ async def test_a_reset_in_the_middle_of_a_message_is_no_line_in_the_terminal(
             await loop_until(lambda: subscribed)
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET)
         view.server.publish(channel, 1, bytes(50 * PIECE_BYTES))
+        await loop_until(lambda: not view.server._viewers)
+    assert [each for each in caplog.records if each.levelno >= logging.WARNING] == []
+
+
+async def test_a_stalled_viewer_that_leaves_gets_what_waits_and_the_end_of_the_handshake(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """The connection ends once, after the answer to its close frame."""
+    loop = asyncio.get_running_loop()
+    async with served() as view, raw_client(view) as sock:
+        (viewer,) = view.server._viewers
+        while not viewer.is_stalled:
+            viewer.tell(bytes(PIECE_BYTES))
+        leave = Close(1000, "").serialize()
+        await loop.sock_sendall(sock, frame(Opcode.CLOSE, leave))
+        await loop_until(lambda: viewer._ends)
+        got = b""
+        while piece := await loop.sock_recv(sock, 1 << 20):
+            got = (got + piece)[-100:]
+        assert got.endswith(Frame(Opcode.CLOSE, leave).serialize(mask=False))
         await loop_until(lambda: not view.server._viewers)
     assert [each for each in caplog.records if each.levelno >= logging.WARNING] == []
 
