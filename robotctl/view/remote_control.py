@@ -71,11 +71,14 @@ class RemoteControl:
     # Services
 
     def _call(self, viewer: Viewer, request: ServiceCall) -> None:
+        """Answer each call, for a caller waits: at once if it cannot be made."""
+        failure = ""
         if request.service_id not in _MODES:
-            raise WrongRequest("there is no such service")
-        if self._calls[request.service_id] >= MAX_CALLS[request.service_id]:
-            text = "the same was asked for already, and is not answered yet"
-            viewer.tell(service_failure(request.service_id, request.call_id, text))
+            failure = "there is no such service"
+        elif self._calls[request.service_id] >= MAX_CALLS[request.service_id]:
+            failure = "the same was asked for already, and is not answered yet"
+        if failure:
+            viewer.tell(service_failure(request.service_id, request.call_id, failure))
             return
         self._calls[request.service_id] += 1
         self._start(self._answer(viewer, request))

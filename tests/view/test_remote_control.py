@@ -1,11 +1,33 @@
-"""Velocities of viewers: only what a Twist in JSON can say, and this robot can do."""
+"""What viewers ask of the robot: calls, each answered, and velocities that this robot can have."""
 
 from __future__ import annotations
+
+import struct
 
 import pytest
 
 from robotctl.view.foxglove_requests import WrongRequest
-from robotctl.view.remote_control import velocity_of
+from robotctl.view.remote_control import MAX_CALLS, SERVICES, STOP, RemoteControl, velocity_of
+from tests.support.served_view import served
+from tests.support.view_client import view_client
+
+NO_DAEMON = "no_daemon_has_this_name"
+
+
+async def test_each_call_of_a_service_is_answered() -> None:
+    """Also one of no such service, one with a body that is none, and one more than is allowed."""
+    async with served(services=SERVICES) as view, view_client(view.url) as client:
+        RemoteControl(NO_DAEMON, view.server, "")
+        for call_id, service_id in enumerate([99, STOP.id, *[STOP.id] * MAX_CALLS[STOP.id]]):
+            head = struct.pack("<BIII", 2, service_id, call_id, 4_000)
+            await client.socket.send(head + b"no body")
+        await client.until(lambda: client.responses and len(client.op("serviceCallFailure")) == 2)
+        no_such, too_many = client.op("serviceCallFailure")
+        assert (no_such["callId"], no_such["message"]) == (0, "there is no such service")
+        assert too_many["callId"] == 2
+        (answer,) = client.responses
+        assert not answer["success"]
+        assert "robotctl start" in answer["message"]
 
 
 def test_a_twist_is_two_numbers() -> None:

@@ -51,8 +51,9 @@ def view(
 ) -> None:
     """Show a running robot, live, or a recording in Foxglove or Lichtblick.
 
-    It prints a URL for "Open connection", "Foxglove WebSocket". The URL has a token of this run,
-    with which one may read and cannot move the robot. A layout is docs/foxglove-layout.json.
+    It prints a URL for "Open connection", "Foxglove WebSocket". The URL has a token of this run:
+    without --control one may read with it, and cannot move the robot. A layout is
+    docs/foxglove-layout.json.
 
     The view is a process of its own with a ROS node of its own: a slow viewer loses messages, which
     it is told, and delays no other part. It ends with Ctrl-C, or with the daemon. A recording plays
