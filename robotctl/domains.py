@@ -29,6 +29,9 @@ _FIRST_OWN_PORT = 10
 _RESERVATION = 9
 """The offset of the port that reserves a domain; DDS does not use it."""
 
+_WIDER_RANGES = ("SUBNET", "SYSTEM_DEFAULT", "")
+"""The discovery ranges beyond this machine; ROS takes SUBNET for an empty one."""
+
 _PEERS = ("ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER")
 """Variables that name other machines to discover."""
 
@@ -58,12 +61,13 @@ def discovery_range() -> str:
 def wider_discovery() -> str:
     """Return the setting by which this process discovers other machines; "" if it does not.
 
-    Static peers and a discovery server are used in the range LOCALHOST, too.
+    Static peers and a discovery server are used in the range LOCALHOST, too. ROS takes LOCALHOST
+    for a range that it does not know.
     """
     if discovery_range() == "OFF":
         return ""
-    if discovery_range() != "LOCALHOST":
-        return f"ROS_AUTOMATIC_DISCOVERY_RANGE is {discovery_range()}"
+    if discovery_range() in _WIDER_RANGES:
+        return f"ROS_AUTOMATIC_DISCOVERY_RANGE is {discovery_range() or 'empty'}"
     return next((f"{name} is {os.environ[name]}" for name in _PEERS if os.environ.get(name)), "")
 
 

@@ -51,7 +51,7 @@ def prepare(before_restart: Callable[[], object] = lambda: None) -> str:
         prefixes = _entries(os.environ, _PREFIXES)
         if sys.prefix not in prefixes:
             os.environ[_PREFIXES] = os.pathsep.join([*prefixes, sys.prefix])
-    _limit_discovery()
+    limit_discovery()
     if not any(variable in os.environ for variable in _PROFILES):
         os.environ[_PROFILES[0]] = str(Path(__file__).with_name("ros") / "fastdds.xml")
     return note
@@ -98,7 +98,7 @@ def without_foreign_ros(environment: Mapping[str, str], prefix: Path) -> tuple[d
     return cleaned, "; ".join(said)
 
 
-def _limit_discovery() -> None:
+def limit_discovery() -> None:
     """Limit discovery to this machine, unless the user has chosen otherwise.
 
     ROS_LOCALHOST_ONLY, the variable of Humble, is translated: rcl still follows it, but prints a

@@ -10,7 +10,13 @@ from contextlib import contextmanager
 import pytest
 
 from robotctl import domains
-from robotctl.domains import DOMAINS, is_certainly_empty, participants_here, reserved_domain
+from robotctl.domains import (
+    DOMAINS,
+    is_certainly_empty,
+    participants_here,
+    reserved_domain,
+    wider_discovery,
+)
 from robotctl.errors import Refused
 
 NEVER = 65536 // 250
@@ -89,3 +95,23 @@ def test_the_domain_of_the_environment_is_not_reserved(monkeypatch: pytest.Monke
 def test_domain_0_the_default_is_not_reserved() -> None:
     assert 0 not in DOMAINS
     assert max(DOMAINS) == 101
+
+
+@pytest.mark.parametrize(
+    ("discovery", "wider"),
+    [
+        ("SUBNET", "ROS_AUTOMATIC_DISCOVERY_RANGE is SUBNET"),
+        ("SYSTEM_DEFAULT", "ROS_AUTOMATIC_DISCOVERY_RANGE is SYSTEM_DEFAULT"),
+        ("", "ROS_AUTOMATIC_DISCOVERY_RANGE is empty"),
+        ("LOCALHOST", ""),
+        ("OFF", ""),
+        ("subnet", ""),
+    ],
+)
+def test_a_range_that_ros_does_not_know_is_this_machine_as_in_ros(
+    discovery: str, wider: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", discovery)
+    monkeypatch.delenv("ROS_STATIC_PEERS", raising=False)
+    monkeypatch.delenv("ROS_DISCOVERY_SERVER", raising=False)
+    assert wider_discovery() == wider

@@ -61,7 +61,8 @@ def check_wheels(
 def check_shell(environment: Mapping[str, str], prefix: Path) -> Iterator[Finding]:
     """Name another ROS that the shell has sourced before ours, which is below `prefix`."""
     check = "shell"
-    _, found = without_foreign_ros(environment, prefix)
+    paths = {name: value for name, value in environment.items() if name != "RMW_IMPLEMENTATION"}
+    _, found = without_foreign_ros(paths, prefix)
     if found:
         yield warning(
             check,

@@ -67,6 +67,26 @@ def test_what_a_killed_daemon_left_is_cleaned_and_a_shell_in_another_domain_is_t
     world.ok("stop")
 
 
+def test_a_shell_with_another_discovery_range_than_the_daemon_is_told(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    world.ok("start", "--sim")
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
+    told, fine = (each for each in findings(world) if each["check"] == "discovery")
+    assert told["text"] == "the range of the daemon is LOCALHOST, that of this shell SUBNET"
+    assert fine["text"].endswith("this machine only"), "what is true of the daemon"
+    world.ok("stop")
+
+
+def test_a_graph_that_cannot_be_seen_is_a_fault_with_a_cure(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROS_STATIC_PEERS", "no-such-machine.invalid")
+    (told,) = (each for each in findings(world) if each["level"] == "fault")
+    assert told["check"] == "ROS"
+    assert told["cure"]
+
+
 @pytest.mark.slow
 def test_a_daemon_that_hangs_is_named(world: World) -> None:
     world.ok("start", "--sim")

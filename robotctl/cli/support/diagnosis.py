@@ -15,12 +15,20 @@ from robotctl.cli.support import dead_daemons, robots
 from robotctl.cli.support.query_process import query_processes
 from robotctl.cli.support.ros_view import RosView, ros_view
 from robotctl.config import Config, load
-from robotctl.doctor import graph_checks, machine, python_installation, shared_memory
+from robotctl.doctor import (
+    graph_checks,
+    machine,
+    middleware_settings,
+    python_installation,
+    shared_memory,
+)
 from robotctl.doctor.finding import Finding, Level, fault, ok, warning
-from robotctl.domains import requested_domain, wider_discovery
-from robotctl.environment import RANGE
+from robotctl.domains import discovery_range, requested_domain, wider_discovery
+from robotctl.environment import RANGE, limit_discovery
 from robotctl.errors import RobotctlError, UsageError
+from robotctl.ipc.client import call
 from robotctl.ipc.graph_answers import GraphTopic
+from robotctl.ipc.method_names import STATUS
 from robotctl.paths import check_robot_name, runtime_folder, socket_path, state_folder
 
 DEFINITIONS = {"msg": ("msg", "idl"), "srv": ("srv", "idl"), "action": ("action", "idl")}
@@ -87,6 +95,9 @@ def _computer(robot: str, config: Config) -> Iterator[Finding]:
     yield from python_installation.check_wheels()
     yield from python_installation.check_shell(os.environ, prefix)
     yield from python_installation.check_two_rclpys(sys.path)
+    yield from middleware_settings.check_middleware(os.environ)
+    yield from middleware_settings.check_range(os.environ)
+    yield from middleware_settings.check_profiles(os.environ)
     yield from python_installation.check_pip(prefix, base, Path(sysconfig.get_path("stdlib")))
     yield from shared_memory.check_memory()
     yield from machine.check_disk(Path("recordings").absolute())
@@ -100,7 +111,9 @@ def _ros(robot: str, config: Config, domain_id: int | None) -> Iterator[Finding]
     with query_processes([]):
         try:
             view = ros_view(robot, domain_id)
-            os.environ.setdefault(RANGE, "LOCALHOST")  # as a start does
+            limit_discovery()  # as a start does
+            if view.through_daemon:
+                yield from _check_daemons_range(call(robot, STATUS)["discovery_range"])
             shell = requested_domain(domain_id) or 0
             if shell != view.domain_id:
                 yield warning(
@@ -111,6 +124,8 @@ def _ros(robot: str, config: Config, domain_id: int | None) -> Iterator[Finding]
                 )
             wider = wider_discovery()
             reach = f"other machines are discovered: {wider}" if wider else "this machine only"
+            if discovery_range() == "OFF":
+                reach = "no other process is discovered"
             yield ok("discovery", f"domain {view.domain_id}, {reach}")
             names = view.names()
             yield ok("nodes", ", ".join(names["nodes"]) or f"none in domain {view.domain_id}")
@@ -125,7 +140,20 @@ def _ros(robot: str, config: Config, domain_id: int | None) -> Iterator[Finding]
         except UsageError:
             raise
         except RobotctlError as error:
-            yield fault("ROS", f"the graph cannot be seen: {error.cause or error}", error.cure)
+            cure = "check what it names, the ROS variables (env), memory and limits (ulimit -a)"
+            text = f"the graph cannot be seen: {error.cause or error}"
+            yield fault("ROS", text, error.cure or cure)
+
+
+def _check_daemons_range(daemons: str) -> Iterator[Finding]:
+    """Compare the daemon's discovery range with that of this shell, and take it from now on."""
+    if daemons != discovery_range():
+        yield warning(
+            "discovery",
+            f"the range of the daemon is {daemons}, that of this shell {discovery_range()}",
+            f"end the daemon and start it from a shell with the right {RANGE}",
+        )
+    os.environ[RANGE] = daemons
 
 
 def _topic(view: RosView, name: str, used: set[str]) -> GraphTopic:
