@@ -18,7 +18,8 @@ MAX_BYTES: Final = 256 << 10
 Viewers of the same topics share the bytes, and hold hardly more than one viewer does."""
 
 MAX_CONTROL_BYTES: Final = 16 << 20
-"""Limit on the bytes of offers, states and answers, which are never dropped."""
+"""Limit on the bytes of offers, states and answers, which are never dropped. One larger offer may
+wait alone: 5,000 topics of nav_msgs/msg/Odometry have one of 19 MB."""
 
 PIECE_BYTES: Final = 1 << 16
 """How much is taken at once: a transport copies what the socket does not take."""
@@ -72,10 +73,10 @@ class Outbox:
         Raises:
             OverfullOutbox: The viewer takes none of them.
         """
+        if self._control and self._control_bytes + len(frame) > MAX_CONTROL_BYTES:
+            raise OverfullOutbox
         self._control.append(frame)
         self._control_bytes += len(frame)
-        if self._control_bytes > MAX_CONTROL_BYTES:
-            raise OverfullOutbox
 
     def put_message(self, head: bytes, data: bytes) -> None:
         """Add a message of a topic, and drop the oldest ones beyond the limits."""

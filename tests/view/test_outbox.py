@@ -82,3 +82,14 @@ def test_offers_and_answers_are_never_dropped_but_bounded() -> None:
     outbox.put_control(bytes(MAX_CONTROL_BYTES))
     with pytest.raises(OverfullOutbox):
         outbox.put_control(b"x")
+
+
+def test_one_offer_above_the_limit_may_wait_alone() -> None:
+    """Else no viewer could connect where there are thousands of topics."""
+    outbox = Outbox()
+    outbox.put_control(bytes(2 * MAX_CONTROL_BYTES))
+    with pytest.raises(OverfullOutbox):
+        outbox.put_control(b"x")
+    outbox.take()
+    outbox.put_control(b"x")
+    assert len(drained(outbox)) == 2 * MAX_CONTROL_BYTES - PIECE_BYTES + 1
