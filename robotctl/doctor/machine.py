@@ -27,8 +27,11 @@ AHEAD_S: Final = 60.0
 """A file that is newer than the clock by more was written before the clock was set back."""
 
 
-def check_disk(folder: Path) -> Iterator[Finding]:
-    """Tell how much room recordings have in a folder, or in the one where it will be made."""
+def check_disk(folder: Path, *, is_used: bool = False) -> Iterator[Finding]:
+    """Tell how much room recordings have in a folder, or in the one where it will be made.
+
+    With `is_used` a daemon records there, maybe of a user who may write where this one may not.
+    """
     check = "disk"
     existing = _existing(folder)
     other = "choose another with --recordings"
@@ -39,7 +42,7 @@ def check_disk(folder: Path) -> Iterator[Finding]:
     free = found.f_bavail * found.f_frsize
     told = f"{free / 1e9:.1f} GB free for recordings in {folder}"
     cure = "remove old recordings, or set recording.max_total_gb"
-    if not os.access(existing, os.W_OK | os.X_OK):
+    if not is_used and not os.access(existing, os.W_OK | os.X_OK):
         yield fault(check, f"you may not write in {existing}", other)
     elif free < FULL_BYTES or (found.f_files and not found.f_favail):
         yield fault(check, told if free < FULL_BYTES else f"no inode is left in {existing}", cure)

@@ -78,6 +78,14 @@ def test_a_shell_with_another_discovery_range_than_the_daemon_is_told(
     world.ok("stop")
 
 
+def test_the_disk_is_the_one_on_which_the_daemon_records(world: World, tmp_path: Path) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    world.ok("start", "--sim", "--recordings", str(elsewhere))
+    (disk,) = (each["text"] for each in findings(world) if each["check"] == "disk")
+    assert disk.endswith(f"GB free for recordings in {elsewhere}")
+    world.ok("stop")
+
+
 def test_a_graph_that_cannot_be_seen_is_a_fault_with_a_cure(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -149,6 +149,15 @@ def test_a_place_for_recordings_that_is_no_folder_is_a_fault(kind: str, tmp_path
     assert found.text == f"{folder} is not a folder, nor a link to one"
 
 
+def test_a_folder_of_another_user_is_a_fault_unless_that_users_daemon_records_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    assert levels(machine.check_disk(tmp_path)) == [("disk", Level.FAULT)]
+    (found,) = machine.check_disk(tmp_path, is_used=True)
+    assert "GB free for recordings" in found.text
+
+
 def test_a_clock_that_was_never_set_or_set_back_is_named(tmp_path: Path) -> None:
     (tmp_path / "latch").touch()
     now_s = (tmp_path / "latch").stat().st_mtime

@@ -6,13 +6,13 @@ import os
 import sys
 import sysconfig
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
-from itertools import starmap
 from pathlib import Path
 
 from robotctl.cli.support import dead_daemons, robots
 from robotctl.cli.support.query_process import query_processes
+from robotctl.cli.support.robots import RobotDaemon
 from robotctl.cli.support.ros_view import RosView, ros_view
 from robotctl.config import Config, load
 from robotctl.doctor import (
@@ -26,6 +26,7 @@ from robotctl.doctor.finding import Finding, Level, fault, ok, warning
 from robotctl.domains import discovery_range, requested_domain, wider_discovery
 from robotctl.environment import RANGE, limit_discovery
 from robotctl.errors import RobotctlError, UsageError
+from robotctl.ipc.answers import Status
 from robotctl.ipc.client import call
 from robotctl.ipc.graph_answers import GraphTopic
 from robotctl.ipc.method_names import STATUS
@@ -50,12 +51,13 @@ def diagnose(
     removed = shared_memory.clean() if clean else []
     if clean and usable:
         removed += dead_daemons.remove_sockets()
-    asked = _robots() if usable else ()
-    silent = _silent_of(_silent_of(asked))  # a busy machine gets a second chance
-    if domain_id is None and (not usable or robot in silent):
+    daemons = _daemons() if usable else []
+    wrong = [*_killed(), *(_hangs(each) for each in daemons if each.problem)] if usable else []
+    ours = next((each for each in daemons if each.robot == robot), None)
+    if domain_id is None and (not usable or (ours and ours.problem)):
         domain_id = requested_domain(None) or 0  # no daemon tells its own
-    daemons = [*_killed(), *starmap(_hangs, silent.items())] if usable else []
-    found = [*_computer(robot, chosen), *daemons, *_ros(robot, chosen, domain_id)]
+    disk = _disk(ours.status if ours else None)
+    found = [*_computer(robot, chosen), *disk, *wrong, *_ros(robot, chosen, domain_id)]
     return [str(path) for path in removed], found
 
 
@@ -73,14 +75,25 @@ def _robots() -> Iterator[str]:
             yield check_robot_name(name)
 
 
-def _silent_of(names: Iterable[str]) -> dict[str, str]:
-    """Return robot -> problem for the daemons that do not answer."""
-    return {each.robot: each.problem for each in robots.find(names) if each.problem}
+def _daemons() -> list[RobotDaemon]:
+    """Return all daemons; on a busy machine, each gets a second chance to answer."""
+    found = robots.find(_robots())
+    answered = [each for each in found if not each.problem]
+    return [*answered, *robots.find(each.robot for each in found if each.problem)]
 
 
-def _hangs(robot: str, problem: str) -> Finding:
-    cure = f"robotctl start --robot {robot} tells its pid: kill -9 it, then start again"
-    return fault("daemon", problem, cure)
+def _hangs(daemon: RobotDaemon) -> Finding:
+    cure = f"robotctl start --robot {daemon.robot} tells its pid: kill -9 it, then start again"
+    return fault("daemon", daemon.problem, cure)
+
+
+def _disk(status: Status | None) -> Iterator[Finding]:
+    """Judge the folder in which the daemon records, else the one in which it would."""
+    file = status["recorder"]["file"] if status else ""
+    if file:
+        yield from machine.check_disk(Path(file).parent.parent, is_used=True)
+    else:
+        yield from machine.check_disk(Path("recordings").absolute())
 
 
 def _killed() -> Iterator[Finding]:
@@ -100,7 +113,6 @@ def _computer(robot: str, config: Config) -> Iterator[Finding]:
     yield from middleware_settings.check_profiles(os.environ)
     yield from python_installation.check_pip(prefix, base, Path(sysconfig.get_path("stdlib")))
     yield from shared_memory.check_memory()
-    yield from machine.check_disk(Path("recordings").absolute())
     yield from machine.check_clock(time.time(), state_folder())
     yield from _check_socket(robot)
     yield from machine.check_folders(runtime_folder(), state_folder())
