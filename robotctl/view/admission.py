@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hmac
 import ipaddress
-import re
 import secrets
 import socket
 from collections.abc import Iterable, Sequence
@@ -26,14 +25,6 @@ KNOWN_ORIGINS: Final = (
 """The pages of Foxglove, the desktop applications, and Lichtblick where its container serves it."""
 
 _TOKEN_BYTES: Final = 24
-
-_ORIGIN: Final = re.compile(r"[a-z][a-z0-9+.-]*://[^\sA-Z/?#@*]+|file://|null")
-"""What browsers send: a scheme and a host, in small letters, without a path."""
-
-
-def is_origin(text: str) -> bool:
-    """Return whether a page can have this origin; any other text would admit nobody."""
-    return _ORIGIN.fullmatch(text) is not None
 
 
 def new_token() -> str:

@@ -3,8 +3,17 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import asdict, dataclass
-from typing import Self
+from typing import Final, Self
+
+_ORIGIN: Final = re.compile(r"[a-z][a-z0-9+.-]*://[^\sA-Z/?#@*]+|file://|null")
+"""What browsers send: a scheme and a host, in small letters, without a path."""
+
+
+def is_origin(text: str) -> bool:
+    """Return whether a page can have this origin; any other text would admit nobody."""
+    return _ORIGIN.fullmatch(text) is not None
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +39,7 @@ class ViewJob:
     port: int | None = None
     """None is the usual port, or a free one where that is taken."""
     origins: tuple[str, ...] = ()
+    """Pages that may connect beside those that are known."""
     control: bool = False
     """Whether viewers may stop the robot."""
     lease: str = ""

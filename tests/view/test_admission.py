@@ -8,7 +8,8 @@ import pytest
 
 from robotctl.cli.commands.view import view
 from robotctl.errors import UsageError
-from robotctl.view.admission import KNOWN_ORIGINS, Admission, is_origin
+from robotctl.view.admission import KNOWN_ORIGINS, Admission
+from robotctl.view.view_job import is_origin
 
 TOKEN = "T0ken_of-this-run"
 TARGET = f"/?token={TOKEN}"

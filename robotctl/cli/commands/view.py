@@ -77,7 +77,7 @@ def view(
         raise UsageError("--control with a recording", "leave one of them out")
     if at is not None and not file:
         raise UsageError("--at without a recording", "name one, or `last`")
-    from robotctl.view.admission import is_origin
+    from robotctl.view.view_job import ViewJob, is_origin
 
     if wrong := [each for each in origin or () if not is_origin(each)]:
         raise UsageError(
@@ -87,7 +87,6 @@ def view(
     from robotctl.cli.support.lease_token import own_token
     from robotctl.cli.support.recording_paths import find_local_recording
     from robotctl.cli.support.view_process import check_view_installed, live_target, show_view
-    from robotctl.view.view_job import ViewJob
 
     check_view_installed()
     if file:
