@@ -123,7 +123,8 @@ def _entries(environment: Mapping[str, str], variable: str) -> list[str]:
 
 
 def _is_marked(entry: str, variable: str) -> bool:
-    return any((Path(entry) / mark).exists() for mark in _MARKS[variable])
+    # Unlike Path.exists, os.path.exists is False for the folder of a user who hides it.
+    return any(os.path.exists(os.path.join(entry, mark)) for mark in _MARKS[variable])
 
 
 def _is_below(entry: str, folders: list[Path]) -> bool:

@@ -82,7 +82,8 @@ def check_folders(*folders: Path) -> Iterator[Finding]:
             wrong.append(fault("permissions", error.cause, error.cure))
         except OSError as error:
             cure = f"set {chain.variable} to a folder of yours"
-            wrong.append(fault("permissions", f"{error.filename}: {error.strerror}", cure))
+            text = f"{folder} cannot be used: {error.filename}: {error.strerror}"
+            wrong.append(fault("permissions", text, cure))
         else:
             cure = "take the right of the group away: chmod g-w FOLDER"
             wrong += [warning("permissions", each, cure) for each in chain.group_writable()]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import platform
 import re
 import sys
@@ -78,7 +79,7 @@ def check_two_rclpys(folders: Iterable[str]) -> Iterator[Finding]:
     found = {
         (Path(folder) / "rclpy").resolve()
         for folder in folders
-        if (Path(folder or ".") / "rclpy" / "__init__.py").is_file()
+        if os.path.isfile(os.path.join(folder, "rclpy", "__init__.py"))  # False if not permitted
     }
     if len(found) > 1:
         yield warning(

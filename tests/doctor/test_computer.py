@@ -16,6 +16,7 @@ from robotctl.doctor import machine, python_installation, shared_memory
 from robotctl.doctor.finding import Finding, Level
 from robotctl.paths import runtime_folder, state_folder
 from robotctl.recording.write.recorder_options import RecorderOptions
+from tests.support.users import as_root, process_of
 
 MEMORY = "fastrtps_0123456789abcdef"
 PORT = "fastrtps_port7411"
@@ -109,6 +110,21 @@ def test_another_ros_in_the_shell_and_a_second_rclpy_are_named(tmp_path: Path) -
     twice = [str(ours), str(other), str(ours), ""]
     assert levels(python_installation.check_two_rclpys(twice)) == [("rclpy", Level.WARNING)]
     assert levels(python_installation.check_two_rclpys([str(ours), str(ours)])) == []
+
+
+@as_root
+def test_a_python_path_in_the_home_of_another_user_ends_no_check(tmp_path: Path) -> None:
+    tmp_path.chmod(0o700)
+    hidden = str(tmp_path / "site-packages")
+    imports = "from pathlib import Path\nfrom robotctl.doctor import python_installation as checks"
+    code = f"""
+for variable in ("PYTHONPATH", "LD_LIBRARY_PATH", "AMENT_PREFIX_PATH"):
+    print(*checks.check_shell({{variable: {hidden!r}}}, Path("/venv")))
+print(*checks.check_two_rclpys([{hidden!r}]))
+"""
+    out, err = process_of(1234, [], imports, code, os.environ).communicate(timeout=30.0)
+    assert err == ""
+    assert out.count("no other ROS precedes ours") == 3
 
 
 def test_a_python_of_the_distribution_is_named_outside_an_environment(tmp_path: Path) -> None:
