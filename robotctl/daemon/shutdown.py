@@ -23,6 +23,9 @@ LAST_ZERO_S = 1.0
 """How long the last zero is tried; after that the robot's command timeout has stopped it."""
 
 
+_ENDING = "the daemon is stopping"
+
+
 async def stand_still(
     control: Control,
     published: Callable[[], int],
@@ -35,8 +38,7 @@ async def stand_still(
     From now on the kernel starts no motion. `published()` returns the number of commands sent: a
     last zero that fails, from lack of memory or in the middleware, is repeated for LAST_ZERO_S.
     """
-    detail = "the daemon is stopping"
-    control.dispatch(FaultReported(now_ns(), Cause.DAEMON_ENDS, detail))
+    control.dispatch(FaultReported(now_ns(), Cause.DAEMON_ENDS, _ENDING))
     for mode in (Mode.IDLE, Mode.ERROR):
         if control.state.mode is Mode.MOVING:
             request = ModeRequested(now_ns(), control.new_request_id(), mode, "the daemon's end")
@@ -55,9 +57,13 @@ async def stand_still(
 
 
 def send_zero(control: Control, velocity: VelocityPublisher) -> None:
-    """Send a zero now: as a decision of the kernel if the robot stands, else directly."""
+    """Send a zero now: as a decision of the kernel if the robot stands, else directly.
+
+    The journal tells that the daemon ends, so that a check knows its end.
+    """
     sent = velocity.published
     with suppress(Exception):  # the kernel may be what has failed
+        control.dispatch(FaultReported(time.monotonic_ns(), Cause.DAEMON_ENDS, _ENDING))
         if control.state.mode is not Mode.MOVING:
             control.dispatch(Tick(time.monotonic_ns()))
     if velocity.published == sent:

@@ -197,7 +197,7 @@ class _Check:
         position = self._reading.position.position
         if self._pool is not None and position is not None:
             self._rerun.trust(self._pool.confirmed(position))
-        self._proofs.take(entry, snapshot.proof, self._ends.snapshot(entry, snapshot.proof))
+        self._proofs.take(entry, snapshot.proof, self._ends.snapshot(entry, snapshot))
         self._compared.snapshot(snapshot, entry.t_ns, self._log_ns[1])
 
     def _step(self, step: Step, agreed: Agreed | None) -> None:

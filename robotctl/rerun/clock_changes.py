@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import NamedTuple
 
 from robotctl.kernel.units import NS_PER_S
@@ -27,6 +28,9 @@ class ClockChanges:
         self.offset_ns: int | None = None
         """Wall clock - steady clock at the last moment."""
 
+        self._begun_ns: int | None = None
+        """Wall clock - steady clock at the first snapshot."""
+
         self._changed_ns: list[int] = []
         self._set: list[_ClockStep] = []
         self._moments = 0
@@ -39,16 +43,30 @@ class ClockChanges:
 
     @property
     def set_by_ns(self) -> list[int]:
-        """By how much the clock was set, each time."""
-        return [change.by_ns for change in self._set]
+        """By how much the clock was set, each time, since the first moment."""
+        return [change.by_ns for change in self._set if change.moment > 1]
+
+    @property
+    def was_set_back(self) -> bool:
+        """Whether the clock was set, and next back to what it was, as at the first snapshot."""
+        steps = pairwise([change.by_ns for change in self._set])
+        return any(abs(one + other) <= CLOCK_NS for one, other in steps)
+
+    def begin(self, steady_ns: int, wall_ns: int) -> None:
+        """Take the moment of a snapshot; that of the first one counts."""
+        if self._begun_ns is None:
+            self._begun_ns = wall_ns - steady_ns
 
     def look(self, steady_ns: int, wall_ns: int) -> None:
         """Take one moment by both clocks."""
         offset_ns = wall_ns - steady_ns
         before_ns, self.offset_ns = self.offset_ns, offset_ns
         self._moments += 1
-        if before_ns is not None and abs(offset_ns - before_ns) > CLOCK_NS:
+        if before_ns is None:
+            before_ns = self._begun_ns
+        elif abs(offset_ns - before_ns) > CLOCK_NS:
             self._changed_ns.append(steady_ns)
+        if before_ns is not None and abs(offset_ns - before_ns) > CLOCK_NS:
             self._take(offset_ns - before_ns, wall_ns)
         self._wall_ns = wall_ns
 

@@ -73,6 +73,7 @@ class Comparisons:
         """Continue from a snapshot, with its time by the steady clock and since the epoch."""
         has_proof = snapshot.proof is not None
         self.invariants.snapshot(snapshot)
+        self._clock.begin(t_ns, log_ns)
         self._ticks.begin(snapshot.params.rate_hz)
         self._commands.snapshot(snapshot)
         self._inputs.snapshot(has_proof)

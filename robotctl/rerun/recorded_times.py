@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import Final
 
 from robotctl.kernel.units import NS_PER_S
 from robotctl.rerun.check_report import Report
-from robotctl.rerun.clock_changes import CLOCK_NS, ClockChanges
+from robotctl.rerun.clock_changes import ClockChanges
 from robotctl.rerun.log_order import LogOrder
 
 MAX_SET: Final = 5
@@ -35,8 +34,7 @@ def tell_times(clock: ClockChanges, order: LogOrder, report: Report) -> None:
         f"the clock was set {often}, first by {changes[0] / NS_PER_S:+.2f} s: times around it are "
         "not compared"
     )
-    returns = any(abs(one + other) <= CLOCK_NS for one, other in pairwise(changes))
-    if returns or len(changes) > MAX_SET:
+    if clock.was_set_back or len(changes) > MAX_SET:
         report.miss(text)
     else:
         report.notes.append(text)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from robotctl.kernel.snapshot import Proof, Snapshot
+from robotctl.kernel.types import Cause
 from robotctl.recording import Recording, RecordingInfo
 from robotctl.recording.format.journal import JournalEntry
 from robotctl.recording.format.ledger_record import read_ledger
@@ -36,6 +37,9 @@ class RecordingEnds:
         self._is_clip = CLIP_RECORD in info.metadata
         self._first_seq = self._last_seq = -1
         self._last_snapshot = -1
+        self._has_ended = False
+        """Whether the last snapshot is of a daemon that was ending."""
+
         self._ledger: Mapping[str, Mapping[str, int]] | None = None
         last = natural_order(recording.open_files[-1].path)
         self._goes_on = any(natural_order(Path(name)) > last for name in recording.lost_files)
@@ -64,10 +68,12 @@ class RecordingEnds:
         for sentence in differing_parameters(noted, snapshot.params):
             report.miss(sentence, is_beside=True)
 
-    def snapshot(self, entry: JournalEntry, proof: Proof | None) -> int:
+    def snapshot(self, entry: JournalEntry, snapshot: Snapshot) -> int:
         """Take a snapshot; return the number of the one before it, 0 if there is none."""
         before = max(self._last_snapshot, 0)
-        self._last_snapshot = entry.seq if proof is not None else -1
+        self._last_snapshot = entry.seq if snapshot.proof is not None else -1
+        reported = snapshot.state.health.reported
+        self._has_ended = any(cause is Cause.DAEMON_ENDS for cause, _ in reported)
         return before
 
     def check(self, events_before_snapshot: int, invariants: Invariants) -> None:
@@ -97,7 +103,8 @@ class RecordingEnds:
         if recording.is_cut_off or recording.is_live or self._goes_on:
             return
         is_queued = any(counts.get("queued") for counts in ledger.values())
-        if not is_queued and self._last_snapshot == self._last_seq:
+        has_ended = self._has_ended or not self._report.same_version
+        if not is_queued and has_ended and self._last_snapshot == self._last_seq:
             return
         self._goes_on = True
         if not recording.path.is_dir():

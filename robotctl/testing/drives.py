@@ -20,9 +20,11 @@ from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.patterns import Pattern
 from robotctl.kernel.types import (
     ZERO,
+    Cause,
     DriveRequested,
     Effect,
     Event,
+    FaultReported,
     LoopStalled,
     PublishTwist,
     Twist,
@@ -121,7 +123,7 @@ def journaled(
 ) -> Iterator[Written]:
     """Yield what a daemon writes for the steps of a kernel.
 
-    There is a snapshot at each given time, and one at the end.
+    There is a snapshot at each given time, and one at the end, after the report that it ends.
     """
     written: list[Written] = []
     commands = 0
@@ -144,6 +146,9 @@ def journaled(
             journal.snapshot(due_ns.popleft(), kernel)
         yield from written
         written.clear()
+    ending = FaultReported(t_ns, Cause.DAEMON_ENDS, "the daemon is stopping")
+    journal.event(ending)
+    kernel.step(ending)
     journal.snapshot(t_ns, kernel)
     yield from written
 

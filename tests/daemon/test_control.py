@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from types import SimpleNamespace
+from typing import cast
 
 from robotctl.daemon.control.dispatcher import Control
 from robotctl.daemon.control.journal_writer import Journal
 from robotctl.daemon.control.pending_requests import PendingRequests
-from robotctl.daemon.shutdown import stand_still
+from robotctl.daemon.shutdown import send_zero, stand_still
 from robotctl.kernel.kernel import Kernel
 from robotctl.kernel.modes import Mode
 from robotctl.kernel.params import KernelParams
@@ -25,6 +27,7 @@ from robotctl.kernel.types import (
 )
 from robotctl.recording.format.journal import EntryKind, JournalEntry, decode
 from robotctl.rerun.rerun import first_divergence
+from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
 from robotctl.testing.kernels import moving
 from tests.support.waiting import loop_until
 
@@ -148,6 +151,18 @@ async def test_no_motion_begins_while_the_daemon_ends() -> None:
     assert not reply.ok
     assert "the daemon is stopping" in reply.message
     assert first_divergence(bench.entries) is None
+
+
+def test_the_journal_of_a_daemon_that_fails_tells_that_it_ends() -> None:
+    bench, velocity = Bench(), SimpleNamespace(published=0)
+
+    def publish(effect: Effect) -> None:
+        velocity.published += isinstance(effect, PublishTwist)
+
+    bench.do = publish
+    send_zero(bench.control, cast(VelocityPublisher, velocity))
+    assert bench.names[-3:] == ["FaultReported", "Tick", "PublishTwist"]
+    assert '"cause":"daemon ends"' in bench.entries[-3].data
 
 
 async def test_a_last_zero_that_fails_is_sent_again() -> None:

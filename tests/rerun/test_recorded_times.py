@@ -63,6 +63,22 @@ def test_a_stall_within_a_step_sets_no_clock() -> None:
     assert (clock.has_changed, clock.set_by_ns) == (True, [])
 
 
+def test_a_stall_within_the_first_step_sets_no_clock() -> None:
+    clock = ClockChanges()
+    clock.begin(0, 0)
+    for steady, wall in ((20, 420), (421, 421), (440, 440)):
+        clock.look(steady * MS, wall * MS)
+    assert (clock.set_by_ns, clock.was_set_back) == ([], False)
+
+
+def test_a_first_step_with_a_later_time_alone_sets_the_clock_back() -> None:
+    clock = ClockChanges()
+    clock.begin(0, 0)
+    for steady, wall in ((20, 3600_020), (40, 40)):
+        clock.look(steady * MS, wall * MS)
+    assert (clock.set_by_ns, clock.was_set_back) == ([-3600_000 * MS], True)
+
+
 def test_an_entry_with_a_later_time_alone_sets_the_clock_twice() -> None:
     clock = ClockChanges()
     for steady, wall in ((0, 0), (20, 420), (40, 40)):

@@ -310,6 +310,14 @@ def counted(topic: str, count: str, more: int) -> Kind:
     return make
 
 
+def cut_behind_snapshot(contents: Contents, random: Random) -> Contents:
+    """Cut off the end of all topics, so that a snapshot is the last entry of the journal."""
+    snapshots = [at for at, each in enumerate(contents.messages) if b"Snapshot" in each.data[:60]]
+    edited = contents.copy()
+    del edited.messages[random.choice(snapshots[1:-1]) + 1 :]
+    return edited
+
+
 def cut(share: float) -> Kind:
     """Cut off the end of all topics, at a place in the last part of the file."""
 

@@ -53,6 +53,9 @@ IN_TIMES: Mapping[str, Kind] = {
     "journal: one entry recorded an hour later": changed(
         JOURNAL, lambda each, _: recorded_later(each, HOUR_S), lambda each: each.sequence < 400
     ),
+    "journal: one of its first entries recorded an hour later": changed(
+        JOURNAL, lambda each, _: recorded_later(each, HOUR_S), lambda each: each.sequence < 4
+    ),
     "a topic: recorded an hour later": all_later(lambda at: HOUR_S, *OTHERS),
     "a topic: recorded an hour earlier": all_later(lambda at: -HOUR_S, *OTHERS),
     "status: another one recorded before it was sent": another_ahead,
