@@ -20,6 +20,9 @@ SCARCE_BYTES: Final = 2_000_000_000
 FULL_BYTES: Final = 500_000_000
 """The recorder does not begin when less is free (`stop_free_bytes`)."""
 
+ENOUGH_FILES: Final = 256
+"""A daemon with a simulated robot has about 100 open; each client and each topic adds some."""
+
 BUILT_S: Final = 1_735_689_600.0
 """2025-01-01: a clock before that was never set."""
 
@@ -88,6 +91,21 @@ def check_folders(*folders: Path) -> Iterator[Finding]:
             cure = "take the right of the group away: chmod g-w FOLDER"
             wrong += [warning("permissions", each, cure) for each in chain.group_writable()]
     yield from wrong or [ok("permissions", "only you can change sockets, latches and keys")]
+
+
+def check_descriptors() -> Iterator[Finding]:
+    """Tell whether a daemon may open enough files; one without a free one answers no client."""
+    check = "open files"
+    limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    told = f"a process may open {limit} at a time"
+    if limit == resource.RLIM_INFINITY or limit >= ENOUGH_FILES:
+        yield ok(check, told)
+    else:
+        yield warning(
+            check,
+            f"{told}: a daemon may need {ENOUGH_FILES}",
+            "raise it: ulimit -n 1024, LimitNOFILE in a unit",
+        )
 
 
 def check_priority(fifo_priority: int) -> Iterator[Finding]:

@@ -228,3 +228,14 @@ def test_a_priority_beyond_the_limit_is_named(monkeypatch: pytest.MonkeyPatch) -
     assert levels(machine.check_priority(0)) == [("rtprio", Level.OK)]
     assert levels(machine.check_priority(10)) == [("rtprio", Level.OK)]
     assert levels(machine.check_priority(11)) == [("rtprio", Level.WARNING)]
+
+
+@pytest.mark.parametrize(
+    ("limit", "level"),
+    [(64, Level.WARNING), (1024, Level.OK), (resource.RLIM_INFINITY, Level.OK)],
+)
+def test_a_limit_of_open_files_that_a_daemon_may_reach_is_named(
+    limit: int, level: Level, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (limit, limit))
+    assert levels(machine.check_descriptors()) == [("open files", level)]

@@ -116,6 +116,7 @@ def _computer(robot: str, config: Config) -> Iterator[Finding]:
     yield from machine.check_clock(time.time(), state_folder())
     yield from _check_socket(robot)
     yield from machine.check_folders(runtime_folder(), state_folder())
+    yield from machine.check_descriptors()
     yield from machine.check_priority(config.fifo_priority)
 
 
