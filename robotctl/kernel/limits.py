@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import isfinite
+from math import copysign, isfinite
 
 from robotctl.kernel.params import VelocityLimits
 from robotctl.kernel.types import Twist, new_twist
@@ -12,9 +12,7 @@ def clamp(value: float, bound: float) -> float:
     """Return `value` limited to [-bound, bound]; nan and inf become 0, never full speed."""
     if -bound <= value <= bound:
         return value
-    if not isfinite(value):
-        return 0.0
-    return bound if value > 0.0 else -bound
+    return copysign(bound, value) if isfinite(value) else 0.0
 
 
 def _approach(current: float, target: float, max_step: float) -> float:

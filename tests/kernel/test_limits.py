@@ -32,6 +32,12 @@ def test_a_target_that_is_just_near_enough_is_reached_exactly() -> None:
     limits = replace(LIMITS, linear_accel_mps2=abs(0.05 - -0.57))
     assert -0.57 + limits.linear_accel_mps2 != 0.05
     assert limit(Twist(-0.57, 0.0), Twist(0.05, 0.0), 1.0, limits).linear == 0.05
+    assert limit(Twist(0.57, 0.0), Twist(-0.05, 0.0), 1.0, limits).linear == -0.05
+
+
+@pytest.mark.parametrize(("value", "clamped"), [(0.5, 0.2), (-0.5, -0.2), (0.2, 0.2), (-0.1, -0.1)])
+def test_a_value_beyond_a_bound_becomes_the_bound_on_its_side(value: float, clamped: float) -> None:
+    assert clamp(value, 0.2) == clamped
 
 
 @pytest.mark.parametrize("command", [Twist(1.1, 0.0), Twist(0.0, -2.1), Twist(nan, 0.0)])
