@@ -5,7 +5,7 @@ from __future__ import annotations
 import resource
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from typing import Any
+from typing import Any, Final
 
 from robotctl import environment
 from robotctl.daemon import command_line as command_line
@@ -13,9 +13,12 @@ from robotctl.daemon.command_line import DaemonOptions
 from robotctl.daemon.lock import owned
 from robotctl.daemon.log.lines import log_to_stderr
 from robotctl.daemon.start_report import StartReport
-from robotctl.errors import INTERRUPTED_EXIT_CODE, RobotctlError
+from robotctl.errors import INTERRUPTED_EXIT_CODE, Refused, RobotctlError
 from robotctl.paths import lock_path
 from robotctl.streams import open_standard_streams
+
+LEAST_FILES: Final = 128
+"""A daemon with a simulated robot opens about 100; without a free one it could answer no client."""
 
 
 def main(arguments: list[str]) -> int:
@@ -29,8 +32,8 @@ def main(arguments: list[str]) -> int:
 def _main(arguments: list[str], notes: list[str], at_end: ExitStack) -> int:
     """Run as `main` does; `at_end` holds what must happen after everything else, the log too."""
     report = StartReport(command_line.parse_ready_fd(arguments))
-    allow_many_files()
     try:
+        allow_many_files()
         options = command_line.parse(arguments)
         at_end.enter_context(owned(lock_path(options.robot), options.robot))
         _run(options, report.send, notes, at_end)
@@ -59,6 +62,15 @@ def _run(
 
 
 def allow_many_files() -> None:
-    """Raise the limit: each recorded topic takes a file, and 1,024 is only for select(2)."""
+    """Raise the limit: each recorded topic takes a file, and 1,024 is only for select(2).
+
+    Raises:
+        Refused: The limit cannot be raised far enough.
+    """
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if most != resource.RLIM_INFINITY and most < LEAST_FILES:
+        raise Refused(
+            f"this process may open {most} files, and a daemon needs {LEAST_FILES}",
+            "raise the limit: ulimit -n 1024, or LimitNOFILE in a unit",
+        )
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))

@@ -96,7 +96,7 @@ def check_folders(*folders: Path) -> Iterator[Finding]:
 def check_descriptors() -> Iterator[Finding]:
     """Tell whether a daemon may open enough files; one without a free one answers no client."""
     check = "open files"
-    limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    _, limit = resource.getrlimit(resource.RLIMIT_NOFILE)  # to which a daemon raises its own
     told = f"a process may open {limit} at a time"
     if limit == resource.RLIM_INFINITY or limit >= ENOUGH_FILES:
         yield ok(check, told)

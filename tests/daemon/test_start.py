@@ -161,6 +161,21 @@ def test_a_start_fails_if_the_socket_path_is_not_a_socket(world: World) -> None:
     in_the_way.unlink()
 
 
+def test_a_start_that_may_open_too_few_files_is_refused(world: World) -> None:
+    command = [ROBOTCTL, "start", "--sim", "--recordings", str(world.recordings)]
+    ran = subprocess.run(
+        ["sh", "-c", 'ulimit -n 64; exec "$@"', "sh", *command],
+        env=world.environment,
+        capture_output=True,
+        text=True,
+        timeout=DEADLINE_S,
+        check=False,
+    )
+    assert ran.returncode == 4
+    assert "this process may open 64 files, and a daemon needs 128: raise the limit" in ran.stderr
+    assert not world.recordings.exists()
+
+
 def test_a_file_in_the_place_of_the_runtime_folder_is_named(world: World) -> None:
     in_the_way = world.folder / "run" / "robotctl"
     in_the_way.write_text("")
