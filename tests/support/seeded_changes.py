@@ -146,10 +146,10 @@ REGRESSIONS = (
 
 HARMLESS = (
     SourceChange(
-        "the minimum comes first",
+        "the sign is compared",
         "limits.py",
-        "return min(max(value, -bound), bound)",
-        "return max(min(value, bound), -bound)",
+        "return copysign(bound, value) if isfinite(value) else 0.0",
+        "return (bound if value > 0.0 else -bound) if isfinite(value) else 0.0",
     ),
     SourceChange(
         "the condition is turned round",
