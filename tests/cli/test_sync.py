@@ -93,7 +93,9 @@ def test_what_was_copied_is_read_as_the_recording_is(
     assert cli("sync", place).exit_code == 0
     here = json.loads(cli("info", str(recording), "--json").out)
     shutil.rmtree(recording)
-    there = json.loads(cli("info", f"{place}/{NAME}", "--json").out)
+    ran = cli("info", f"{place}/{NAME}", "--json")
+    assert ran.exit_code == 0, ran
+    there = json.loads(ran.out)
     assert there["path"] == f"{place}/{NAME}"
     assert there["topics"] == here["topics"]
     checked = cli("replay", "--check", place)
