@@ -96,7 +96,8 @@ def ends_in_time(course: PatternKind | str, gaps: str, seed: int) -> None:
     )
     if way.held is not None and run.ended.completed:
         held_s = way.held.for_s + way.held.quiet_s
-        assert abs(run.seconds - held_s) <= ramp_s(limits) + 8.0 / rate_hz
+        slower = 2.0 if gaps == "missed" else 1.0  # of four periods a ramp takes two
+        assert abs(run.seconds - held_s) <= slower * ramp_s(limits) + 8.0 / rate_hz
 
 
 @pytest.mark.parametrize("gaps", GAPS)
