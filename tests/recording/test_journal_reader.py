@@ -13,6 +13,7 @@ from robotctl.recording import Recorder, RecorderOptions, Recording, Topic
 from robotctl.recording.format.journal import (
     EntryKind,
     JournalEntry,
+    decode,
     encode,
     is_snapshot,
 )
@@ -90,3 +91,24 @@ def test_a_snapshot_is_told_from_other_entries_without_decoding(kind: EntryKind)
 @pytest.mark.parametrize("size", range(21))
 def test_bytes_too_short_for_an_entry_are_no_snapshot(size: int) -> None:
     assert not is_snapshot(encode(JournalEntry(7, 7, EntryKind.SNAPSHOT, "Name", "{}"))[:size])
+
+
+@pytest.mark.parametrize(
+    ("at", "byte", "says"),
+    [
+        (24, 0, "it has no name or kind"),
+        (25, 1, "its name has 261 bytes, more than 255"),
+        (20, 3, "it has no name or kind"),
+        (1, 7, "not little-endian CDR"),
+    ],
+)
+def test_an_entry_with_a_damaged_head_is_told(at: int, byte: int, says: str) -> None:
+    damaged = bytearray(encode(JournalEntry(1, 2, EntryKind.EVENT, "Tick", "{}")))
+    damaged[at] = byte
+    with pytest.raises(UnreadableFile, match=says):
+        decode(bytes(damaged))
+
+
+def test_a_name_that_no_entry_can_hold_is_refused() -> None:
+    with pytest.raises(KeyError):
+        encode(JournalEntry(1, 2, EntryKind.EVENT, "x" * 255, "{}"))

@@ -45,26 +45,30 @@ class JournalEntry(NamedTuple):
 
 _KINDS = tuple(EntryKind)
 
-_HEAD = struct.Struct("<4sQqBxxxI")
-"""Encapsulation (CDR, little endian), then seq, t_ns, kind, padding, length of name."""
-
 _KIND_AT = struct.calcsize("<4sQq")
+_NAME_SIZE_AT = struct.calcsize("<4sQqBxxx")
 _SNAPSHOT = bytes([EntryKind.SNAPSHOT])
-
-_LENGTH = struct.Struct("<I")
-_NAME_SIZE_AT = _HEAD.size - _LENGTH.size
 
 MAX_NAME_BYTES = 255
 """Maximum size of the name of an entry, with the zero at its end."""
 
 
-def _until_data(name_bytes: int) -> struct.Struct:
-    """Return the layout of an entry with a name of this size: up to the length of the data."""
-    padding = -name_bytes % 4
-    return struct.Struct(f"<4sQqBxxxI{name_bytes - 1}sx{padding}xI")
+class _Layouts(dict[int, struct.Struct]):
+    """For each size of the name the layout of an entry, made when it is first needed.
+
+    It holds encapsulation (CDR, little endian), seq, t_ns, kind, size of the name, name, and the
+    size of the data, which follows.
+    """
+
+    def __missing__(self, name_bytes: int) -> struct.Struct:
+        if not 0 < name_bytes <= MAX_NAME_BYTES:
+            raise KeyError(name_bytes)
+        padding = -name_bytes % 4
+        self[name_bytes] = struct.Struct(f"<4sQqBxxxI{name_bytes - 1}sx{padding}xI")
+        return self[name_bytes]
 
 
-_UNTIL_DATA: Final = {size: _until_data(size) for size in range(1, MAX_NAME_BYTES + 1)}
+_LAYOUTS: Final = _Layouts()
 
 _new = tuple.__new__
 """Makes a named tuple in a third of the time of its class."""
@@ -72,10 +76,10 @@ _new = tuple.__new__
 
 def encode(entry: JournalEntry) -> bytes:
     """Return the entry as ROS serializes it (CDR, OMG DDSI-RTPS 10.2)."""
-    name, data = entry.name.encode() + b"\0", entry.data.encode() + b"\0"
-    padding = b"\0" * (-len(name) % 4)
-    head = _HEAD.pack(ENCAPSULATION, entry.seq, entry.t_ns, entry.kind, len(name))
-    return b"".join((head, name, padding, _LENGTH.pack(len(data)), data))
+    name, data = entry.name.encode(), entry.data.encode() + b"\0"
+    name_size = len(name) + 1
+    head = ENCAPSULATION, entry.seq, entry.t_ns, entry.kind, name_size, name, len(data)
+    return _LAYOUTS[name_size].pack(*head) + data
 
 
 def chained(serialized: bytes, crc: int) -> int:
@@ -103,7 +107,7 @@ def decode(serialized: bytes) -> JournalEntry:
         UnreadableFile: The bytes are not a journal entry.
     """
     try:
-        layout = _UNTIL_DATA[serialized[_NAME_SIZE_AT]]
+        layout = _LAYOUTS[serialized[_NAME_SIZE_AT]]
         encapsulation, seq, t_ns, kind, name_size, name, data_size = layout.unpack_from(serialized)
         if encapsulation[:2] != LITTLE_ENDIAN:
             raise ValueError("not little-endian CDR")
