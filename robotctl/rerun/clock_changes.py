@@ -62,11 +62,11 @@ class ClockChanges:
         offset_ns = wall_ns - steady_ns
         before_ns, self.offset_ns = self.offset_ns, offset_ns
         self._moments += 1
-        if before_ns is None:
-            before_ns = self._begun_ns
-        elif abs(offset_ns - before_ns) > CLOCK_NS:
-            self._changed_ns.append(steady_ns)
+        is_first = before_ns is None
+        before_ns = self._begun_ns if before_ns is None else before_ns
         if before_ns is not None and abs(offset_ns - before_ns) > CLOCK_NS:
+            if not is_first:
+                self._changed_ns.append(steady_ns)
             self._take(offset_ns - before_ns, wall_ns)
         self._wall_ns = wall_ns
 
